@@ -1,0 +1,75 @@
+"""The executed curve: a C1 cubic Hermite spline through the waypoints, and the law that times it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Cubic Hermite spline ``q(s)`` through waypoints.
+
+    Attributes:
+        knots: (K,) strictly increasing path parameter [-].
+        positions: (K, n) configurations at the knots.
+        tangents: (K, n) dq/ds at the knots.
+    """
+
+    knots: Float[np.ndarray, "K"]
+    positions: Float[np.ndarray, "K n"]
+    tangents: Float[np.ndarray, "K n"]
+
+    def __post_init__(self) -> None:
+        if len(self.knots) < 2 or np.any(np.diff(self.knots) <= 0.0):
+            raise ValueError("a curve needs at least two knots, strictly increasing")
+        if not (len(self.knots) == len(self.positions) == len(self.tangents)):
+            raise ValueError("knots, positions and tangents must have the same length")
+
+    def coefficients(self) -> Float[np.ndarray, "4 K-1 n"]:
+        """Per interval, ``q(s) = sum_k c_k u^k`` with ``u = s - knots[i]``."""
+        h = np.diff(self.knots)[:, None]
+        q0, q1 = self.positions[:-1], self.positions[1:]
+        v0, v1 = self.tangents[:-1], self.tangents[1:]
+        chord = (q1 - q0) / h
+        return np.stack([q0, v0, (3.0 * chord - 2.0 * v0 - v1) / h, (v0 + v1 - 2.0 * chord) / h**2])
+
+    def __call__(self, s: Float[np.ndarray, "S"], order: int = 0) -> Float[np.ndarray, "S n"]:
+        """Configuration (order 0), dq/ds (1) or d2q/ds2 (2, right-sided at knots) at ``s``."""
+        s = np.clip(np.atleast_1d(np.asarray(s, dtype=float)), self.knots[0], self.knots[-1])
+        i = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
+        u = (s - self.knots[i])[:, None]
+        c0, c1, c2, c3 = self.coefficients()[:, i]
+        if order == 0:
+            return np.asarray(c0 + u * (c1 + u * (c2 + u * c3)))
+        if order == 1:
+            return np.asarray(c1 + u * (2.0 * c2 + u * 3.0 * c3))
+        if order == 2:
+            return np.asarray(2.0 * c2 + u * 6.0 * c3)
+        raise ValueError(f"order must be 0, 1 or 2, got {order}")
+
+
+@dataclass(frozen=True)
+class TimeLaw:
+    """When the curve is where: ``s(t)`` with constant ``d2s/dt2`` between grid points.
+
+    Attributes:
+        times: (M,) strictly increasing [s].
+        path: (M,) non-decreasing path parameter at those times.
+        speed: (M,) ds/dt there [1/s], >= 0.
+    """
+
+    times: Float[np.ndarray, "M"]
+    path: Float[np.ndarray, "M"]
+    speed: Float[np.ndarray, "M"]
+
+    def at(self, t: Float[np.ndarray, "S"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Path parameter, its speed and its acceleration (right-sided) at times ``t`` [s]."""
+        t = np.clip(np.atleast_1d(np.asarray(t, dtype=float)), self.times[0], self.times[-1])
+        i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
+        acceleration = np.diff(self.speed)[i] / np.diff(self.times)[i]
+        dt = t - self.times[i]
+        path = self.path[i] + dt * (self.speed[i] + 0.5 * acceleration * dt)
+        return path, self.speed[i] + acceleration * dt, acceleration

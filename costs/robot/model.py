@@ -1,0 +1,89 @@
+"""The robot as every other room sees it: pinocchio model, limits, convex bodies, groups and postures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+BASE_NAMES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
+
+
+@dataclass(frozen=True)
+class LinkBody:
+    """A convex body of a link.
+
+    Attributes:
+        name: the link's name, with ``/1``, ``/2`` ... for its further bodies.
+        link: the link it belongs to.
+        joint: index of the pinocchio joint that carries it (0: fixed to the world).
+        vertices: (V, 3) hull in the frame of that joint [m].
+        outer: (V', 3) a hull of at most 32 vertices that contains ``vertices``, for the optimiser's sweeps [m]
+            (the same array when the hull has no more than that).
+    """
+
+    name: str
+    link: str
+    joint: int
+    vertices: Float[np.ndarray, "V 3"]
+    outer: Float[np.ndarray, "W 3"]
+
+
+@dataclass(frozen=True)
+class RobotSource:
+    """The files a robot was made from, so that a result can carry them along.
+
+    Attributes:
+        urdf: text of the URDF.
+        srdf: text of the SRDF ("" if none).
+        files: mesh files by their path relative to the written ``package_dirs`` entry.
+    """
+
+    urdf: str
+    srdf: str
+    files: Mapping[str, Path]
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """A robot with ``n`` degrees of freedom whose configuration is a plain vector.
+
+    Attributes:
+        name: its name.
+        model: pinocchio model with nq == nv == n.
+        joint_names: n coordinate names; with a floating base the first six are ``BASE_NAMES``.
+        lower, upper: (n,) position limits [rad, m]; base unbounded (+-inf).
+        velocity, acceleration, effort: (n,) symmetric limits [rad/s, rad/s^2, Nm]; base +inf.
+        bodies: convex bodies of all links.
+        is_floating: whether the base is free.
+        groups: joint names by group name (SRDF), as ordered in ``joint_names``.
+        link_groups: link names by group name; ``feet`` and ``hands`` are used by the tasks.
+        postures: (n,) configurations by name.
+        ignored_pairs: link pairs (sorted names) not checked against each other.
+        source: the files it came from.
+    """
+
+    name: str
+    model: pin.Model
+    joint_names: tuple[str, ...]
+    lower: Float[np.ndarray, "n"]
+    upper: Float[np.ndarray, "n"]
+    velocity: Float[np.ndarray, "n"]
+    acceleration: Float[np.ndarray, "n"]
+    effort: Float[np.ndarray, "n"]
+    bodies: tuple[LinkBody, ...]
+    is_floating: bool
+    groups: Mapping[str, tuple[str, ...]]
+    link_groups: Mapping[str, tuple[str, ...]]
+    postures: Mapping[str, Float[np.ndarray, "n"]]
+    ignored_pairs: frozenset[tuple[str, str]]
+    source: RobotSource
+
+    @property
+    def n(self) -> int:
+        """Degrees of freedom, the base's included."""
+        return len(self.joint_names)
