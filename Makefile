@@ -1,0 +1,45 @@
+# make demo | test | check | bench | clean -- each sets up everything it needs (.venv of this checkout) first.
+
+SHELL := /bin/bash
+VENV := .venv
+BIN := $(VENV)/bin
+# The stamp is newer than what defines the environment, or the set-up runs again.
+READY := $(VENV)/.ready
+
+# Nothing of the caller's Python leaks in.
+unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check bench clean
+
+help:
+	@echo "make demo    plan and certify a valve turn from the scan that ships with the project"
+	@echo "make test    run the tests"
+	@echo "make check   ruff, mypy, import-linter"
+	@echo "make bench   speed and memory, as a table"
+	@echo "make clean   remove .venv, out and caches"
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt tools/setup.sh
+	@tools/setup.sh $(VENV)
+	@touch $@
+
+demo: $(READY)
+	$(BIN)/scopt plan examples/requests/valve.yaml --out out/valve
+
+test: $(READY)
+	$(BIN)/python -m pytest --cov --cov-report=term
+
+check: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(READY)
+	$(BIN)/python benchmarks/run.py
+
+clean:
+	rm -rf $(VENV) out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
