@@ -60,11 +60,11 @@ install_environment() {
     if have_uv; then
         echo "setup: $(uv --version), ${python:-a Python of its own}"
         uv venv --quiet --python "${python:-3.12}" "$venv"
-        uv pip install --quiet --python "$venv/bin/python" --constraints constraints.txt --editable '.[dev]'
+        uv pip install -qq --python "$venv/bin/python" --constraints constraints.txt --editable '.[dev]'
     else
         echo "setup: venv and pip of $python (a few minutes; uv, if installed, is faster)"
         "$python" -m venv "$venv"
-        "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+        "$venv/bin/python" -m pip install -qq --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
     fi
 }
 
