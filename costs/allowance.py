@@ -1,0 +1,49 @@
+"""Allowances to touch: which link may touch what, and how deep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """A pair that may touch, down to a stated depth; without one a pair must keep clear.
+
+    Attributes:
+        link: a link's or a body's name, or a prefix that ends with ``*``.
+        other: a piece's, link's or body's name, or a prefix that ends with ``*`` (``valve/rim/*``).
+        depth: greatest penetration [m], >= 0.
+    """
+
+    link: str
+    other: str
+    depth: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.depth < float("inf"):
+            raise ValueError(
+                f"depth must be finite and not negative, got {self.depth} for {self.link} and {self.other}"
+            )
+
+    def covers(self, body_name: str, body_link: str, other_name: str, other_link: str = "") -> bool:
+        """Whether it covers this pair, in either order; ``other_link`` is empty for a piece of the scene."""
+        first = (body_name, body_link)
+        second = (other_name, other_link)
+        return (_matches(self.link, first) and _matches(self.other, second)) or (
+            _matches(self.link, second) and _matches(self.other, first)
+        )
+
+
+def allowed_depth(
+    allowances: Iterable[Allowance], body_name: str, body_link: str, other_name: str, other_link: str = ""
+) -> float | None:
+    """Greatest penetration allowed to a pair [m], ``None`` if it may not touch at all."""
+    depths = [a.depth for a in allowances if a.covers(body_name, body_link, other_name, other_link)]
+    return max(depths, default=None)
+
+
+def _matches(pattern: str, names: tuple[str, ...]) -> bool:
+    if pattern.endswith("*"):
+        return any(name and name.startswith(pattern[:-1]) for name in names)
+    return any(name == pattern for name in names)
