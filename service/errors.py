@@ -1,0 +1,50 @@
+"""Errors of the service: what is wrong with what a user asked."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+
+MAX_PROBLEMS = 10  # a file of garbage need not be listed to its end
+MAX_VALUE_CHARACTERS = 60
+
+
+class ServiceError(Exception):
+    """Base of all errors raised by ``service``."""
+
+
+class RequestError(ServiceError):
+    """A request, or a file it names, that cannot be used.
+
+    Attributes:
+        problems: one line each, naming the field, the value and what would do.
+    """
+
+    def __init__(self, problems: str | Sequence[str]) -> None:
+        lines = (problems,) if isinstance(problems, str) else tuple(problems)
+        lines = tuple(" ".join(line.split()) for line in lines)
+        if len(lines) > MAX_PROBLEMS:
+            lines = (*lines[:MAX_PROBLEMS], f"and {len(lines) - MAX_PROBLEMS} more")
+        self.problems = lines
+        super().__init__("\n".join(lines))
+
+
+class ResultError(ServiceError):
+    """A result folder that cannot be written or read."""
+
+
+def shown(value: object) -> str:
+    """``value`` as a person would quote it, cut to one short line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= MAX_VALUE_CHARACTERS else text[: MAX_VALUE_CHARACTERS - 1] + "…"
+
+
+def would_do(name: object, known: Iterable[str], at_most: int = 6) -> str:
+    """The known names that ``name`` may have meant, the closest first; all of them when there are few."""
+    names = list(known)
+    if len(names) <= at_most:
+        return ", ".join(names)
+    close = difflib.get_close_matches(str(name), names, n=3, cutoff=0.6)
+    if close:
+        return ", ".join(close) + ", …"
+    return ", ".join(names[:at_most]) + ", …"

@@ -1,0 +1,188 @@
+"""Request files: YAML or JSON text to a ``PlanRequest``, and back to the canonical JSON that is hashed."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import re
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
+
+from service.errors import RequestError, shown, would_do
+from service.request import PlanRequest
+
+MAX_BYTES = 1_000_000
+MAX_DEPTH = 20
+
+_ADAPTER = TypeAdapter(PlanRequest)
+# Our words for pydantic's error types, filled in from the error's context; the rest keep pydantic's own.
+_WORDS = {
+    "float_type": "a number is needed",
+    "int_type": "a whole number is needed",
+    "string_type": "a text is needed",
+    "bool_type": "true or false is needed",
+    "tuple_type": "a list is needed",
+    "dict_type": "a mapping is needed",
+    "dataclass_type": "a mapping is needed",
+    "model_attributes_type": "a mapping is needed",
+    "finite_number": "a finite number is needed",
+    "greater_than": "more than {gt:g} is needed",
+    "greater_than_equal": "at least {ge:g} is needed",
+    "less_than": "less than {lt:g} is needed",
+    "less_than_equal": "at most {le:g} would do",
+    "too_long": "at most {max_length} entries would do",
+    "too_short": "at least {min_length} entries are needed",
+    "string_too_long": "at most {max_length} characters would do",
+    "string_too_short": "a text with at least {min_length} character is needed",
+    "literal_error": "{expected} would do",
+}
+_SPEAK_FOR_THEMSELVES = {"unknown_key", "exactly_one", "quaternion"}
+
+
+class _Loader(yaml.CSafeLoader):
+    """YAML without repeated keys, and with 1e-3 read as a number as everybody expects."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(None, None, "a key must be a plain text", key.start_mark)
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key.value!r} is given twice", key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep=deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+def load_request(path: str | Path) -> PlanRequest:
+    """Read and check a request file; its relative paths start at the file's folder.
+
+    Raises:
+        RequestError: one line per problem.
+    """
+    path = Path(path)
+    try:
+        data = _read_yaml(_read_text(path))
+        return parse_request(data, path.parent)
+    except RequestError as error:
+        raise RequestError([f"{path.name}: {problem}" for problem in error.problems]) from None
+
+
+def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
+    """Check a request given as plain mappings, lists and scalars; relative paths start at ``folder``.
+
+    Raises:
+        RequestError: one line per problem.
+    """
+    if not isinstance(data, Mapping):
+        raise RequestError(f"a mapping with robot, start, scene, goal or task is needed, got {shown(data)}")
+    try:
+        request = _ADAPTER.validate_python(dict(data))
+    except ValidationError as error:
+        raise RequestError([_line(data, detail) for detail in error.errors(include_url=False)]) from None
+    except RecursionError:
+        raise RequestError(f"nested deeper than {MAX_DEPTH} levels") from None
+    return dataclasses.replace(request, folder=Path(folder))
+
+
+def to_json(request: PlanRequest) -> dict[str, Any]:
+    """The request as plain JSON data, defaults filled in, without the folder."""
+    return dict(_ADAPTER.dump_python(request, mode="json"))
+
+
+def request_hash(request: PlanRequest) -> str:
+    """``sha256:`` of the canonical JSON: sorted keys, no blanks."""
+    text = json.dumps(to_json(request), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
+
+
+def _read_text(path: Path) -> str:
+    try:
+        size = path.stat().st_size
+        if not path.is_file():
+            raise RequestError("is not a file; a YAML file is needed")
+        if size > MAX_BYTES:
+            raise RequestError(f"is {size} bytes long; at most {MAX_BYTES} would do")
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise RequestError(f"is no UTF-8 text (byte {error.start}); a YAML file is needed") from None
+    except OSError as error:
+        raise RequestError(f"cannot be read: {error.strerror}") from None
+
+
+def _read_yaml(text: str) -> object:
+    try:
+        _refuse_bombs(text)
+        return yaml.load(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"line {mark.line + 1}: " if mark else ""
+        raise RequestError(f"{where}{error.problem or 'no valid YAML'}") from None
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
+        raise RequestError(f"no valid YAML: {shown(str(error))}") from None
+
+
+def _refuse_bombs(text: str) -> None:
+    """Refuse, before anything is built, aliases (they expand without bound) and depth (it exhausts the stack)."""
+    depth = 0
+    for event in yaml.parse(text, Loader=yaml.CSafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise RequestError(
+                f"line {event.start_mark.line + 1}: alias '*{event.anchor}' is not read; write the value out"
+            )
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > MAX_DEPTH:
+                raise RequestError(f"line {event.start_mark.line + 1}: nested deeper than {MAX_DEPTH} levels")
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+
+
+def _line(data: Mapping[str, Any], detail: ErrorDetails) -> str:
+    """One line of ours for one error of pydantic's: ``field: what is needed, got value``."""
+    kind, location, value = detail["type"], detail["loc"], detail["input"]
+    context = detail.get("ctx", {})
+    is_short = kind == "missing" and isinstance(location[-1], int)  # of a list, the entry at that index is missing
+    field = _field_path(data, location[:-1] if is_short else location, is_missing=kind == "missing")
+    if is_short:
+        words = f"entry {int(location[-1]) + 1} is missing"
+    elif kind == "missing":
+        return f"{field}: is missing"
+    elif kind.startswith("union_tag"):
+        return f"{field}: {_union_problem(value, context)}"
+    else:
+        words = _WORDS[kind].format(**context) if kind in _WORDS else detail["msg"]
+    if kind not in _SPEAK_FOR_THEMSELVES and isinstance(value, str | int | float | list | tuple | None):
+        words += f", got {shown(value)}"
+    return f"{field}: {words}" if field else words
+
+
+def _union_problem(value: object, context: Mapping[str, Any]) -> str:
+    expected = [tag.strip("'") for tag in str(context.get("expected_tags", "")).split(", ")]
+    if not context.get("expected_tags"):
+        return f"a type is needed, got {shown(value)}; box, sphere, cylinder, capsule, convex or mesh would do"
+    return f"unknown type {shown(context.get('tag'))}; {would_do(context.get('tag'), expected)} would do"
+
+
+def _field_path(data: object, location: tuple[int | str, ...], is_missing: bool) -> str:
+    """``scene.obstacles[0].size``; the name of a union's variant, which pydantic inserts, is left out."""
+    text = ""
+    for index, step in enumerate(location):
+        is_last = index == len(location) - 1
+        if isinstance(step, int):
+            text += f"[{step}]"
+            data = data[step] if isinstance(data, list | tuple) and step < len(data) else None
+        elif isinstance(data, Mapping) and (step in data or (is_last and is_missing)):
+            text += f".{step}" if text else step
+            data = data.get(step)
+    return text
