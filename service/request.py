@@ -103,8 +103,8 @@ def _exactly_one(section: object, names: tuple[str, ...]) -> None:
 class RobotRequest(_Section):
     """Which robot: a bundled one by ``name``, or one read from ``urdf`` (and ``srdf``, ``package_dirs``).
 
-    ``root`` says whether a robot by path has a free base; ``tool_distance_m`` is how far the bundled robot's hook
-    reaches from the hand's origin.
+    ``root`` says whether the base is free (by default a bundled robot's is, another's is not); ``tool_distance_m`` is
+    how far the bundled robot's hook reaches from the hand's origin.
     """
 
     name: Label | None = None
@@ -116,10 +116,8 @@ class RobotRequest(_Section):
 
     def __post_init__(self) -> None:
         _exactly_one(self, ("name", "urdf"))
-        if self.name is not None and (self.srdf or self.package_dirs or self.root):
-            raise PydanticCustomError(
-                "robot", "srdf, package_dirs and root belong to a robot given by urdf, not by name"
-            )
+        if self.name is not None and (self.srdf or self.package_dirs):
+            raise PydanticCustomError("robot", "srdf and package_dirs belong to a robot given by urdf, not by name")
         if self.urdf is not None and self.tool_distance_m is not None:
             raise PydanticCustomError("robot", "tool_distance_m belongs to a bundled robot given by name, not by urdf")
 

@@ -136,14 +136,13 @@ def _refuse_bombs(text: str) -> None:
     """Refuse, before anything is built, aliases (they expand without bound) and depth (it exhausts the stack)."""
     depth = 0
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
+        line = event.start_mark.line + 1 if event.start_mark else 0
         if isinstance(event, yaml.AliasEvent):
-            raise RequestError(
-                f"line {event.start_mark.line + 1}: alias '*{event.anchor}' is not read; write the value out"
-            )
+            raise RequestError(f"line {line}: alias '*{event.anchor}' is not read; write the value out")
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
             if depth > MAX_DEPTH:
-                raise RequestError(f"line {event.start_mark.line + 1}: nested deeper than {MAX_DEPTH} levels")
+                raise RequestError(f"line {line}: nested deeper than {MAX_DEPTH} levels")
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
 
