@@ -1,0 +1,1 @@
+"""The world a motion is measured on: robots, kinematics, scenes, curves and the terms."""

@@ -1,0 +1,213 @@
+"""Finds the swept contacts of all waypoints at once: boxes in numpy, GJK/EPA in coal for what is near."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.collision.contacts import Contacts
+from costs.collision.pairs import PairMargins
+from costs.collision.shapes import rewritable_convex, static_convex
+from costs.collision.sweep import BodyVertices, share_gradient
+from costs.kinematics import Kinematics
+from costs.robot.model import RobotModel
+from costs.scene import Scene
+
+_IDENTITY = coal.Transform3s()
+
+
+class SweptCollisionChecker:
+    """Swept contacts of one robot in one scene.
+
+    Keeps coal's objects and work space between queries; what it answers depends on the query alone.
+    """
+
+    def __init__(self, robot: RobotModel, scene: Scene, margins: PairMargins, buffer: float = 0.04) -> None:
+        """
+        Args:
+            robot: whose bodies sweep.
+            scene: what they may hit.
+            margins: distances asked of the pairs.
+            buffer: pairs are reported up to this beyond their margin [m].
+        """
+        self.robot, self.scene, self.margins, self.buffer = robot, scene, margins, buffer
+        self._bodies = BodyVertices.of(robot)
+        self._swept = [rewritable_convex(2 * int(count)) for count in self._bodies.count]
+        self._points = [shape.points() for shape in self._swept]
+        self._pieces = [static_convex(piece.vertices) for piece in scene.pieces]
+        self._still = [static_convex(body.outer) for body in robot.bodies]
+        self._lower = np.array([piece.lower for piece in scene.pieces]).reshape(-1, 3)
+        self._upper = np.array([piece.upper for piece in scene.pieces]).reshape(-1, 3)
+        self._functors: dict[tuple[bool, int, int], coal.ComputeDistance] = {}
+        self._request = coal.DistanceRequest()
+        self._request.enable_signed_distance = True
+        self._result = coal.DistanceResult()
+        pairs = margins.self_pairs
+        self._pairs = np.array([self._swept_last(a, b) for a, b in pairs], dtype=int).reshape(-1, 2)
+
+    def _swept_last(self, a: int, b: int) -> tuple[int, int]:
+        """The body with fewer vertices is the one that sweeps."""
+        return (a, b) if self._bodies.count[a] >= self._bodies.count[b] else (b, a)
+
+    def __call__(self, kinematics: Kinematics) -> Contacts:
+        """Contacts of all intervals; of the single pose if there is one waypoint."""
+        n_waypoints = kinematics.n_waypoints
+        first = np.arange(max(n_waypoints - 1, 1))
+        second = np.minimum(first + 1, n_waypoints - 1)
+        world = self._bodies.in_world(kinematics)
+        return Contacts.join(
+            [self._world_contacts(world, first, second), self._self_contacts(kinematics, world, first, second)]
+        )
+
+    def _world_contacts(
+        self, world: Float[np.ndarray, "T B V 3"], first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
+    ) -> Contacts:
+        if not self._pieces:
+            return Contacts.none()
+        low, high = world.min(axis=2), world.max(axis=2)
+        low, high = np.minimum(low[first], low[second]), np.maximum(high[first], high[second])
+        reach = (self.margins.world + self.buffer)[None, :, :, None]
+        near = np.all((low[:, :, None] <= self._upper + reach) & (self._lower - reach <= high[:, :, None]), axis=3)
+        interval, body, piece = np.nonzero(near)
+        query = (self.margins.world + self.buffer)[body, piece]
+        found = self._narrow(world[first], world[second], interval, body, piece, query, is_self=False)
+        keep, distance, normal, witness = found
+        interval, body, piece = interval[keep], body[keep], piece[keep]
+        at_first, at_second = world[first[interval], body], world[second[interval], body]
+        share, point_first, point_second = share_gradient(at_first, at_second, normal, witness)
+        return Contacts(
+            first=first[interval],
+            second=second[interval],
+            body=body,
+            other=piece,
+            is_self=np.zeros(len(keep), dtype=bool),
+            distance=distance,
+            margin=self.margins.world[body, piece],
+            share=share,
+            normal=np.stack([normal, normal], axis=1),
+            point=np.stack([point_first, point_second], axis=1),
+        )
+
+    def _self_contacts(
+        self,
+        kinematics: Kinematics,
+        world: Float[np.ndarray, "T B V 3"],
+        first: Int[np.ndarray, "I"],
+        second: Int[np.ndarray, "I"],
+    ) -> Contacts:
+        interval, pair = self._near_pairs(kinematics, first, second)
+        still, moving = self._pairs[pair].T
+        joint = self._bodies.joint[still]
+        ends = []
+        for waypoint in (first[interval], second[interval]):
+            rotation, position = kinematics.rotation[waypoint, joint], kinematics.position[waypoint, joint]
+            ends.append(np.matmul(world[waypoint, moving] - position[:, None], rotation))
+        reach = (self.margins.own[pair] + self.buffer)[:, None]
+        low = np.minimum(ends[0].min(axis=1), ends[1].min(axis=1)) - reach
+        high = np.maximum(ends[0].max(axis=1), ends[1].max(axis=1)) + reach
+        local = self._bodies.local
+        near = np.all((low <= local.max(axis=1)[still]) & (local.min(axis=1)[still] <= high), axis=1)
+        interval, pair, still, moving, joint = interval[near], pair[near], still[near], moving[near], joint[near]
+        at_first, at_second = ends[0][near], ends[1][near]
+
+        rows = np.arange(len(pair))
+        keep, distance, normal, witness = self._narrow(
+            at_first[:, None],
+            at_second[:, None],
+            rows,
+            moving,
+            still,
+            self.margins.own[pair] + self.buffer,
+            is_self=True,
+        )
+        interval, pair, still, moving, joint = interval[keep], pair[keep], still[keep], moving[keep], joint[keep]
+        share, *local_points = share_gradient(at_first[keep], at_second[keep], normal, witness)
+        normals, points = [], []
+        for waypoint, local_point in zip((first[interval], second[interval]), local_points, strict=True):
+            rotation, position = kinematics.rotation[waypoint, joint], kinematics.position[waypoint, joint]
+            normals.append(np.einsum("mkl,ml->mk", rotation, normal))
+            points.append(np.einsum("mkl,ml->mk", rotation, local_point) + position)
+        return Contacts(
+            first=first[interval],
+            second=second[interval],
+            body=moving,
+            other=still,
+            is_self=np.ones(len(keep), dtype=bool),
+            distance=distance,
+            margin=self.margins.own[pair],
+            share=share,
+            normal=np.stack(normals, axis=1),
+            point=np.stack(points, axis=1),
+        )
+
+    def _near_pairs(
+        self, kinematics: Kinematics, first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
+    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """Intervals and self pairs whose bounding spheres come near while the relative centre moves on its chord."""
+        if not len(self._pairs):
+            return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
+        bodies = self._bodies
+        still, moving = self._pairs.T
+        centres = bodies.centres_in_world(kinematics)
+        joint = bodies.joint[still]
+        offset = centres[:, moving] - kinematics.position[:, joint]
+        relative = np.einsum("tplk,tpl->tpk", kinematics.rotation[:, joint], offset) - bodies.centre[still]
+        start, chord = relative[first], relative[second] - relative[first]
+        length = np.einsum("tpk,tpk->tp", chord, chord)
+        along = -np.einsum("tpk,tpk->tp", start, chord) / np.where(length < 1e-18, 1.0, length)
+        nearest = start + np.clip(along, 0.0, 1.0)[:, :, None] * chord
+        gap = np.linalg.norm(nearest, axis=2) - bodies.radius[still] - bodies.radius[moving]
+        intervals, pairs = np.nonzero(gap <= self.margins.own + self.buffer)
+        return intervals, pairs
+
+    def _narrow(
+        self,
+        at_first: Float[np.ndarray, "I B V 3"],
+        at_second: Float[np.ndarray, "I B V 3"],
+        interval: Int[np.ndarray, "c"],
+        body: Int[np.ndarray, "c"],
+        other: Int[np.ndarray, "c"],
+        query: Float[np.ndarray, "c"],
+        *,
+        is_self: bool,
+    ) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
+        """GJK/EPA of candidate pairs: those nearer than asked, with distance, normal to the body and witness on it."""
+        keep: list[int] = []
+        distances: list[float] = []
+        normals: list[np.ndarray] = []
+        witnesses: list[np.ndarray] = []
+        result, request, clear = self._result, self._request, self._result.clear
+        written = (-1, -1)
+        for row, (i, b, o, limit) in enumerate(
+            zip(interval.tolist(), body.tolist(), other.tolist(), query.tolist(), strict=True)
+        ):
+            if written != (i, b):
+                column = 0 if is_self else b
+                count = int(self._bodies.count[b])
+                points = self._points[b]
+                points[:count] = at_first[i, column, :count]
+                points[count:] = at_second[i, column, :count]
+                written = (i, b)
+            clear()
+            distance = self._functor(is_self, b, o)(_IDENTITY, _IDENTITY, request, result)
+            if distance < limit:
+                keep.append(row)
+                distances.append(distance)
+                normals.append(-result.normal)
+                witnesses.append(result.getNearestPoint1())
+        shape = (len(keep), 3)
+        return (
+            np.array(keep, dtype=int),
+            np.array(distances),
+            np.array(normals).reshape(shape),
+            np.array(witnesses).reshape(shape),
+        )
+
+    def _functor(self, is_self: bool, body: int, other: int) -> coal.ComputeDistance:
+        key = (is_self, body, other)
+        functor = self._functors.get(key)
+        if functor is None:
+            target = self._still[other] if is_self else self._pieces[other]
+            functor = self._functors[key] = coal.ComputeDistance(self._swept[body], target)
+        return functor

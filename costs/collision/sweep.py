@@ -1,0 +1,92 @@
+"""The bodies' vertices at all waypoints, and how a swept hull's gradient is shared between its two poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.kinematics import Kinematics
+from costs.robot.model import RobotModel
+
+SUPPORT_BAND = 1e-3  # vertices within this of the support plane are averaged, as in TrajOpt [m]
+
+
+@dataclass(frozen=True)
+class BodyVertices:
+    """The outer hulls of all bodies in one padded array.
+
+    Attributes:
+        local: (B, V, 3) vertices in the joint's frame; the last vertex repeats up to V [m].
+        count: (B,) how many are real.
+        joint: (B,) joint that carries each body.
+        centre: (B, 3) centre of the bounding sphere in the joint's frame.
+        radius: (B,) its radius [m].
+    """
+
+    local: Float[np.ndarray, "B V 3"]
+    count: Int[np.ndarray, "B"]
+    joint: Int[np.ndarray, "B"]
+    centre: Float[np.ndarray, "B 3"]
+    radius: Float[np.ndarray, "B"]
+
+    @staticmethod
+    def of(robot: RobotModel) -> BodyVertices:
+        """The bodies of a robot."""
+        count = np.array([len(body.outer) for body in robot.bodies], dtype=int)
+        longest = int(count.max(initial=1))
+        local = np.stack([np.concatenate([b.outer, np.tile(b.outer[-1], (longest - len(b.outer), 1))])
+                          for b in robot.bodies])  # fmt: skip
+        centre = 0.5 * (local.min(axis=1) + local.max(axis=1))
+        radius = np.linalg.norm(local - centre[:, None], axis=2).max(axis=1)
+        return BodyVertices(local, count, np.array([b.joint for b in robot.bodies], dtype=int), centre, radius)
+
+    def in_world(self, kinematics: Kinematics) -> Float[np.ndarray, "T B V 3"]:
+        """World coordinates of all vertices at all waypoints."""
+        rotation = kinematics.rotation[:, self.joint]
+        return np.asarray(
+            np.matmul(self.local, rotation.transpose(0, 1, 3, 2)) + kinematics.position[:, self.joint, None]
+        )
+
+    def centres_in_world(self, kinematics: Kinematics) -> Float[np.ndarray, "T B 3"]:
+        """World coordinates of the bounding spheres' centres."""
+        rotation = kinematics.rotation[:, self.joint]
+        return np.asarray(np.einsum("tbkl,bl->tbk", rotation, self.centre) + kinematics.position[:, self.joint])
+
+
+def share_gradient(
+    at_first: Float[np.ndarray, "m V 3"],
+    at_second: Float[np.ndarray, "m V 3"],
+    normal: Float[np.ndarray, "m 3"],
+    witness: Float[np.ndarray, "m 3"],
+) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
+    """Where on the sweep a witness point lies: weight of the second pose, and the support point of each pose.
+
+    The pose whose support along ``-normal`` is nearer the witness gets the larger share (Schulman et al., IJRR 2014,
+    sec. V.B); a pose that lies further off by more than the band has no share.
+
+    Args:
+        at_first, at_second: the body's vertices at both poses, in one frame.
+        normal: towards the body.
+        witness: nearest point of the swept hull.
+    """
+    low_first, point_first = _support(at_first, normal)
+    low_second, point_second = _support(at_second, normal)
+    to_first = np.linalg.norm(witness - point_first, axis=1)
+    to_second = np.linalg.norm(witness - point_second, axis=1)
+    total = to_first + to_second
+    share = np.where(total < SUPPORT_BAND, 0.5, to_first / np.where(total < SUPPORT_BAND, 1.0, total))
+    apart = 10.0 * SUPPORT_BAND
+    share = np.where(low_second - low_first > apart, 0.0, np.where(low_first - low_second > apart, 1.0, share))
+    return share, point_first, point_second
+
+
+def _support(
+    vertices: Float[np.ndarray, "m V 3"], normal: Float[np.ndarray, "m 3"]
+) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 3"]]:
+    """Lowest height along the normal, and the mean of the vertices that reach it."""
+    height = np.einsum("mvk,mk->mv", vertices, normal)
+    lowest = height.min(axis=1)
+    weight = (height < lowest[:, None] + SUPPORT_BAND).astype(float)
+    return lowest, np.einsum("mv,mvk->mk", weight, vertices) / weight.sum(axis=1, keepdims=True)

@@ -1,0 +1,190 @@
+"""Forward kinematics and Jacobians of all waypoints at one iterate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Bool, Float, Int
+
+from costs.robot.model import RobotModel
+
+
+@dataclass(frozen=True)
+class Topology:
+    """What the kinematics need of a robot and no configuration changes.
+
+    Attributes:
+        supports: (J, n) whether coordinate ``i`` moves joint ``j``.
+        mass: (J,) mass carried by each joint [kg].
+        lever: (J, 3) its centre in the joint's frame [m].
+    """
+
+    supports: Bool[np.ndarray, "J n"]
+    mass: Float[np.ndarray, "J"]
+    lever: Float[np.ndarray, "J 3"]
+
+    @staticmethod
+    def of(model: pin.Model) -> Topology:
+        """The topology of a pinocchio model."""
+        supports = np.zeros((model.njoints, model.nv), dtype=bool)
+        for joint in range(1, model.njoints):
+            supports[joint] = supports[int(model.parents[joint])]
+            first = model.joints[joint].idx_v
+            supports[joint, first : first + model.joints[joint].nv] = True
+        mass = np.array([inertia.mass for inertia in model.inertias])
+        lever = np.array([inertia.lever for inertia in model.inertias])
+        return Topology(supports, mass, lever)
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """Placements and Jacobians of all joints at all waypoints.
+
+    Attributes:
+        robot: whose kinematics these are.
+        topology: of ``robot``.
+        q: (T, n) the iterate.
+        rotation: (T, J, 3, 3) world from joint.
+        position: (T, J, 3) joint origins in the world [m].
+        jacobian: (T, 6, n) spatial columns at the world's origin (linear, angular); column ``i`` acts on the joints
+            that coordinate ``i`` supports.
+    """
+
+    robot: RobotModel
+    topology: Topology
+    q: Float[np.ndarray, "T n"]
+    rotation: Float[np.ndarray, "T J 3 3"]
+    position: Float[np.ndarray, "T J 3"]
+    jacobian: Float[np.ndarray, "T 6 n"]
+
+    @property
+    def n_waypoints(self) -> int:
+        """T."""
+        return len(self.q)
+
+    def point_jacobian(
+        self, waypoint: Int[np.ndarray, "m"], joint: Int[np.ndarray, "m"], point: Float[np.ndarray, "m 3"]
+    ) -> Float[np.ndarray, "m 3 n"]:
+        """d point / dq of world points that move with a joint, at one waypoint each."""
+        columns = self.jacobian[waypoint]
+        linear = columns[:, :3] + np.cross(columns[:, 3:], point[:, :, None], axis=1)
+        return np.asarray(linear * self.topology.supports[joint][:, None, :])
+
+    def directional_jacobian(
+        self,
+        waypoint: Int[np.ndarray, "m"],
+        joint: Int[np.ndarray, "m"],
+        point: Float[np.ndarray, "m 3"],
+        direction: Float[np.ndarray, "m 3"],
+    ) -> Float[np.ndarray, "m n"]:
+        """``direction . d point / dq``, one row per point; direction and point in the world."""
+        wrench = np.concatenate([direction, np.cross(point, direction)], axis=1)
+        rows = np.matmul(wrench[:, None, :], self.jacobian[waypoint])[:, 0]
+        return np.asarray(rows * self.topology.supports[joint])
+
+    def angular_jacobian(self, joint: int) -> Float[np.ndarray, "T 3 n"]:
+        """World angular velocity of a joint's frame per dq, at every waypoint."""
+        return np.asarray(self.jacobian[:, 3:] * self.topology.supports[joint])
+
+    @cached_property
+    def com(self) -> Float[np.ndarray, "T 3"]:
+        """Centre of mass in the world [m]."""
+        mass = self.topology.mass
+        return np.asarray(np.einsum("j,tjk->tk", mass, self._joint_centres) / mass.sum())
+
+    @cached_property
+    def com_jacobian(self) -> Float[np.ndarray, "T 3 n"]:
+        """d com / dq: every coordinate moves the mass it supports about its own axis."""
+        mass = self.topology.mass
+        supports = self.topology.supports.astype(float)
+        moved_mass = supports.T @ mass
+        moved_moment = np.einsum("ji,j,tjk->tki", supports, mass, self._joint_centres)
+        linear, angular = self.jacobian[:, :3], self.jacobian[:, 3:]
+        return np.asarray((linear * moved_mass + np.cross(angular, moved_moment, axis=1)) / mass.sum())
+
+    @cached_property
+    def _joint_centres(self) -> Float[np.ndarray, "T J 3"]:
+        return np.asarray(np.einsum("tjkl,jl->tjk", self.rotation, self.topology.lever) + self.position)
+
+
+class KinematicsEngine:
+    """Computes ``Kinematics`` of one robot; keeps pinocchio's work space, nothing else."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.robot = robot
+        self.topology = Topology.of(robot.model)
+        self._data = robot.model.createData()
+
+    def __call__(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
+        """Kinematics of all waypoints."""
+        model, data = self.robot.model, self._data
+        n_waypoints = len(q)
+        rotation = np.empty((n_waypoints, model.njoints, 3, 3))
+        position = np.empty((n_waypoints, model.njoints, 3))
+        jacobian = np.empty((n_waypoints, 6, model.nv))
+        placements = _placement_block(data, model.njoints)
+        for t in range(n_waypoints):
+            jacobian[t] = pin.computeJointJacobians(model, data, q[t])
+            rotation[t] = placements[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)  # stored column by column
+            position[t] = placements[:, 9:12]
+        return Kinematics(self.robot, self.topology, np.array(q), rotation, position, jacobian)
+
+
+def _placement_block(data: pin.Data, n_joints: int) -> Float[np.ndarray, "J 12"]:
+    """A live view of all joint placements: rotation (column-major) and translation of each.
+
+    ``data.oMi`` is contiguous; reading it element by element costs ten times the kinematics themselves.
+    """
+    first = data.oMi[0].rotation
+    if n_joints > 1:
+        second = data.oMi[1].rotation
+        stride = second.__array_interface__["data"][0] - first.__array_interface__["data"][0]
+    else:
+        stride = 96
+    if stride % 8 or stride < 96:
+        raise RuntimeError(f"pinocchio's placements are not laid out as expected (stride {stride} bytes)")
+    address = first.__array_interface__["data"][0]
+    return np.ndarray((n_joints, 12), buffer=_Memory(address, stride * n_joints).view, strides=(stride, 8))
+
+
+class _Memory:
+    """A read-only buffer over memory owned by pinocchio's data, which the engine keeps alive."""
+
+    def __init__(self, address: int, size: int) -> None:
+        interface = {"shape": (size // 8,), "typestr": "<f8", "data": (address, True), "version": 3}
+        self.__array_interface__ = interface
+
+    @property
+    def view(self) -> np.ndarray:
+        return np.asarray(self)
+
+
+def frame_of(robot: RobotModel, name: str) -> tuple[int, Float[np.ndarray, "4 4"]]:
+    """Joint that carries a frame (link) and ``pose_joint_frame``.
+
+    Raises:
+        KeyError: the robot has no frame of that name.
+    """
+    if not robot.model.existFrame(name):
+        raise KeyError(f"unknown frame '{name}' of robot '{robot.name}'")
+    frame = robot.model.frames[robot.model.getFrameId(name)]
+    return int(frame.parentJoint), np.asarray(frame.placement.homogeneous)
+
+
+def planted_poses(
+    engine: KinematicsEngine, q: Float[np.ndarray, "n"], links: Sequence[str]
+) -> dict[str, Float[np.ndarray, "4 4"]]:
+    """``pose_world_link`` of the named links at one configuration."""
+    kinematics = engine(q[None])
+    poses = {}
+    for link in links:
+        joint, pose_joint_link = frame_of(engine.robot, link)
+        pose = np.eye(4)
+        pose[:3, :3] = kinematics.rotation[0, joint]
+        pose[:3, 3] = kinematics.position[0, joint]
+        poses[link] = pose @ pose_joint_link
+    return poses

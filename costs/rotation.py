@@ -1,0 +1,76 @@
+"""Rotations of many waypoints at once: logarithm, its derivative, and the direction of an axis."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+
+def skew(v: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
+    """Cross-product matrices: ``skew(v) @ u == v x u``."""
+    out = np.zeros((len(v), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    return out - out.transpose(0, 2, 1)
+
+
+def log_rotation(rotation: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
+    """Rotation vectors with angles in [0, pi]; accurate near both ends.
+
+    Goes through unit quaternions with a non-negative scalar part, which stay well conditioned where the trace formula
+    loses the axis (Shepperd, J. Guidance and Control 1978).
+    """
+    w, v = _quaternion(rotation)
+    sine = np.linalg.norm(v, axis=1)
+    angle = 2.0 * np.arctan2(sine, w)
+    small = sine < 1e-12
+    scale = np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+    return np.asarray(scale[:, None] * v)
+
+
+def _quaternion(R: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 3"]]:
+    """Unit quaternions (w, v) with w >= 0: the best conditioned of the four ways to read them off."""
+    trace = np.trace(R, axis1=1, axis2=2)
+    diagonal = np.diagonal(R, axis1=1, axis2=2)
+    squares = np.concatenate([1.0 + trace[:, None], 1.0 + 2.0 * diagonal - trace[:, None]], axis=1)
+    pick = squares.argmax(axis=1)
+    symmetric = R + R.transpose(0, 2, 1)
+    antisymmetric = R.transpose(0, 2, 1) - R
+    wx, wy, wz = antisymmetric[:, 1, 2], antisymmetric[:, 2, 0], antisymmetric[:, 0, 1]
+    xy, xz, yz = symmetric[:, 0, 1], symmetric[:, 0, 2], symmetric[:, 1, 2]
+    rows = np.stack(
+        [
+            np.stack([squares[:, 0], wx, wy, wz], axis=1),
+            np.stack([wx, squares[:, 1], xy, xz], axis=1),
+            np.stack([wy, xy, squares[:, 2], yz], axis=1),
+            np.stack([wz, xz, yz, squares[:, 3]], axis=1),
+        ],
+        axis=1,
+    )
+    quaternion = rows[np.arange(len(R)), pick]
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    quaternion *= np.where(quaternion[:, :1] < 0.0, -1.0, 1.0)
+    return quaternion[:, 0], quaternion[:, 1:]
+
+
+def log_derivative(phi: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
+    """Inverse left Jacobian of SO(3): ``log(exp(w) exp(phi)) ~ phi + log_derivative(phi) w``.
+
+    Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2, 2012, eq. 10.86.
+    """
+    angle = np.linalg.norm(phi, axis=1)
+    half = 0.5 * angle
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    coefficient = np.where(
+        small, 1.0 / 12.0 + angle**2 / 720.0, (1.0 - half / np.tan(np.where(small, 0.5, half))) / safe**2
+    )
+    K = skew(phi)
+    return np.asarray(np.eye(3) - 0.5 * K + coefficient[:, None, None] * (K @ K))
+
+
+def tangent_basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:
+    """Two unit vectors that make a right-handed frame with a unit axis as the third."""
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(axis, helper)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first)])

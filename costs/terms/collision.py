@@ -1,0 +1,55 @@
+"""Swept collision with the world and of the robot with itself, as cost or as constraint."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.collision.contacts import Contacts
+from costs.collision.sweep import BodyVertices
+from costs.robot.model import RobotModel
+from costs.state import MotionState
+from scopt import AffineRows, Residual
+
+
+class SweptClearance(Residual[MotionState]):
+    """How much a pair falls short of its margin, one row per contact [m]; at most zero where the margin is kept.
+
+    The rows are those of ``MotionState.contacts``: signed distances of swept hulls, split between the two waypoints by
+    where the witness point lies.
+    """
+
+    def __init__(self, robot: RobotModel, *, is_self: bool) -> None:
+        """
+        Args:
+            robot: whose bodies the contacts speak of.
+            is_self: whether to take the robot's contacts with itself or with the world.
+        """
+        self._joint = BodyVertices.of(robot).joint
+        self._is_self = is_self
+
+    def _contacts(self, state: MotionState) -> Contacts:
+        return state.contacts.where(state.contacts.is_self == self._is_self)
+
+    def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
+        contacts = self._contacts(state)
+        return np.asarray(contacts.margin - contacts.distance)
+
+    def linearize(self, state: MotionState) -> AffineRows:
+        contacts, kinematics = self._contacts(state), state.kinematics
+        moving = self._joint[contacts.body]
+        still = self._joint[contacts.other] if self._is_self else np.zeros_like(moving)
+        sides = []
+        for side, waypoint, weight in (
+            (0, contacts.first, 1.0 - contacts.share),
+            (1, contacts.second, contacts.share),
+        ):
+            point, normal = contacts.point[:, side], contacts.normal[:, side]
+            row = kinematics.directional_jacobian(waypoint, moving, point, normal)
+            if self._is_self:
+                row = row - kinematics.directional_jacobian(waypoint, still, point, normal)
+            sides.append(-weight[:, None] * row)
+        value = contacts.margin - contacts.distance
+        if kinematics.n_waypoints == 1:
+            return AffineRows.from_blocks(value, contacts.first, (sides[0] + sides[1])[:, None], 1)
+        return AffineRows.from_blocks(value, contacts.first, np.stack(sides, axis=1), kinematics.n_waypoints)

@@ -1,0 +1,238 @@
+"""Pose terms: a frame at a target, an axis along a direction, a point on one side of a plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from costs.kinematics import Kinematics, frame_of
+from costs.robot.model import RobotModel
+from costs.rotation import log_derivative, log_rotation, tangent_basis
+from costs.state import MotionState
+from scopt import AffineRows, Residual
+
+ALL_AXES = (True,) * 6
+
+
+class _Frame:
+    """A frame carried by a joint (joint 0 is the world)."""
+
+    def __init__(self, robot: RobotModel, name: str | None) -> None:
+        self.joint: int = 0
+        self.pose_joint_frame: Float[np.ndarray, "4 4"] = np.eye(4)
+        if name is not None:
+            self.joint, self.pose_joint_frame = frame_of(robot, name)
+
+    def pose(
+        self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"], offset: Float[np.ndarray, "#S 4 4"]
+    ) -> tuple[Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
+        """World rotation and position of the frame moved by ``offset`` (in the frame)."""
+        local = self.pose_joint_frame @ offset
+        rotation = kinematics.rotation[waypoints, self.joint]
+        position = kinematics.position[waypoints, self.joint]
+        return rotation @ local[:, :3, :3], np.einsum("skl,sl->sk", rotation, local[:, :3, 3]) + position
+
+
+class FramePose(Residual[MotionState]):
+    """Pose of a frame relative to its target, up to six rows per waypoint [m, rad].
+
+    With ``E = pose_target_frame`` the rows are E's position and the rotation vector of E's rotation, both in the
+    target's axes; ``axes`` picks the rows that count.  The target is fixed in the world or in another frame of the
+    robot (a hand on a wheel, two hands on a beam).
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        frame: str,
+        waypoints: Int[np.ndarray, "S"] | Sequence[int],
+        target: Float[np.ndarray, "#S 4 4"],
+        axes: Sequence[bool] = ALL_AXES,
+        reference: str | None = None,
+    ) -> None:
+        """
+        Args:
+            robot: whose frame it is.
+            frame: link or frame name.
+            waypoints: (S,) where the rows are measured.
+            target: (4, 4) or (S, 4, 4) ``pose_reference_target``.
+            axes: which of x, y, z, rx, ry, rz count.
+            reference: frame the target is given in; the world if None.
+        """
+        self._waypoints = np.asarray(waypoints)
+        self._target = np.broadcast_to(np.asarray(target, dtype=float), (len(self._waypoints), 4, 4))
+        self._axes: Bool[np.ndarray, "6"] = np.asarray(axes, dtype=bool)
+        self._frame = _Frame(robot, frame)
+        self._reference = _Frame(robot, reference)
+
+    def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
+        return np.asarray(self._error(state.kinematics)[0][:, self._axes].ravel())
+
+    def linearize(self, state: MotionState) -> AffineRows:
+        kinematics = state.kinematics
+        error, target_rotation, position = self._error(kinematics)
+        joint, reference = self._frame.joint, self._reference.joint
+        here = self._waypoints
+        to_target = target_rotation.transpose(0, 2, 1)
+        same = np.full(len(here), joint)
+        linear = kinematics.point_jacobian(here, same, position)
+        linear = linear - kinematics.point_jacobian(here, np.full(len(here), reference), position)
+        angular = kinematics.angular_jacobian(joint)[here] - kinematics.angular_jacobian(reference)[here]
+        rows = np.concatenate([to_target @ linear, log_derivative(error[:, 3:]) @ to_target @ angular], axis=1)
+        return _rows(error[:, self._axes], rows[:, self._axes], here, kinematics)
+
+    def _error(
+        self, kinematics: Kinematics
+    ) -> tuple[Float[np.ndarray, "S 6"], Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
+        rotation, position = self._frame.pose(kinematics, self._waypoints, np.eye(4)[None])
+        target_rotation, target_position = self._reference.pose(kinematics, self._waypoints, self._target)
+        to_target = target_rotation.transpose(0, 2, 1)
+        offset = np.einsum("skl,sl->sk", to_target, position - target_position)
+        return np.concatenate([offset, log_rotation(to_target @ rotation)], axis=1), target_rotation, position
+
+
+class AxisDirection(Residual[MotionState]):
+    """An axis of a frame along a direction, free to turn about it, two rows per waypoint [rad].
+
+    The rows are the two tangent components of the rotation that carries the axis onto the direction, so that their
+    norm is the angle between them.  Masking a component of the rotation vector instead is right for small errors only.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        frame: str,
+        waypoints: Int[np.ndarray, "S"] | Sequence[int],
+        axis: Float[np.ndarray, "3"],
+        direction: Float[np.ndarray, "3"],
+        reference: str | None = None,
+    ) -> None:
+        """
+        Args:
+            robot: whose frame it is.
+            frame: link or frame name.
+            waypoints: (S,) where the rows are measured.
+            axis: (3,) in the frame.
+            direction: (3,) in the reference.
+            reference: frame the direction is given in; the world if None.
+        """
+        self._waypoints = np.asarray(waypoints)
+        self._frame = _Frame(robot, frame)
+        self._reference = _Frame(robot, reference)
+        self._axis = _unit(axis)
+        self._direction = _unit(direction)
+        self._tangents = tangent_basis(self._direction)
+
+    def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
+        along, tangential, _ = self._components(state.kinematics)
+        scale, _, _ = _angle_scale(along, tangential)
+        return np.asarray((scale[:, None] * tangential).ravel())
+
+    def linearize(self, state: MotionState) -> AffineRows:
+        kinematics, here = state.kinematics, self._waypoints
+        along, tangential, world_axis = self._components(kinematics)
+        rotation, _ = self._reference.pose(kinematics, here, np.eye(4)[None])
+        angular = kinematics.angular_jacobian(self._frame.joint)[here]
+        angular = angular - kinematics.angular_jacobian(self._reference.joint)[here]
+        moved = np.cross(angular, world_axis[:, :, None], axis=1)  # d(axis) relative to the reference, in the world
+        moved = rotation.transpose(0, 2, 1) @ moved
+        d_along = np.einsum("k,skn->sn", self._direction, moved)
+        d_tangential = np.einsum("ak,skn->san", self._tangents, moved)
+        scale, by_along, by_sine = _angle_scale(along, tangential)
+        sine = np.linalg.norm(tangential, axis=1)
+        unit = tangential / np.where(sine < 1e-12, 1.0, sine)[:, None]
+        d_scale = by_along[:, None] * d_along + by_sine[:, None] * np.einsum("sa,san->sn", unit, d_tangential)
+        rows = scale[:, None, None] * d_tangential + tangential[:, :, None] * d_scale[:, None, :]
+        return _rows(scale[:, None] * tangential, rows, here, kinematics)
+
+    def _components(
+        self, kinematics: Kinematics
+    ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S 2"], Float[np.ndarray, "S 3"]]:
+        """Cosine, tangent components (in the reference) and world direction of the axis."""
+        identity = np.eye(4)[None]
+        rotation, _ = self._frame.pose(kinematics, self._waypoints, identity)
+        reference, _ = self._reference.pose(kinematics, self._waypoints, identity)
+        world_axis = rotation @ self._axis
+        local = np.einsum("skl,sk->sl", reference, world_axis)
+        return local @ self._direction, local @ self._tangents.T, world_axis
+
+
+def _angle_scale(
+    cosine: Float[np.ndarray, "S"], tangential: Float[np.ndarray, "S 2"]
+) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S"], Float[np.ndarray, "S"]]:
+    """``angle / sine`` and its derivatives by cosine and sine, taken as independent; finite at angle 0.
+
+    Opposite the direction the way back is not unique; the scale is capped there so that the rows stay finite.
+    """
+    sine = np.linalg.norm(tangential, axis=1)
+    angle = np.arctan2(sine, cosine)
+    small = sine < 1e-6
+    safe = np.where(small, 1.0, sine)
+    square = sine**2 + cosine**2
+    scale = np.where(small, np.where(cosine > 0.0, 1.0, np.pi * 1e6), angle / safe)
+    by_cosine = np.where(small, -1.0, -1.0 / square)
+    by_sine = np.where(small, 0.0, (cosine / square * sine - angle) / safe**2)
+    return scale, by_cosine, by_sine
+
+
+class PointHalfSpace(Residual[MotionState]):
+    """``normal . p - offset`` of a point of a frame, one row per waypoint [m]; at most zero inside the half-space."""
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        frame: str,
+        waypoints: Int[np.ndarray, "S"] | Sequence[int],
+        normal: Float[np.ndarray, "3"],
+        offset: float,
+        point: Float[np.ndarray, "3"] | None = None,
+    ) -> None:
+        """
+        Args:
+            robot: whose frame it is.
+            frame: link or frame name.
+            waypoints: (S,) where the row is measured.
+            normal: (3,) in the world.
+            offset: of the plane along the normal [m].
+            point: (3,) in the frame; its origin if None.
+        """
+        self._waypoints = np.asarray(waypoints)
+        self._frame = _Frame(robot, frame)
+        self._normal = _unit(normal)
+        self._offset = float(offset)
+        self._local = np.eye(4)
+        self._local[:3, 3] = np.zeros(3) if point is None else point
+
+    def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
+        _, position = self._frame.pose(state.kinematics, self._waypoints, self._local[None])
+        return np.asarray(position @ self._normal - self._offset)
+
+    def linearize(self, state: MotionState) -> AffineRows:
+        kinematics, here = state.kinematics, self._waypoints
+        _, position = self._frame.pose(kinematics, here, self._local[None])
+        direction = np.broadcast_to(self._normal, position.shape)
+        rows = kinematics.directional_jacobian(here, np.full(len(here), self._frame.joint), position, direction)
+        return _rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
+
+
+def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    v = np.asarray(v, dtype=float)
+    norm = float(np.linalg.norm(v))
+    if not norm > 0.0:
+        raise ValueError("a direction must not be zero")
+    return v / norm
+
+
+def _rows(
+    value: Float[np.ndarray, "S k"],
+    jacobian: Float[np.ndarray, "S k n"],
+    waypoints: Int[np.ndarray, "S"],
+    kinematics: Kinematics,
+) -> AffineRows:
+    """Rows of single waypoints."""
+    n_rows, k, n = jacobian.shape
+    return AffineRows.from_blocks(
+        value.ravel(), np.repeat(waypoints, k), jacobian.reshape(n_rows * k, 1, n), kinematics.n_waypoints
+    )

@@ -1,0 +1,194 @@
+"""The convex model of a problem around one iterate, and its quadratic program in stage order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+
+from scopt.problem import Penalty, Problem, Sense
+from scopt.qp import QuadraticProgram
+from scopt.residual import AffineRows
+
+
+@dataclass(frozen=True)
+class WeightedRows:
+    """Affine rows, each with its weight in the merit."""
+
+    rows: AffineRows
+    weight: Float[np.ndarray, "m"]
+
+
+@dataclass(frozen=True)
+class ConvexModel:
+    """``sum w r^2 + sum w |r| + sum w max(r, 0)`` of affine rows ``r(dx)`` over all waypoints.
+
+    Attributes:
+        squared, absolute, hinge: rows by penalty; constraint rows stand among the latter two, weighted by mu.
+        n_waypoints, n: shape of the iterate.
+    """
+
+    squared: WeightedRows
+    absolute: WeightedRows
+    hinge: WeightedRows
+    n_waypoints: int
+    n: int
+
+    def merit(self, dx: Float[np.ndarray, "N"]) -> float:
+        """The modelled merit after a step ``dx``."""
+        squared = self.squared.rows.at(dx)
+        return float(
+            self.squared.weight @ squared**2
+            + self.absolute.weight @ np.abs(self.absolute.rows.at(dx))
+            + self.hinge.weight @ np.maximum(self.hinge.rows.at(dx), 0.0)
+        )
+
+
+def convexify(problem: Problem[Any], state: Any, penalty: float) -> ConvexModel:
+    """Linearise every term of the problem at ``state``; constraints enter as l1 penalties, ``mu = penalty``."""
+    n_waypoints, n = problem.lower.shape
+    parts: Mapping[Penalty, list[WeightedRows]] = {kind: [] for kind in Penalty}
+    for cost in problem.costs:
+        rows = cost.residual.linearize(state)
+        parts[cost.penalty].append(WeightedRows(rows, np.full(len(rows.value), cost.weight)))
+    for constraint in problem.constraints:
+        rows = constraint.residual.linearize(state)
+        kind = Penalty.ABS if constraint.sense is Sense.EQUAL_ZERO else Penalty.HINGE
+        parts[kind].append(WeightedRows(rows, np.full(len(rows.value), penalty * constraint.scale)))
+    joined = {kind: _join(parts[kind], n_waypoints * n) for kind in Penalty}
+    return ConvexModel(joined[Penalty.SQUARED], joined[Penalty.ABS], joined[Penalty.HINGE], n_waypoints, n)
+
+
+def _join(parts: list[WeightedRows], n_variables: int) -> WeightedRows:
+    filled = [part for part in parts if len(part.weight)]
+    if not filled:
+        return WeightedRows(AffineRows.empty(n_variables), np.zeros(0))
+    return WeightedRows(AffineRows.stack([p.rows for p in filled]), np.concatenate([p.weight for p in filled]))
+
+
+@dataclass(frozen=True)
+class Subproblem:
+    """A quadratic program whose bounds follow the trust box, and the way back to a step.
+
+    Attributes:
+        program: over the free step variables and one slack per l1 row, in stage order.
+        step_index: (F,) where each free step variable stands in the program.
+        is_free: (N,) which step variables are in the program; the others do not move.
+    """
+
+    program: QuadraticProgram
+    step_index: Int[np.ndarray, "F"]
+    is_free: Bool[np.ndarray, "N"]
+
+    def within(self, lower: Float[np.ndarray, "N"], upper: Float[np.ndarray, "N"]) -> QuadraticProgram:
+        """The program for the step bounds ``lower <= dx <= upper``."""
+        low, high = self.program.lower.copy(), self.program.upper.copy()
+        low[self.step_index], high[self.step_index] = lower[self.is_free], upper[self.is_free]
+        p = self.program
+        return QuadraticProgram(p.P, p.c, p.G, p.h, low, high)
+
+    def step(self, solution: Float[np.ndarray, "M"]) -> Float[np.ndarray, "N"]:
+        """The step ``dx`` of a solution of the program."""
+        dx = np.zeros(len(self.is_free))
+        dx[self.is_free] = solution[self.step_index]
+        return dx
+
+
+def assemble(model: ConvexModel, is_free: Bool[np.ndarray, "N"]) -> Subproblem:
+    """Write the model as a quadratic program in stage order.
+
+    A stage holds as many consecutive waypoints as the longest row spans intervals, so that every row couples two
+    neighbouring stages at most; each l1 row has one slack, placed in its last stage.
+    """
+    stage_of_waypoint = np.arange(model.n_waypoints) // _longest_span(model)
+    stage_of_step = np.repeat(stage_of_waypoint, model.n)[is_free]
+    l1 = [(model.hinge, (1.0,)), (model.absolute, (1.0, -1.0))]
+    stage_of_slack = [stage_of_waypoint[_last_waypoint(part.rows.jacobian, model.n)] for part, _ in l1]
+
+    stages = np.concatenate([stage_of_step, *stage_of_slack])
+    is_slack = np.concatenate([np.zeros(len(stage_of_step)), np.ones(len(stages) - len(stage_of_step))])
+    order = np.lexsort((np.arange(len(stages)), is_slack, stages))
+    position = np.empty(len(stages), dtype=np.int64)
+    position[order] = np.arange(len(stages))
+
+    column = np.full(len(is_free), -1, dtype=np.int64)
+    column[is_free] = position[: len(stage_of_step)]
+    total = len(stages)
+    c = np.zeros(total)
+    P = _quadratic(model.squared, column, c, total)
+
+    blocks: list[tuple[sparse.csr_array, np.ndarray]] = []
+    row_stages: list[np.ndarray] = []
+    offset = len(stage_of_step)
+    for (part, signs), slack_stage in zip(l1, stage_of_slack, strict=True):
+        slack = position[offset : offset + len(slack_stage)]
+        offset += len(slack_stage)
+        c[slack] = part.weight
+        for sign in signs:
+            blocks.append((_with_slack(part.rows.jacobian, sign, column, slack, total), -sign * part.rows.value))
+            row_stages.append(slack_stage)
+    rows = sparse.csr_array(sparse.vstack([block for block, _ in blocks], format="csr"))
+    h = np.concatenate([bound for _, bound in blocks])
+    by_stage = np.argsort(np.concatenate(row_stages), kind="stable")
+    lower, upper = np.full(total, -np.inf), np.full(total, np.inf)
+    lower[position[len(stage_of_step) :]] = 0.0
+    program = QuadraticProgram(P, c, sparse.csc_array(rows[by_stage]), h[by_stage], lower, upper)
+    return Subproblem(program, position[: len(stage_of_step)], is_free)
+
+
+def _first_last_column(jacobian: sparse.csr_array) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) first and last column each row touches; 0 for rows that touch none."""
+    counts = np.diff(jacobian.indptr)
+    first, last = np.zeros(len(counts), dtype=np.int64), np.zeros(len(counts), dtype=np.int64)
+    filled = counts > 0
+    if filled.any():
+        starts = jacobian.indptr[:-1][filled]
+        first[filled] = np.minimum.reduceat(jacobian.indices, starts)
+        last[filled] = np.maximum.reduceat(jacobian.indices, starts)
+    return first, last
+
+
+def _last_waypoint(jacobian: sparse.csr_array, n: int) -> np.ndarray:
+    return np.asarray(_first_last_column(jacobian)[1] // n)
+
+
+def _longest_span(model: ConvexModel) -> int:
+    """Intervals that the longest row spans, at least 1."""
+    longest = 1
+    for part in (model.squared, model.absolute, model.hinge):
+        if len(part.weight):
+            first, last = _first_last_column(part.rows.jacobian)
+            longest = max(longest, int((last // model.n - first // model.n).max()))
+    return longest
+
+
+def _quadratic(squared: WeightedRows, column: np.ndarray, c: np.ndarray, total: int) -> sparse.csc_array:
+    """Hessian of the squared rows in the program's order; adds their gradient to ``c``."""
+    jacobian = squared.rows.jacobian
+    gradient = 2.0 * (jacobian.T @ (squared.weight * squared.rows.value))
+    free = column >= 0
+    c[column[free]] += gradient[free]
+    weighted = jacobian.copy()
+    weighted.data = weighted.data * np.repeat(2.0 * squared.weight, np.diff(jacobian.indptr))
+    hessian = sparse.coo_array(jacobian.T @ weighted)
+    row, col = column[hessian.coords[0]], column[hessian.coords[1]]
+    keep = (row >= 0) & (col >= 0)
+    return sparse.csc_array((hessian.data[keep], (row[keep], col[keep])), shape=(total, total))
+
+
+def _with_slack(
+    jacobian: sparse.csr_array, sign: float, column: np.ndarray, slack: np.ndarray, total: int
+) -> sparse.csr_array:
+    """Rows ``sign * J dx - slack`` in the program's columns."""
+    m = jacobian.shape[0]
+    row = np.repeat(np.arange(m), np.diff(jacobian.indptr))
+    col = column[jacobian.indices]
+    keep = col >= 0
+    data = np.concatenate([sign * jacobian.data[keep], -np.ones(m)])
+    return sparse.csr_array(
+        (data, (np.concatenate([row[keep], np.arange(m)]), np.concatenate([col[keep], slack]))), shape=(m, total)
+    )

@@ -1,0 +1,113 @@
+"""What is minimised subject to what: costs, constraints and bounds over all waypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic
+
+import numpy as np
+from jaxtyping import Float
+
+from scopt.errors import ProblemError
+from scopt.residual import Residual, StateT
+
+
+class Penalty(Enum):
+    """How a cost measures a residual row ``r``: ``r^2``, ``|r|`` or ``max(r, 0)``."""
+
+    SQUARED = "squared"
+    ABS = "abs"
+    HINGE = "hinge"
+
+
+class Sense(Enum):
+    """What a constraint asks of a residual row ``r``: ``r = 0`` or ``r <= 0``."""
+
+    EQUAL_ZERO = "equal_zero"
+    AT_MOST_ZERO = "at_most_zero"
+
+
+@dataclass(frozen=True)
+class Cost(Generic[StateT]):
+    """``weight * sum_i penalty(r_i)``.
+
+    Attributes:
+        name: unique in its problem.
+        residual: what is measured.
+        weight: > 0, cost per unit of the penalty.
+        penalty: SQUARED, ABS or HINGE.
+    """
+
+    name: str
+    residual: Residual[StateT]
+    weight: float = 1.0
+    penalty: Penalty = Penalty.SQUARED
+
+    def measure(self, value: Float[np.ndarray, "m"]) -> float:
+        """The cost of a residual value."""
+        if self.penalty is Penalty.SQUARED:
+            return float(self.weight * (value @ value))
+        if self.penalty is Penalty.ABS:
+            return float(self.weight * np.abs(value).sum())
+        return float(self.weight * np.maximum(value, 0.0).sum())
+
+
+@dataclass(frozen=True)
+class Constraint(Generic[StateT]):
+    """Every row of the residual is zero, or at most zero, within ``tolerance``.
+
+    Attributes:
+        name: unique in its problem.
+        residual: what is measured.
+        sense: EQUAL_ZERO or AT_MOST_ZERO.
+        tolerance: largest violation of a row that counts as feasible [unit of the residual].
+        scale: the residual is multiplied by this in the penalty, so that unlike units weigh alike.
+    """
+
+    name: str
+    residual: Residual[StateT]
+    sense: Sense = Sense.AT_MOST_ZERO
+    tolerance: float = 1e-4
+    scale: float = 1.0
+
+    def violation(self, value: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
+        """How far each row is from what is asked, >= 0."""
+        return np.asarray(np.abs(value) if self.sense is Sense.EQUAL_ZERO else np.maximum(value, 0.0))
+
+
+@dataclass(frozen=True)
+class Problem(Generic[StateT]):
+    """Minimise the costs subject to the constraints and ``lower <= x <= upper``.
+
+    Attributes:
+        lower, upper: (T, n) bounds; equal where a variable is fixed.
+        costs, constraints: with names that differ.
+        state: maps an iterate (T, n) to what all residuals share there; called once per iterate.
+        step_scale: (n,) how far a variable may step relative to the trust radius; ones if not given.
+    """
+
+    lower: Float[np.ndarray, "T n"]
+    upper: Float[np.ndarray, "T n"]
+    costs: tuple[Cost[StateT], ...]
+    constraints: tuple[Constraint[StateT], ...]
+    state: Callable[[Float[np.ndarray, "T n"]], StateT]
+    step_scale: Float[np.ndarray, "n"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.lower.ndim != 2 or self.lower.shape != self.upper.shape:
+            raise ProblemError(f"bounds must be two (T, n) arrays, got {self.lower.shape} and {self.upper.shape}")
+        if np.isnan(self.lower).any() or np.isnan(self.upper).any():
+            raise ProblemError("bounds contain NaN")
+        if np.any(self.lower > self.upper):
+            t, i = np.argwhere(self.lower > self.upper)[0]
+            raise ProblemError(
+                f"empty bounds at waypoint {t}, variable {i}: {self.lower[t, i]:.6g} > {self.upper[t, i]:.6g}"
+            )
+        names = [cost.name for cost in self.costs] + [constraint.name for constraint in self.constraints]
+        if len(set(names)) != len(names):
+            raise ProblemError(f"term names must differ, got {', '.join(sorted(names))}")
+        for cost in self.costs:
+            if not (np.isfinite(cost.weight) and cost.weight > 0.0):
+                raise ProblemError(f"cost '{cost.name}' has weight {cost.weight}; give a positive finite number")

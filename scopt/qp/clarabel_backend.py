@@ -1,0 +1,52 @@
+"""Clarabel (Goulart and Chen, 2024): interior point for conic programs, the fall-back in the loop."""
+
+from __future__ import annotations
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from scopt.errors import SolverError
+from scopt.qp.program import QPSolution, QPStatus, QuadraticProgram
+
+_STATUS = {
+    "Solved": QPStatus.SOLVED,
+    "AlmostSolved": QPStatus.INACCURATE,
+    "PrimalInfeasible": QPStatus.INFEASIBLE,
+    "AlmostPrimalInfeasible": QPStatus.INFEASIBLE,
+    "DualInfeasible": QPStatus.FAILED,
+    "AlmostDualInfeasible": QPStatus.FAILED,
+    "MaxIterations": QPStatus.FAILED,
+    "MaxTime": QPStatus.FAILED,
+    "NumericalError": QPStatus.FAILED,
+    "InsufficientProgress": QPStatus.FAILED,
+    "CallbackTerminated": QPStatus.FAILED,
+    "Unsolved": QPStatus.FAILED,
+}
+
+
+def solve_clarabel(program: QuadraticProgram) -> QPSolution:
+    """Solve with Clarabel at its default tolerances (1e-8).
+
+    Raises:
+        SolverError: Clarabel answered with a status that is not mapped.
+    """
+    has_lower, has_upper = np.isfinite(program.lower), np.isfinite(program.upper)
+    identity = sparse.eye_array(len(program.c), format="csc")
+    rows = sparse.vstack([program.G, identity[has_upper], -identity[has_lower]], format="csc")
+    bounds = np.concatenate([program.h, program.upper[has_upper], -program.lower[has_lower]])
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    solver = clarabel.DefaultSolver(
+        sparse.csc_matrix(sparse.triu(program.P, format="csc")),
+        program.c,
+        sparse.csc_matrix(rows),
+        bounds,
+        [clarabel.NonnegativeConeT(len(bounds))],
+        settings,
+    )
+    solution = solver.solve()
+    status = str(solution.status)
+    if status not in _STATUS:
+        raise SolverError(f"Clarabel answered with an unknown status {status!r}")
+    return QPSolution(np.asarray(solution.x), _STATUS[status])

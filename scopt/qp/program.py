@@ -1,0 +1,65 @@
+"""A quadratic program in the one form all back ends share, and what they answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+from scipy import sparse
+
+
+@dataclass(frozen=True)
+class QuadraticProgram:
+    """Minimise ``1/2 x'Px + c'x`` subject to ``G x <= h`` and ``lower <= x <= upper``.
+
+    Attributes:
+        P: (N, N) symmetric positive semidefinite, both triangles stored.
+        c: (N,).
+        G: (M, N).
+        h: (M,).
+        lower, upper: (N,), may be infinite.
+    """
+
+    P: sparse.csc_array
+    c: Float[np.ndarray, "N"]
+    G: sparse.csc_array
+    h: Float[np.ndarray, "M"]
+    lower: Float[np.ndarray, "N"]
+    upper: Float[np.ndarray, "N"]
+
+    def objective(self, x: Float[np.ndarray, "N"]) -> float:
+        """Objective at ``x``."""
+        return float(0.5 * x @ (self.P @ x) + self.c @ x)
+
+
+class QPStatus(Enum):
+    """What a back end says of its answer."""
+
+    SOLVED = "solved"
+    INACCURATE = "inaccurate"
+    INFEASIBLE = "infeasible"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class QPSolution:
+    """A back end's answer; ``x`` is meaningful when ``status`` is SOLVED or INACCURATE."""
+
+    x: Float[np.ndarray, "N"]
+    status: QPStatus
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether a step may be taken from it."""
+        return self.status in (QPStatus.SOLVED, QPStatus.INACCURATE) and bool(np.isfinite(self.x).all())
+
+
+class QPBackend(Protocol):
+    """A solver of quadratic programs."""
+
+    def __call__(self, program: QuadraticProgram) -> QPSolution:
+        """Solve one program."""
+        ...

@@ -1,0 +1,99 @@
+"""All QP back ends solve the programs of real convex models alike."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import sparse
+
+from scopt import AffineRows, SolverError
+from scopt.convex_model import ConvexModel, WeightedRows, assemble
+from scopt.qp import BACKENDS, QPStatus, QuadraticProgram, backend
+
+
+def random_model(rng, n_waypoints, n, span):
+    """A model whose rows touch up to ``span + 1`` consecutive waypoints, as those of a trajectory do."""
+
+    def rows(m):
+        first = rng.integers(0, n_waypoints - span, m)
+        blocks = rng.normal(size=(m, span + 1, n)) * (rng.random((m, span + 1, n)) < 0.7)
+        return WeightedRows(
+            AffineRows.from_blocks(rng.normal(size=m), first, blocks, n_waypoints), rng.uniform(0.1, 20.0, m)
+        )
+
+    identity = AffineRows(rng.normal(size=n_waypoints * n), sparse.eye_array(n_waypoints * n, format="csr"))
+    squared = rows(5)
+    stacked = AffineRows.stack([squared.rows, identity])
+    weights = np.concatenate([squared.weight, np.full(n_waypoints * n, 0.3)])
+    return ConvexModel(WeightedRows(stacked, weights), rows(6), rows(7), n_waypoints, n)
+
+
+def best_step(model, name, lower, upper):
+    problem = assemble(model, np.ones(len(lower), dtype=bool))
+    solution = backend(name)(problem.within(lower, upper))
+    assert solution.is_usable
+    return problem.step(solution.x)
+
+
+@given(seed=st.integers(0, 10_000), span=st.integers(1, 3), n_waypoints=st.integers(4, 9))
+def test_back_ends_agree_with_cvxpy_on_trajectory_models(seed, span, n_waypoints):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, n_waypoints, 3, span)
+    box = np.full(n_waypoints * 3, rng.uniform(0.05, 1.0))
+    merits = {name: model.merit(best_step(model, name, -box, box)) for name in BACKENDS}
+    for name, merit in merits.items():
+        assert merit == pytest.approx(merits["cvxpy"], rel=2e-5), name
+
+
+@given(seed=st.integers(0, 10_000))
+def test_program_objective_is_the_merit_up_to_a_constant(seed):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, 5, 2, 1)
+    problem = assemble(model, np.ones(10, dtype=bool))
+
+    def objective(dx):
+        x = np.zeros(len(problem.program.c))
+        x[problem.step_index] = dx
+        is_slack = np.ones(len(x), dtype=bool)
+        is_slack[problem.step_index] = False
+        need = problem.program.G @ x - problem.program.h  # each row is r - slack <= 0, two rows for an absolute value
+        for row, slack in zip(*np.nonzero(problem.program.G.toarray()[:, is_slack]), strict=True):
+            column = np.flatnonzero(is_slack)[slack]
+            x[column] = max(x[column], need[row])
+        return problem.program.objective(x)
+
+    a, b = rng.normal(size=(2, 10))
+    assert objective(a) - objective(b) == pytest.approx(model.merit(a) - model.merit(b), rel=1e-9, abs=1e-9)
+
+
+def test_fixed_variables_do_not_move():
+    rng = np.random.default_rng(3)
+    model = random_model(rng, 4, 2, 1)
+    is_free = np.ones(8, dtype=bool)
+    is_free[[0, 1, 6]] = False
+    problem = assemble(model, is_free)
+    box = np.full(8, 0.5)
+    step = problem.step(backend("clarabel")(problem.within(-box, box)).x)
+    assert not step[~is_free].any()
+    full = assemble(model, np.ones(8, dtype=bool))
+    pinned = np.where(is_free, 0.5, 0.0)
+    reference = full.step(backend("cvxpy")(full.within(-pinned, pinned)).x)
+    np.testing.assert_allclose(step, reference, atol=1e-5)
+
+
+def test_an_infeasible_program_is_called_infeasible_by_all_back_ends():
+    program = QuadraticProgram(
+        P=sparse.eye_array(1, format="csc"),
+        c=np.zeros(1),
+        G=sparse.csc_array(np.array([[1.0], [-1.0]])),
+        h=np.array([-1.0, -1.0]),
+        lower=np.array([-5.0]),
+        upper=np.array([5.0]),
+    )
+    for name in BACKENDS:
+        assert backend(name)(program).status is QPStatus.INFEASIBLE, name
+
+
+def test_unknown_back_end_is_refused_by_name():
+    with pytest.raises(SolverError, match="unknown QP back end 'gurobi'; there are piqp, clarabel, cvxpy"):
+        backend("gurobi")

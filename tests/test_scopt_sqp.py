@@ -1,0 +1,149 @@
+"""The optimiser on problems with known answers, and what it says of its end."""
+
+import itertools
+
+import numpy as np
+import pytest
+from quadratic_terms import Affine, Function, identity_state
+
+from scopt import Constraint, Cost, Penalty, Problem, ProblemError, Sense, Settings, Status, TrustRegionSQP
+
+FREE = np.full((1, 2), 1e3)
+
+
+def solve(costs, constraints, x0, lower=-FREE, upper=FREE, **settings):
+    problem = Problem(lower, upper, tuple(costs), tuple(constraints), identity_state)
+    options = {"trust_radius": 1.0, "min_improvement": 1e-10, "min_improvement_fraction": 0.0, "max_iterations": 400}
+    return TrustRegionSQP(Settings(**(options | settings))).solve(problem, np.atleast_2d(np.asarray(x0, dtype=float)))
+
+
+@pytest.mark.parametrize("qp", ["piqp", "clarabel", "cvxpy"])
+def test_separable_quadratic_program_reaches_its_minimum(qp):
+    # minimise (x - 3)^2 + 2 (y + 1)^2 with x <= 2: x = 2, y = -1
+    costs = [Cost("x", Affine([[1.0, 0.0]], 3.0)), Cost("y", Affine([[0.0, 1.0]], -1.0), weight=2.0)]
+    result = solve(costs, [Constraint("limit", Affine([[1.0, 0.0]], 2.0))], [0.0, 0.0], qp=qp)
+    assert result.status is Status.CONVERGED
+    np.testing.assert_allclose(result.x, [[2.0, -1.0]], atol=1e-4)
+
+
+def test_l1_costs_are_measured_and_minimised():
+    # |x - 1| + |x + 1| + max(y, 0): any x in [-1, 1] costs 2, any y <= 0 costs nothing
+    costs = [
+        Cost("abs", Affine([[1.0, 0.0], [1.0, 0.0]], [1.0, -1.0]), penalty=Penalty.ABS),
+        Cost("hinge", Affine([[0.0, 1.0]], 0.0), penalty=Penalty.HINGE),
+    ]
+    result = solve(costs, [], [4.0, 3.0])
+    assert result.cost["abs"] == pytest.approx(2.0, abs=1e-4)
+    assert result.cost["hinge"] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_hock_schittkowski_1_rosenbrock():
+    f = Function(lambda x: [10 * (x[1] - x[0] ** 2), 1 - x[0]], lambda x: [[-20 * x[0], 10.0], [-1.0, 0.0]])
+    result = solve([Cost("f", f)], [], [-2.0, 1.0], lower=np.array([[-1e3, -1.5]]))
+    np.testing.assert_allclose(result.x, [[1.0, 1.0]], atol=1e-3)
+
+
+def test_hock_schittkowski_3_ends_on_its_bound():
+    costs = [
+        Cost("linear", Affine([[0.0, 1.0]], 0.0), penalty=Penalty.ABS),  # y >= 0 makes |y| = y
+        Cost("difference", Affine([[-1.0, 1.0]], 0.0), weight=1e-5),
+    ]
+    result = solve(costs, [], [10.0, 1.0], lower=np.array([[-1e3, 0.0]]), trust_radius=5.0)
+    assert result.x[0, 1] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_hock_schittkowski_6_on_a_parabola():
+    constraint = Function(lambda x: 10 * (x[1] - x[0] ** 2), lambda x: [[-20 * x[0], 10.0]])
+    result = solve(
+        [Cost("f", Affine([[-1.0, 0.0]], -1.0))],
+        [Constraint("parabola", constraint, Sense.EQUAL_ZERO)],
+        [-1.2, 1.0],
+    )
+    assert result.is_feasible
+    np.testing.assert_allclose(result.x, [[1.0, 1.0]], atol=2e-3)
+
+
+def test_hock_schittkowski_7_finds_the_constrained_optimum():
+    # min log(1 + x1^2) - x2 s.t. (1 + x1^2)^2 + x2^2 = 4; optimum (0, sqrt 3).  log1p(x^2) enters as a square.
+    root = Function(
+        lambda x: np.sqrt(np.log1p(x[0] ** 2)),
+        lambda x: [[x[0] / ((1 + x[0] ** 2) * max(np.sqrt(np.log1p(x[0] ** 2)), 1e-9)), 0.0]],
+    )
+    costs = [Cost("log", root), Cost("down", Affine([[0.0, -1.0]], -10.0), penalty=Penalty.ABS)]
+    circle = Function(
+        lambda x: (1 + x[0] ** 2) ** 2 + x[1] ** 2 - 4, lambda x: [[4 * x[0] * (1 + x[0] ** 2), 2 * x[1]]]
+    )
+    result = solve(costs, [Constraint("circle", circle, Sense.EQUAL_ZERO)], [2.0, 2.0], lower=-FREE, upper=FREE / 1e2)
+    assert result.is_feasible
+    np.testing.assert_allclose(result.x, [[0.0, np.sqrt(3.0)]], atol=2e-3)
+
+
+def test_contradicting_constraints_are_stalled_not_converged():
+    constraints = [
+        Constraint("at most -1", Affine([[1.0, 0.0]], -1.0)),
+        Constraint("at least +1", Affine([[-1.0, 0.0]], -1.0)),
+    ]
+    result = solve([Cost("f", Affine([[1.0, 0.0]], 0.0))], constraints, [0.0, 0.0])
+    assert result.status is Status.STALLED
+    assert not result.is_feasible
+    assert max(result.violation.values()) >= 1.0 - 1e-6
+    assert "largest violation" in result.message
+
+
+def test_cancelled_and_timed_out_solves_say_so_and_keep_their_iterate():
+    problem = Problem(-FREE, FREE, (Cost("f", Affine([[1.0, 0.0]], 3.0)),), (), identity_state)
+    seen = []
+    result = TrustRegionSQP(Settings(trust_radius=0.1)).solve(
+        problem, np.zeros((1, 2)), on_iteration=lambda i, x: seen.append((i, x)), should_stop=lambda: len(seen) >= 3
+    )
+    assert result.status is Status.CANCELLED
+    assert len(result.history) == len(seen) == 3
+    np.testing.assert_array_equal(result.x, seen[-1][1])
+    timed = TrustRegionSQP(Settings(time_limit_s=0.0)).solve(problem, np.zeros((1, 2)))
+    assert timed.status is Status.TIME_LIMIT
+
+
+def test_merit_never_rises_while_the_penalty_stands():
+    constraint = Function(lambda x: 10 * (x[1] - x[0] ** 2), lambda x: [[-20 * x[0], 10.0]])
+    result = solve([Cost("f", Affine([[-1.0, 0.0]], -1.0))], [Constraint("c", constraint, Sense.EQUAL_ZERO)], [-1.2, 1])
+    accepted = [i for i in result.history if i.is_accepted]
+    assert len(accepted) > 3
+    for before, after in itertools.pairwise(accepted):
+        if before.penalty == after.penalty:
+            assert after.merit <= before.merit + 1e-12
+    for step in result.history:
+        assert step.model_merit < step.merit
+
+
+def test_bounds_that_fix_variables_are_kept_exactly():
+    lower, upper = np.full((3, 2), -5.0), np.full((3, 2), 5.0)
+    lower[0] = upper[0] = [1.0, 2.0]
+    smooth = Affine(np.kron(np.array([[-1, 1, 0], [0, -1, 1]]), np.eye(2)), np.zeros(4))
+    end = Affine(np.eye(6)[4:], [3.0, 4.0])
+    problem = Problem(
+        lower, upper, (Cost("smooth", smooth),), (Constraint("end", end, Sense.EQUAL_ZERO),), identity_state
+    )
+    result = TrustRegionSQP(Settings(min_improvement_fraction=0.0, min_improvement=1e-9)).solve(
+        problem, np.zeros((3, 2))
+    )
+    np.testing.assert_array_equal(result.x[0], [1.0, 2.0])
+    np.testing.assert_allclose(result.x[1:], [[2.0, 3.0], [3.0, 4.0]], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "message"),
+    [
+        (np.zeros((2, 2)), np.zeros((3, 2)), "two \\(T, n\\) arrays"),
+        (np.array([[np.nan]]), np.array([[1.0]]), "NaN"),
+        (np.array([[0.0, 2.0]]), np.array([[0.0, 1.0]]), "waypoint 0, variable 1: 2 > 1"),
+    ],
+)
+def test_ill_posed_bounds_are_refused(lower, upper, message):
+    with pytest.raises(ProblemError, match=message):
+        Problem(lower, upper, (), (), identity_state)
+
+
+def test_a_start_with_nan_is_refused():
+    problem = Problem(-FREE, FREE, (), (), identity_state)
+    with pytest.raises(ProblemError, match="x0 must be finite"):
+        TrustRegionSQP().solve(problem, np.array([[np.nan, 0.0]]))
