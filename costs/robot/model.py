@@ -64,6 +64,9 @@ class RobotModel:
         link_groups: link names by group name; ``feet`` and ``hands`` are used by the tasks.
         postures: (n,) configurations by name.
         ignored_pairs: link pairs (sorted names) not checked against each other.
+        fixed_links: links that no joint moves; not checked against the scene.
+        mechanism_links: links of a task's mechanism (``with_revolute``), not part of the robot's mass; not checked
+            against the scene.
         source: the files it came from.
     """
 
@@ -81,6 +84,8 @@ class RobotModel:
     link_groups: Mapping[str, tuple[str, ...]]
     postures: Mapping[str, Float[np.ndarray, "n"]]
     ignored_pairs: frozenset[tuple[str, str]]
+    fixed_links: frozenset[str]
+    mechanism_links: frozenset[str]
     source: RobotSource
 
     @property

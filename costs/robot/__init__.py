@@ -1,0 +1,19 @@
+"""Robots: any URDF and SRDF, and the Atlas that ships with the package."""
+
+from costs.robot.augment import with_revolute
+from costs.robot.errors import RobotError
+from costs.robot.load import Root
+from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
+from costs.robot.named import bundled_robots, load_robot
+
+__all__ = [
+    "BASE_NAMES",
+    "LinkBody",
+    "RobotError",
+    "RobotModel",
+    "RobotSource",
+    "Root",
+    "bundled_robots",
+    "load_robot",
+    "with_revolute",
+]

@@ -1,0 +1,47 @@
+"""Groups and named postures of the bundled Atlas."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from costs.robot.atlas.figures import JOINTS
+
+_ARM = ("shz", "shx", "ely", "elx", "wry", "wrx", "wry2")
+_LEG = ("hpz", "hpx", "hpy", "kny", "aky", "akx")
+# A joint that turns about y bends both sides alike; one about x or z is mirrored.
+_MIRRORED = frozenset({"shz", "shx", "elx", "wrx", "hpz", "hpx", "akx"})
+
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "left_arm": tuple(f"l_arm_{joint}" for joint in _ARM),
+    "right_arm": tuple(f"r_arm_{joint}" for joint in _ARM),
+    "back": ("back_bkz", "back_bky", "back_bkx"),
+    "left_leg": tuple(f"l_leg_{joint}" for joint in _LEG),
+    "right_leg": tuple(f"r_leg_{joint}" for joint in _LEG),
+    "head": ("neck_ry",),
+    "whole_body": tuple(joint.name for joint in JOINTS),
+}
+
+LINK_GROUPS: Mapping[str, tuple[str, ...]] = {
+    "feet": ("l_foot", "r_foot"),
+    "hands": ("l_hand", "r_hand"),
+}
+
+_LEGS = {"hpx": 0.04, "hpy": -0.45, "kny": 0.80, "aky": -0.35, "akx": -0.04}
+
+# Angles of the left side [rad]; the right side mirrors them.
+POSTURES: Mapping[str, Mapping[str, float]] = {
+    "stand": {**_LEGS, "shz": -0.2, "shx": -1.25, "ely": 1.9, "elx": 0.5},
+    "reach_ready": {**_LEGS, "shz": -0.2, "shx": -1.15, "ely": 1.9, "elx": 1.4},
+}
+_CENTRE: Mapping[str, Mapping[str, float]] = {"stand": {}, "reach_ready": {}}
+
+
+def whole_posture(name: str) -> Mapping[str, float]:
+    """Angle of every joint in a posture, in the order of the figures [rad]."""
+    angles = dict.fromkeys((joint.name for joint in JOINTS), 0.0)
+    for joint, angle in POSTURES[name].items():
+        part = "arm" if joint in _ARM else "leg"
+        angles[f"l_{part}_{joint}"] = angle
+        angles[f"r_{part}_{joint}"] = -angle if joint in _MIRRORED else angle
+    angles.update(_CENTRE[name])
+    return angles

@@ -1,0 +1,58 @@
+"""The front door: robots by name or by path."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from costs.robot.atlas import load_atlas
+from costs.robot.errors import RobotError, suggest
+from costs.robot.load import Root, load_files
+from costs.robot.model import RobotModel
+
+_BUNDLED = {"atlas": "Atlas v5: 30 joints, floating base, 158.6 kg, a hook on each hand"}
+
+
+def bundled_robots() -> Mapping[str, str]:
+    """Description by name of the robots that ship with the package."""
+    return dict(_BUNDLED)
+
+
+def load_robot(
+    name: str | None = None,
+    *,
+    urdf: Path | None = None,
+    srdf: Path | None = None,
+    package_dirs: Sequence[Path] = (),
+    root: Root | None = None,
+    tool_distance_m: float | None = None,
+    locked_joints: Mapping[str, float] | None = None,
+) -> RobotModel:
+    """A bundled robot by name, or any robot by its URDF.
+
+    Args:
+        name: one of ``bundled_robots()``; or None when ``urdf`` is given.
+        urdf, srdf: files of another robot.
+        package_dirs: folders that ``package://`` and relative mesh paths are looked for in, and the only ones meshes
+            are read from; the URDF's own folder when empty.
+        root: ``floating`` or ``fixed``; when None, floating for bundled robots and fixed for others.
+        tool_distance_m: distance of the bundled robots' tool frames from the hand frame [m], default 0.12.
+        locked_joints: position by name of joints that become fixed [rad or m].
+
+    Raises:
+        RobotError: one line that names the file, element and value that cannot be used.
+    """
+    if (name is None) == (urdf is None):
+        raise RobotError("give either the name of a bundled robot or a urdf, not both")
+    if root not in (None, "floating", "fixed"):
+        raise RobotError(f"root '{root}' is not known; use 'floating' or 'fixed'")
+    locked = dict(locked_joints or {})
+    if urdf is not None:
+        if tool_distance_m is not None:
+            raise RobotError("tool_distance_m belongs to bundled robots; with a urdf, put the tool frame into it")
+        return load_files(Path(urdf), None if srdf is None else Path(srdf), package_dirs, root or "fixed", locked)
+    if name not in _BUNDLED:
+        raise RobotError(f"unknown robot '{name}'; {suggest(str(name), _BUNDLED)}")
+    if srdf is not None or package_dirs:
+        raise RobotError(f"srdf and package_dirs go with a urdf; '{name}' brings its own")
+    return load_atlas(root or "floating", tool_distance_m, locked)

@@ -1,0 +1,89 @@
+"""Reading XML from strangers: sizes capped, no entities, no network, finite numbers only."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from lxml import etree
+
+from costs.robot.errors import RobotError
+
+MAX_XML_BYTES = 4 * 1024 * 1024
+
+
+def read_xml_text(path: Path) -> str:
+    """Text of an XML file of at most ``MAX_XML_BYTES``.
+
+    Raises:
+        RobotError: when the file cannot be read, is too large or is not UTF-8.
+    """
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_XML_BYTES + 1)
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if len(data) > MAX_XML_BYTES:
+        raise RobotError(f"{path}: larger than {MAX_XML_BYTES // 2**20} MB; a robot description is far smaller")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{path}: not UTF-8 (byte {error.start}); save it as UTF-8") from None
+
+
+def parse_xml(text: str, where: str, root_tag: str) -> etree._Element:
+    """Root element of ``text``, which must be ``<root_tag>`` and carry no DOCTYPE.
+
+    Entities are never resolved and a DOCTYPE (where entity bombs and external references live) is refused.
+    """
+    if len(text) > MAX_XML_BYTES:
+        raise RobotError(f"{where}: larger than {MAX_XML_BYTES // 2**20} MB; a robot description is far smaller")
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
+                             remove_comments=True, remove_pis=True)  # fmt: skip
+    try:
+        root = etree.fromstring(text.encode("utf-8"), parser)
+    except (etree.XMLSyntaxError, UnicodeEncodeError) as error:
+        raise RobotError(f"{where}: not well-formed XML ({str(error).splitlines()[0]})") from None
+    if root.getroottree().docinfo.doctype:
+        raise RobotError(f"{where}: DOCTYPE is refused; remove it")
+    if root.tag != root_tag:
+        raise RobotError(f"{where}: the root element is <{root.tag}>; it must be <{root_tag}>")
+    return root
+
+
+def required(element: etree._Element, attribute: str, where: str) -> str:
+    """A non-empty attribute of ``element``."""
+    value = element.get(attribute)
+    if value is None or not value.strip():
+        raise RobotError(f"{where}: <{element.tag}> lacks {attribute}; give it one")
+    return str(value)
+
+
+def numbers(text: str, count: int, where: str) -> Float[np.ndarray, "count"]:
+    """Exactly ``count`` finite numbers separated by blanks."""
+    parts = text.split()
+    if len(parts) != count:
+        raise RobotError(f"{where}: {_short(text)!r} holds {len(parts)} numbers; {count} are needed")
+    values = [_finite(part, where) for part in parts]
+    return np.array(values)
+
+
+def number(text: str, where: str) -> float:
+    """One finite number."""
+    return float(numbers(text, 1, where)[0])
+
+
+def _finite(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise RobotError(f"{where}: {_short(text)!r} is not a number") from None
+    if not math.isfinite(value):
+        raise RobotError(f"{where}: {_short(text)!r} is not a finite number")
+    return value
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else text[:37] + "..."
