@@ -1,0 +1,83 @@
+"""Convex vertex sets as triangles and feature edges, flat and thin ones included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull, QhullError
+
+FLAT = 1e-6
+"""Extent below which a vertex set counts as flat in a direction [m]."""
+
+
+@dataclass(frozen=True)
+class ConvexMesh:
+    """The surface of a hull.
+
+    Attributes:
+        vertices: (V, 3) its corners [m].
+        triangles: (F, 3) indices, counter-clockwise from outside; a flat set has both sides.
+        edges: (E, 2) indices of the edges where faces of different planes meet.
+    """
+
+    vertices: Float[np.ndarray, "V 3"]
+    triangles: Int[np.ndarray, "F 3"]
+    edges: Int[np.ndarray, "E 2"]
+
+
+def convex_mesh(vertices: Float[np.ndarray, "V 3"]) -> ConvexMesh:
+    """Hull of ``vertices`` as a mesh; a flat set becomes a two-sided polygon, a line or a point has no triangles.
+
+    Raises:
+        ValueError: no vertex, not three columns, or a value that is not finite.
+    """
+    points = np.asarray(vertices, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
+        raise ValueError(f"a hull needs finite vertices of shape (V, 3), got {points.shape}")
+    centred = points - points.mean(axis=0)
+    axes = np.linalg.svd(centred, full_matrices=True)[2]
+    extents = np.ptp(centred @ axes.T, axis=0)
+    rank = int(np.sum(extents > FLAT))
+    if rank == 3:
+        try:
+            return _solid(points)
+        except QhullError:
+            rank = 2  # Qhull's own flatness test is relative: what it cannot build is as good as flat
+    if rank == 2:
+        return _polygon(points, centred @ axes[:2].T)
+    along = centred @ axes[0]
+    ends = points[[int(along.argmin()), int(along.argmax())]]
+    return ConvexMesh(ends, np.empty((0, 3), dtype=int), np.array([[0, 1]]))
+
+
+def _solid(points: Float[np.ndarray, "V 3"]) -> ConvexMesh:
+    hull = ConvexHull(points)
+    triangles = np.asarray(hull.simplices).copy()
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # Qhull does not order the corners of a facet; its outward normal says which ones to swap.
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+    triangles[inward] = triangles[inward][:, [0, 2, 1]]
+    used, compact = np.unique(triangles, return_inverse=True)
+    triangles = compact.reshape(triangles.shape)
+    return ConvexMesh(points[used], triangles, _feature_edges(triangles, hull.equations[:, :3]))
+
+
+def _feature_edges(triangles: Int[np.ndarray, "F 3"], normals: Float[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
+    """Edges whose two triangles do not share a plane."""
+    sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    owner = np.tile(np.arange(len(triangles)), 3)
+    order = np.lexsort((sides[:, 1], sides[:, 0]))
+    first, second = order[0::2], order[1::2]  # each edge of a closed surface belongs to exactly two triangles
+    bend = np.einsum("ij,ij->i", normals[owner[first]], normals[owner[second]])
+    return np.asarray(sides[first][bend < 1.0 - 1e-6])
+
+
+def _polygon(points: Float[np.ndarray, "V 3"], flat: Float[np.ndarray, "V 2"]) -> ConvexMesh:
+    ring = np.asarray(ConvexHull(flat).vertices)
+    n = len(ring)
+    fan = np.array([[0, i, i + 1] for i in range(1, n - 1)])
+    edges = np.array([[i, (i + 1) % n] for i in range(n)])
+    return ConvexMesh(points[ring], np.concatenate([fan, fan[:, ::-1]]), edges)

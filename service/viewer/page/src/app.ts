@@ -1,0 +1,266 @@
+// The page's state and what can be done to it; main.ts connects it to keys, pointer and URL.
+import { Box3, Mesh, Vector3 } from "three";
+import { Balance } from "./balance";
+import { Result, readPayload, spanAt } from "./data";
+import { el } from "./dom";
+import { Ghosts } from "./ghosts";
+import { Header, makeHeader, makeHelp, tone } from "./header";
+import { Labels } from "./labels";
+import { Layer } from "./layer";
+import { Marks } from "./marks";
+import { Motion } from "./motion";
+import { Panel } from "./panel";
+import { Robot } from "./robot";
+import { Stage, Subject, View } from "./stage";
+import { Contacts, Targets } from "./targets";
+import { THEMES } from "./theme";
+import { Player, SPEEDS, Timeline } from "./timeline";
+import { Cloud, Floor, Movables, Pieces, floorHeight } from "./world";
+
+export class App implements Player {
+  readonly result: Result = readPayload();
+  readonly motion = new Motion(this.result);
+  readonly stage: Stage;
+  readonly layers: Layer[];
+  readonly robot: Robot;
+  readonly ghosts: Ghosts;
+  readonly pieces: Pieces;
+  readonly movables: Movables;
+  readonly marks: Marks;
+  readonly labels: Labels;
+  readonly help: HTMLElement;
+  readonly tip = el("div", "tip");
+  time: number;
+  isPlaying = false;
+  speed = 1;
+  view: View | null = null;
+  isXray = false;
+  isFollowing = false;
+  theme: "dark" | "light";
+  private readonly timeline: Timeline;
+  private readonly panel: Panel;
+  private readonly header: Header;
+  private readonly hand: number;
+  private last = 0;
+
+  constructor() {
+    const { result, motion } = this;
+    this.time = motion.start;
+    this.hand = this.workingHand();
+    const viewport = el("main", "viewport");
+    const overlay = el("div", "labels");
+    this.tip.hidden = true;
+    viewport.append(overlay, this.tip);
+    this.labels = new Labels(overlay);
+    this.header = makeHeader(result, (view) => this.show(view), {
+      theme: () => this.setTheme(this.theme === "dark" ? "light" : "dark"), xray: () => this.setXray(!this.isXray),
+      help: () => { this.help.hidden = !this.help.hidden; }, panel: () => this.togglePanel(),
+    });
+    document.body.append(this.header.element, viewport);
+
+    const z = floorHeight(result);
+    const subject = this.subject(z);
+    this.stage = new Stage(viewport, subject);
+    this.robot = new Robot(result.bodies, motion);
+    this.ghosts = new Ghosts(result.bodies, motion, result.waypoints);
+    this.pieces = new Pieces(result);
+    this.movables = new Movables(result);
+    const targets = new Targets(result);
+    this.marks = new Marks(result.checks, motion, this.labels, () => this.solids());
+    const centre = subject.box.getCenter(new Vector3());
+    const reach = Math.max(6, subject.box.getSize(new Vector3()).length() * 2.2);
+    this.layers = [
+      this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result), this.marks,
+      new Cloud(result.cloud), new Floor(result, z, centre, reach),
+    ];
+    targets.labels.forEach((label) => this.labels.add(label));
+    for (const layer of this.layers) this.stage.scene.add(layer.group);
+    this.panel = new Panel(result, this.layers, (index) => this.chooseCheck(index), (layer) => this.toggle(layer));
+    this.timeline = new Timeline(result, this, this.ghosts.times);
+    this.help = makeHelp(this.layers);
+    document.body.append(this.panel.element, this.timeline.element, this.help);
+    document.body.classList.toggle("still", motion.nFrames < 2);
+    document.body.classList.add(tone(result.verdict));
+    this.stage.onFrame = () => this.labels.place(this.stage.camera, ...this.stage.size);
+    this.stage.onMoved = () => this.header.setView((this.view = null));
+    const wantsLight = matchMedia("(prefers-color-scheme: light)");
+    this.theme = wantsLight.matches ? "light" : "dark";
+    wantsLight.addEventListener("change", () => this.setTheme(wantsLight.matches ? "light" : "dark"));
+    this.setTheme(this.theme);
+    this.stage.resize();
+    this.show("3d", true);
+    this.seek(motion.start);
+  }
+
+  get start(): number { return this.motion.start; }
+  get end(): number { return this.motion.end; }
+
+  solids(): { name: string; mesh: Mesh }[] {
+    return [
+      ...this.robot.meshes.map((mesh) => ({ name: mesh.name, mesh })), ...this.pieces.solids, ...this.movables.solids,
+    ];
+  }
+
+  // The link a target speaks of, else the hand that travels most, else the link that does.
+  private workingHand(): number {
+    const { links, nFrames } = this.motion;
+    if (nFrames === 0) return -1;
+    const asked = this.result.phases.flatMap((phase) => phase.targets ?? []).map((target) => links.indexOf(target.frame ?? ""));
+    const found = asked.find((link) => link >= 0);
+    if (found !== undefined) return found;
+    const hands = links.map((_, link) => link).filter((link) => /hand|tool|gripper/i.test(links[link]));
+    const pool = hands.length > 0 ? hands : links.map((_, link) => link);
+    return pool.reduce((best, link) => (this.motion.travel(link) > this.motion.travel(best) ? link : best), pool[0] ?? -1);
+  }
+
+  private subject(z: number): Subject {
+    const { result, motion, hand } = this;
+    const box = new Box3();
+    const p = new Vector3();
+    for (let i = 0; i < result.positions.length; i += 3) box.expandByPoint(p.fromArray(result.positions, i));
+    // Link origins lie inside the links: half a forearm more on every side, and the floor.
+    if (!box.isEmpty()) box.expandByScalar(0.12);
+    const scene = result.movables.flatMap((movable) => movable.bodies);
+    for (const body of box.isEmpty() ? [...scene, ...result.pieces] : scene) {
+      for (let i = 0; i < body.hull.vertices.length; i += 3) box.expandByPoint(p.fromArray(body.hull.vertices, i));
+    }
+    if (box.isEmpty()) box.set(new Vector3(-1, -1, 0), new Vector3(1, 1, 1));
+    box.min.z = Math.min(box.min.z, z);
+    const heading = new Vector3(1, 0, 0);
+    const root = motion.links.findIndex((name) => /pelvis|torso|trunk|base/i.test(name));
+    if (motion.nFrames > 0 && root >= 0) heading.transformDirection(motion.matrix(root, motion.start));
+    heading.z = 0;
+    if (heading.length() < 0.1) heading.set(1, 0, 0);
+    heading.normalize();
+    const side = hand >= 0 && /^r_|right|_r$/i.test(motion.links[hand]) ? -1 : 1;
+    return { box, heading, side, hand: () => (hand < 0 ? undefined : motion.place(motion.links[hand], this.time)) };
+  }
+
+  seek(t: number): void {
+    const before = this.hand >= 0 ? this.motion.place(this.motion.links[this.hand], this.time) : undefined;
+    this.time = Math.min(Math.max(t, this.start), this.end);
+    for (const layer of this.layers) layer.update?.(this.time);
+    if (this.isFollowing && before) {
+      this.stage.follow(this.motion.place(this.motion.links[this.hand], this.time)!.sub(before));
+    }
+    this.timeline.update();
+    this.panel.setPhase(spanAt(this.result.phases, this.time));
+    this.stage.draw();
+  }
+
+  toggle(layer: Layer): void;
+  toggle(): void;
+  toggle(layer?: Layer): void {
+    if (!layer) return this.play(!this.isPlaying);
+    this.setLayer(layer, !layer.group.visible);
+  }
+
+  setLayer(layer: Layer, isVisible: boolean): void {
+    layer.group.visible = isVisible;
+    this.panel.setLayer(layer);
+    this.marks.refresh();
+    this.stage.draw();
+  }
+
+  play(on: boolean): void {
+    if (on && this.end <= this.start) return;
+    if (on && this.time >= this.end - 1e-6) this.seek(this.start);
+    this.isPlaying = on;
+    this.last = performance.now();
+    this.timeline.update();
+    if (on) requestAnimationFrame(() => this.tick());
+  }
+
+  private tick(): void {
+    if (!this.isPlaying) return;
+    const now = performance.now();
+    // A page that was in the background goes on where it was.
+    const passed = Math.min((now - this.last) / 1000, 0.25);
+    this.last = now;
+    this.seek(this.time + passed * this.speed);
+    if (this.time >= this.end) this.play(false);
+    else requestAnimationFrame(() => this.tick());
+  }
+
+  setSpeed(speed: number): void {
+    this.speed = speed;
+    this.timeline.update();
+  }
+
+  shiftSpeed(direction: number): void {
+    this.setSpeed(SPEEDS[Math.min(Math.max(SPEEDS.indexOf(this.speed) + direction, 0), SPEEDS.length - 1)]);
+  }
+
+  step(direction: number): void { this.stepTo(this.ghosts.times.length > 0 ? this.ghosts.times : [this.start, this.end], direction); }
+  stepFrame(direction: number): void { this.stepTo(Array.from(this.result.times), direction); }
+  stepPhase(direction: number): void { this.stepTo([...this.result.phases.map((phase) => phase.start), this.end], direction); }
+
+  private stepTo(times: number[], direction: number): void {
+    this.play(false);
+    const sorted = [...times].sort((a, b) => a - b);
+    const next = direction > 0 ? sorted.find((t) => t > this.time + 1e-4) : sorted.reverse().find((t) => t < this.time - 1e-4);
+    if (next !== undefined) this.seek(next);
+  }
+
+  focusGhost(index: number): void {
+    this.ghosts.setFocus(index);
+    this.stage.draw();
+  }
+
+  // Go to the time and place a check speaks of, and mark it there; -1 deselects.
+  chooseCheck(index: number): void {
+    this.marks.select(index);
+    this.panel.select(index);
+    const where = this.result.checks[index]?.where;
+    if (where && typeof where.time_s === "number") {
+      this.play(false);
+      this.seek(where.time_s);
+    }
+    const place = index >= 0 ? this.marks.places[index] : undefined;
+    if (place) {
+      this.header.setView((this.view = null));
+      this.stage.focus(place);
+    }
+    this.stage.draw();
+  }
+
+  nextCheck(): void {
+    const n = this.result.checks.length;
+    if (n > 0) this.chooseCheck((this.marks.chosen + 1) % n);
+  }
+
+  show(view: View, isSudden = false): void {
+    this.view = view;
+    this.header.setView(view);
+    this.setXray(view === "top");
+    this.stage.show(view, isSudden);
+  }
+
+  setXray(on: boolean): void {
+    this.isXray = on;
+    for (const layer of this.layers) layer.xray?.(on);
+    this.header.setXray(on);
+    this.stage.draw();
+  }
+
+  setTheme(theme: "dark" | "light"): void {
+    this.theme = theme;
+    document.documentElement.dataset.theme = theme;
+    for (const layer of this.layers) layer.recolour(THEMES[theme]);
+    this.stage.recolour(THEMES[theme]);
+  }
+
+  togglePanel(): void { document.body.classList.toggle("wide"); }
+
+  savePicture(): void {
+    this.stage.render();
+    this.stage.renderer.domElement.toBlob((blob) => {
+      if (!blob) return;
+      const link = el("a");
+      link.href = URL.createObjectURL(blob);
+      link.download = `${this.result.robot || "scene"}-${this.time.toFixed(2)}s.png`;
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    });
+  }
+}

@@ -1,0 +1,109 @@
+// The payload that service/viewer/payload.py wrote, decoded into typed arrays.
+
+export interface Packed { dtype: string; shape: number[]; data: string }
+export interface Quantized extends Packed { lower: number[]; upper: number[] }
+interface PackedHull { vertices: Packed; triangles: Packed; edges: Packed }
+interface PackedNamedHull { name: string; kind: string; hull: PackedHull }
+export interface Hull { vertices: Float32Array; triangles: Uint16Array; edges: Uint16Array }
+export interface NamedHull { name: string; kind: string; hull: Hull }
+export interface Body { name: string; link: string; hull: Hull }
+export interface Movable { name: string; origin: number[]; axis: number[]; bodies: NamedHull[]; angles: Float32Array }
+export interface Contact { link: string; position?: number[]; quaternion_wxyz?: number[]; sole?: number[][] }
+export interface Allowance { link: string; other: string; depth: number }
+export interface Target {
+  kind: string; frame?: string; position?: number[]; quaternion_wxyz?: number[];
+  centre?: number[]; axis?: number[]; radius?: number; tolerance_m?: number;
+}
+export interface Span { start: number; end: number }
+export interface Phase extends Span { name: string; contacts?: Contact[]; allowances?: Allowance[]; targets?: Target[] }
+export interface Support extends Span { polygon: number[][]; margin_m?: number }
+export interface Where { time_s?: number | null; position?: number[] | null; names?: string[] | null }
+export interface Check {
+  name: string; ok: boolean; value: number | null; limit: number | null; unit: string | null;
+  text: string | null; where?: Where | null;
+}
+
+interface Payload {
+  verdict: string; robot: string; task: string; explanation: string[]; notes: string[];
+  figures: Record<string, unknown>; timings: Record<string, number>; planning_time_s: number | null;
+  min_clearance_m: number | null; min_clearance_pair: string[]; min_balance_margin_m: number | null;
+  request_hash: string; checks: Check[];
+  times: Packed; links: string[]; positions: Quantized; rotations: Packed;
+  bodies: { name: string; link: string; hull: PackedHull }[];
+  pieces: PackedNamedHull[];
+  movables: { name: string; origin: number[]; axis: number[]; bodies: PackedNamedHull[]; angles: Packed }[];
+  waypoints: number[]; phases: Phase[]; support: Support[]; com: Packed; zmp: Packed; cloud: Quantized;
+}
+
+export interface Result extends Omit<
+  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "com" | "zmp" | "cloud"
+> {
+  times: Float32Array; positions: Float32Array; rotations: Int16Array; bodies: Body[]; pieces: NamedHull[];
+  movables: Movable[]; com: Float32Array; zmp: Float32Array; cloud: Float32Array;
+}
+
+function bytesOf(packed: Packed): ArrayBuffer {
+  const text = atob(packed.data);
+  const bytes = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+  return bytes.buffer;
+}
+
+const floats = (packed: Packed): Float32Array => new Float32Array(bytesOf(packed));
+const indices = (packed: Packed): Uint16Array => new Uint16Array(bytesOf(packed));
+
+function points(packed: Quantized): Float32Array {
+  const grid = indices(packed);
+  return Float32Array.from(grid, (value, i) => {
+    const lower = packed.lower[i % 3];
+    return lower + (value / 65535) * (packed.upper[i % 3] - lower);
+  });
+}
+
+const hullOf = (hull: PackedHull): Hull => ({
+  vertices: floats(hull.vertices), triangles: indices(hull.triangles), edges: indices(hull.edges),
+});
+const namedHull = (piece: PackedNamedHull): NamedHull => ({ ...piece, hull: hullOf(piece.hull) });
+
+export function readPayload(): Result {
+  const payload = JSON.parse(document.getElementById("payload")!.textContent!) as Payload;
+  return {
+    ...payload,
+    times: floats(payload.times),
+    positions: points(payload.positions),
+    rotations: new Int16Array(bytesOf(payload.rotations)),
+    bodies: payload.bodies.map((body) => ({ ...body, hull: hullOf(body.hull) })),
+    pieces: payload.pieces.map(namedHull),
+    movables: payload.movables.map((movable) => ({
+      ...movable, bodies: movable.bodies.map(namedHull), angles: floats(movable.angles),
+    })),
+    com: floats(payload.com),
+    zmp: floats(payload.zmp),
+    cloud: points(payload.cloud),
+  };
+}
+
+// Index of the frame at or before a time, and how far it is on to the next one (0 to 1).
+export function frameAt(times: Float32Array, t: number): [number, number] {
+  let low = 0;
+  let high = times.length - 1;
+  if (high <= 0 || t <= times[0]) return [0, 0];
+  if (t >= times[high]) return [high, 0];
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (times[middle] <= t) low = middle; else high = middle;
+  }
+  return [low, (t - times[low]) / (times[high] - times[low])];
+}
+
+// Row of a table with one row per frame, read linearly between frames.
+export function rowAt(times: Float32Array, table: Float32Array, width: number, t: number): number[] {
+  const [frame, u] = frameAt(times, t);
+  const next = Math.min(frame + 1, times.length - 1);
+  return Array.from({ length: width }, (_, i) => table[frame * width + i] * (1 - u) + table[next * width + i] * u);
+}
+
+// The entry whose span holds a time; at a border the later one.
+export function spanAt<T extends Span>(spans: T[], t: number): T | undefined {
+  return spans.filter((span) => t >= span.start - 1e-6 && t <= span.end + 1e-6).at(-1);
+}

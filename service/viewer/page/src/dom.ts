@@ -1,0 +1,44 @@
+// Small helpers to build the page; text never goes through innerHTML.
+
+export function el<K extends keyof HTMLElementTagNameMap>(
+  tag: K, className = "", ...content: (Node | string)[]
+): HTMLElementTagNameMap[K] {
+  const element = document.createElement(tag);
+  if (className) element.className = className;
+  element.append(...content);
+  return element;
+}
+
+export function button(className: string, text: string, title: string, act: () => void): HTMLButtonElement {
+  const element = el("button", className, text);
+  element.type = "button";
+  element.title = title;
+  element.setAttribute("aria-label", title);
+  element.addEventListener("click", act);
+  return element;
+}
+
+export function svg(tag: string, attributes: Record<string, string>): SVGElement {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  return element;
+}
+
+const digits = (value: number): string => {
+  const size = Math.abs(value);
+  if (size === 0) return "0";
+  if (size < 1e-3 || size >= 1e5) return value.toExponential(1);
+  return String(Number(value.toPrecision(size >= 100 ? 4 : 3)));
+};
+
+// A figure in the unit people say it in: small metres as millimetres, radians as degrees.
+export function figure(value: number | null | undefined, unit: string | null | undefined): string {
+  if (value === null || value === undefined) return "–";
+  if (unit === "m" && Math.abs(value) < 0.9995) return `${digits(1000 * value)} mm`;
+  if (unit === "rad") return `${digits((180 / Math.PI) * value)}°`;
+  if (unit === "deg") return `${digits(value)}°`;
+  return unit && unit !== "-" ? `${digits(value)} ${unit}` : digits(value);
+}
+
+export const seconds = (t: number): string => `${t.toFixed(2)} s`;
+export const words = (name: string): string => name.replaceAll("_", " ");

@@ -1,0 +1,120 @@
+// Every waypoint as a ghost: coloured by its time, fading with its distance in time from now.
+import {
+  Color, DoubleSide, Group, InstancedBufferAttribute, InstancedMesh, Matrix4, NotEqualStencilFunc, ShaderMaterial, Vector3,
+} from "three";
+import { Body } from "./data";
+import { hullGeometry } from "./geometry";
+import { Layer } from "./layer";
+import { Motion } from "./motion";
+import { Colours, timeColour } from "./theme";
+
+const VERTEX = `
+attribute vec3 tint;
+attribute float strength;
+varying vec3 vView;
+varying vec3 vTint;
+varying float vStrength;
+void main() {
+  vec4 place = modelViewMatrix * instanceMatrix * vec4(position, 1.0);
+  vView = place.xyz;
+  vTint = tint;
+  vStrength = strength;
+  gl_Position = projectionMatrix * place;
+}`;
+
+// Flat faces seen head-on stay thin, those at a slant glow: outlines read, what lies behind is not hidden.
+const FRAGMENT = `
+uniform float gain;
+varying vec3 vView;
+varying vec3 vTint;
+varying float vStrength;
+void main() {
+  if (vStrength < 0.004) discard;
+  vec3 normal = normalize(cross(dFdx(vView), dFdy(vView)));
+  float slant = 1.0 - abs(dot(normal, normalize(vView)));
+  float light = 0.72 + 0.38 * abs(normal.y);
+  gl_FragColor = vec4(vTint * light, min(0.9, gain * vStrength * (0.30 + 0.70 * slant * slant)));
+  #include <colorspace_fragment>
+}`;
+
+interface Part { mesh: InstancedMesh; strength: InstancedBufferAttribute; poses: Matrix4[]; link: number; radius: number; fresh: boolean[] }
+
+// Largest displacement between two poses of points within radius of the link's origin [m].
+function displacement(a: Matrix4, b: Matrix4, radius: number): number {
+  const p = a.elements;
+  const q = b.elements;
+  let turn = 0;
+  for (let i = 0; i < 3; i++) turn = Math.max(turn, Math.hypot(p[4 * i] - q[4 * i], p[4 * i + 1] - q[4 * i + 1], p[4 * i + 2] - q[4 * i + 2]));
+  return Math.hypot(p[12] - q[12], p[13] - q[13], p[14] - q[14]) + turn * radius;
+}
+
+export class Ghosts implements Layer {
+  readonly name = "ghosts";
+  readonly label = "Waypoint ghosts";
+  readonly key = "g";
+  readonly group = new Group();
+  readonly times: number[];
+  private readonly parts: Part[] = [];
+  private readonly material = new ShaderMaterial({
+    vertexShader: VERTEX, fragmentShader: FRAGMENT, uniforms: { gain: { value: 1 } },
+    transparent: true, depthWrite: false, side: DoubleSide, stencilWrite: true, stencilRef: 1, stencilFunc: NotEqualStencilFunc,
+  });
+  private focus = -1;
+  private now = 0;
+
+  constructor(bodies: Body[], private readonly motion: Motion, waypoints: number[]) {
+    this.times = motion.nFrames > 0 ? waypoints.map((frame) => motion.timeOfFrame(frame)) : [];
+    if (this.times.length === 0) return;
+    const span = Math.max(motion.end - motion.start, 1e-9);
+    const tints = new Float32Array(this.times.flatMap((t) => (timeColour((t - motion.start) / span) as Color).toArray()));
+    for (const body of bodies) {
+      const link = motion.links.indexOf(body.link);
+      const geometry = hullGeometry(body.hull);
+      const strength = new InstancedBufferAttribute(new Float32Array(this.times.length), 1);
+      geometry.setAttribute("tint", new InstancedBufferAttribute(tints, 3));
+      geometry.setAttribute("strength", strength);
+      const mesh = new InstancedMesh(geometry, this.material, this.times.length);
+      mesh.frustumCulled = false;
+      mesh.renderOrder = 4;
+      const poses = this.times.map((t) => motion.matrix(link, t));
+      poses.forEach((pose, i) => mesh.setMatrixAt(i, pose));
+      const sphere = geometry.boundingSphere!;
+      const radius = sphere.center.distanceTo(new Vector3()) + sphere.radius;
+      // A body that stands still is drawn once, not as often as there are waypoints.
+      let kept = poses[0];
+      const fresh = poses.map((pose, i) => {
+        const moved = i === 0 || displacement(pose, kept, radius) > 0.012;
+        if (moved) kept = pose;
+        return moved;
+      });
+      this.parts.push({ mesh, strength, poses, link, radius, fresh });
+      this.group.add(mesh);
+    }
+  }
+
+  get count(): number { return this.times.length; }
+
+  // Show one ghost strongly (or none: -1).
+  setFocus(index: number): void {
+    this.focus = index;
+    this.update(this.now);
+  }
+
+  update(t: number): void {
+    this.now = t;
+    const span = Math.max(this.motion.end - this.motion.start, 1e-9);
+    for (const part of this.parts) {
+      const pose = this.motion.matrix(part.link, t);
+      this.times.forEach((time, i) => {
+        if (i === this.focus) return void part.strength.setX(i, 1.6);
+        const away = displacement(pose, part.poses[i], part.radius);
+        const apart = Math.min(Math.max((away - 0.015) / 0.06, 0), 1);  // hides what the robot itself stands in
+        const near = Math.exp(-Math.abs(time - t) / (0.16 * span));
+        part.strength.setX(i, part.fresh[i] ? apart * (0.07 + 0.40 * near) : 0);
+      });
+      part.strength.needsUpdate = true;
+    }
+  }
+
+  recolour(colours: Colours): void { this.material.uniforms.gain.value = colours.ghost; }
+}

@@ -1,0 +1,73 @@
+// The top bar: verdict, what was planned, its key figures, cameras and theme; and the help overlay.
+import { Result } from "./data";
+import { button, el, figure, seconds, words } from "./dom";
+import { Layer } from "./layer";
+import { VIEWS, View } from "./stage";
+
+const GOOD = "CERTIFIED";
+const FAIR = "FEASIBLE_AT_SAMPLES";
+const MEANING: Record<string, string> = {
+  CERTIFIED: "collision-free, balanced and within limits on the whole curve, with proof",
+  FEASIBLE_AT_SAMPLES: "holds at dense samples; a proof is missing",
+  NOT_FOUND: "no feasible trajectory found; this is the best attempt",
+  INFEASIBLE: "no trajectory can exist",
+  TIME_LIMIT: "out of time; this is the best attempt so far",
+  CANCELLED: "stopped by the user; this is the best attempt so far",
+};
+
+export const tone = (verdict: string): "good" | "fair" | "bad" => (verdict === GOOD ? "good" : verdict === FAIR ? "fair" : "bad");
+
+function chip(name: string, value: string, title = ""): HTMLElement {
+  const element = el("span", "chip", el("small", "", name), el("b", "", value));
+  element.title = title;
+  return element;
+}
+
+export interface Header { element: HTMLElement; setView(view: View | null): void; setXray(on: boolean): void }
+
+export function makeHeader(
+  result: Result, show: (view: View) => void, toggle: { theme(): void; xray(): void; help(): void; panel(): void },
+): Header {
+  const chips = el("div", "chips");
+  if (typeof result.min_clearance_m === "number") {
+    const pair = result.min_clearance_pair.join(" ↔ ");
+    chips.append(chip("clearance", figure(result.min_clearance_m, "m"), pair));
+  }
+  if (typeof result.min_balance_margin_m === "number") chips.append(chip("balance", figure(result.min_balance_margin_m, "m")));
+  if (typeof result.figures.turned_deg === "number") chips.append(chip("turned", figure(result.figures.turned_deg, "deg")));
+  if (typeof result.planning_time_s === "number") chips.append(chip("planned in", seconds(result.planning_time_s)));
+
+  const names: Record<View, string> = { "3d": "3D", front: "Front", side: "Side", top: "Top", hand: "Hand" };
+  const views = new Map(VIEWS.map((view, i) => [view, button("", names[view], `${names[view]} view (${i + 1})`, () => show(view))]));
+  const xray = button("", "X-ray", "See through the robot (x)", toggle.xray);
+  const tools = el(
+    "div", "tools", el("div", "segmented", ...views.values()), xray,
+    button("round", "◐", "Dark or light (d)", toggle.theme), button("round", "?", "Keys (?)", toggle.help),
+    button("round", "☰", "Panel (Tab)", toggle.panel),
+  );
+  const verdict = el("div", `verdict ${tone(result.verdict)}`, words(result.verdict || "NO VERDICT"));
+  verdict.title = MEANING[result.verdict] ?? "";
+  const title = [result.robot, result.task].filter(Boolean).map(words).join(" · ");
+  const says = el("span", "says", MEANING[result.verdict] ?? "");
+  const element = el("header", "top", verdict, el("div", "what", el("h1", "", title || "scene"), says), chips, tools);
+  return {
+    element,
+    setView: (view) => views.forEach((item, name) => item.classList.toggle("on", name === view)),
+    setXray: (on) => xray.classList.toggle("on", on),
+  };
+}
+
+export function makeHelp(layers: Layer[]): HTMLElement {
+  const keys: [string, string][] = [
+    ["space", "play or pause"], ["← →", "previous, next waypoint"], [", .", "previous, next frame"],
+    ["[ ]", "previous, next phase"], ["Home End", "start, end"], ["+ −", "faster, slower"], ["1 … 5", "3D, front, side, top, hand"],
+    ["n", "next check"], ["x", "x-ray"], ["h", "follow the hand"], ["d", "dark or light"], ["l", "labels"], ["s", "save a picture"],
+    ["Tab", "panel"], ["Esc", "close, deselect"], ...layers.map((layer): [string, string] => [layer.key, layer.label.toLowerCase()]),
+  ];
+  const list = el("div", "keys", ...keys.flatMap(([key, what]) => [el("kbd", "", key), el("span", "", what)]));
+  const mouse = el("p", "", "Drag turns, right drag shifts, wheel zooms, double click looks at a place, hovering names it.");
+  const help = el("div", "help", el("div", "card", el("h2", "", "Keys"), list, mouse));
+  help.hidden = true;
+  help.addEventListener("click", () => { help.hidden = true; });
+  return help;
+}

@@ -1,0 +1,14 @@
+// What every part of the scene offers to the page.
+import { Group } from "three";
+import { Colours } from "./theme";
+
+export interface Layer {
+  readonly name: string;   // as in the URL's layers=...
+  readonly label: string;  // as in the panel
+  readonly key: string;    // keyboard toggle
+  readonly group: Group;
+  readonly count: number;  // how many things it shows
+  update?(t: number): void;
+  recolour(colours: Colours): void;
+  xray?(on: boolean): void;
+}

@@ -1,0 +1,73 @@
+// The checks at the places they speak of: failed ones always, any other while it is selected.
+import { Group, Mesh, MeshStandardMaterial, Vector3 } from "three";
+import { Check } from "./data";
+import { figure } from "./dom";
+import { Label, Labels } from "./labels";
+import { Layer } from "./layer";
+import { Motion } from "./motion";
+import { Colours } from "./theme";
+
+export class Marks implements Layer {
+  readonly name = "checks";
+  readonly label = "Check marks";
+  readonly key = "v";
+  readonly group = new Group();
+  readonly places: (Vector3 | undefined)[];
+  private readonly own: (Label | undefined)[];
+  private readonly glow = new MeshStandardMaterial({ flatShading: true, emissiveIntensity: 0.35, roughness: 0.6 });
+  private lit: { mesh: Mesh; material: Mesh["material"] }[] = [];
+  private selected = -1;
+
+  constructor(
+    private readonly checks: Check[], motion: Motion, labels: Labels, private readonly solids: () => { name: string; mesh: Mesh }[],
+  ) {
+    this.places = checks.map((check) => {
+      const where = check.where;
+      if (where?.position && where.position.length === 3) return new Vector3().fromArray(where.position);
+      const found = (where?.names ?? []).map((name) => motion.place(name.split("/")[0], where?.time_s ?? motion.start));
+      return found.find((place) => place !== undefined);
+    });
+    this.own = checks.map((check, i) => {
+      const at = this.places[i];
+      if (!at) return undefined;
+      const text = `${check.name} ${figure(check.value, check.unit)}`;
+      const label: Label = { at, text, kind: check.ok ? "good" : "bad", isOn: false };
+      labels.add(label);
+      return label;
+    });
+    // Failed bodies glow in the colour that means failure.
+    Object.assign(this.glow, { stencilWrite: false });
+    this.refresh();
+  }
+
+  get count(): number { return this.own.filter((label) => label?.isOn).length; }
+
+  get chosen(): number { return this.selected; }
+
+  select(index: number): void {
+    this.selected = index;
+    for (const { mesh, material } of this.lit) mesh.material = material;
+    this.lit = [];
+    const check = this.checks[index];
+    if (check && !check.ok) {
+      const names = new Set(check.where?.names ?? []);
+      for (const { name, mesh } of this.solids()) {
+        if (!names.has(name) && !names.has(name.split("/")[0])) continue;
+        this.lit.push({ mesh, material: mesh.material });
+        mesh.material = this.glow;
+      }
+    }
+    this.refresh();
+  }
+
+  refresh(): void {
+    this.own.forEach((label, i) => {
+      if (label) label.isOn = this.group.visible && (!this.checks[i].ok || i === this.selected);
+    });
+  }
+
+  recolour(colours: Colours): void {
+    this.glow.color.set(colours.bad);
+    this.glow.emissive.set(colours.bad);
+  }
+}

@@ -1,0 +1,120 @@
+// The side panel: what stands in the way, the checks with their figures, the current phase, layers, notes.
+import { Check, Phase, Result } from "./data";
+import { button, el, figure, seconds, words } from "./dom";
+import { Layer } from "./layer";
+
+function section(title: string, ...content: (Node | string)[]): HTMLElement {
+  return el("section", "", el("h2", "", title), ...content);
+}
+
+function table(rows: [string, string][]): HTMLElement {
+  return el("dl", "figures", ...rows.flatMap(([name, value]) => [el("dt", "", name), el("dd", "", value)]));
+}
+
+function asText(value: unknown): string {
+  if (typeof value === "number") return figure(value, null);
+  if (Array.isArray(value)) return value.map(asText).join(", ");
+  return typeof value === "object" && value !== null ? JSON.stringify(value) : String(value);
+}
+
+// turned_deg: 360 reads "turned 360°".
+function figureRow([name, value]: [string, unknown]): [string, string] {
+  const unit = /_(deg|rad|m|s)$/.exec(name)?.[1];
+  if (typeof value === "number" && unit) return [words(name.slice(0, -unit.length - 1)), figure(value, unit)];
+  return [words(name), asText(value)];
+}
+
+export class Panel {
+  readonly element = el("aside", "panel");
+  private readonly phase = el("div", "now");
+  private readonly rows = new Map<number, HTMLElement>();
+  private readonly boxes = new Map<Layer, HTMLInputElement>();
+  private shown: Phase | undefined;
+
+  constructor(result: Result, layers: Layer[], choose: (index: number) => void, toggle: (layer: Layer) => void) {
+    const order = result.checks.map((_, i) => i).sort((a, b) => Number(result.checks[a].ok) - Number(result.checks[b].ok));
+    const failed = result.checks.filter((check) => !check.ok).length;
+    const scroll = el("div", "scroll");
+    if (result.explanation.length > 0) {
+      scroll.append(section("What stands in the way", el("ul", "why", ...result.explanation.map((line) => el("li", "", line)))));
+    }
+    if (result.checks.length > 0) {
+      const title = failed > 0 ? `Checks · ${failed} of ${result.checks.length} failed` : `Checks · all ${result.checks.length} hold`;
+      scroll.append(section(title, el("div", "checks", ...order.map((i) => this.check(result.checks[i], i, choose)))));
+    }
+    if (result.phases.length > 0) scroll.append(section("Now", this.phase));
+    scroll.append(section("Layers", el("div", "layers", ...layers.map((layer) => this.layer(layer, toggle)))));
+    const figures = Object.entries(result.figures).map(figureRow);
+    if (figures.length > 0) scroll.append(section("Figures", table(figures)));
+    if (result.notes.length > 0) scroll.append(section("Notes", el("ul", "notes", ...result.notes.map((line) => el("li", "", line)))));
+    const timings = Object.entries(result.timings).map(([name, value]): [string, string] => [words(name), seconds(Number(value))]);
+    if (timings.length > 0) scroll.append(section("Planning", table(timings)));
+    if (result.request_hash) scroll.append(el("p", "hash", result.request_hash));
+    this.element.append(this.grip(), scroll);
+  }
+
+  private check(check: Check, index: number, choose: (index: number) => void): HTMLElement {
+    const hasValue = check.value !== null && check.value !== undefined;
+    const limit = check.limit === null || check.limit === undefined ? "" : `limit ${figure(check.limit, check.unit)}`;
+    const row = button(`check ${check.ok ? "ok" : "fail"}`, "", `Show where: ${check.name}`, () => choose(index));
+    row.append(
+      el("span", "mark", check.ok ? "✓" : "✕"), el("span", "name", words(check.name)),
+      el("span", "value", hasValue ? figure(check.value, check.unit) : ""), el("span", "limit", limit),
+    );
+    const where = check.where ?? {};
+    const place = [...(where.names ?? []).slice(0, 1), ...(where.names ?? []).slice(1, 2)].join(" ↔ ");
+    const time = typeof where.time_s === "number" ? `t ${seconds(where.time_s)}` : "";
+    const detail = [place, time].filter(Boolean).join(" · ");
+    row.append(el("span", "detail", detail));
+    if (check.text) row.append(el("span", "text", check.text));
+    this.rows.set(index, row);
+    return row;
+  }
+
+  private layer(layer: Layer, toggle: (layer: Layer) => void): HTMLElement {
+    const box = el("input");
+    box.type = "checkbox";
+    box.checked = layer.group.visible;
+    box.disabled = layer.count === 0 && layer.name !== "floor" && layer.name !== "checks";
+    box.addEventListener("change", () => toggle(layer));
+    this.boxes.set(layer, box);
+    const count = layer.count > 0 && layer.name !== "checks" ? layer.count.toLocaleString("en") : "";
+    const row = el("label", box.disabled ? "layer empty" : "layer", box, el("span", "name", layer.label), el("span", "many", count));
+    row.append(el("kbd", "", layer.key));
+    return row;
+  }
+
+  // The panel's width follows its left edge.
+  private grip(): HTMLElement {
+    const grip = el("div", "grip");
+    grip.addEventListener("pointerdown", (event) => grip.setPointerCapture(event.pointerId));
+    grip.addEventListener("pointermove", (event) => {
+      if (!grip.hasPointerCapture(event.pointerId)) return;
+      const width = Math.min(Math.max(window.innerWidth - event.clientX, 240), 0.6 * window.innerWidth);
+      document.documentElement.style.setProperty("--panel", `${width}px`);
+    });
+    return grip;
+  }
+
+  select(index: number): void {
+    for (const [i, row] of this.rows) row.classList.toggle("chosen", i === index);
+    this.rows.get(index)?.scrollIntoView({ block: "nearest" });
+  }
+
+  setLayer(layer: Layer): void { this.boxes.get(layer)!.checked = layer.group.visible; }
+
+  setPhase(phase: Phase | undefined): void {
+    if (phase === this.shown) return;
+    this.shown = phase;
+    if (!phase) return this.phase.replaceChildren();
+    const rows: [string, string][] = [["phase", words(phase.name)]];
+    const contacts = (phase.contacts ?? []).map((contact) => contact.link);
+    if (contacts.length > 0) rows.push(["planted", contacts.join(", ")]);
+    const targets = (phase.targets ?? []).map((target) => [target.frame, target.kind].filter(Boolean).join(" on "));
+    if (targets.length > 0) rows.push(["target", [...new Set(targets)].join(", ")]);
+    for (const allowance of phase.allowances ?? []) {
+      rows.push(["may touch", `${allowance.link} ↔ ${allowance.other}, to ${figure(allowance.depth, "m")}`]);
+    }
+    this.phase.replaceChildren(table(rows));
+  }
+}

@@ -1,0 +1,138 @@
+// The time bar: phases by name, waypoints as ticks, failed checks as flags, balance as a curve; drag to scrub.
+import { Result, rowAt, spanAt } from "./data";
+import { button, el, seconds, svg, words } from "./dom";
+import { insideBy } from "./geometry";
+import { timeColour } from "./theme";
+
+export interface Player {
+  readonly start: number; readonly end: number; readonly time: number; readonly isPlaying: boolean; readonly speed: number;
+  seek(t: number): void; toggle(): void; setSpeed(speed: number): void; step(direction: number): void;
+  focusGhost(index: number): void; chooseCheck(index: number): void;
+}
+
+export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+const hex = (u: number): string => `#${timeColour(u).getHexString()}`;
+
+export class Timeline {
+  readonly element: HTMLElement;
+  private readonly track = el("div", "track");
+  private readonly head = el("div", "head");
+  private readonly clock = el("output", "clock");
+  private readonly play: HTMLButtonElement;
+  private readonly speed = el("select", "speed");
+  private readonly phases: { element: HTMLElement; index: number }[] = [];
+
+  constructor(private readonly result: Result, private readonly player: Player, waypoints: number[]) {
+    this.play = button("play", "▶", "Play or pause (space)", () => player.toggle());
+    const back = button("quiet", "⏮", "Previous waypoint (←)", () => player.step(-1));
+    const on = button("quiet", "⏭", "Next waypoint (→)", () => player.step(1));
+    this.speed.title = "Speed (+ and −)";
+    this.speed.setAttribute("aria-label", "Playback speed");
+    for (const speed of SPEEDS) {
+      const option = el("option", "", `${speed}×`);
+      option.value = String(speed);
+      this.speed.append(option);
+    }
+    this.speed.addEventListener("change", () => player.setSpeed(Number(this.speed.value)));
+    this.element = el("footer", "timeline", el("div", "transport", back, this.play, on), this.track, this.clock, this.speed);
+    this.fill(waypoints);
+    this.track.append(this.head);
+    this.track.tabIndex = 0;
+    this.track.setAttribute("role", "slider");
+    this.track.setAttribute("aria-label", "Time");
+    this.track.setAttribute("aria-valuemin", player.start.toFixed(2));
+    this.track.setAttribute("aria-valuemax", player.end.toFixed(2));
+    this.scrub();
+    this.update();
+  }
+
+  private share(t: number): number {
+    return Math.min(Math.max((t - this.player.start) / Math.max(this.player.end - this.player.start, 1e-9), 0), 1);
+  }
+
+  private fill(waypoints: number[]): void {
+    const bar = el("div", "phases");
+    this.result.phases.forEach((phase, index) => {
+      const segment = el("div", "phase", el("span", "", words(phase.name)));
+      segment.title = `${words(phase.name)}: ${seconds(phase.start)} to ${seconds(phase.end)}`;
+      segment.style.left = `${100 * this.share(phase.start)}%`;
+      segment.style.width = `${100 * (this.share(phase.end) - this.share(phase.start))}%`;
+      this.phases.push({ element: segment, index });
+      bar.append(segment);
+    });
+    const ticks = el("div", "ticks");
+    const stops = Array.from({ length: 9 }, (_, i) => `${hex(i / 8)} ${(100 * i) / 8}%`);
+    ticks.style.backgroundImage = `linear-gradient(90deg, ${stops.join(", ")})`;
+    waypoints.forEach((t, index) => {
+      const tick = el("i", "tick");
+      tick.title = `waypoint ${index + 1} of ${waypoints.length} · ${seconds(t)}`;
+      tick.style.left = `${100 * this.share(t)}%`;
+      tick.addEventListener("pointerenter", () => this.player.focusGhost(index));
+      tick.addEventListener("pointerleave", () => this.player.focusGhost(-1));
+      ticks.append(tick);
+    });
+    this.track.append(bar, ticks, this.balanceCurve());
+    this.result.checks.forEach((check, index) => {
+      const t = check.where?.time_s;
+      if (check.ok || t === null || t === undefined) return;
+      const flag = button("flag", "", `${check.name} at ${seconds(t)}`, () => this.player.chooseCheck(index));
+      flag.addEventListener("pointerdown", (event) => event.stopPropagation());
+      flag.style.left = `${100 * this.share(t)}%`;
+      this.track.append(flag);
+    });
+  }
+
+  // Distance of the ZMP inside its polygon over time, with the wanted margin as a line.
+  private balanceCurve(): Element {
+    const { support, times, zmp } = this.result;
+    const curve = svg("svg", { viewBox: "0 0 1000 30", preserveAspectRatio: "none", class: "curve" });
+    const margins: [number, number, number][] = [];
+    for (let i = 0; i <= 240 && support.length > 0 && times.length > 1; i++) {
+      const t = this.player.start + (i / 240) * (this.player.end - this.player.start);
+      const [x, y] = rowAt(times, zmp, 2, t);
+      const current = spanAt(support, t);
+      if (!Number.isFinite(x) || !current || current.polygon.length < 3) continue;
+      margins.push([(1000 * i) / 240, insideBy(current.polygon, x, y), current.margin_m ?? 0]);
+    }
+    if (margins.length < 2) return el("div", "curve");
+    const top = Math.max(...margins.map(([, value, wanted]) => Math.max(value, wanted)), 1e-3) * 1.15;
+    const bottom = Math.min(0, ...margins.map(([, value]) => value));
+    const y = (value: number): string => (29 - (28 * (value - bottom)) / (top - bottom)).toFixed(2);
+    const line = (k: 1 | 2): string => margins.map((row, i) => `${i ? "L" : "M"}${row[0].toFixed(1)} ${y(row[k])}`).join("");
+    const first = margins[0][0].toFixed(1);
+    curve.append(
+      svg("path", { d: `${line(1)}L${margins.at(-1)![0]} ${y(bottom)}L${first} ${y(bottom)}Z`, class: "area" }),
+      svg("path", { d: line(1), class: "value" }), svg("path", { d: line(2), class: "limit" }),
+    );
+    const least = Math.min(...margins.map(([, value]) => value));
+    const note = el("span", "note", `balance: at least ${(1000 * least).toFixed(0)} mm inside`);
+    return el("div", "curve", curve, note);
+  }
+
+  private scrub(): void {
+    const seek = (event: PointerEvent): void => {
+      const rect = this.track.getBoundingClientRect();
+      const u = (event.clientX - rect.left) / rect.width;
+      this.player.seek(this.player.start + u * (this.player.end - this.player.start));
+    };
+    this.track.addEventListener("pointerdown", (event) => {
+      this.track.setPointerCapture(event.pointerId);
+      seek(event);
+    });
+    this.track.addEventListener("pointermove", (event) => {
+      if (this.track.hasPointerCapture(event.pointerId)) seek(event);
+    });
+  }
+
+  update(): void {
+    const { time, end, isPlaying, speed } = this.player;
+    this.head.style.left = `${100 * this.share(time)}%`;
+    this.clock.textContent = `${time.toFixed(2)} / ${seconds(end)}`;
+    this.play.textContent = isPlaying ? "❚❚" : "▶";
+    this.play.classList.toggle("paused", !isPlaying);
+    this.speed.value = String(speed);
+    this.track.setAttribute("aria-valuenow", time.toFixed(2));
+    const current = spanAt(this.result.phases, time);
+    for (const { element, index } of this.phases) element.classList.toggle("current", this.result.phases[index] === current);
+  }
+}

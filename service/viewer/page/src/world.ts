@@ -1,0 +1,229 @@
+// The world: floor with grid, convex pieces, the point cloud, and what the task moves.
+import {
+  AlwaysStencilFunc, BufferAttribute, BufferGeometry, Color, EqualStencilFunc, Float32BufferAttribute, Group,
+  LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, NotEqualStencilFunc, PlaneGeometry, Points,
+  ShaderMaterial, ShadowMaterial, Vector3,
+} from "three";
+import { Movable, NamedHull, Result, rowAt } from "./data";
+import { edgePositions, hullGeometry } from "./geometry";
+import { Layer } from "./layer";
+import { Colours } from "./theme";
+
+const FLOOR_FRAGMENT = `
+uniform vec3 ground;
+uniform vec3 lines;
+uniform vec2 centre;
+uniform float reach;
+varying vec2 vPlace;
+float grid(float step, float width) {
+  vec2 cell = vPlace / step;
+  vec2 density = fwidth(cell);
+  vec2 distance = abs(fract(cell - 0.5) - 0.5) / density;
+  float line = 1.0 - clamp(min(distance.x, distance.y) - width + 0.5, 0.0, 1.0);
+  return line * (1.0 - smoothstep(0.15, 0.6, max(density.x, density.y)));
+}
+void main() {
+  float away = length(vPlace - centre) / reach;
+  float fade = 1.0 - smoothstep(0.25, 1.0, away);
+  float line = max(0.55 * grid(1.0, 0.8), 0.20 * grid(0.25, 0.5));
+  vec3 colour = mix(ground, lines, line);
+  gl_FragColor = vec4(colour, fade * (0.80 + 0.2 * line));
+  #include <colorspace_fragment>
+}`;
+const FLOOR_VERTEX = `
+varying vec2 vPlace;
+void main() {
+  vec4 place = modelMatrix * vec4(position, 1.0);
+  vPlace = place.xy;
+  gl_Position = projectionMatrix * viewMatrix * place;
+}`;
+
+const isFloor = (piece: NamedHull): boolean => piece.kind === "floor";
+
+// Height of the floor under the robot: under the soles, else the top of the floor pieces, else zero.
+export function floorHeight(result: Result): number {
+  const soles = result.phases.flatMap((phase) => phase.contacts ?? []).flatMap((contact) => contact.sole ?? []);
+  if (soles.length > 0) return Math.min(...soles.map((corner) => corner[2]));
+  const tops = result.pieces.filter(isFloor).map((piece) => {
+    let top = -Infinity;
+    for (let i = 2; i < piece.hull.vertices.length; i += 3) top = Math.max(top, piece.hull.vertices[i]);
+    return top;
+  });
+  return tops.length > 0 ? Math.min(...tops) : 0;
+}
+
+export class Floor implements Layer {
+  readonly name = "floor";
+  readonly label = "Floor";
+  readonly key = "f";
+  readonly group = new Group();
+  readonly count: number;
+  private readonly ground: ShaderMaterial;
+  private readonly shade = new ShadowMaterial({ transparent: true, depthWrite: false });
+  private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.35 });
+
+  constructor(result: Result, z: number, centre: Vector3, reach: number) {
+    const slabs = result.pieces.filter(isFloor);
+    this.count = slabs.length;
+    this.ground = new ShaderMaterial({
+      vertexShader: FLOOR_VERTEX, fragmentShader: FLOOR_FRAGMENT, transparent: true, depthWrite: false,
+      uniforms: {
+        ground: { value: new Color() }, lines: { value: new Color() },
+        centre: { value: [centre.x, centre.y] }, reach: { value: reach },
+      },
+    });
+    for (const [material, order] of [[this.ground, -3], [this.shade, -2]] as const) {
+      const plane = new Mesh(new PlaneGeometry(2 * reach, 2 * reach), material);
+      plane.position.set(centre.x, centre.y, z);
+      plane.renderOrder = order;
+      plane.receiveShadow = material === this.shade;
+      this.group.add(plane);
+    }
+    const outline = new BufferGeometry();
+    outline.setAttribute("position", new Float32BufferAttribute(edgePositions(slabs.map((slab) => slab.hull)), 3));
+    const lines = new LineSegments(outline, this.edges);
+    lines.renderOrder = -1;
+    this.group.add(lines);
+  }
+
+  recolour(colours: Colours): void {
+    (this.ground.uniforms.ground.value as Color).set(colours.floor);
+    (this.ground.uniforms.lines.value as Color).set(colours.grid);
+    this.shade.opacity = colours.shadow;
+    this.edges.color.set(colours.grid);
+  }
+}
+
+// All pieces of the world but the floor: thin glass with crisp edges, thinner still in front of the robot.
+export class Pieces implements Layer {
+  readonly name = "pieces";
+  readonly label = "Convex pieces";
+  readonly key = "p";
+  readonly group = new Group();
+  readonly count: number;
+  readonly solids: { name: string; mesh: Mesh }[];
+  private readonly glass = [NotEqualStencilFunc, EqualStencilFunc].map((stencilFunc, i) => new MeshStandardMaterial({
+    transparent: true, opacity: i === 0 ? 0.20 : 0.05, depthWrite: false, flatShading: true, roughness: 1,
+    stencilWrite: true, stencilRef: 1, stencilFunc,
+  }));
+  private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.65 });
+  private readonly beyond = new LineBasicMaterial({
+    transparent: true, opacity: 0.16, stencilWrite: true, stencilRef: 1, stencilFunc: EqualStencilFunc,
+  });
+
+  constructor(result: Result) {
+    const pieces = result.pieces.filter((piece) => !isFloor(piece));
+    this.count = pieces.length;
+    this.solids = pieces.map((piece) => ({ name: piece.name, mesh: new Mesh(hullGeometry(piece.hull), this.glass[0]) }));
+    for (const { mesh } of this.solids) {
+      for (const material of this.glass) {
+        const copy = material === this.glass[0] ? mesh : new Mesh(mesh.geometry, material);
+        copy.renderOrder = 2;
+        this.group.add(copy);
+      }
+    }
+    const outline = new BufferGeometry();
+    outline.setAttribute("position", new Float32BufferAttribute(edgePositions(pieces.map((piece) => piece.hull)), 3));
+    Object.assign(this.edges, { stencilWrite: true, stencilRef: 1, stencilFunc: NotEqualStencilFunc });
+    for (const material of [this.edges, this.beyond]) {
+      const lines = new LineSegments(outline, material);
+      lines.renderOrder = 3;
+      this.group.add(lines);
+    }
+  }
+
+  recolour(colours: Colours): void {
+    for (const material of this.glass) material.color.set(colours.piece);
+    for (const material of [this.edges, this.beyond]) material.color.set(colours.pieceEdge);
+  }
+
+  // In x-ray the robot no longer keeps its pixels for itself.
+  xray(on: boolean): void {
+    this.glass[0].stencilFunc = this.edges.stencilFunc = on ? AlwaysStencilFunc : NotEqualStencilFunc;
+    this.glass[1].visible = this.beyond.visible = !on;
+  }
+}
+
+export class Cloud implements Layer {
+  readonly name = "cloud";
+  readonly label = "Point cloud";
+  readonly key = "c";
+  readonly group = new Group();
+  readonly count: number;
+  private readonly material = new ShaderMaterial({
+    transparent: true, depthWrite: false,
+    uniforms: { colour: { value: new Color() }, pixels: { value: Math.min(window.devicePixelRatio, 2) } },
+    vertexShader: `
+      uniform float pixels;
+      varying float vNear;
+      void main() {
+        vec4 place = modelViewMatrix * vec4(position, 1.0);
+        vNear = clamp(5.0 / -place.z, 0.35, 1.0);
+        gl_PointSize = pixels * clamp(9.0 / -place.z, 1.6, 4.0);
+        gl_Position = projectionMatrix * place;
+      }`,
+    fragmentShader: `
+      uniform vec3 colour;
+      varying float vNear;
+      void main() {
+        if (length(gl_PointCoord - 0.5) > 0.5) discard;
+        gl_FragColor = vec4(colour, 0.55 * vNear);
+        #include <colorspace_fragment>
+      }`,
+  });
+
+  constructor(points: Float32Array) {
+    this.count = points.length / 3;
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(points, 3));
+    const cloud = new Points(geometry, this.material);
+    cloud.renderOrder = 1;
+    if (this.count > 0) this.group.add(cloud);
+  }
+
+  recolour(colours: Colours): void { (this.material.uniforms.colour.value as Color).set(colours.cloud); }
+}
+
+export class Movables implements Layer {
+  readonly name = "movables";
+  readonly label = "Moved objects";
+  readonly key = "m";
+  readonly group = new Group();
+  readonly solids: { name: string; mesh: Mesh }[] = [];
+  private readonly material = new MeshStandardMaterial({ flatShading: true, roughness: 0.45, metalness: 0.15 });
+  private readonly hub = new MeshStandardMaterial({ flatShading: true, roughness: 0.5, metalness: 0.2 });
+  private readonly turning: { group: Group; movable: Movable }[] = [];
+
+  constructor(private readonly result: Result) {
+    for (const movable of result.movables) {
+      const origin = new Vector3().fromArray(movable.origin);
+      const group = new Group();
+      group.position.copy(origin);
+      for (const body of movable.bodies) {
+        const mesh = new Mesh(hullGeometry(body.hull), body.kind === "hub" ? this.hub : this.material);
+        mesh.position.copy(origin).negate();
+        mesh.castShadow = true;
+        mesh.receiveShadow = true;
+        this.solids.push({ name: body.name, mesh });
+        group.add(mesh);
+      }
+      this.turning.push({ group, movable });
+      this.group.add(group);
+    }
+  }
+
+  get count(): number { return this.result.movables.length; }
+
+  update(t: number): void {
+    for (const { group, movable } of this.turning) {
+      if (movable.angles.length === 0) continue;
+      const [angle] = rowAt(this.result.times, movable.angles, 1, t);
+      group.quaternion.setFromAxisAngle(new Vector3().fromArray(movable.axis).normalize(), angle);
+    }
+  }
+
+  recolour(colours: Colours): void {
+    this.material.color.set(colours.movable);
+    this.hub.color.set(colours.movable).multiplyScalar(0.6);
+  }
+}

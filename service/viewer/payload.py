@@ -1,0 +1,154 @@
+"""A result as the viewer page reads it: thinned to the frame rate, packed, and free of what is not drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from service.viewer.frames import kept_samples, packed, quantized
+from service.viewer.hulls import convex_mesh
+from service.viewer.placements import LinkPlacements
+
+MAX_CLOUD_POINTS = 60_000
+
+
+def payload_of(result: Mapping[str, Any], placements: LinkPlacements) -> dict[str, Any]:
+    """Everything the page draws, JSON-ready.
+
+    Args:
+        result: a parsed ``result.json`` (docs/result-format.md).  Whatever a result without a trajectory lacks may
+            be missing or null.
+        placements: the links of ``result["bodies"]`` at the samples of ``result["trajectory"]``, or a single pose
+            or none when there is no trajectory.
+
+    Raises:
+        ValueError: placements and trajectory have different numbers of samples, or a body's link has no placement.
+    """
+    times = sample_times(result, placements)
+    missing = sorted({body["link"] for body in _list(result, "bodies")} - set(placements.links))
+    if missing and len(times):
+        raise ValueError(f"no placement for link {missing[0]!r} of the result's bodies")
+    phases, waypoints = _list(result, "phases"), [int(i) for i in _list(result, "waypoints")]
+    kept = kept_samples(times, [*waypoints, *(int(p[end]) for p in phases for end in ("first", "last"))])
+    poses = placements.poses[kept]
+    return {
+        **_summary(result),
+        "times": packed(times[kept], "f4"),
+        "links": list(placements.links),
+        "positions": quantized(poses[..., :3]),
+        "rotations": packed(np.round(poses[..., 3:] * 32767.0), "i2"),
+        "bodies": [{"name": b["name"], "link": b["link"], "hull": hull_of(b)} for b in _list(result, "bodies")],
+        "pieces": [_named_hull(piece) for piece in _list(result, "pieces")],
+        "movables": [_movable(movable, len(times), kept) for movable in _list(result, "movables")],
+        "waypoints": np.searchsorted(kept, [i for i in waypoints if 0 <= i < len(times)]).tolist(),
+        "phases": [_timed(phase, times) for phase in phases],
+        "support": [_timed(polygon, times) for polygon in _list(result, "support_polygons")],
+        "com": packed(_rows(result, "com", len(times), 3)[kept], "f4"),
+        "zmp": packed(_rows(result, "zmp", len(times), 2)[kept], "f4"),
+        "cloud": quantized(_cloud(result)),
+    }
+
+
+def sample_times(result: Mapping[str, Any], placements: LinkPlacements) -> Float[np.ndarray, "S"]:
+    """Times of the placements [s]; a single pose without a trajectory stands at 0."""
+    trajectory = result.get("trajectory") or {}
+    times = np.asarray(trajectory.get("times") or [], dtype=float)
+    n_poses = len(placements.poses)
+    if len(times) == 0 and n_poses <= 1:
+        return np.zeros(n_poses)
+    if len(times) != n_poses:
+        raise ValueError(f"trajectory has {len(times)} samples, placements have {n_poses}")
+    return times
+
+
+def hull_of(body: Mapping[str, Any]) -> dict[str, Any]:
+    """The packed hull of anything with ``vertices``."""
+    mesh = convex_mesh(np.asarray(body["vertices"], dtype=float))
+    return {
+        "vertices": packed(mesh.vertices, "f4"),
+        "triangles": packed(mesh.triangles, "u2"),
+        "edges": packed(mesh.edges, "u2"),
+    }
+
+
+def json_safe(value: Any) -> Any:
+    """The value with numbers that JSON lacks (NaN, infinities) as null and arrays as lists."""
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray):
+        return json_safe(value.tolist())
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, Mapping):
+        return {str(key): json_safe(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_safe(entry) for entry in value]
+    return value
+
+
+def _summary(result: Mapping[str, Any]) -> dict[str, Any]:
+    request = result.get("request") or {}
+    task = request.get("task") if isinstance(request, Mapping) else None
+    robot = result.get("robot") or {}
+    return {
+        "verdict": result.get("verdict", ""),
+        "robot": robot.get("name", ""),
+        "task": next(iter(task), "") if isinstance(task, Mapping) else "",
+        "explanation": _list(result, "explanation"),
+        "notes": _list(result, "notes"),
+        "figures": result.get("figures") or {},
+        "timings": result.get("timings") or {},
+        "planning_time_s": result.get("planning_time_s"),
+        "min_clearance_m": result.get("min_clearance_m"),
+        "min_clearance_pair": result.get("min_clearance_pair") or [],
+        "min_balance_margin_m": result.get("min_balance_margin_m"),
+        "request_hash": result.get("request_hash", ""),
+        "checks": _list(result, "checks"),
+    }
+
+
+def _list(result: Mapping[str, Any], key: str) -> Sequence[Any]:
+    return result.get(key) or []
+
+
+def _named_hull(piece: Mapping[str, Any]) -> dict[str, Any]:
+    return {"name": piece["name"], "kind": piece.get("kind", "obstacle"), "hull": hull_of(piece)}
+
+
+def _movable(movable: Mapping[str, Any], n_samples: int, kept: Int[np.ndarray, "F"]) -> dict[str, Any]:
+    angles = np.asarray(movable.get("angles") or [], dtype=float)
+    if len(angles) != n_samples:
+        angles = np.full(n_samples, angles[0] if len(angles) else 0.0)
+    return {
+        "name": movable["name"],
+        "origin": list(movable["origin"]),
+        "axis": list(movable["axis"]),
+        "bodies": [_named_hull(body) for body in movable["bodies"]],
+        "angles": packed(angles[kept], "f4"),
+    }
+
+
+def _timed(entry: Mapping[str, Any], times: Float[np.ndarray, "S"]) -> dict[str, Any]:
+    """An entry that spans samples ``first`` to ``last`` with its times ``start`` and ``end`` [s] instead."""
+    rest = {key: value for key, value in entry.items() if key not in ("first", "last")}
+    if len(times) == 0:
+        return {**rest, "start": 0.0, "end": 0.0}
+    first, last = (int(np.clip(entry[end], 0, len(times) - 1)) for end in ("first", "last"))
+    return {**rest, "start": float(times[first]), "end": float(times[last])}
+
+
+def _rows(result: Mapping[str, Any], key: str, n_samples: int, width: int) -> Float[np.ndarray, "S w"]:
+    """A per-sample table, or NaN rows where the result has none (the page draws nothing there)."""
+    rows = np.asarray(_list(result, key), dtype=float)
+    return rows if rows.shape == (n_samples, width) else np.full((n_samples, width), np.nan)
+
+
+def _cloud(result: Mapping[str, Any]) -> Float[np.ndarray, "N 3"]:
+    points = np.asarray(_list(result, "cloud"), dtype=float).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    stride: Iterable[int] | slice = slice(None, None, max(1, -(-len(points) // MAX_CLOUD_POINTS)))
+    return np.asarray(points[stride])
