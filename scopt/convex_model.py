@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,12 +29,14 @@ class ConvexModel:
 
     Attributes:
         squared, absolute, hinge: rows by penalty; constraint rows stand among the latter two, weighted by mu.
+        constraint_rows: where each constraint's rows stand.
         n_waypoints, n: shape of the iterate.
     """
 
     squared: WeightedRows
     absolute: WeightedRows
     hinge: WeightedRows
+    constraint_rows: Mapping[str, tuple[Penalty, slice]]
     n_waypoints: int
     n: int
 
@@ -47,6 +49,21 @@ class ConvexModel:
             + self.hinge.weight @ np.maximum(self.hinge.rows.at(dx), 0.0)
         )
 
+    def corrected(self, dx: Float[np.ndarray, "N"], values: Mapping[str, Float[np.ndarray, "m"]]) -> ConvexModel:
+        """The model with constraint rows moved to agree with their exact ``values`` after the step ``dx``.
+
+        The second-order correction of Nocedal and Wright, Numerical Optimization, 2006, sec. 18.3: the Jacobian is
+        kept, the curvature met on the step is added.  Constraints whose number of rows has changed are left alone.
+        """
+        moved = {Penalty.ABS: self.absolute.rows.value.copy(), Penalty.HINGE: self.hinge.rows.value.copy()}
+        after = {Penalty.ABS: self.absolute.rows.at(dx), Penalty.HINGE: self.hinge.rows.at(dx)}
+        for name, (kind, rows) in self.constraint_rows.items():
+            if len(values[name]) == rows.stop - rows.start:
+                moved[kind][rows] += values[name] - after[kind][rows]
+        absolute = replace(self.absolute, rows=replace(self.absolute.rows, value=moved[Penalty.ABS]))
+        hinge = replace(self.hinge, rows=replace(self.hinge.rows, value=moved[Penalty.HINGE]))
+        return replace(self, absolute=absolute, hinge=hinge)
+
 
 def convexify(problem: Problem[Any], state: Any, penalty: float) -> ConvexModel:
     """Linearise every term of the problem at ``state``; constraints enter as l1 penalties, ``mu = penalty``."""
@@ -55,12 +72,15 @@ def convexify(problem: Problem[Any], state: Any, penalty: float) -> ConvexModel:
     for cost in problem.costs:
         rows = cost.residual.linearize(state)
         parts[cost.penalty].append(WeightedRows(rows, np.full(len(rows.value), cost.weight)))
+    placed: dict[str, tuple[Penalty, slice]] = {}
     for constraint in problem.constraints:
         rows = constraint.residual.linearize(state)
         kind = Penalty.ABS if constraint.sense is Sense.EQUAL_ZERO else Penalty.HINGE
+        start = sum(len(part.weight) for part in parts[kind])
+        placed[constraint.name] = (kind, slice(start, start + len(rows.value)))
         parts[kind].append(WeightedRows(rows, np.full(len(rows.value), penalty * constraint.scale)))
     joined = {kind: _join(parts[kind], n_waypoints * n) for kind in Penalty}
-    return ConvexModel(joined[Penalty.SQUARED], joined[Penalty.ABS], joined[Penalty.HINGE], n_waypoints, n)
+    return ConvexModel(joined[Penalty.SQUARED], joined[Penalty.ABS], joined[Penalty.HINGE], placed, n_waypoints, n)
 
 
 def _join(parts: list[WeightedRows], n_variables: int) -> WeightedRows:
@@ -78,18 +98,23 @@ class Subproblem:
         program: over the free step variables and one slack per l1 row, in stage order.
         step_index: (F,) where each free step variable stands in the program.
         is_free: (N,) which step variables are in the program; the others do not move.
+        row_order: (M,) where each row of the program stands among the hinge, absolute and negated absolute rows.
     """
 
     program: QuadraticProgram
     step_index: Int[np.ndarray, "F"]
     is_free: Bool[np.ndarray, "N"]
+    row_order: Int[np.ndarray, "M"]
+
+    def with_values_of(self, model: ConvexModel) -> Subproblem:
+        """The subproblem of a model that differs in the values of its l1 rows only."""
+        return replace(self, program=replace(self.program, h=_bounds(model)[self.row_order]))
 
     def within(self, lower: Float[np.ndarray, "N"], upper: Float[np.ndarray, "N"]) -> QuadraticProgram:
         """The program for the step bounds ``lower <= dx <= upper``."""
         low, high = self.program.lower.copy(), self.program.upper.copy()
         low[self.step_index], high[self.step_index] = lower[self.is_free], upper[self.is_free]
-        p = self.program
-        return QuadraticProgram(p.P, p.c, p.G, p.h, low, high)
+        return replace(self.program, lower=low, upper=high)
 
     def step(self, solution: Float[np.ndarray, "M"]) -> Float[np.ndarray, "N"]:
         """The step ``dx`` of a solution of the program."""
@@ -121,7 +146,7 @@ def assemble(model: ConvexModel, is_free: Bool[np.ndarray, "N"]) -> Subproblem:
     c = np.zeros(total)
     P = _quadratic(model.squared, column, c, total)
 
-    blocks: list[tuple[sparse.csr_array, np.ndarray]] = []
+    blocks: list[sparse.csr_array] = []
     row_stages: list[np.ndarray] = []
     offset = len(stage_of_step)
     for (part, signs), slack_stage in zip(l1, stage_of_slack, strict=True):
@@ -129,15 +154,19 @@ def assemble(model: ConvexModel, is_free: Bool[np.ndarray, "N"]) -> Subproblem:
         offset += len(slack_stage)
         c[slack] = part.weight
         for sign in signs:
-            blocks.append((_with_slack(part.rows.jacobian, sign, column, slack, total), -sign * part.rows.value))
+            blocks.append(_with_slack(part.rows.jacobian, sign, column, slack, total))
             row_stages.append(slack_stage)
-    rows = sparse.csr_array(sparse.vstack([block for block, _ in blocks], format="csr"))
-    h = np.concatenate([bound for _, bound in blocks])
+    rows = sparse.csr_array(sparse.vstack(blocks, format="csr"))
     by_stage = np.argsort(np.concatenate(row_stages), kind="stable")
     lower, upper = np.full(total, -np.inf), np.full(total, np.inf)
     lower[position[len(stage_of_step) :]] = 0.0
-    program = QuadraticProgram(P, c, sparse.csc_array(rows[by_stage]), h[by_stage], lower, upper)
-    return Subproblem(program, position[: len(stage_of_step)], is_free)
+    program = QuadraticProgram(P, c, sparse.csc_array(rows[by_stage]), _bounds(model)[by_stage], lower, upper)
+    return Subproblem(program, position[: len(stage_of_step)], is_free, by_stage)
+
+
+def _bounds(model: ConvexModel) -> np.ndarray:
+    """Right-hand sides of the hinge, absolute and negated absolute rows."""
+    return np.concatenate([-model.hinge.rows.value, -model.absolute.rows.value, model.absolute.rows.value])
 
 
 def _first_last_column(jacobian: sparse.csr_array) -> tuple[np.ndarray, np.ndarray]:

@@ -35,7 +35,9 @@ class Settings:
         trust_radius: first box [variable units times ``Problem.step_scale``].
         min_trust_radius: below it the inner loop gives up.
         min_improvement, min_improvement_fraction: the middle loop ends when the model promises less than this,
-            absolutely or as a fraction of the merit.
+            absolutely or as a fraction of the merit; ``min_improvement_feasible`` is the fraction that counts once the
+            iterate is feasible.
+        is_corrected: whether a rejected step gets a second-order correction before the box shrinks.
         penalty, penalty_factor, max_penalty_raises: mu of the first outer iteration, its growth, how often.
         max_iterations: trial steps in all.
         time_limit_s: wall time.
@@ -50,6 +52,8 @@ class Settings:
     min_trust_radius: float = 1e-4
     min_improvement: float = 1e-4
     min_improvement_fraction: float = 1e-3
+    min_improvement_feasible: float = 0.02
+    is_corrected: bool = True
     penalty: float = 10.0
     penalty_factor: float = 10.0
     max_penalty_raises: int = 5
@@ -186,7 +190,7 @@ class TrustRegionSQP:
     ) -> bool:
         """The inner loop: try steps in a shrinking box; whether one was taken."""
         settings = self.settings
-        merit = run.current.merit(run.penalty)
+        is_first = True
         while run.trust_radius >= settings.min_trust_radius:
             self._check_interrupts(run, should_stop)
             before = time.perf_counter()
@@ -196,41 +200,85 @@ class TrustRegionSQP:
             if dx is None:
                 run.trust_radius *= settings.shrink
                 continue
-            model_merit = model.merit(dx)
-            promised = merit - model_merit
-            if promised < max(settings.min_improvement, settings.min_improvement_fraction * abs(merit)):
+            merit, model_merit = run.current.merit(run.penalty), model.merit(dx)
+            if merit - model_merit < self._worthwhile(run, merit):
                 return False
-            trial = _evaluate(problem, _clip(problem, run.current.x + dx.reshape(run.current.x.shape)))
-            trial_merit = trial.merit(run.penalty)
-            is_accepted = merit - trial_merit >= settings.accept_ratio * promised
-            shown = trial if is_accepted else run.current
-            record = Iteration(
-                index=len(run.history),
-                penalty=run.penalty,
-                trust_radius=run.trust_radius,
-                merit=merit,
-                trial_merit=trial_merit,
-                model_merit=model_merit,
-                is_accepted=is_accepted,
-                cost=shown.cost,
-                violation=shown.violation,
-                convexify_s=convexify_s,
-                solve_s=solved - before,
-                evaluate_s=time.perf_counter() - solved,
-            )
+            trial = _step(problem, run.current, dx)
+            is_accepted = self._is_good(run, model_merit, trial)
+            if not is_accepted and settings.is_corrected and is_first:
+                trial, is_accepted = self._correct(problem, run, model, subproblem, dx, trial, model_merit)
+            is_first = False
+            timings = (convexify_s, solved - before, time.perf_counter() - solved)
             convexify_s = 0.0
-            run.history.append(record)
-            if trial.is_better_than(run.best):
-                run.best = trial
-            if is_accepted:
-                run.current = trial
-            if on_iteration is not None:
-                on_iteration(record, run.current.x)
+            self._record(run, trial, model_merit, is_accepted, timings, on_iteration)
             if is_accepted:
                 run.trust_radius *= settings.expand
                 return True
             run.trust_radius *= settings.shrink
         return False
+
+    def _worthwhile(self, run: _Run[StateT], merit: float) -> float:
+        """Promised improvements below this end the middle loop."""
+        settings = self.settings
+        is_feasible = run.current.is_feasible
+        fraction = settings.min_improvement_feasible if is_feasible else settings.min_improvement_fraction
+        return max(settings.min_improvement, fraction * abs(merit))
+
+    def _is_good(self, run: _Run[StateT], model_merit: float, trial: _Iterate[StateT]) -> bool:
+        """Whether the exact merit fell by enough of what the model promised."""
+        merit = run.current.merit(run.penalty)
+        return merit - trial.merit(run.penalty) >= self.settings.accept_ratio * (merit - model_merit)
+
+    def _correct(
+        self,
+        problem: Problem[StateT],
+        run: _Run[StateT],
+        model: ConvexModel,
+        subproblem: Subproblem,
+        dx: Float[np.ndarray, "N"],
+        trial: _Iterate[StateT],
+        model_merit: float,
+    ) -> tuple[_Iterate[StateT], bool]:
+        """Second-order correction of a rejected step: the corrected trial if it is good, else the rejected one."""
+        values = {c.name: c.residual.value(trial.state) for c in problem.constraints}
+        corrected = self._solve_in_box(problem, run, subproblem.with_values_of(model.corrected(dx, values)))
+        if corrected is None:
+            return trial, False
+        second = _step(problem, run.current, corrected)
+        return (second, True) if self._is_good(run, model_merit, second) else (trial, False)
+
+    def _record(
+        self,
+        run: _Run[StateT],
+        trial: _Iterate[StateT],
+        model_merit: float,
+        is_accepted: bool,
+        timings: tuple[float, float, float],
+        on_iteration: OnIteration | None,
+    ) -> None:
+        """Write a trial into the history and move to it if it was accepted."""
+        merit = run.current.merit(run.penalty)
+        if trial.is_better_than(run.best):
+            run.best = trial
+        if is_accepted:
+            run.current = trial
+        record = Iteration(
+            index=len(run.history),
+            penalty=run.penalty,
+            trust_radius=run.trust_radius,
+            merit=merit,
+            trial_merit=trial.merit(run.penalty),
+            model_merit=model_merit,
+            is_accepted=is_accepted,
+            cost=run.current.cost,
+            violation=run.current.violation,
+            convexify_s=timings[0],
+            solve_s=timings[1],
+            evaluate_s=timings[2],
+        )
+        run.history.append(record)
+        if on_iteration is not None:
+            on_iteration(record, run.current.x)
 
     def _solve_in_box(
         self, problem: Problem[StateT], run: _Run[StateT], subproblem: Subproblem
@@ -258,8 +306,9 @@ class TrustRegionSQP:
             raise _InterruptedError(Status.ITERATION_LIMIT)
 
 
-def _clip(problem: Problem[Any], x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
-    return np.asarray(np.clip(x, problem.lower, problem.upper))
+def _step(problem: Problem[StateT], current: _Iterate[StateT], dx: Float[np.ndarray, "N"]) -> _Iterate[StateT]:
+    """The iterate after a step, clipped into the bounds."""
+    return _evaluate(problem, np.clip(current.x + dx.reshape(current.x.shape), problem.lower, problem.upper))
 
 
 def _evaluate(problem: Problem[StateT], x: Float[np.ndarray, "T n"]) -> _Iterate[StateT]:

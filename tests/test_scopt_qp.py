@@ -25,7 +25,7 @@ def random_model(rng, n_waypoints, n, span):
     squared = rows(5)
     stacked = AffineRows.stack([squared.rows, identity])
     weights = np.concatenate([squared.weight, np.full(n_waypoints * n, 0.3)])
-    return ConvexModel(WeightedRows(stacked, weights), rows(6), rows(7), n_waypoints, n)
+    return ConvexModel(WeightedRows(stacked, weights), rows(6), rows(7), {}, n_waypoints, n)
 
 
 def best_step(model, name, lower, upper):

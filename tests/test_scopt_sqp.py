@@ -13,7 +13,13 @@ FREE = np.full((1, 2), 1e3)
 
 def solve(costs, constraints, x0, lower=-FREE, upper=FREE, **settings):
     problem = Problem(lower, upper, tuple(costs), tuple(constraints), identity_state)
-    options = {"trust_radius": 1.0, "min_improvement": 1e-10, "min_improvement_fraction": 0.0, "max_iterations": 400}
+    options = {
+        "trust_radius": 1.0,
+        "min_improvement": 1e-10,
+        "min_improvement_fraction": 0.0,
+        "min_improvement_feasible": 0.0,
+        "max_iterations": 400,
+    }
     return TrustRegionSQP(Settings(**(options | settings))).solve(problem, np.atleast_2d(np.asarray(x0, dtype=float)))
 
 
@@ -107,7 +113,7 @@ def test_merit_never_rises_while_the_penalty_stands():
     constraint = Function(lambda x: 10 * (x[1] - x[0] ** 2), lambda x: [[-20 * x[0], 10.0]])
     result = solve([Cost("f", Affine([[-1.0, 0.0]], -1.0))], [Constraint("c", constraint, Sense.EQUAL_ZERO)], [-1.2, 1])
     accepted = [i for i in result.history if i.is_accepted]
-    assert len(accepted) > 3
+    assert len(accepted) >= 3
     for before, after in itertools.pairwise(accepted):
         if before.penalty == after.penalty:
             assert after.merit <= before.merit + 1e-12
@@ -123,7 +129,7 @@ def test_bounds_that_fix_variables_are_kept_exactly():
     problem = Problem(
         lower, upper, (Cost("smooth", smooth),), (Constraint("end", end, Sense.EQUAL_ZERO),), identity_state
     )
-    result = TrustRegionSQP(Settings(min_improvement_fraction=0.0, min_improvement=1e-9)).solve(
+    result = TrustRegionSQP(Settings(min_improvement_feasible=0.0, min_improvement=1e-9)).solve(
         problem, np.zeros((3, 2))
     )
     np.testing.assert_array_equal(result.x[0], [1.0, 2.0])

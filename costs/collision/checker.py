@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import coal
 import numpy as np
 from jaxtyping import Float, Int
@@ -43,8 +45,15 @@ class SweptCollisionChecker:
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = True
         self._result = coal.DistanceResult()
-        pairs = margins.self_pairs
-        self._pairs = np.array([self._swept_last(a, b) for a, b in pairs], dtype=int).reshape(-1, 2)
+        self._pairs = np.array([self._swept_last(a, b) for a, b in margins.self_pairs], dtype=int).reshape(-1, 2)
+
+    def with_margins(self, margins: PairMargins) -> SweptCollisionChecker:
+        """A checker of the same pairs with other margins; it shares this one's work space."""
+        if not np.array_equal(margins.self_pairs, self.margins.self_pairs):
+            raise ValueError("the margins speak of other pairs")
+        other = copy.copy(self)
+        other.margins = margins
+        return other
 
     def _swept_last(self, a: int, b: int) -> tuple[int, int]:
         """The body with fewer vertices is the one that sweeps."""

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.allowance import Allowance
+from costs.collision.contacts import Contacts
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 
@@ -73,3 +74,17 @@ class PairMargins:
                 pairs.append((a, b))
                 own.append(value)
         return PairMargins(world, np.array(pairs, dtype=int).reshape(-1, 2), np.array(own))
+
+    def relaxed_to(self, contacts: Contacts, reserve: float) -> PairMargins:
+        """Margins no larger than the distances of the given contacts less ``reserve`` [m]."""
+        world, own = self.world.copy(), self.own.copy()
+        reach = contacts.distance - reserve
+        rows = ~contacts.is_self
+        np.minimum.at(world, (contacts.body[rows], contacts.other[rows]), reach[rows])
+        index = {(int(a), int(b)): k for k, (a, b) in enumerate(self.self_pairs)}
+        for body, other, limit in zip(
+            contacts.body[~rows].tolist(), contacts.other[~rows].tolist(), reach[~rows].tolist(), strict=True
+        ):
+            pair = index[(min(body, other), max(body, other))]
+            own[pair] = min(own[pair], limit)
+        return PairMargins(world, self.self_pairs, own)

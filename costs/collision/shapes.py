@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import combinations
 
 import coal
@@ -30,8 +31,12 @@ def rewritable_convex(n_points: int) -> coal.Convex:
 
     Every point is a neighbour of every other, so no stale topology can mislead coal's climb to the support point.
     """
-    triangles = _complete_graph(n_points) if n_points > EXHAUSTIVE_LIMIT else np.array([[0, 1, 2]])
-    return _convex(np.zeros((n_points, 3)), triangles)
+    return coal.Convex(_points(np.zeros((n_points, 3))), _rewritable_topology(n_points))
+
+
+@lru_cache(maxsize=64)
+def _rewritable_topology(n_points: int) -> coal.StdVec_Triangle:
+    return _triangles(_complete_graph(n_points) if n_points > EXHAUSTIVE_LIMIT else np.array([[0, 1, 2]]))
 
 
 def _complete_graph(n_points: int) -> Int[np.ndarray, "K 3"]:
@@ -42,9 +47,16 @@ def _complete_graph(n_points: int) -> Int[np.ndarray, "K 3"]:
 
 
 def _convex(points: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "K 3"]) -> coal.Convex:
-    coal_points, coal_triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for point in points:
-        coal_points.append(point)
-    for a, b, c in triangles:
-        coal_triangles.append(coal.Triangle(int(a), int(b), int(c)))
-    return coal.Convex(coal_points, coal_triangles)
+    return coal.Convex(_points(points), _triangles(triangles))
+
+
+def _points(points: Float[np.ndarray, "V 3"]) -> coal.StdVec_Vec3s:
+    out = coal.StdVec_Vec3s()
+    out.extend(list(points))
+    return out
+
+
+def _triangles(triangles: Int[np.ndarray, "K 3"]) -> coal.StdVec_Triangle:
+    out = coal.StdVec_Triangle()
+    out.extend([coal.Triangle(a, b, c) for a, b, c in triangles.tolist()])
+    return out

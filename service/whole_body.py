@@ -1,0 +1,239 @@
+"""What every phase of a motion shares: the robot on its planted feet in a scene, and the terms that keep it there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance
+from costs.collision import PairMargins, SweptCollisionChecker
+from costs.kinematics import KinematicsEngine, planted_poses
+from costs.robot import BASE_NAMES, RobotModel
+from costs.scene import Scene
+from costs.state import MotionState
+from costs.support import SupportPolygon
+from costs.terms import (
+    AxisDirection,
+    CentreOfMassInPolygon,
+    FramePose,
+    JointDifference,
+    JointTarget,
+    SweptClearance,
+)
+from scopt import Constraint, Cost, Problem, Sense
+
+FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
+BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]
+CLEARANCE_TOLERANCE = 2e-3  # of the margin that is aimed at [m]
+LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
+SOLE_BAND = 4e-3  # sole corners are the vertices this close to the lowest one [m]
+BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
+
+
+@dataclass(frozen=True)
+class PlantedLink:
+    """A link that stays where it is.
+
+    Attributes:
+        link: its name.
+        pose_world_link: (4, 4).
+        sole: (C, 3) contact corners in the link's frame [m].
+    """
+
+    link: str
+    pose_world_link: Float[np.ndarray, "4 4"]
+    sole: Float[np.ndarray, "C 3"]
+
+    @property
+    def sole_in_world(self) -> Float[np.ndarray, "C 3"]:
+        """Contact corners in the world [m]."""
+        pose = self.pose_world_link
+        return np.asarray(self.sole @ pose[:3, :3].T + pose[:3, 3])
+
+
+@dataclass(frozen=True)
+class Aims:
+    """What a plan aims at.
+
+    Attributes:
+        margin: clearance from the world and between links [m].
+        balance_margin: how far inside the support polygon the centre of mass stays [m].
+    """
+
+    margin: float = 0.02
+    balance_margin: float = 0.02
+
+
+@dataclass(frozen=True)
+class WholeBody:
+    """A robot on its planted links in a scene.
+
+    Attributes:
+        robot: possibly augmented by a mechanism, whose coordinates come last.
+        scene: convex pieces.
+        engine: kinematics of ``robot``.
+        planted: links that stay where they are.
+        polygon: support polygon of the planted links; None for a fixed base.
+        nominal: (n,) the posture to stay near.
+        aims: margins.
+    """
+
+    robot: RobotModel
+    scene: Scene
+    engine: KinematicsEngine
+    planted: tuple[PlantedLink, ...]
+    polygon: SupportPolygon | None
+    nominal: Float[np.ndarray, "n"]
+    aims: Aims
+
+    @staticmethod
+    def standing(
+        robot: RobotModel, scene: Scene, q: Float[np.ndarray, "n"], feet: Sequence[str], aims: Aims
+    ) -> WholeBody:
+        """The robot planted at configuration ``q`` on the links ``feet`` (none for a fixed base)."""
+        engine = KinematicsEngine(robot)
+        poses = planted_poses(engine, q, feet)
+        planted = tuple(PlantedLink(link, poses[link], _sole(robot, engine, q, link)) for link in feet)
+        polygon = SupportPolygon.of_soles([foot.sole_in_world for foot in planted]) if planted else None
+        return WholeBody(robot, scene, engine, planted, polygon, q, aims)
+
+    def with_robot(self, robot: RobotModel, nominal: Float[np.ndarray, "n"]) -> WholeBody:
+        """The same stance of an augmented robot."""
+        return replace(self, robot=robot, engine=KinematicsEngine(robot), nominal=nominal)
+
+    def checker(
+        self,
+        allowances: Sequence[Allowance] = (),
+        ends: Sequence[Float[np.ndarray, "n"]] = (),
+        overrides: Sequence[tuple[str, str, float]] = (),
+    ) -> SweptCollisionChecker:
+        """A checker whose margins fit the given fixed configurations.
+
+        A pair that is nearer than its margin at a configuration that cannot move is asked for no more than it has
+        there; otherwise no trajectory through it would be feasible.
+        """
+        margins = PairMargins.of(
+            self.robot, self.scene, self.aims.margin, (*self.standing_allowances(), *allowances), overrides
+        )
+        checker = SweptCollisionChecker(self.robot, self.scene, margins)
+        for q in ends:
+            margins = margins.relaxed_to(checker(self.engine(q[None])), reserve=CLEARANCE_TOLERANCE)
+        return checker.with_margins(margins)
+
+    def standing_allowances(self) -> tuple[Allowance, ...]:
+        """Planted links rest on the floor."""
+        floors = [piece.name for piece in self.scene.pieces if piece.kind == "floor"]
+        return tuple(Allowance(foot.link, floor, 0.01) for foot in self.planted for floor in floors)
+
+    def problem(
+        self,
+        lower: Float[np.ndarray, "T n"],
+        upper: Float[np.ndarray, "T n"],
+        checker: SweptCollisionChecker,
+        costs: Sequence[Cost[MotionState]] = (),
+        constraints: Sequence[Constraint[MotionState]] = (),
+        balanced: Sequence[int] | None = None,
+    ) -> Problem[MotionState]:
+        """The standing terms and further ones as one problem.
+
+        Args:
+            lower, upper: bounds, equal where a variable is fixed.
+            checker: swept collision.
+            costs, constraints: of the task.
+            balanced: waypoints at which the centre of mass is inside; all if not given.
+        """
+        n_waypoints = len(lower)
+        everywhere = np.arange(n_waypoints)
+        standing: list[Constraint[MotionState]] = [
+            Constraint(
+                f"planted {foot.link}",
+                FramePose(self.robot, foot.link, everywhere, foot.pose_world_link),
+                Sense.EQUAL_ZERO,
+                FOOT_TOLERANCE,
+            )
+            for foot in self.planted
+        ]
+        if self.polygon is not None:
+            inside = CentreOfMassInPolygon(
+                self.polygon,
+                everywhere if balanced is None else balanced,
+                self.aims.balance_margin + BALANCE_RESERVE,
+            )
+            standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE))
+        for name, is_self in (("collision", False), ("self-collision", True)):
+            clearance = SweptClearance(self.robot, is_self=is_self)
+            standing.append(Constraint(name, clearance, tolerance=CLEARANCE_TOLERANCE))
+
+        def state(x: Float[np.ndarray, "T n"]) -> MotionState:
+            kinematics = self.engine(x)
+            return MotionState(kinematics, checker(kinematics))
+
+        return Problem(
+            lower,
+            upper,
+            (*self._smoothness(n_waypoints), *self._upright(everywhere), *costs),
+            (*standing, *constraints),
+            state,
+            self.step_scale(),
+        )
+
+    def bounds(
+        self, n_waypoints: int, fixed: Mapping[int, Float[np.ndarray, "n"]]
+    ) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]]:
+        """Joint limits with a reserve at free waypoints, the given configurations at fixed ones."""
+        reserve = np.minimum(LIMIT_RESERVE, 0.05 * (self.robot.upper - self.robot.lower))
+        lower = np.tile(self.robot.lower + reserve, (n_waypoints, 1))
+        upper = np.tile(self.robot.upper - reserve, (n_waypoints, 1))
+        for waypoint, q in fixed.items():
+            lower[waypoint] = upper[waypoint] = q
+        return lower, upper
+
+    def step_scale(self) -> Float[np.ndarray, "n"]:
+        """How far a coordinate may step relative to the trust radius."""
+        scale = np.ones(self.robot.n)
+        if self.robot.is_floating:
+            scale[: len(BASE_NAMES)] = BASE_STEP
+        return scale
+
+    def _smoothness(self, n_waypoints: int) -> tuple[Cost[MotionState], ...]:
+        """Joint displacement, scaled so that a finer trajectory of the same motion costs the same."""
+        weights = np.ones(self.robot.n)
+        if self.robot.is_floating:
+            weights[: len(BASE_NAMES)] = 2.0
+        everywhere = np.arange(n_waypoints)
+        joints = np.arange(len(BASE_NAMES) if self.robot.is_floating else 0, self.robot.n)
+        nominal = JointTarget(n_waypoints, self.robot.n, everywhere, joints, self.nominal[joints])
+        costs: list[Cost[MotionState]] = [Cost("nominal posture", nominal, weight=0.05 / n_waypoints)]
+        if n_waypoints > 1:
+            displacement = JointDifference(n_waypoints, weights)
+            costs.append(Cost("displacement", displacement, weight=0.2 * n_waypoints))
+        return tuple(costs)
+
+    def _upright(self, everywhere: np.ndarray) -> tuple[Cost[MotionState], ...]:
+        """Pelvis and torso stay upright, as far as the robot names an upright group."""
+        up = np.array([0.0, 0.0, 1.0])
+        return tuple(
+            Cost(
+                f"upright {link}",
+                AxisDirection(self.robot, link, everywhere, up, up),
+                weight=1.0 / len(everywhere),  # [cost/rad^2], averaged over the waypoints
+            )
+            for link in self.robot.link_groups.get("upright", ())
+        )
+
+
+def _sole(
+    robot: RobotModel, engine: KinematicsEngine, q: Float[np.ndarray, "n"], link: str
+) -> Float[np.ndarray, "C 3"]:
+    """The lowest vertices of a standing link's bodies, in the link's frame."""
+    kinematics = engine(q[None])
+    pose = planted_poses(engine, q, [link])[link]
+    bodies = [body for body in robot.bodies if body.link == link]
+    world = np.concatenate(
+        [b.vertices @ kinematics.rotation[0, b.joint].T + kinematics.position[0, b.joint] for b in bodies]
+    )
+    lowest = world[world[:, 2] < world[:, 2].min() + SOLE_BAND]
+    return np.asarray((lowest - pose[:3, 3]) @ pose[:3, :3])
