@@ -28,11 +28,17 @@ class Allowance:
 
     def covers(self, body_name: str, body_link: str, other_name: str, other_link: str = "") -> bool:
         """Whether it covers this pair, in either order; ``other_link`` is empty for a piece of the scene."""
-        first = (body_name, body_link)
-        second = (other_name, other_link)
-        return (_matches(self.link, first) and _matches(self.other, second)) or (
-            _matches(self.link, second) and _matches(self.other, first)
+        return (self.names_link(body_name, body_link) and self.names_other(other_name, other_link)) or (
+            self.names_link(other_name, other_link) and self.names_other(body_name, body_link)
         )
+
+    def names_link(self, name: str, link: str) -> bool:
+        """Whether ``link`` names this body (or piece, with an empty ``link``)."""
+        return _matches(self.link, (name, link))
+
+    def names_other(self, name: str, link: str) -> bool:
+        """Whether ``other`` names this body (or piece, with an empty ``link``)."""
+        return _matches(self.other, (name, link))
 
 
 def allowed_depth(

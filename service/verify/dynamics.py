@@ -1,0 +1,119 @@
+"""Forces along the timed curve from full inverse dynamics, at samples: ZMP and joint torques."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.curve import TimeLaw
+from service.verify.certificate import Basis, Check, Where
+from service.verify.motion import Motion, Phase
+from service.verify.paths import mechanism_joints
+from service.verify.promises import outside_polygon
+from service.verify.settings import VerifySettings
+from service.verify.timeline import time_of
+
+# A moment of 1 Nm counts as much as a force of 1 / 0.1 N when the ground's wrench is shared between the feet.
+_MOMENT_ARM_M = 0.1
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Inverse dynamics at ``S`` times.
+
+    Attributes:
+        times, path: (S,) [s] and path parameter.
+        wrench: (S, 6) force and moment about the world's origin that the world exerts on the robot [N, Nm].
+        torque: (S, n) generalised forces; joints between planted feet and base with the ground's wrench shared at
+            least norm between the feet.
+    """
+
+    times: Float[np.ndarray, "S"]
+    path: Float[np.ndarray, "S"]
+    wrench: Float[np.ndarray, "S 6"]
+    torque: Float[np.ndarray, "S n"]
+
+    def zmp(self, height: float) -> Float[np.ndarray, "S 2"]:
+        """Zero moment point on a horizontal plane [m]; NaN where nothing presses on the ground."""
+        fx, fy, fz, mx, my, _ = self.wrench.T
+        pressed = np.where(fz > 1e-6, fz, np.nan)
+        return np.stack([(height * fx - my) / pressed, (height * fy + mx) / pressed], axis=1)
+
+
+def sample_times(motion: Motion, law: TimeLaw, first: float, last: float, step: float) -> Float[np.ndarray, "S"]:
+    """Times between two path parameters: evenly spread, and both sides of every jump of the acceleration."""
+    start, end = time_of(law, first) or 0.0, time_of(law, last) or 0.0
+    even = np.linspace(start, end, max(2, int(np.ceil((end - start) / step)) + 1))
+    knots = motion.curve.knots
+    jumps = [time_of(law, float(s)) or 0.0 for s in knots[(knots >= first) & (knots <= last)]]
+    grid = law.times[(law.times >= start) & (law.times <= end)]
+    near = np.concatenate([grid, np.asarray(jumps)])
+    after, before = np.minimum(near + 1e-7, end), np.maximum(near - 1e-7, start)
+    return np.unique(np.concatenate([even, after, before]))
+
+
+def forces(
+    motion: Motion, law: TimeLaw, phase: Phase, times: Float[np.ndarray, "S"], *, torques: bool = True
+) -> Forces:
+    """Wrench from the world and joint torques at the given times of a phase (``torques=False``: wrench only)."""
+    s, speed, gain = law.at(times)
+    curve, model = motion.curve, motion.robot.model
+    q, slope, bend = curve(s), curve(s, 1), curve(s, 2)
+    v = slope * speed[:, None]
+    a = slope * gain[:, None] + bend * speed[:, None] ** 2
+    data = model.createData()
+    apart = mechanism_joints(motion)
+    roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
+    feet = [(model.frames[model.getFrameId(c.link)].parentJoint, c.pose_world_link[:3, 3]) for c in phase.contacts]
+    share = _share_map([position for _, position in feet]) if feet else None
+    wrench, torque = np.zeros((len(times), 6)), np.zeros((len(times), model.nv))
+    for k in range(len(times)):
+        torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
+        for joint in roots:
+            wrench[k] += data.oMi[joint].act(data.f[joint]).vector
+        if torques and share is not None:
+            external = pin.StdVec_Force([pin.Force.Zero() for _ in range(model.njoints)])
+            parts = (share @ wrench[k]).reshape(-1, 6)
+            for (joint, _), part in zip(feet, parts, strict=True):
+                external[int(joint)] += data.oMi[int(joint)].actInv(pin.Force(part))
+            torque[k] = pin.rnea(model, data, q[k], v[k], a[k], external)
+    return Forces(times, s, wrench, torque)
+
+
+def dynamics_checks(motion: Motion, law: TimeLaw, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+    """ZMP inside the support polygon and torques within limits, at samples."""
+    times = sample_times(motion, law, phase.first, phase.last, settings.time_step_s)
+    found = forces(motion, law, phase, times)
+    if phase.support is not None:
+        zmp = found.zmp(phase.support.height)
+        outside = np.nan_to_num(outside_polygon(phase.support.polygon, zmp), nan=np.inf)
+        worst = int(outside.argmax())
+        value = -float(outside[worst])
+        point = (float(zmp[worst, 0]), float(zmp[worst, 1]), phase.support.height)
+        where = Where(float(found.path[worst]), float(times[worst]), point)
+        text = f"the ZMP stays {1e3 * value:.1f} mm inside the feet during {phase.name} ({len(times)} samples)"
+        yield Check(f"zmp.{phase.name}", value >= 0.0, value, 0.0, "m", text, where, Basis.SAMPLES)
+    limited = np.flatnonzero(np.isfinite(motion.robot.effort) & (motion.robot.effort > 0.0))
+    if len(limited):
+        ratio = np.abs(found.torque[:, limited]) / motion.robot.effort[limited]
+        row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        value, name = float(ratio[row, column]), motion.robot.joint_names[limited[column]]
+        where = Where(float(found.path[row]), float(times[row]), None, (name,))
+        text = f"{name} needs {100.0 * value:.0f} % of its torque during {phase.name} ({len(times)} samples)"
+        yield Check(f"torque.{phase.name}", value <= 1.0, value, 1.0, "1", text, where, Basis.SAMPLES)
+
+
+def _share_map(positions: list[np.ndarray]) -> Float[np.ndarray, "6F 6"]:
+    """Least-norm share of a wrench about the origin: per foot a wrench about the origin, in world axes."""
+    scale = np.array([1.0, 1.0, 1.0, _MOMENT_ARM_M, _MOMENT_ARM_M, _MOMENT_ARM_M])
+    shifts = []
+    for x, y, z in positions:
+        shift = np.eye(6)
+        shift[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+        shifts.append(shift * scale)
+    local = np.linalg.pinv(np.hstack(shifts)).reshape(len(positions), 6, 6)
+    return np.concatenate([shift @ part for shift, part in zip(shifts, local, strict=True)])

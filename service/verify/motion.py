@@ -1,0 +1,168 @@
+"""What is put before the verifier: robot, scene, curve, time law, and what each phase promises."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance
+from costs.curve import Curve, TimeLaw
+from costs.robot.model import RobotModel
+from costs.scene import Scene
+
+
+@dataclass(frozen=True)
+class PlantedContact:
+    """A link that stays where it is.
+
+    Attributes:
+        link: frame of the robot's model.
+        pose_world_link: (4, 4) where it is planted.
+        sole: (C, 3) corners in the link frame [m].
+        tolerance_m: greatest drift of a corner anywhere in the phase.
+        knot_tolerance_m: greatest drift of a corner at the curve's knots.
+    """
+
+    link: str
+    pose_world_link: Float[np.ndarray, "4 4"]
+    sole: Float[np.ndarray, "C 3"]
+    tolerance_m: float = 1e-3
+    knot_tolerance_m: float = 1e-4
+
+
+@dataclass(frozen=True)
+class SupportPolygon:
+    """Where the centre of mass and the ZMP must stay: the hull of the planted feet, shrunk by a margin.
+
+    Attributes:
+        polygon: (E, 2) corners, counter-clockwise, world x and y [m].
+        margin_m: the centre of mass stays this far inside; the ZMP must only stay inside.
+        height: z of the plane on which the ZMP is taken [m].
+    """
+
+    polygon: Float[np.ndarray, "E 2"]
+    margin_m: float = 0.0
+    height: float = 0.0
+
+
+@dataclass(frozen=True)
+class PoseTarget:
+    """A frame reaches a pose: at path parameter ``at``, or during the whole phase when ``at`` is None.
+
+    Attributes:
+        frame: frame of the robot's model.
+        position: (3,) in the world [m].
+        rotation: (3, 3) rotation_world_frame wanted, or None for any.
+        position_tolerance_m: (3,) per axis of the wanted frame (of the world when ``rotation`` is None); an axis is
+            free when its tolerance is inf.
+        rotation_tolerance: (3,) largest rotation error about each axis of the wanted frame [rad], compared by sines
+            (``sin(angle) * axis``); inf frees an axis for small turns, for large ones use an :class:`AxisTarget`.
+        at: path parameter, or None.
+    """
+
+    frame: str
+    position: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "3 3"] | None
+    position_tolerance_m: Float[np.ndarray, "3"]
+    rotation_tolerance: Float[np.ndarray, "3"]
+    at: float | None = None
+
+
+@dataclass(frozen=True)
+class CircleTarget:
+    """A frame's origin stays on a circle, and its axis parallel to the circle's, during the whole phase.
+
+    Attributes:
+        frame: frame of the robot's model.
+        centre: (3,) in the world [m].
+        axis: (3,) unit normal of the circle's plane, in the world.
+        radius: [m].
+        tolerance_m: greatest distance of the origin from the circle.
+        frame_axis: (3,) unit axis in the frame that is to be parallel to ``axis``, or None.
+        axis_tolerance_rad: greatest angle between the two.
+    """
+
+    frame: str
+    centre: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    radius: float
+    tolerance_m: float
+    frame_axis: Float[np.ndarray, "3"] | None = None
+    axis_tolerance_rad: float = np.inf
+
+
+@dataclass(frozen=True)
+class AxisTarget:
+    """A frame's axis stays parallel to a direction of the world during the whole phase.
+
+    Attributes:
+        frame: frame of the robot's model.
+        frame_axis: (3,) unit axis in the frame.
+        axis: (3,) unit direction in the world.
+        tolerance_rad: greatest angle between the two.
+    """
+
+    frame: str
+    frame_axis: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    tolerance_rad: float
+
+
+@dataclass(frozen=True)
+class JointTarget:
+    """A joint reaches a value at path parameter ``at`` [rad, m]."""
+
+    joint: str
+    value: float
+    tolerance: float
+    at: float
+
+
+Target = PoseTarget | CircleTarget | AxisTarget | JointTarget
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A named stretch of the curve and what holds along it.
+
+    Attributes:
+        name: as the user sees it.
+        first, last: path parameters.
+        contacts: links planted throughout.
+        allowances: pairs that may touch; all others must keep clear.
+        targets: what the motion does.
+        support: where the balance point must stay, or None (fixed base).
+    """
+
+    name: str
+    first: float
+    last: float
+    contacts: tuple[PlantedContact, ...] = ()
+    allowances: tuple[Allowance, ...] = ()
+    targets: tuple[Target, ...] = ()
+    support: SupportPolygon | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion as it is executed and exported.
+
+    Attributes:
+        robot: model, limits and bodies (a task's mechanism may be its last joints).
+        scene: the pieces that stand still.
+        curve: configurations by path parameter.
+        law: when the curve is where; None if untimed (then no speed, acceleration or force is checked).
+        phases: together they cover the curve; none overlaps another.
+        samples: (M,) path parameters of the exported samples, all knots among them; None if only the curve counts.
+        mechanism_links: links that move with the task (a valve's wheel): checked against the robot, not against pieces.
+    """
+
+    robot: RobotModel
+    scene: Scene
+    curve: Curve
+    law: TimeLaw | None = None
+    phases: tuple[Phase, ...] = ()
+    samples: Float[np.ndarray, "M"] | None = None
+    mechanism_links: frozenset[str] = field(default_factory=frozenset)

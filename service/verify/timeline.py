@@ -1,0 +1,58 @@
+"""From path parameter to time, and to the edges at which stretches of the curve begin and end."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.curve import TimeLaw
+from service.verify.errors import VerifyError
+from service.verify.motion import Motion, Phase
+
+
+def time_of(law: TimeLaw | None, s: float) -> float | None:
+    """First time at which the path parameter is reached [s]; None without a law."""
+    if law is None:
+        return None
+    i = int(np.clip(np.searchsorted(law.path, s, side="left") - 1, 0, len(law.path) - 2))
+    duration = float(law.times[i + 1] - law.times[i])
+    speed, gain = float(law.speed[i]), float(law.speed[i + 1] - law.speed[i]) / duration
+    ahead = max(0.0, float(s - law.path[i]))
+    root = np.sqrt(max(0.0, speed**2 + 2.0 * gain * ahead))
+    step = 2.0 * ahead / (speed + root) if speed + root > 0.0 else 0.0
+    return float(law.times[i] + min(step, duration))
+
+
+def phases_of(motion: Motion) -> tuple[Phase, ...]:
+    """The phases, or one that promises nothing; refused unless they cover the curve one after another.
+
+    Raises:
+        VerifyError: when they leave a gap or overlap.
+    """
+    start, end = float(motion.curve.knots[0]), float(motion.curve.knots[-1])
+    if not motion.phases:
+        return (Phase("motion", start, end),)
+    reached = start
+    for phase in motion.phases:
+        if abs(phase.first - reached) > 1e-12 * max(1.0, abs(reached)) or phase.last <= phase.first:
+            raise VerifyError(f"phase '{phase.name}' must begin at {reached} and have a length, got {phase.first}")
+        reached = phase.last
+    if abs(reached - end) > 1e-12 * max(1.0, abs(end)):
+        raise VerifyError(f"the last phase ends at {reached}, the curve at {end}")
+    return motion.phases
+
+
+def edges_of(motion: Motion, phases: tuple[Phase, ...]) -> tuple[Float[np.ndarray, "E"], Int[np.ndarray, "E-1"]]:
+    """Knots and phase boundaries in order, and the phase of each stretch between two of them."""
+    start, end = motion.curve.knots[0], motion.curve.knots[-1]
+    inner = [boundary for phase in phases for boundary in (phase.first, phase.last) if start < boundary < end]
+    edges = np.unique(np.concatenate([motion.curve.knots, inner]))
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    lasts = np.array([phase.last for phase in phases])
+    return edges, np.clip(np.searchsorted(lasts, middle), 0, len(phases) - 1)
+
+
+def phase_edges(edges: Float[np.ndarray, "E"], phase: Phase) -> Float[np.ndarray, "F"]:
+    """The edges within a phase, its ends included."""
+    tolerance = 1e-9 * max(1.0, abs(phase.last))
+    return np.asarray(edges[(edges >= phase.first - tolerance) & (edges <= phase.last + tolerance)])
