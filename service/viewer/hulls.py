@@ -20,11 +20,13 @@ class ConvexMesh:
         vertices: (V, 3) its corners [m].
         triangles: (F, 3) indices, counter-clockwise from outside; a flat set has both sides.
         edges: (E, 2) indices of the edges where faces of different planes meet.
+        bends: (E,) angle between those two faces [rad]; pi at the rim of a flat set.
     """
 
     vertices: Float[np.ndarray, "V 3"]
     triangles: Int[np.ndarray, "F 3"]
     edges: Int[np.ndarray, "E 2"]
+    bends: Float[np.ndarray, "E"]
 
 
 def convex_mesh(vertices: Float[np.ndarray, "V 3"]) -> ConvexMesh:
@@ -49,7 +51,7 @@ def convex_mesh(vertices: Float[np.ndarray, "V 3"]) -> ConvexMesh:
         return _polygon(points, centred @ axes[:2].T)
     along = centred @ axes[0]
     ends = points[[int(along.argmin()), int(along.argmax())]]
-    return ConvexMesh(ends, np.empty((0, 3), dtype=int), np.array([[0, 1]]))
+    return ConvexMesh(ends, np.empty((0, 3), dtype=int), np.array([[0, 1]]), np.array([np.pi]))
 
 
 def _solid(points: Float[np.ndarray, "V 3"]) -> ConvexMesh:
@@ -62,17 +64,21 @@ def _solid(points: Float[np.ndarray, "V 3"]) -> ConvexMesh:
     triangles[inward] = triangles[inward][:, [0, 2, 1]]
     used, compact = np.unique(triangles, return_inverse=True)
     triangles = compact.reshape(triangles.shape)
-    return ConvexMesh(points[used], triangles, _feature_edges(triangles, hull.equations[:, :3]))
+    edges, bends = _feature_edges(triangles, hull.equations[:, :3])
+    return ConvexMesh(points[used], triangles, edges, bends)
 
 
-def _feature_edges(triangles: Int[np.ndarray, "F 3"], normals: Float[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
-    """Edges whose two triangles do not share a plane."""
+def _feature_edges(
+    triangles: Int[np.ndarray, "F 3"], normals: Float[np.ndarray, "F 3"]
+) -> tuple[Int[np.ndarray, "E 2"], Float[np.ndarray, "E"]]:
+    """Edges whose two triangles do not share a plane, and by how much those bend [rad]."""
     sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(triangles)), 3)
     order = np.lexsort((sides[:, 1], sides[:, 0]))
     first, second = order[0::2], order[1::2]  # each edge of a closed surface belongs to exactly two triangles
-    bend = np.einsum("ij,ij->i", normals[owner[first]], normals[owner[second]])
-    return np.asarray(sides[first][bend < 1.0 - 1e-6])
+    cosine = np.einsum("ij,ij->i", normals[owner[first]], normals[owner[second]])
+    is_edge = cosine < 1.0 - 1e-6
+    return sides[first][is_edge], np.arccos(np.clip(cosine[is_edge], -1.0, 1.0))
 
 
 def _polygon(points: Float[np.ndarray, "V 3"], flat: Float[np.ndarray, "V 2"]) -> ConvexMesh:
@@ -80,4 +86,4 @@ def _polygon(points: Float[np.ndarray, "V 3"], flat: Float[np.ndarray, "V 2"]) -
     n = len(ring)
     fan = np.array([[0, i, i + 1] for i in range(1, n - 1)])
     edges = np.array([[i, (i + 1) % n] for i in range(n)])
-    return ConvexMesh(points[ring], np.concatenate([fan, fan[:, ::-1]]), edges)
+    return ConvexMesh(points[ring], np.concatenate([fan, fan[:, ::-1]]), edges, np.full(n, np.pi))

@@ -72,6 +72,7 @@ def hull_of(body: Mapping[str, Any]) -> dict[str, Any]:
         "vertices": packed(mesh.vertices, "f4"),
         "triangles": packed(mesh.triangles, "u2"),
         "edges": packed(mesh.edges, "u2"),
+        "bends": packed(np.round(mesh.bends / np.pi * 255.0), "u1"),
     }
 
 

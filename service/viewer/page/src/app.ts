@@ -73,7 +73,7 @@ export class App implements Player {
       this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result), this.marks,
       new Cloud(result.cloud), new Floor(result, z, centre, reach),
     ];
-    targets.labels.forEach((label) => this.labels.add(label));
+    for (const label of [...targets.labels, ...this.movables.labels]) this.labels.add(label);
     for (const layer of this.layers) this.stage.scene.add(layer.group);
     this.panel = new Panel(result, this.layers, (index) => this.chooseCheck(index), (layer) => this.toggle(layer));
     this.timeline = new Timeline(result, this, this.ghosts.times);
@@ -117,9 +117,14 @@ export class App implements Player {
     const { result, motion, hand } = this;
     const box = new Box3();
     const p = new Vector3();
-    for (let i = 0; i < result.positions.length; i += 3) box.expandByPoint(p.fromArray(result.positions, i));
-    // Link origins lie inside the links: half a forearm more on every side, and the floor.
-    if (!box.isEmpty()) box.expandByScalar(0.12);
+    for (let i = 0; i <= 12 && motion.nFrames > 0; i++) {
+      const matrices = motion.links.map((_, link) => motion.matrix(link, motion.start + (i / 12) * (motion.end - motion.start)));
+      for (const body of result.bodies) {
+        const matrix = matrices[motion.links.indexOf(body.link)];
+        const { vertices } = body.hull;
+        for (let k = 0; k < vertices.length; k += 3) box.expandByPoint(p.fromArray(vertices, k).applyMatrix4(matrix));
+      }
+    }
     const scene = result.movables.flatMap((movable) => movable.bodies);
     for (const body of box.isEmpty() ? [...scene, ...result.pieces] : scene) {
       for (let i = 0; i < body.hull.vertices.length; i += 3) box.expandByPoint(p.fromArray(body.hull.vertices, i));

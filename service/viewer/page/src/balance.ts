@@ -1,5 +1,8 @@
 // Balance: support polygon, the polygon shrunk by its margin, centre of mass and ZMP, all wide enough to be seen.
-import { BufferGeometry, CylinderGeometry, DoubleSide, Float32BufferAttribute, Group, Mesh, MeshBasicMaterial, MeshStandardMaterial, SphereGeometry, Vector2, Vector3 } from "three";
+import {
+  BufferGeometry, CylinderGeometry, DoubleSide, Float32BufferAttribute, Group, Mesh, MeshBasicMaterial, MeshStandardMaterial,
+  SphereGeometry, Vector2, Vector3,
+} from "three";
 import { Result, Support, rowAt } from "./data";
 import { filledPolygon, ribbon, shrunk, tube } from "./geometry";
 import { Layer } from "./layer";
@@ -35,7 +38,7 @@ export class Balance implements Layer {
   readonly key = "b";
   readonly group = new Group();
   private readonly polygons: { group: Group; support: Support }[] = [];
-  private readonly ball = new Mesh(comBall(0.035), new MeshStandardMaterial({ vertexColors: true, roughness: 0.5 }));
+  private readonly ball = new Mesh(comBall(0.035), new MeshStandardMaterial({ vertexColors: true, roughness: 0.5, transparent: true, opacity: 0.85, depthTest: false }));
   private readonly plumb = new Mesh(new CylinderGeometry(0.0035, 0.0035, 1, 6).rotateX(Math.PI / 2), this.overlay(0.7));
   private readonly dot = new Mesh(new SphereGeometry(0.014, 16, 8), this.overlay(1));
   private readonly fill = this.overlay(0.14);
@@ -68,6 +71,7 @@ export class Balance implements Layer {
     const zmp = rows(result.zmp, 2).map(([x, y]) => new Vector2(x, y));
     if (zmp.length > 1) this.put(this.group, ribbon(zmp, z + 0.004, 0.006, false, false), this.zmp, 7);
     for (const mesh of [this.plumb, this.dot]) mesh.renderOrder = 9;
+    this.ball.renderOrder = 10;
     this.ball.visible = this.plumb.visible = com.length > 0;
     this.dot.visible = zmp.length > 0;
     this.group.add(this.ball, this.plumb, this.dot);
@@ -109,8 +113,7 @@ export class Balance implements Layer {
 
   // Seen through the robot in x-ray and from straight above.
   xray(on: boolean): void {
-    const materials = [this.fill, this.border, this.inner, this.zmp, this.traces, this.ball.material as MeshStandardMaterial, this.dot.material as MeshBasicMaterial];
+    const materials = [this.fill, this.border, this.inner, this.zmp, this.traces, this.dot.material as MeshBasicMaterial];
     for (const material of materials) material.depthTest = !on;
-    this.ball.renderOrder = on ? 10 : 0;
   }
 }

@@ -2,9 +2,9 @@
 
 export interface Packed { dtype: string; shape: number[]; data: string }
 export interface Quantized extends Packed { lower: number[]; upper: number[] }
-interface PackedHull { vertices: Packed; triangles: Packed; edges: Packed }
+interface PackedHull { vertices: Packed; triangles: Packed; edges: Packed; bends: Packed }
 interface PackedNamedHull { name: string; kind: string; hull: PackedHull }
-export interface Hull { vertices: Float32Array; triangles: Uint16Array; edges: Uint16Array }
+export interface Hull { vertices: Float32Array; triangles: Uint16Array; edges: Uint16Array; bends: Uint8Array }
 export interface NamedHull { name: string; kind: string; hull: Hull }
 export interface Body { name: string; link: string; hull: Hull }
 export interface Movable { name: string; origin: number[]; axis: number[]; bodies: NamedHull[]; angles: Float32Array }
@@ -62,6 +62,7 @@ function points(packed: Quantized): Float32Array {
 
 const hullOf = (hull: PackedHull): Hull => ({
   vertices: floats(hull.vertices), triangles: indices(hull.triangles), edges: indices(hull.edges),
+  bends: new Uint8Array(bytesOf(hull.bends)),
 });
 const namedHull = (piece: PackedNamedHull): NamedHull => ({ ...piece, hull: hullOf(piece.hull) });
 

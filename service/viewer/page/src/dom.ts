@@ -24,11 +24,18 @@ export function svg(tag: string, attributes: Record<string, string>): SVGElement
   return element;
 }
 
+// A 24-unit icon drawn from one path.
+export function icon(path: string): SVGElement {
+  const element = svg("svg", { viewBox: "0 0 24 24", width: "18", height: "18", "aria-hidden": "true" });
+  element.append(svg("path", { d: path, fill: "currentColor" }));
+  return element;
+}
+
 const digits = (value: number): string => {
   const size = Math.abs(value);
   if (size === 0) return "0";
-  if (size < 1e-3 || size >= 1e5) return value.toExponential(1);
-  return String(Number(value.toPrecision(size >= 100 ? 4 : 3)));
+  if (size < 1e-3 || size >= 1e5) return value.toExponential(1).replaceAll("-", "−");
+  return String(Number(value.toPrecision(size >= 100 ? 4 : 3))).replace("-", "−");
 };
 
 // A figure in the unit people say it in: small metres as millimetres, radians as degrees.

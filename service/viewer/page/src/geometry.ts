@@ -13,19 +13,32 @@ export function hullGeometry(hull: Hull): BufferGeometry {
   return flat;
 }
 
-// End points of the feature edges, six numbers per edge.
-export function edgePositions(hulls: Hull[]): Float32Array {
-  const out: number[] = [];
-  for (const hull of hulls) {
-    for (const index of hull.edges) out.push(...hull.vertices.subarray(3 * index, 3 * index + 3));
-  }
-  return new Float32Array(out);
+// The same with normals that run smoothly round the body, for shading that should show outlines only.
+export function smoothHullGeometry(hull: Hull): BufferGeometry {
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(hull.vertices, 3));
+  geometry.setIndex(new BufferAttribute(hull.triangles, 1));
+  geometry.computeVertexNormals();
+  geometry.computeBoundingSphere();
+  return geometry;
 }
 
-export function centroid(hull: Hull): Vector3 {
-  const sum = new Vector3();
-  for (let i = 0; i < hull.vertices.length; i += 3) sum.add(new Vector3().fromArray(hull.vertices, i));
-  return sum.divideScalar(Math.max(1, hull.vertices.length / 3));
+// Feature edges as line segments, each the more visible the sharper it bends: boxes are crisp, round things stay calm.
+export function edgeGeometry(hulls: Hull[]): BufferGeometry {
+  const positions: number[] = [];
+  const colours: number[] = [];
+  for (const hull of hulls) {
+    hull.edges.forEach((index, i) => {
+      positions.push(...hull.vertices.subarray(3 * index, 3 * index + 3));
+      const degrees = (hull.bends[i >> 1] * 180) / 255;
+      const strength = Math.min(Math.max((degrees - 6) / 54, 0.06), 1);
+      colours.push(1, 1, 1, strength);
+    });
+  }
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new Float32BufferAttribute(positions, 3));
+  geometry.setAttribute("color", new Float32BufferAttribute(colours, 4));
+  return geometry;
 }
 
 // A flat band of given width along a polyline in the xy plane, mitred at its corners.

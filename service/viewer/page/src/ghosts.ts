@@ -1,9 +1,9 @@
 // Every waypoint as a ghost: coloured by its time, fading with its distance in time from now.
 import {
-  Color, DoubleSide, Group, InstancedBufferAttribute, InstancedMesh, Matrix4, NotEqualStencilFunc, ShaderMaterial, Vector3,
+  Color, Group, InstancedBufferAttribute, InstancedMesh, Matrix4, NotEqualStencilFunc, ShaderMaterial, Vector3,
 } from "three";
 import { Body } from "./data";
-import { hullGeometry } from "./geometry";
+import { smoothHullGeometry } from "./geometry";
 import { Layer } from "./layer";
 import { Motion } from "./motion";
 import { Colours, timeColour } from "./theme";
@@ -12,28 +12,29 @@ const VERTEX = `
 attribute vec3 tint;
 attribute float strength;
 varying vec3 vView;
+varying vec3 vNormal;
 varying vec3 vTint;
 varying float vStrength;
 void main() {
   vec4 place = modelViewMatrix * instanceMatrix * vec4(position, 1.0);
   vView = place.xyz;
+  vNormal = normalMatrix * mat3(instanceMatrix) * normal;
   vTint = tint;
   vStrength = strength;
   gl_Position = projectionMatrix * place;
 }`;
 
-// Flat faces seen head-on stay thin, those at a slant glow: outlines read, what lies behind is not hidden.
+// What faces the eye stays thin, what turns away glows: outlines read, what lies behind is not hidden.
 const FRAGMENT = `
 uniform float gain;
 varying vec3 vView;
+varying vec3 vNormal;
 varying vec3 vTint;
 varying float vStrength;
 void main() {
   if (vStrength < 0.004) discard;
-  vec3 normal = normalize(cross(dFdx(vView), dFdy(vView)));
-  float slant = 1.0 - abs(dot(normal, normalize(vView)));
-  float light = 0.72 + 0.38 * abs(normal.y);
-  gl_FragColor = vec4(vTint * light, min(0.9, gain * vStrength * (0.30 + 0.70 * slant * slant)));
+  float slant = 1.0 - abs(dot(normalize(vNormal), normalize(vView)));
+  gl_FragColor = vec4(vTint, min(0.85, gain * vStrength * (0.10 + 0.90 * pow(slant, 2.2))));
   #include <colorspace_fragment>
 }`;
 
@@ -57,10 +58,11 @@ export class Ghosts implements Layer {
   private readonly parts: Part[] = [];
   private readonly material = new ShaderMaterial({
     vertexShader: VERTEX, fragmentShader: FRAGMENT, uniforms: { gain: { value: 1 } },
-    transparent: true, depthWrite: false, side: DoubleSide, stencilWrite: true, stencilRef: 1, stencilFunc: NotEqualStencilFunc,
+    transparent: true, depthWrite: false, stencilWrite: true, stencilRef: 1, stencilFunc: NotEqualStencilFunc,
   });
   private focus = -1;
   private now = 0;
+  private gain = 1;
 
   constructor(bodies: Body[], private readonly motion: Motion, waypoints: number[]) {
     this.times = motion.nFrames > 0 ? waypoints.map((frame) => motion.timeOfFrame(frame)) : [];
@@ -69,7 +71,7 @@ export class Ghosts implements Layer {
     const tints = new Float32Array(this.times.flatMap((t) => (timeColour((t - motion.start) / span) as Color).toArray()));
     for (const body of bodies) {
       const link = motion.links.indexOf(body.link);
-      const geometry = hullGeometry(body.hull);
+      const geometry = smoothHullGeometry(body.hull);
       const strength = new InstancedBufferAttribute(new Float32Array(this.times.length), 1);
       geometry.setAttribute("tint", new InstancedBufferAttribute(tints, 3));
       geometry.setAttribute("strength", strength);
@@ -106,15 +108,21 @@ export class Ghosts implements Layer {
     for (const part of this.parts) {
       const pose = this.motion.matrix(part.link, t);
       this.times.forEach((time, i) => {
-        if (i === this.focus) return void part.strength.setX(i, 1.6);
+        if (i === this.focus) return void part.strength.setX(i, 1.8);
         const away = displacement(pose, part.poses[i], part.radius);
         const apart = Math.min(Math.max((away - 0.015) / 0.06, 0), 1);  // hides what the robot itself stands in
-        const near = Math.exp(-Math.abs(time - t) / (0.16 * span));
-        part.strength.setX(i, part.fresh[i] ? apart * (0.07 + 0.40 * near) : 0);
+        const near = Math.exp(-Math.abs(time - t) / (0.12 * span));
+        part.strength.setX(i, part.fresh[i] ? apart * (0.10 + 0.55 * near) : 0);
       });
       part.strength.needsUpdate = true;
     }
   }
 
-  recolour(colours: Colours): void { this.material.uniforms.gain.value = colours.ghost; }
+  recolour(colours: Colours): void {
+    this.gain = colours.ghost;
+    this.material.uniforms.gain.value = colours.ghost;
+  }
+
+  // From straight above the ghosts would cover the support polygon.
+  xray(on: boolean): void { this.material.uniforms.gain.value = on ? 0.3 * this.gain : this.gain; }
 }

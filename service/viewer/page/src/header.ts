@@ -43,7 +43,7 @@ export function makeHeader(
   const tools = el(
     "div", "tools", el("div", "segmented", ...views.values()), xray,
     button("round", "◐", "Dark or light (d)", toggle.theme), button("round", "?", "Keys (?)", toggle.help),
-    button("round", "☰", "Panel (Tab)", toggle.panel),
+    button("round", "☰", "Panel (i)", toggle.panel),
   );
   const verdict = el("div", `verdict ${tone(result.verdict)}`, words(result.verdict || "NO VERDICT"));
   verdict.title = MEANING[result.verdict] ?? "";
@@ -62,7 +62,7 @@ export function makeHelp(layers: Layer[]): HTMLElement {
     ["space", "play or pause"], ["← →", "previous, next waypoint"], [", .", "previous, next frame"],
     ["[ ]", "previous, next phase"], ["Home End", "start, end"], ["+ −", "faster, slower"], ["1 … 5", "3D, front, side, top, hand"],
     ["n", "next check"], ["x", "x-ray"], ["h", "follow the hand"], ["d", "dark or light"], ["l", "labels"], ["s", "save a picture"],
-    ["Tab", "panel"], ["Esc", "close, deselect"], ...layers.map((layer): [string, string] => [layer.key, layer.label.toLowerCase()]),
+    ["i", "panel"], ["Esc", "close, deselect"], ...layers.map((layer): [string, string] => [layer.key, layer.label.toLowerCase()]),
   ];
   const list = el("div", "keys", ...keys.flatMap(([key, what]) => [el("kbd", "", key), el("span", "", what)]));
   const mouse = el("p", "", "Drag turns, right drag shifts, wheel zooms, double click looks at a place, hovering names it.");

@@ -4,7 +4,7 @@ import { PerspectiveCamera, Vector3 } from "three";
 export interface Label { at: Vector3; text: string; kind: "target" | "good" | "bad" | "spot"; isOn: boolean }
 
 export class Labels {
-  private readonly shown: { label: Label; element: HTMLElement }[] = [];
+  private readonly shown: { label: Label; element: HTMLElement; span: HTMLElement }[] = [];
 
   constructor(private readonly host: HTMLElement) {}
 
@@ -15,17 +15,13 @@ export class Labels {
     text.textContent = label.text;
     element.append(text);
     this.host.append(element);
-    this.shown.push({ label, element });
-  }
-
-  remove(label: Label): void {
-    const index = this.shown.findIndex((entry) => entry.label === label);
-    if (index >= 0) this.shown.splice(index, 1)[0].element.remove();
+    this.shown.push({ label, element, span: text });
   }
 
   place(camera: PerspectiveCamera, width: number, height: number): void {
     const p = new Vector3();
-    for (const { label, element } of this.shown) {
+    for (const { label, element, span } of this.shown) {
+      if (span.textContent !== label.text) span.textContent = label.text;
       p.copy(label.at).project(camera);
       const isSeen = label.isOn && p.z < 1 && Math.abs(p.x) < 1.05 && Math.abs(p.y) < 1.05;
       element.hidden = !isSeen;

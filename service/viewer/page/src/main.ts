@@ -10,7 +10,7 @@ function keys(app: App): void {
     ".": () => app.stepFrame(1), "[": () => app.stepPhase(-1), "]": () => app.stepPhase(1), Home: () => app.seek(app.start),
     End: () => app.seek(app.end), "+": () => app.shiftSpeed(1), "=": () => app.shiftSpeed(1), "-": () => app.shiftSpeed(-1),
     n: () => app.nextCheck(), x: () => app.setXray(!app.isXray), d: () => app.setTheme(app.theme === "dark" ? "light" : "dark"),
-    l: () => document.body.classList.toggle("unlabelled"), s: () => app.savePicture(), Tab: () => app.togglePanel(),
+    l: () => document.body.classList.toggle("unlabelled"), s: () => app.savePicture(), i: () => app.togglePanel(),
     h: () => { app.isFollowing = !app.isFollowing; if (app.isFollowing) app.show("hand"); },
     "?": () => { app.help.hidden = !app.help.hidden; },
     Escape: () => { app.help.hidden = true; app.chooseCheck(-1); },
@@ -31,7 +31,11 @@ function keys(app: App): void {
 function pointer(app: App): void {
   const canvas = app.stage.renderer.domElement;
   const under = (event: MouseEvent): { name: string; point: Vector3 } | undefined => {
-    const solids = app.solids().filter(({ mesh }) => mesh.parent?.visible !== false);
+    const solids = app.solids().filter(({ mesh }) => {
+      let isSeen = true;
+      mesh.traverseAncestors((parent) => { isSeen &&= parent.visible; });
+      return isSeen;
+    });
     const [hit] = app.stage.ray(event.clientX, event.clientY).intersectObjects(solids.map(({ mesh }) => mesh), false);
     return hit && { name: solids.find(({ mesh }) => mesh === hit.object)!.name, point: hit.point };
   };

@@ -1,16 +1,16 @@
 // The robot: flat-shaded hulls that follow their links.
 import {
-  BufferGeometry, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, Quaternion, ReplaceStencilOp, Vector3,
+  Group, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, Quaternion, ReplaceStencilOp, Vector3,
 } from "three";
 import { Body } from "./data";
-import { edgePositions, hullGeometry } from "./geometry";
+import { edgeGeometry, hullGeometry } from "./geometry";
 import { Layer } from "./layer";
 import { Motion } from "./motion";
 import { Colours } from "./theme";
 
 type Tone = "robot" | "joint" | "left" | "right";
 const TONES: Tone[] = ["robot", "joint", "left", "right"];
-const EXTREMITY = /hand|foot|finger|gripper|palm|tool|wrist|wr[xy]|ankle|ak[xy]/i;
+const EXTREMITY = /hand|foot|finger|hook|gripper|palm|tool|wrist|wr[xy]|ankle|ak[xy]/i;
 
 function toneOf(link: string, order: number): Tone {
   if (EXTREMITY.test(link)) {
@@ -28,7 +28,7 @@ export class Robot implements Layer {
   readonly meshes: Mesh[] = [];
   private readonly links: { group: Group; link: number }[] = [];
   private readonly materials = {} as Record<Tone, MeshStandardMaterial>;
-  private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.35 });
+  private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.6, vertexColors: true });
 
   constructor(bodies: Body[], private readonly motion: Motion) {
     for (const tone of TONES) {
@@ -50,9 +50,7 @@ export class Robot implements Layer {
         this.meshes.push(mesh);
         group.add(mesh);
       }
-      const outline = new BufferGeometry();
-      outline.setAttribute("position", new Float32BufferAttribute(edgePositions(own.map((body) => body.hull)), 3));
-      group.add(new LineSegments(outline, this.edges));
+      group.add(new LineSegments(edgeGeometry(own.map((body) => body.hull)), this.edges));
       this.links.push({ group, link });
       this.group.add(group);
     });
@@ -77,7 +75,7 @@ export class Robot implements Layer {
 
   xray(on: boolean): void {
     for (const tone of TONES) {
-      Object.assign(this.materials[tone], { transparent: on, opacity: on ? 0.16 : 1, depthWrite: !on });
+      Object.assign(this.materials[tone], { transparent: on, opacity: on ? 0.14 : 1, depthWrite: !on });
       this.materials[tone].needsUpdate = true;
     }
   }

@@ -166,7 +166,8 @@ export class Stage {
   // Look at a place from where the camera is, but near.
   focus(place: Vector3): void {
     const away = this.camera.position.clone().sub(this.controls.target);
-    this.moveTo(place.clone().addScaledVector(away.normalize(), Math.min(2.2, Math.max(away.length(), 0.8))), place);
+    const distance = Math.min(2.4, Math.max(away.length(), 0.8));
+    this.moveTo(place.clone().addScaledVector(away.normalize(), distance), place);
   }
 
   // Keep the view but carry its centre along.

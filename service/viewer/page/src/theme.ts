@@ -15,10 +15,10 @@ export const THEMES: Record<"dark" | "light", Colours> = {
     shadow: 0.5, ghost: 1.0, sky: "#dfe8f5", ground: "#3a4252",
   },
   light: {
-    robot: "#8795aa", joint: "#5d6b80", left: "#0d9488", right: "#e08a00", edge: "#1e2633", floor: "#eef1f5",
+    robot: "#a9b5c7", joint: "#7d8ba1", left: "#0d9488", right: "#e08a00", edge: "#1e2633", floor: "#eef1f5",
     grid: "#9aa7b8", piece: "#5b7fb8", pieceEdge: "#486a9f", movable: "#e2491d", cloud: "#2f9e77",
     support: "#0284c7", zmp: "#c79200", com: "#111827", target: "#15a34a", contact: "#6366f1", bad: "#dc2626",
-    shadow: 0.22, ghost: 1.15, sky: "#ffffff", ground: "#b9c2cf",
+    shadow: 0.22, ghost: 1.15, sky: "#ffffff", ground: "#dfe5ee",
   },
 };
 

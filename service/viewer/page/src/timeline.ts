@@ -1,6 +1,6 @@
 // The time bar: phases by name, waypoints as ticks, failed checks as flags, balance as a curve; drag to scrub.
 import { Result, rowAt, spanAt } from "./data";
-import { button, el, seconds, svg, words } from "./dom";
+import { button, el, icon, seconds, svg, words } from "./dom";
 import { insideBy } from "./geometry";
 import { timeColour } from "./theme";
 
@@ -9,6 +9,11 @@ export interface Player {
   seek(t: number): void; toggle(): void; setSpeed(speed: number): void; step(direction: number): void;
   focusGhost(index: number): void; chooseCheck(index: number): void;
 }
+
+const PLAY = "M7 4.5v15L20 12z";
+const PAUSE = "M6 5h4.5v14H6zM13.5 5H18v14h-4.5z";
+const BACK = "M6 5h2.5v14H6zM20 5v14L9.5 12z";
+const ON = "M4 5v14l10.5-7zM15.5 5H18v14h-2.5z";
 
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const hex = (u: number): string => `#${timeColour(u).getHexString()}`;
@@ -20,12 +25,15 @@ export class Timeline {
   private readonly clock = el("output", "clock");
   private readonly play: HTMLButtonElement;
   private readonly speed = el("select", "speed");
+  private drawn: boolean | null = null;
   private readonly phases: { element: HTMLElement; index: number }[] = [];
 
   constructor(private readonly result: Result, private readonly player: Player, waypoints: number[]) {
-    this.play = button("play", "▶", "Play or pause (space)", () => player.toggle());
-    const back = button("quiet", "⏮", "Previous waypoint (←)", () => player.step(-1));
-    const on = button("quiet", "⏭", "Next waypoint (→)", () => player.step(1));
+    this.play = button("play", "", "Play or pause (space)", () => player.toggle());
+    const back = button("quiet", "", "Previous waypoint (←)", () => player.step(-1));
+    const on = button("quiet", "", "Next waypoint (→)", () => player.step(1));
+    back.append(icon(BACK));
+    on.append(icon(ON));
     this.speed.title = "Speed (+ and −)";
     this.speed.setAttribute("aria-label", "Playback speed");
     for (const speed of SPEEDS) {
@@ -128,8 +136,8 @@ export class Timeline {
     const { time, end, isPlaying, speed } = this.player;
     this.head.style.left = `${100 * this.share(time)}%`;
     this.clock.textContent = `${time.toFixed(2)} / ${seconds(end)}`;
-    this.play.textContent = isPlaying ? "❚❚" : "▶";
-    this.play.classList.toggle("paused", !isPlaying);
+    if (this.drawn !== isPlaying) this.play.replaceChildren(icon(isPlaying ? PAUSE : PLAY));
+    this.drawn = isPlaying;
     this.speed.value = String(speed);
     this.track.setAttribute("aria-valuenow", time.toFixed(2));
     const current = spanAt(this.result.phases, time);

@@ -1,11 +1,13 @@
 // The world: floor with grid, convex pieces, the point cloud, and what the task moves.
 import {
-  AlwaysStencilFunc, BufferAttribute, BufferGeometry, Color, EqualStencilFunc, Float32BufferAttribute, Group,
+  AlwaysStencilFunc, BufferAttribute, BufferGeometry, Color, EqualStencilFunc, Group,
   LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, NotEqualStencilFunc, PlaneGeometry, Points,
   ShaderMaterial, ShadowMaterial, Vector3,
 } from "three";
 import { Movable, NamedHull, Result, rowAt } from "./data";
-import { edgePositions, hullGeometry } from "./geometry";
+import { words } from "./dom";
+import { edgeGeometry, hullGeometry } from "./geometry";
+import { Label } from "./labels";
 import { Layer } from "./layer";
 import { Colours } from "./theme";
 
@@ -60,7 +62,7 @@ export class Floor implements Layer {
   readonly count: number;
   private readonly ground: ShaderMaterial;
   private readonly shade = new ShadowMaterial({ transparent: true, depthWrite: false });
-  private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.35 });
+  private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.35, vertexColors: true });
 
   constructor(result: Result, z: number, centre: Vector3, reach: number) {
     const slabs = result.pieces.filter(isFloor);
@@ -79,9 +81,7 @@ export class Floor implements Layer {
       plane.receiveShadow = material === this.shade;
       this.group.add(plane);
     }
-    const outline = new BufferGeometry();
-    outline.setAttribute("position", new Float32BufferAttribute(edgePositions(slabs.map((slab) => slab.hull)), 3));
-    const lines = new LineSegments(outline, this.edges);
+    const lines = new LineSegments(edgeGeometry(slabs.map((slab) => slab.hull)), this.edges);
     lines.renderOrder = -1;
     this.group.add(lines);
   }
@@ -106,9 +106,9 @@ export class Pieces implements Layer {
     transparent: true, opacity: i === 0 ? 0.20 : 0.05, depthWrite: false, flatShading: true, roughness: 1,
     stencilWrite: true, stencilRef: 1, stencilFunc,
   }));
-  private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.65 });
+  private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.75, vertexColors: true });
   private readonly beyond = new LineBasicMaterial({
-    transparent: true, opacity: 0.16, stencilWrite: true, stencilRef: 1, stencilFunc: EqualStencilFunc,
+    transparent: true, opacity: 0.18, vertexColors: true, stencilWrite: true, stencilRef: 1, stencilFunc: EqualStencilFunc,
   });
 
   constructor(result: Result) {
@@ -122,8 +122,7 @@ export class Pieces implements Layer {
         this.group.add(copy);
       }
     }
-    const outline = new BufferGeometry();
-    outline.setAttribute("position", new Float32BufferAttribute(edgePositions(pieces.map((piece) => piece.hull)), 3));
+    const outline = edgeGeometry(pieces.map((piece) => piece.hull));
     Object.assign(this.edges, { stencilWrite: true, stencilRef: 1, stencilFunc: NotEqualStencilFunc });
     for (const material of [this.edges, this.beyond]) {
       const lines = new LineSegments(outline, material);
@@ -192,6 +191,7 @@ export class Movables implements Layer {
   readonly solids: { name: string; mesh: Mesh }[] = [];
   private readonly material = new MeshStandardMaterial({ flatShading: true, roughness: 0.45, metalness: 0.15 });
   private readonly hub = new MeshStandardMaterial({ flatShading: true, roughness: 0.5, metalness: 0.2 });
+  readonly labels: Label[] = [];
   private readonly turning: { group: Group; movable: Movable }[] = [];
 
   constructor(private readonly result: Result) {
@@ -207,6 +207,7 @@ export class Movables implements Layer {
         this.solids.push({ name: body.name, mesh });
         group.add(mesh);
       }
+      this.labels.push({ at: origin, text: movable.name, kind: "spot", isOn: true });
       this.turning.push({ group, movable });
       this.group.add(group);
     }
@@ -215,10 +216,13 @@ export class Movables implements Layer {
   get count(): number { return this.result.movables.length; }
 
   update(t: number): void {
-    for (const { group, movable } of this.turning) {
+    for (const [i, { group, movable }] of this.turning.entries()) {
       if (movable.angles.length === 0) continue;
       const [angle] = rowAt(this.result.times, movable.angles, 1, t);
       group.quaternion.setFromAxisAngle(new Vector3().fromArray(movable.axis).normalize(), angle);
+      const turned = ((angle - movable.angles[0]) * 180) / Math.PI;
+      this.labels[i].text = `${words(movable.name)} ${turned.toFixed(0)}°`;
+      this.labels[i].isOn = this.group.visible;
     }
   }
 
