@@ -10,8 +10,9 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot.errors import RobotError
-from costs.robot.hull import MAX_OUTER_VERTICES, hull_vertices, outer_hull
+from costs.robot.hull import hull_vertices
 from costs.robot.model import LinkBody, RobotModel
+from costs.robot.outer import outer_hull
 
 
 def with_revolute(
@@ -75,7 +76,7 @@ def _mechanism_bodies(
     made = []
     for name, points in bodies.items():
         vertices = hull_vertices(np.asarray(points, dtype=float) - origin, f"body '{name}' of link '{link}'")
-        outer = vertices if len(vertices) <= MAX_OUTER_VERTICES else outer_hull(vertices)
+        outer = outer_hull(vertices)
         made.append(LinkBody(name, link, joint, vertices, outer))
     return tuple(made)
 

@@ -12,12 +12,14 @@ from jaxtyping import Float
 
 from costs.robot import shapes
 from costs.robot.errors import RobotError
-from costs.robot.hull import MAX_OUTER_VERTICES, hull_vertices, outer_hull
+from costs.robot.hull import hull_vertices
 from costs.robot.meshes import read_vertices, resolve_mesh
 from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
+from costs.robot.outer import outer_hull
 from costs.robot.self_pairs import derive_ignored_pairs, same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
-from costs.robot.urdf import Shape, Urdf, parse_urdf, pinocchio_xml, urdf_text
+from costs.robot.urdf import Urdf, parse_urdf, pinocchio_xml, urdf_text
+from costs.robot.urdf_shape import Shape
 from costs.robot.xmlfile import read_xml_text
 
 DEFAULT_ACCELERATION = 10.0
@@ -125,7 +127,7 @@ def _bodies(
             points = _shape_points(shape, roots, files, inside)
             pose = frame.placement.homogeneous @ shape.pose_link_shape
             vertices = hull_vertices(points @ pose[:3, :3].T + pose[:3, 3], inside)
-            outer = vertices if len(vertices) <= MAX_OUTER_VERTICES else outer_hull(vertices)
+            outer = outer_hull(vertices)
             name = link if index == 0 else f"{link}/{index}"
             bodies.append(LinkBody(name, link, int(frame.parentJoint), vertices, outer))
     names = [body.name for body in bodies]
@@ -151,7 +153,7 @@ def _shape_points(shape: Shape, roots: Sequence[Path], files: dict[str, Path], w
     if "://" not in shape.uri:
         # A path with '..' would leave the folder a result is written to.
         shape.element.set("filename", key)
-    return read_vertices(path, where) * shape.size
+    return np.asarray(read_vertices(path, where) * shape.size)
 
 
 def _posture(

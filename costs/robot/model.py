@@ -22,8 +22,8 @@ class LinkBody:
         link: the link it belongs to.
         joint: index of the pinocchio joint that carries it (0: fixed to the world).
         vertices: (V, 3) hull in the frame of that joint [m].
-        outer: (V', 3) a hull of at most 32 vertices that contains ``vertices``, for the optimiser's sweeps [m]
-            (the same array when the hull has no more than that).
+        outer: (W, 3) at most 48 vertices whose hull contains ``vertices``, for the optimiser's sweeps [m] (the same
+            array when the hull has no more than 32).
     """
 
     name: str

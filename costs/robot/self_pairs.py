@@ -33,7 +33,7 @@ def adjacent_pairs(model: pin.Model, bodies: Sequence[LinkBody]) -> frozenset[tu
     links_of: dict[int, set[str]] = {}
     for body in bodies:
         links_of.setdefault(body.joint, set()).add(body.link)
-    pairs = set()
+    pairs: set[tuple[str, str]] = set()
     for joint, links in links_of.items():
         parent = int(model.parents[joint]) if joint > 0 else 0
         while parent > 0 and parent not in links_of:

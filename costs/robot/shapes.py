@@ -39,10 +39,10 @@ def sphere(radius: float) -> Float[np.ndarray, "32 3"]:
 
 
 def capsule(radius: float, length: float) -> Float[np.ndarray, "32 3"]:
-    """Polytope of 32 vertices around a capsule along z (``length`` without its caps), at most 9.8 % of the radius outside.
+    """Polytope of 32 vertices around a capsule along z, at most 9.8 % of the radius outside it.
 
-    Each cap is a ring of 9 vertices, one of 6 and a tip; the rings' radii and heights come from a numerical search for
-    the smallest excess.
+    ``length`` is without the caps.  Each cap is a ring of 9 vertices, one of 6 and a tip; the rings' radii and heights
+    come from a numerical search for the smallest excess.
     """
     rings = []
     for count, ring_radius, height in ((9, 1.06331, 0.26930), (6, 0.74442, 0.80559), (1, 0.0, 1.09567)):

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from lxml import etree
 
 from costs.robot.errors import RobotError, suggest
-from costs.robot.urdf import MOVABLE, Urdf
+from costs.robot.urdf import Urdf
+from costs.robot.urdf_joint import MOVABLE
 from costs.robot.xmlfile import numbers, parse_xml, required
 
 

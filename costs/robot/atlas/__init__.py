@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from costs.robot.atlas.generate import DEFAULT_TOOL_DISTANCE, FOLDER, urdf_text
+from costs.robot.atlas.description import DEFAULT_TOOL_DISTANCE, FOLDER, urdf_text
 from costs.robot.load import Root, build_robot
 from costs.robot.model import RobotModel
 from costs.robot.xmlfile import read_xml_text

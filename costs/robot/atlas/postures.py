@@ -26,14 +26,16 @@ LINK_GROUPS: Mapping[str, tuple[str, ...]] = {
     "hands": ("l_hand", "r_hand"),
 }
 
-_LEGS = {"hpx": 0.04, "hpy": -0.45, "kny": 0.80, "aky": -0.35, "akx": -0.04}
-
-# Angles of the left side [rad]; the right side mirrors them.
+# Angles of the left side [rad]; the right side mirrors them. Knees bent, soles level (hpy + kny + aky = 0 and
+# hpx + akx = 0), and the feet below the centre of mass, which the arms move a little.
+# fmt: off
 POSTURES: Mapping[str, Mapping[str, float]] = {
-    "stand": {**_LEGS, "shz": -0.2, "shx": -1.25, "ely": 1.9, "elx": 0.5},
-    "reach_ready": {**_LEGS, "shz": -0.2, "shx": -1.15, "ely": 1.9, "elx": 1.4},
+    "stand": {"hpx": 0.03, "hpy": -0.31, "kny": 0.60, "aky": -0.29, "akx": -0.03,
+              "shz": -0.3, "shx": -1.25, "ely": 1.9, "elx": 0.5},
+    "reach_ready": {"hpx": 0.03, "hpy": -0.32, "kny": 0.60, "aky": -0.28, "akx": -0.03,
+                    "shz": -0.27, "shx": -1.32, "ely": 1.5, "elx": 1.7},
 }
-_CENTRE: Mapping[str, Mapping[str, float]] = {"stand": {}, "reach_ready": {}}
+# fmt: on
 
 
 def whole_posture(name: str) -> Mapping[str, float]:
@@ -43,5 +45,4 @@ def whole_posture(name: str) -> Mapping[str, float]:
         part = "arm" if joint in _ARM else "leg"
         angles[f"l_{part}_{joint}"] = angle
         angles[f"r_{part}_{joint}"] = -angle if joint in _MIRRORED else angle
-    angles.update(_CENTRE[name])
     return angles

@@ -1,0 +1,138 @@
+"""A URDF's joints: their limits, and joints locked at a position."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from lxml import etree
+
+from costs.robot.errors import RobotError, suggest
+from costs.robot.poses import axis_rotation, origin_element, parse_origin
+from costs.robot.xmlfile import number, numbers, required
+
+MOVABLE = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One <joint> element.
+
+    Attributes:
+        name, parent, child: its name and the links it connects.
+        kind: URDF type: ``revolute``, ``continuous``, ``prismatic`` or ``fixed``.
+        pose_parent_joint: (4, 4) at zero.
+        axis: (3,) unit vector in the joint's frame.
+        lower, upper: position limits [rad or m]; +-inf for continuous joints.
+        velocity, effort: [rad/s or m/s, Nm or N].
+        acceleration: [rad/s^2 or m/s^2], None when the URDF does not say.
+        mimic: (joint, multiplier, offset) it follows, or None.
+    """
+
+    name: str
+    parent: str
+    child: str
+    kind: str
+    pose_parent_joint: Float[np.ndarray, "4 4"]
+    axis: Float[np.ndarray, "3"]
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+    acceleration: float | None
+    mimic: tuple[str, float, float] | None
+
+
+def parse_joint(element: etree._Element, where: str) -> Joint:
+    """Read and check one <joint>."""
+    name = required(element, "name", where)
+    where = f"{where}: joint '{name}'"
+    kind = required(element, "type", where)
+    if kind not in (*MOVABLE, "fixed"):
+        raise RobotError(f"{where}: type '{kind}' is not supported; use {', '.join(MOVABLE)} or fixed")
+    ends = {}
+    for tag in ("parent", "child"):
+        child = element.find(tag)
+        if child is None:
+            raise RobotError(f"{where}: lacks <{tag}>; name the {tag} link")
+        ends[tag] = required(child, "link", where)
+    axis_element = element.find("axis")
+    axis = np.array([1.0, 0.0, 0.0])
+    if axis_element is not None:
+        axis = numbers(axis_element.get("xyz", "1 0 0"), 3, f"{where}: axis xyz")
+    if kind != "fixed":
+        length = float(np.linalg.norm(axis))
+        if length < 1e-6:
+            raise RobotError(f"{where}: axis is zero; give it a direction")
+        axis = axis / length
+    joint = Joint(name, ends["parent"], ends["child"], kind, parse_origin(element, where), axis,
+                  0.0, 0.0, np.inf, np.inf, None, None)  # fmt: skip
+    return joint if kind == "fixed" else _with_limits(joint, element, where)
+
+
+def lock_joints(
+    tree: etree._Element, joints: dict[str, Joint], locked: dict[str, float], where: str
+) -> dict[str, Joint]:
+    """Turn locked joints (and those that mimic them) into fixed ones, in the XML too; refuse what still mimics."""
+    movable = [name for name, joint in joints.items() if joint.kind in MOVABLE]
+    for name, position in locked.items():
+        if name not in movable:
+            raise RobotError(f"{where}: locked joint '{name}' is not a movable joint; {suggest(name, movable)}")
+        if not np.isfinite(position):
+            raise RobotError(f"{where}: locked joint '{name}' at {position}; a finite position is needed")
+    for joint in joints.values():
+        if joint.mimic is None or joint.name in locked:
+            continue
+        leader, multiplier, offset = joint.mimic
+        if leader not in locked:
+            follows = f"joint '{joint.name}' mimics '{leader}'"
+            raise RobotError(f"{where}: {follows}, which is not supported; lock '{leader}' at a position")
+        locked[joint.name] = multiplier * locked[leader] + offset
+    elements = {element.get("name"): element for element in tree.findall("joint")}
+    for name, position in locked.items():
+        joint = joints[name]
+        motion = np.eye(4)
+        if joint.kind == "prismatic":
+            motion[:3, 3] = position * joint.axis
+        else:
+            motion[:3, :3] = axis_rotation(joint.axis, position)
+        joints[name] = replace(joint, kind="fixed", pose_parent_joint=joint.pose_parent_joint @ motion, mimic=None)
+        _fix_element(elements[name], joints[name].pose_parent_joint)
+    return joints
+
+
+def _with_limits(joint: Joint, element: etree._Element, where: str) -> Joint:
+    limit = element.find("limit")
+    lower, upper, velocity, effort = -np.inf, np.inf, np.inf, np.inf
+    acceleration = None
+    if limit is None and joint.kind != "continuous":
+        raise RobotError(f"{where}: {joint.kind} but without <limit>; give lower, upper, velocity and effort")
+    if limit is not None:
+        if joint.kind != "continuous":
+            lower = number(limit.get("lower", "0"), f"{where}: limit lower")
+            upper = number(limit.get("upper", "0"), f"{where}: limit upper")
+        velocity = number(required(limit, "velocity", where), f"{where}: limit velocity")
+        effort = number(required(limit, "effort", where), f"{where}: limit effort")
+        if limit.get("acceleration") is not None:
+            acceleration = number(limit.get("acceleration", ""), f"{where}: limit acceleration")
+    if lower > upper:
+        raise RobotError(f"{where}: limit lower {lower:g} exceeds upper {upper:g}; swap them")
+    if velocity <= 0.0 or effort < 0.0 or (acceleration is not None and acceleration <= 0.0):
+        raise RobotError(f"{where}: limit velocity and acceleration must be positive, effort not negative")
+    mimic_element = element.find("mimic")
+    mimic = None
+    if mimic_element is not None:
+        mimic = (required(mimic_element, "joint", where),
+                 number(mimic_element.get("multiplier", "1"), f"{where}: mimic multiplier"),
+                 number(mimic_element.get("offset", "0"), f"{where}: mimic offset"))  # fmt: skip
+    return replace(joint, lower=lower, upper=upper, velocity=velocity, effort=effort,
+                   acceleration=acceleration, mimic=mimic)  # fmt: skip
+
+
+def _fix_element(element: etree._Element, pose: Float[np.ndarray, "4 4"]) -> None:
+    element.set("type", "fixed")
+    for child in list(element):
+        if child.tag not in ("parent", "child"):
+            element.remove(child)
+    element.append(origin_element(pose))
