@@ -7,100 +7,21 @@ Only what a request can tell by itself is checked here; ``service.setup`` checks
 from __future__ import annotations
 
 import math
-from dataclasses import field, fields
+from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    StrictBool,
-    StrictInt,
-    StrictStr,
-    model_validator,
-)
+from pydantic import Field, StrictInt
 from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
-from service.errors import shown, would_do
-
-QUATERNION_NORM_TOLERANCE = 1e-3  # what rounding to a few digits explains
-WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
-
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Coordinate = Annotated[Number, Field(ge=-WORKSPACE_M, le=WORKSPACE_M)]
-Length = Annotated[Number, Field(gt=0.0, le=WORKSPACE_M)]
-Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
-Point = tuple[Coordinate, Coordinate, Coordinate]
+from service.errors import shown
+from service.request_fields import SECTION, FilePath, Label, Name, Number, Point, Quaternion, Section, exactly_one
+from service.request_scene import SceneRequest
 
 
-def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    norm = math.hypot(*quaternion)
-    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
-        w, x, y, z = quaternion
-        unit = f"[{w / norm:.6g}, {x / norm:.6g}, {y / norm:.6g}, {z / norm:.6g}]" if norm > 1e-9 else "[1, 0, 0, 0]"
-        raise PydanticCustomError(
-            "quaternion",
-            "a quaternion (w, x, y, z) needs length 1, not {norm}; {unit} would do",
-            {"norm": f"{norm:.6g}", "unit": unit},
-        )
-    w, x, y, z = (component / norm for component in quaternion)
-    return (w, x, y, z)
-
-
-def _flag_or_height(value: object) -> object:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if isinstance(value, bool) or (is_number and abs(float(value)) <= WORKSPACE_M):  # type: ignore[arg-type]
-        return value
-    raise PydanticCustomError("floor", "true, false or a height in metres would do")
-
-
-def _single_line(name: str) -> str:
-    if not name.isprintable():
-        raise PydanticCustomError("name", "a name has no control characters")
-    return name
-
-
-Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
-Floor = Annotated[bool | float, BeforeValidator(_flag_or_height)]
-Label = Annotated[Name, AfterValidator(_single_line)]
-FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
-
-_CONFIG = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Section:
-    """Refuses keys that are not fields, naming the ones that may have been meant."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _known_keys(cls, data: Any) -> Any:
-        if isinstance(data, dict):
-            known = [f.name for f in fields(cls) if f.name != "folder"]  # type: ignore[arg-type]
-            for key in data:
-                if key not in known:
-                    raise PydanticCustomError(
-                        "unknown_key",
-                        "unknown key {key}; {known} would do",
-                        {"key": shown(key), "known": would_do(key, known)},
-                    )
-        return data
-
-
-def _exactly_one(section: object, names: tuple[str, ...]) -> None:
-    given = [name for name in names if getattr(section, name)]
-    if len(given) != 1:
-        raise PydanticCustomError(
-            "exactly_one",
-            "exactly one of {names} is needed, {given}",
-            {"names": ", ".join(names), "given": f"not {' and '.join(given)}" if given else "none is given"},
-        )
-
-
-@dataclass(config=_CONFIG)
-class RobotRequest(_Section):
+@dataclass(config=SECTION)
+class RobotRequest(Section):
     """Which robot: a bundled one by ``name``, or one read from ``urdf`` (and ``srdf``, ``package_dirs``).
 
     ``root`` says whether the base is free (by default a bundled robot's is, another's is not); ``tool_distance_m`` is
@@ -115,23 +36,23 @@ class RobotRequest(_Section):
     tool_distance_m: Annotated[Number, Field(ge=0.0, le=0.5)] | None = None
 
     def __post_init__(self) -> None:
-        _exactly_one(self, ("name", "urdf"))
+        exactly_one(self, ("name", "urdf"))
         if self.name is not None and (self.srdf or self.package_dirs):
             raise PydanticCustomError("robot", "srdf and package_dirs belong to a robot given by urdf, not by name")
         if self.urdf is not None and self.tool_distance_m is not None:
             raise PydanticCustomError("robot", "tool_distance_m belongs to a bundled robot given by name, not by urdf")
 
 
-@dataclass(config=_CONFIG)
-class PoseRequest(_Section):
+@dataclass(config=SECTION)
+class PoseRequest(Section):
     """A pose in the world."""
 
     position: Point
     quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-@dataclass(config=_CONFIG)
-class StartRequest(_Section):
+@dataclass(config=SECTION)
+class StartRequest(Section):
     """Where the robot stands at first: a named posture, overridden joint by joint.
 
     Joints come as ``joints`` (name to position) or as the two lists ``joint_names`` and ``positions``.
@@ -160,97 +81,8 @@ class StartRequest(_Section):
         return {**self.joints, **dict(zip(self.joint_names, self.positions, strict=True))}
 
 
-@dataclass(config=_CONFIG)
-class _Placed(_Section):
-    name: Label
-    position: Point = (0.0, 0.0, 0.0)
-    quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
-
-
-@dataclass(config=_CONFIG, kw_only=True)
-class BoxRequest(_Placed):
-    """A box with edge lengths ``size``, its centre at ``position``."""
-
-    type: Literal["box"]
-    size: tuple[Length, Length, Length]
-
-
-@dataclass(config=_CONFIG, kw_only=True)
-class SphereRequest(_Placed):
-    """A sphere."""
-
-    type: Literal["sphere"]
-    radius: Length
-
-
-@dataclass(config=_CONFIG, kw_only=True)
-class CylinderRequest(_Placed):
-    """A cylinder of length ``height`` along its own z axis, its centre at ``position``."""
-
-    type: Literal["cylinder"]
-    radius: Length
-    height: Length
-
-
-@dataclass(config=_CONFIG, kw_only=True)
-class CapsuleRequest(_Placed):
-    """A cylinder of length ``height`` along its own z axis with a half sphere on either end."""
-
-    type: Literal["capsule"]
-    radius: Length
-    height: Length
-
-
-@dataclass(config=_CONFIG, kw_only=True)
-class ConvexRequest(_Placed):
-    """The convex hull of ``points``."""
-
-    type: Literal["convex"]
-    points: Annotated[tuple[Point, ...], Field(min_length=4, max_length=10_000)]
-
-
-@dataclass(config=_CONFIG, kw_only=True)
-class MeshRequest(_Placed):
-    """A mesh file (STL, OBJ, PLY), split into convex pieces."""
-
-    type: Literal["mesh"]
-    file: FilePath
-
-
-ObstacleRequest = Annotated[
-    BoxRequest | SphereRequest | CylinderRequest | CapsuleRequest | ConvexRequest | MeshRequest,
-    Field(discriminator="type"),
-]
-
-
-@dataclass(config=_CONFIG)
-class SceneRequest(_Section):
-    """What surrounds the robot: a scan, obstacles, or both.
-
-    Attributes:
-        cloud: point cloud file.
-        apply_viewpoint: whether the points are in the sensor's frame and its VIEWPOINT takes them to the world.
-        hint: a point in the world near the object of the task.
-        obstacles: shapes with unique names.
-        floor: a height [m], or whether there is a floor at 0 (a scan brings its own); by default there is one for a
-            robot with a free base.
-    """
-
-    cloud: FilePath | None = None
-    apply_viewpoint: StrictBool = False
-    hint: Point | None = None
-    obstacles: Annotated[tuple[ObstacleRequest, ...], Field(max_length=1000)] = ()
-    floor: Floor | None = None
-
-    def __post_init__(self) -> None:
-        names = [obstacle.name for obstacle in self.obstacles]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})
-
-
-@dataclass(config=_CONFIG)
-class PoseGoalRequest(_Section):
+@dataclass(config=SECTION)
+class PoseGoalRequest(Section):
     """A pose that ``link`` (a link or frame of the robot) has at the end; no quaternion leaves the orientation free."""
 
     link: Name
@@ -265,8 +97,8 @@ class PoseGoalRequest(_Section):
             raise PydanticCustomError("pose", "free_axis needs a quaternion_wxyz whose axis it frees")
 
 
-@dataclass(config=_CONFIG)
-class GoalRequest(_Section):
+@dataclass(config=SECTION)
+class GoalRequest(Section):
     """Where the motion ends: joint positions, poses of links, or a named posture."""
 
     joints: dict[Name, Number] = field(default_factory=dict)
@@ -274,11 +106,11 @@ class GoalRequest(_Section):
     posture: Label | None = None
 
     def __post_init__(self) -> None:
-        _exactly_one(self, ("joints", "poses", "posture"))
+        exactly_one(self, ("joints", "poses", "posture"))
 
 
-@dataclass(config=_CONFIG)
-class ValveRequest(_Section):
+@dataclass(config=SECTION)
+class ValveRequest(Section):
     """Turn a valve: detected in the scan (near ``hint``), or given by ``centre``, ``axis`` and ``radius``.
 
     Attributes:
@@ -303,18 +135,18 @@ class ValveRequest(_Section):
             raise PydanticCustomError("valve", "axis has no length; a direction such as [-1, 0, 0] would do")
 
 
-@dataclass(config=_CONFIG)
-class TaskRequest(_Section):
+@dataclass(config=SECTION)
+class TaskRequest(Section):
     """What to do."""
 
     valve: ValveRequest | None = None
 
     def __post_init__(self) -> None:
-        _exactly_one(self, ("valve",))
+        exactly_one(self, ("valve",))
 
 
-@dataclass(config=_CONFIG)
-class Options(_Section):
+@dataclass(config=SECTION)
+class Options(Section):
     """How to plan.
 
     Attributes:
@@ -341,8 +173,8 @@ class Options(_Section):
     acceleration_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 1.0
 
 
-@dataclass(config=_CONFIG)
-class PlanRequest(_Section):
+@dataclass(config=SECTION)
+class PlanRequest(Section):
     """What a user asks: a robot, where it stands, what surrounds it, and where it shall go or what it shall do.
 
     ``folder`` is where relative paths start; it is no part of the request's meaning, of its JSON or of its hash.
@@ -357,7 +189,7 @@ class PlanRequest(_Section):
     folder: Annotated[Path, Field(exclude=True)] = field(default=Path(), compare=False)
 
     def __post_init__(self) -> None:
-        _exactly_one(self, ("goal", "task"))
+        exactly_one(self, ("goal", "task"))
 
     def resolve(self, path: str) -> Path:
         """The file or folder that ``path`` of this request means."""

@@ -5,22 +5,25 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import re
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
-from service.request import PlanRequest
+from service.request import PlanRequest, StartRequest
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
 
+T = TypeVar("T")
 _ADAPTER = TypeAdapter(PlanRequest)
+_START_ADAPTER = TypeAdapter(StartRequest)
 # Our words for pydantic's error types, filled in from the error's context; the rest keep pydantic's own.
 _WORDS = {
     "float_type": "a number is needed",
@@ -71,11 +74,16 @@ def load_request(path: str | Path) -> PlanRequest:
         RequestError: one line per problem.
     """
     path = Path(path)
-    try:
-        data = _read_yaml(_read_text(path))
-        return parse_request(data, path.parent)
-    except RequestError as error:
-        raise RequestError([f"{path.name}: {problem}" for problem in error.problems]) from None
+    return _from_file(path, lambda data: parse_request(data, path.parent))
+
+
+def load_start(path: str | Path) -> StartRequest:
+    """Read and check a file that holds what a request's ``start`` holds.
+
+    Raises:
+        RequestError: one line per problem.
+    """
+    return _from_file(Path(path), lambda data: _validated(data, _START_ADAPTER))
 
 
 def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
@@ -84,15 +92,13 @@ def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
     Raises:
         RequestError: one line per problem.
     """
-    if not isinstance(data, Mapping):
-        raise RequestError(f"a mapping with robot, start, scene, goal or task is needed, got {shown(data)}")
-    try:
-        request = _ADAPTER.validate_python(dict(data))
-    except ValidationError as error:
-        raise RequestError([_line(data, detail) for detail in error.errors(include_url=False)]) from None
-    except RecursionError:
-        raise RequestError(f"nested deeper than {MAX_DEPTH} levels") from None
-    return dataclasses.replace(request, folder=Path(folder))
+    return dataclasses.replace(_validated(data, _ADAPTER), folder=Path(folder))
+
+
+def with_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:
+    """The request with another cloud file, given relative to the working directory."""
+    path = os.path.relpath(cloud.absolute(), request.folder.absolute())
+    return dataclasses.replace(request, scene=dataclasses.replace(request.scene, cloud=path))
 
 
 def to_json(request: PlanRequest) -> dict[str, Any]:
@@ -104,6 +110,24 @@ def request_hash(request: PlanRequest) -> str:
     """``sha256:`` of the canonical JSON: sorted keys, no blanks."""
     text = json.dumps(to_json(request), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
+
+
+def _from_file(path: Path, parse: Callable[[object], T]) -> T:
+    try:
+        return parse(_read_yaml(_read_text(path)))
+    except RequestError as error:
+        raise RequestError([f"{path.name}: {problem}" for problem in error.problems]) from None
+
+
+def _validated(data: object, adapter: TypeAdapter[T]) -> T:
+    if not isinstance(data, Mapping):
+        raise RequestError(f"a mapping is needed, got {shown(data)}; docs/request-format.md lists its keys")
+    try:
+        return adapter.validate_python(dict(data))
+    except ValidationError as error:
+        raise RequestError([_line(data, detail) for detail in error.errors(include_url=False)]) from None
+    except RecursionError:
+        raise RequestError(f"nested deeper than {MAX_DEPTH} levels") from None
 
 
 def _read_text(path: Path) -> str:

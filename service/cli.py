@@ -1,0 +1,179 @@
+"""The command line ``scopt``: arguments in, exit codes out; what happens between lives in the modules it calls.
+
+Libraries are imported inside the commands, so that ``scopt --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli_report import print_figures, print_table, print_verdict
+from service.cli_run import cancellable, consoles, print_json, progress, run
+
+EXIT_CODE_HELP = "Exit codes: 0 CERTIFIED, 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, 130 CANCELLED, 70 internal error."
+app = typer.Typer(
+    name="scopt",
+    help="Whole-body trajectories for humanoids, with a certificate that a stranger can replay.",
+    epilog=EXIT_CODE_HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout.")]
+
+
+def main() -> None:
+    """Entry point of the ``scopt`` program."""
+    app()
+
+
+@app.command("plan", epilog=EXIT_CODE_HELP)
+def plan_command(
+    request: Annotated[Path, typer.Argument(help="Request file (YAML or JSON).", metavar="REQUEST")],
+    cloud: Annotated[Path | None, typer.Option(help="Point cloud instead of the request's scene.cloud.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Result folder; by default out/NAME of the request.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Plan what REQUEST asks for, certify it, and write result, trajectory and viewer."""
+    folder = out if out is not None else Path("out") / request.stem
+    raise typer.Exit(run(lambda: _plan(request, cloud, folder, as_json), as_json))
+
+
+@app.command("verify", epilog=EXIT_CODE_HELP)
+def verify_command(
+    result: Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")],
+    as_json: Json = False,
+) -> None:
+    """Check a result anew, with nothing taken from the planner but the motion and the scene."""
+    raise typer.Exit(run(lambda: _verify(result, as_json), as_json))
+
+
+@app.command("view")
+def view_command(
+    result: Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")],
+) -> None:
+    """Open a result's viewer where there is a display, and print its path."""
+    raise typer.Exit(run(lambda: _view(result)))
+
+
+@app.command("scene")
+def scene_command(
+    cloud: Annotated[Path, typer.Argument(help="Point cloud file.", metavar="CLOUD")],
+    out: Annotated[Path, typer.Option(help="File for the pieces.")],
+    reach: Annotated[float, typer.Option(help="Horizontal radius that is kept, in metres.", min=0.1, max=50.0)] = 4.0,
+    robot: Annotated[str | None, typer.Option(help="Bundled robot whose own points are left out.")] = None,
+    posture: Annotated[Path | None, typer.Option(help="File with that robot's start (as in a request).")] = None,
+    apply_viewpoint: Annotated[bool, typer.Option(help="The points are in the sensor's frame.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Turn a point cloud into convex pieces."""
+    if posture is not None and robot is None:
+        raise typer.BadParameter("--posture needs --robot")
+    raise typer.Exit(run(lambda: _scene(cloud, out, reach, robot, posture, apply_viewpoint, as_json), as_json))
+
+
+@app.command("robots")
+def robots_command(as_json: Json = False) -> None:
+    """List the robots that ship with scopt."""
+    raise typer.Exit(run(lambda: _robots(as_json), as_json))
+
+
+def _plan(request_file: Path, cloud: Path | None, folder: Path, as_json: bool) -> str:
+    out, err = consoles()
+    with progress(err, "read request") as report, cancellable(err) as should_stop:
+        report("read request", 0.0)
+        from service.output import check_folder, write_result
+        from service.planner import plan
+        from service.request_file import load_request, with_cloud
+        from service.result_json import summary_json
+
+        request = load_request(request_file)
+        if cloud is not None:
+            request = with_cloud(request, cloud)
+        check_folder(folder)
+        result = plan(request, on_progress=report, should_stop=should_stop)
+        report("write result", 1.0)
+        files = write_result(result, folder)
+    summary = summary_json(result)
+    if as_json:
+        print_json({**summary, "result": str(files.result), "viewer": str(files.viewer)})
+    else:
+        print_verdict(out, summary)
+        print_figures(out, summary)
+        out.print(f"viewer           {files.viewer}", markup=False, soft_wrap=True)
+        out.print(f"trajectory       {files.trajectory}", markup=False, soft_wrap=True)
+    return str(result.verdict.value)
+
+
+def _verify(path: Path, as_json: bool) -> str:
+    out, err = consoles()
+    with progress(err, "read result") as report:
+        report("read result", 0.0)
+        from service.replay import verify_result
+
+        report("verify", 0.1)
+        summary = verify_result(path)
+    if as_json:
+        print_json(summary)
+    else:
+        print_verdict(out, summary)
+        print_figures(out, summary)
+    return str(summary["verdict"])
+
+
+def _view(path: Path) -> None:
+    import os
+    import webbrowser
+
+    from service.errors import ResultError
+    from service.output import ResultFiles, read_result, result_path
+
+    read_result(path)
+    viewer = ResultFiles(result_path(path).parent).viewer.resolve()
+    if not viewer.is_file():
+        raise ResultError(f"{viewer} is not there; plan again to write it")
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        webbrowser.open(viewer.as_uri())
+    typer.echo(str(viewer))
+
+
+def _scene(
+    cloud: Path,
+    out: Path,
+    reach: float,
+    robot: str | None,
+    posture: Path | None,
+    apply_viewpoint: bool,
+    as_json: bool,
+) -> None:
+    screen, err = consoles()
+    with progress(err, "read cloud") as report:
+        from service.scene_file import perceive_file, write_scene
+
+        seen = perceive_file(cloud, reach, robot, posture, apply_viewpoint, lambda step: report(step, 0.3))
+        report("write pieces", 0.9)
+        write_scene(seen, out)
+    if as_json:
+        print_json({key: value for key, value in seen.items() if key != "pieces"})
+        return
+    figures = seen["figures"]
+    print_table(screen, ("figure", "value"), [(name, str(value)) for name, value in figures.items()])
+    for note in seen["notes"]:
+        screen.print(f"note: {note}", markup=False, soft_wrap=True)
+    screen.print(f"pieces           {out}", markup=False, soft_wrap=True)
+
+
+def _robots(as_json: bool) -> None:
+    out, _ = consoles()
+    from costs.robot import bundled_robots
+
+    robots = bundled_robots()
+    if as_json:
+        print_json({"robots": [{"name": name, "description": text} for name, text in robots.items()]})
+    else:
+        print_table(out, ("robot", "description"), list(robots.items()))

@@ -1,0 +1,87 @@
+"""Verdicts and scenes as a person reads them in a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+_COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
+
+
+def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
+    """The verdict, the checks as a table, what stands in the way, and the notes.
+
+    Args:
+        out: where to.
+        summary: the keys of ``result.json`` that it shows; the others may be missing.
+    """
+    verdict = str(summary["verdict"])
+    checks = summary.get("checks") or []
+    if checks:
+        out.print(_checks(checks))
+    out.print(Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}"))
+    for sentence in summary.get("explanation") or []:
+        out.print(Text(f"  {sentence}"), soft_wrap=True)
+    for note in summary.get("notes") or []:
+        out.print(Text(f"  note: {note}", style="dim"), soft_wrap=True)
+
+
+def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
+    """Phases, planning time, smallest clearance and between what, smallest balance margin."""
+    names = [phase["name"] for phase in summary.get("phases") or []]
+    if names:
+        out.print(f"phases           {', '.join(names)}", markup=False)
+    out.print(
+        f"planning time    {summary['planning_time_s']:.2f} s{_slowest(summary.get('timings') or {})}", markup=False
+    )
+    clearance, pair = summary.get("min_clearance_m"), summary.get("min_clearance_pair")
+    between = f" between {pair[0]} and {pair[1]}" if pair else ""
+    out.print(f"clearance        {_millimetres(clearance)}{between}", markup=False)
+    out.print(f"balance margin   {_millimetres(summary.get('min_balance_margin_m'))}", markup=False)
+
+
+def print_table(out: Console, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A plain table."""
+    table = Table(box=None, pad_edge=False)
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    out.print(table)
+
+
+def _checks(checks: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("check")
+    table.add_column("")
+    table.add_column("value", justify="right")
+    table.add_column("limit", justify="right")
+    table.add_column("", overflow="fold")
+    for check in checks:
+        mark = Text("ok", style="green") if check["ok"] else Text("FAILS", style="bold red")
+        unit = str(check["unit"])
+        table.add_row(
+            Text(str(check["name"])),
+            mark,
+            _with_unit(check["value"], unit),
+            _with_unit(check["limit"], unit),
+            Text(str(check["text"])),
+        )
+    return table
+
+
+def _with_unit(value: float | None, unit: str) -> str:
+    return "" if value is None else f"{value:.4g} {unit}".rstrip()
+
+
+def _millimetres(value: float | None) -> str:
+    return "none proven" if value is None else f"{1000.0 * value:.1f} mm"
+
+
+def _slowest(timings: Mapping[str, float]) -> str:
+    steps = sorted(timings.items(), key=lambda entry: -entry[1])[:4]
+    return f" ({', '.join(f'{name} {seconds:.2f}' for name, seconds in steps)})" if steps else ""

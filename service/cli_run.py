@@ -1,0 +1,135 @@
+"""What all commands share: exit codes, one line for an error, cancelling with Ctrl-C, progress on stderr."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+from rich.console import Console
+
+from service.errors import RequestError, ResultError
+
+EXIT_CODES = {
+    "CERTIFIED": 0,
+    "FEASIBLE_AT_SAMPLES": 4,
+    "NOT_FOUND": 4,
+    "INFEASIBLE": 4,
+    "INVALID_REQUEST": 3,
+    "TIME_LIMIT": 5,
+    "CANCELLED": 130,
+}
+EXIT_INTERNAL = 70
+MIN_WIDTH = 100  # a table in a log file need not be squeezed into 80 columns
+TRACEBACK_VARIABLE = "SCOPT_TRACEBACK"
+
+
+def consoles() -> tuple[Console, Console]:
+    """Where results go (stdout) and where everything else goes (stderr)."""
+    pair = Console(highlight=False), Console(stderr=True, highlight=False)
+    for console in pair:
+        if not console.is_terminal:
+            console.width = max(console.width, MIN_WIDTH)
+    return pair
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """One object, and nothing else, on stdout."""
+    sys.stdout.write(json.dumps(data, allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
+def without_result(verdict: str, explanation: tuple[str, ...], **more: object) -> dict[str, Any]:
+    """What ``--json`` prints when there is no plan to speak of."""
+    return {
+        "verdict": verdict,
+        "explanation": list(explanation),
+        "planning_time_s": 0.0,
+        "timings": {},
+        "min_clearance_m": None,
+        "phases": [],
+        **more,
+    }
+
+
+def run(command: Callable[[], str | None], as_json: bool = False) -> int:
+    """Run a command that returns a verdict, or None where there is nothing to judge; its exit code, whatever happens.
+
+    Wrong input is one line per problem on stderr. With ``as_json``, stdout gets an object in these cases too.
+    """
+    _, err = consoles()
+    try:
+        given = command()
+        return 0 if given is None else EXIT_CODES[given]
+    except (RequestError, ResultError) as error:
+        verdict, lines = "INVALID_REQUEST", str(error).splitlines()
+    except KeyboardInterrupt:
+        verdict, lines = "CANCELLED", ["cancelled"]
+    except BrokenPipeError:
+        # The reader of stdout has gone; nobody is left to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_INTERNAL
+    except Exception as error:
+        if os.environ.get(TRACEBACK_VARIABLE):
+            raise
+        line = " ".join(f"internal error, please report it: {type(error).__name__}: {error}".split())
+        err.print(f"{line} ({TRACEBACK_VARIABLE}=1 shows where)", style="red", markup=False, soft_wrap=True)
+        if as_json:
+            print_json(without_result("INTERNAL_ERROR", (line,)))
+        return EXIT_INTERNAL
+    for line in lines:
+        err.print(line, style="red", markup=False, soft_wrap=True)
+    if as_json:
+        print_json(without_result(verdict, tuple(lines)))
+    return EXIT_CODES[verdict]
+
+
+@contextmanager
+def cancellable(err: Console) -> Iterator[Callable[[], bool]]:
+    """The first Ctrl-C asks the planner to stop and hand over its best; the second stops at once.
+
+    Yields what the planner asks: whether to stop.
+    """
+    stop = threading.Event()
+
+    def ask(signum: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        err.print("stopping; Ctrl-C again stops at once", style="yellow")
+
+    earlier = signal.signal(signal.SIGINT, ask)
+    try:
+        yield stop.is_set
+    finally:
+        signal.signal(signal.SIGINT, earlier)
+
+
+@contextmanager
+def progress(err: Console, first_step: str) -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on stderr; yields ``report(step, fraction done)``.
+
+    Where stderr is no terminal, each new step is one line.
+    """
+    if not err.is_terminal:
+        seen: set[str] = set()
+
+        def say(step: str, fraction: float) -> None:
+            if step not in seen:
+                seen.add(step)
+                err.print(f"{100.0 * fraction:3.0f} % {step}", markup=False)
+
+        yield say
+        return
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task(first_step, total=1.0)
+        yield lambda step, fraction: bar.update(task, description=step, completed=fraction)

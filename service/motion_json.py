@@ -1,0 +1,173 @@
+"""A motion as the plain data of ``result.json``, and back: samples, curve, phases, and what the task moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.curve import Curve, TimeLaw
+from costs.robot import BASE_NAMES, RobotModel, with_revolute
+from costs.scene import ConvexPiece, Scene
+from service.phase_json import phase_from_json, phase_json, sample_index
+from service.verify import Motion
+from service.verify.dynamics import forces
+from service.verify.timeline import time_of
+
+BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
+
+
+def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
+    """The keys of ``result.json`` that speak of the motion; ``robot`` is the motion's without what the task moves."""
+    s = samples_of(motion)
+    q = motion.curve(s)
+    phases = [phase_json(phase, s) for phase in motion.phases]
+    return {
+        "trajectory": {
+            "joint_names": list(file_columns(robot)),
+            "positions": file_positions(robot, q[:, : robot.n]).tolist(),
+            "times": sample_times(motion).tolist(),
+        },
+        "curve": _curve(motion, s),
+        "waypoints": [sample_index(s, knot) for knot in motion.curve.knots],
+        "phases": phases,
+        "movables": [_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
+        "support_polygons": [
+            {"first": phase["first"], "last": phase["last"], **phase["support"]} for phase in phases if phase["support"]
+        ],
+        "com": _centres_of_mass(robot, q[:, : robot.n]).tolist(),
+        "zmp": _zero_moment_points(motion, s),
+    }
+
+
+def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
+    """The motion of a parsed ``result.json``, for a robot read from the files beside it.
+
+    Raises:
+        KeyError, TypeError, ValueError: the data do not follow docs/result-format.md.
+    """
+    for movable in data["movables"]:
+        robot = with_revolute(
+            robot,
+            name=movable["joint"],
+            link=movable["name"],
+            origin=np.array(movable["origin"]),
+            axis=np.array(movable["axis"]),
+            bodies={body["name"]: np.array(body["vertices"]) for body in movable["bodies"]},
+            **{key: float(movable[key]) for key in ("lower", "upper", "velocity", "acceleration")},
+        )
+    curve, law = data["curve"], data["curve"]["law"]
+    if tuple(curve["joint_names"]) != robot.joint_names:
+        raise ValueError("curve.joint_names are not the joints of the robot and of what the task moves")
+    s = np.array(curve["samples"], dtype=float)
+    return Motion(
+        robot=robot,
+        scene=Scene(tuple(ConvexPiece(p["name"], np.array(p["vertices"]), p["kind"]) for p in data["pieces"])),
+        curve=Curve(*(np.array(curve[key], dtype=float) for key in ("knots", "positions", "tangents"))),
+        law=None if law is None else TimeLaw(*(np.array(law[key], float) for key in ("times", "path", "speed"))),
+        phases=tuple(phase_from_json(phase, s) for phase in data["phases"]),
+        samples=s,
+        mechanism_links=robot.mechanism_links,
+    )
+
+
+def samples_of(motion: Motion) -> Float[np.ndarray, "S"]:
+    """Path parameters of the exported samples: the motion's own, or its knots."""
+    return motion.curve.knots if motion.samples is None else motion.samples
+
+
+def sample_times(motion: Motion) -> Float[np.ndarray, "S"]:
+    """When the samples are reached [s]; without a time law, the path parameter stands for the time."""
+    s = samples_of(motion)
+    return s if motion.law is None else np.array([time_of(motion.law, float(at)) for at in s])
+
+
+def file_columns(robot: RobotModel) -> tuple[str, ...]:
+    """Column names of a trajectory in files: a floating base as position and quaternion, then the joints."""
+    return BASE_COLUMNS + robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
+
+
+def file_positions(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "S k"]:
+    """Configurations in the columns of ``file_columns``; the quaternion's sign does not flip between samples."""
+    if not robot.is_floating or not len(q):
+        return q if len(q) else np.zeros((0, len(file_columns(robot))))
+    quaternions = Rotation.from_euler("ZYX", q[:, 3:6]).as_quat(scalar_first=True)
+    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
+    quaternions[1:] *= np.cumprod(np.where(flips, -1.0, 1.0))[:, None]
+    return np.hstack([q[:, :3], quaternions, q[:, 6:]])
+
+
+def _curve(motion: Motion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
+    law = motion.law
+    return {
+        "joint_names": list(motion.robot.joint_names),
+        "knots": motion.curve.knots.tolist(),
+        "positions": motion.curve.positions.tolist(),
+        "tangents": motion.curve.tangents.tolist(),
+        "samples": s.tolist(),
+        "law": None
+        if law is None
+        else {"times": law.times.tolist(), "path": law.path.tolist(), "speed": law.speed.tolist()},
+    }
+
+
+def _movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.ndarray, "S n"]) -> dict[str, Any]:
+    """One mechanism joint of the motion's robot: its bodies in the world at angle 0, and its angle at each sample."""
+    augmented = motion.robot
+    joint = augmented.model.getJointId(augmented.joint_names[column])
+    placement, free = augmented.model.jointPlacements[joint], augmented.model.joints[joint]
+    unit = np.zeros(augmented.n)
+    unit[column] = 1.0
+    bodies = [body for body in augmented.bodies if body.joint == joint]
+    return {
+        "name": bodies[0].link,
+        "joint": augmented.joint_names[column],
+        "type": "revolute",
+        "origin": placement.translation.tolist(),
+        "axis": (placement.rotation @ _axis(augmented, free)).tolist(),
+        "lower": float(augmented.lower[column]),
+        "upper": float(augmented.upper[column]),
+        "velocity": float(augmented.velocity[column]),
+        "acceleration": float(augmented.acceleration[column]),
+        "bodies": [
+            {
+                "name": body.name,
+                "kind": "movable",
+                "vertices": (body.vertices @ placement.rotation.T + placement.translation).tolist(),
+            }
+            for body in bodies
+        ],
+        "angles": q[:, column].tolist(),
+    }
+
+
+def _axis(robot: RobotModel, joint: pin.JointModel) -> Float[np.ndarray, "3"]:
+    """The direction a revolute joint turns about, in its own frame."""
+    data = joint.createData()
+    joint.calc(data, np.zeros(robot.n), np.zeros(robot.n))
+    return np.asarray(data.S)[3:, 0]
+
+
+def _centres_of_mass(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "S 3"]:
+    data = robot.model.createData()
+    return np.array([pin.centerOfMass(robot.model, data, row).copy() for row in q]).reshape(-1, 3)
+
+
+def _zero_moment_points(motion: Motion, s: Float[np.ndarray, "S"]) -> list[list[float] | None]:
+    """ZMP of the full inverse dynamics at the samples, null where no phase stands on a support polygon."""
+    rows: list[list[float] | None] = [None] * len(s)
+    if motion.law is None:
+        return rows
+    times = sample_times(motion)
+    for phase in motion.phases:
+        inside = np.flatnonzero((s >= phase.first) & (s <= phase.last))
+        if phase.support is None or not len(inside):
+            continue
+        zmp = forces(motion, motion.law, phase, times[inside], torques=False).zmp(phase.support.height)
+        for row, point in zip(inside, zmp, strict=True):
+            rows[row] = point.tolist() if np.isfinite(point).all() else None
+    return rows

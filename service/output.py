@@ -1,0 +1,158 @@
+"""The result folder: written as a whole or not at all, and read back with the same care as any other input."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from costs.robot import RobotModel
+from service.errors import ResultError, shown
+from service.motion_json import samples_of
+from service.result import PlanResult
+from service.result_json import FORMAT, to_result_json
+from service.viewer import placements_of, write_viewer
+
+RESULT_NAME = "result.json"
+TRAJECTORY_NAME = "trajectory.csv"
+VIEWER_NAME = "viewer.html"
+MAX_RESULT_BYTES = 512 * 2**20
+
+
+@dataclass(frozen=True)
+class ResultFiles:
+    """Where the files of a result are."""
+
+    folder: Path
+
+    @property
+    def result(self) -> Path:
+        """What a stranger needs to check the motion."""
+        return self.folder / RESULT_NAME
+
+    @property
+    def trajectory(self) -> Path:
+        """The samples as a table: time, then one column per coordinate."""
+        return self.folder / TRAJECTORY_NAME
+
+    @property
+    def viewer(self) -> Path:
+        """The motion to look at."""
+        return self.folder / VIEWER_NAME
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that a result must not replace.
+
+    Raises:
+        ResultError: it is a file, or holds something other than an earlier result.
+    """
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise ResultError(f"{folder} is a file; name a folder for the result")
+    if any(folder.iterdir()) and not (folder / RESULT_NAME).is_file():
+        raise ResultError(f"{folder} holds other files and no {RESULT_NAME}; name a new or empty folder")
+
+
+def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
+    """Write a result folder, replacing an earlier one; nothing is left half-written, whatever interrupts it.
+
+    Raises:
+        ResultError: the folder holds something else, or cannot be written.
+    """
+    folder = Path(folder)
+    check_folder(folder)
+    data = to_result_json(result)
+    try:
+        with _replaced(folder) as fresh:
+            (fresh / RESULT_NAME).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
+            _write_trajectory(data["trajectory"], fresh / TRAJECTORY_NAME)
+            _write_robot(result.robot, fresh / "robot")
+            _write_views(result, data, fresh)
+    except OSError as error:
+        raise ResultError(f"{folder} cannot be written: {error.strerror or error}") from None
+    return ResultFiles(folder)
+
+
+def read_result(path: str | Path) -> dict[str, Any]:
+    """The content of a result folder's ``result.json``, given the folder or the file.
+
+    Raises:
+        ResultError: not there, not JSON, or another format.
+    """
+    path = result_path(path)
+    try:
+        size = path.stat().st_size
+        if size > MAX_RESULT_BYTES:
+            raise ResultError(f"{path} has {size} bytes; at most {MAX_RESULT_BYTES} are read")
+        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    except OSError as error:
+        raise ResultError(f"{path} cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise ResultError(f"{path} is no JSON: {shown(str(error))}") from None
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        found = data.get("format") if isinstance(data, dict) else data
+        raise ResultError(f"{path}: format is {shown(found)}; {FORMAT!r} would do")
+    return data
+
+
+def result_path(path: str | Path) -> Path:
+    """The ``result.json`` that a user means by a folder or a file."""
+    path = Path(path)
+    return path / RESULT_NAME if path.is_dir() else path
+
+
+@contextmanager
+def _replaced(folder: Path) -> Iterator[Path]:
+    """A fresh folder beside ``folder`` that takes its place when the body succeeds, and vanishes when it does not."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
+        fresh, earlier = Path(scratch) / "fresh", Path(scratch) / "earlier"
+        fresh.mkdir()
+        yield fresh
+        if folder.exists():
+            os.rename(folder, earlier)
+        try:
+            os.rename(fresh, folder)
+        except BaseException:
+            if earlier.exists():
+                os.rename(earlier, folder)
+            raise
+
+
+def _write_trajectory(trajectory: Mapping[str, Any], path: Path) -> None:
+    header = ",".join(("time", *trajectory["joint_names"]))
+    table = np.column_stack([trajectory["times"], np.array(trajectory["positions"])])
+    np.savetxt(path, table, fmt="%.10g", delimiter=",", header=header, comments="")
+
+
+def _write_robot(robot: RobotModel, folder: Path) -> None:
+    folder.mkdir()
+    (folder / "robot.urdf").write_text(robot.source.urdf, encoding="utf-8")
+    if robot.source.srdf:
+        (folder / "robot.srdf").write_text(robot.source.srdf, encoding="utf-8")
+    for name, source in robot.source.files.items():
+        target = folder / name
+        if not target.resolve().is_relative_to(folder.resolve()):
+            raise ResultError(f"mesh path {shown(name)} leads out of the result folder")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
+
+
+def _write_views(result: PlanResult, data: Mapping[str, Any], folder: Path) -> None:
+    q = result.start[None] if result.motion is None else result.motion.curve(samples_of(result.motion))
+    links = tuple(dict.fromkeys(body.link for body in result.robot.bodies))
+    write_viewer(data, placements_of(result.robot, q[:, : result.robot.n], links), folder / VIEWER_NAME)
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number that JSON has")

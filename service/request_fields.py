@@ -1,0 +1,84 @@
+"""The fields a request is made of: numbers, points, quaternions, names, and sections that know their keys."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, StrictStr, model_validator
+from pydantic_core import PydanticCustomError
+
+from service.errors import shown, would_do
+
+QUATERNION_NORM_TOLERANCE = 1e-3  # what rounding to a few digits explains
+WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Coordinate = Annotated[Number, Field(ge=-WORKSPACE_M, le=WORKSPACE_M)]
+Length = Annotated[Number, Field(gt=0.0, le=WORKSPACE_M)]
+Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+
+
+def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    norm = math.hypot(*quaternion)
+    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
+        w, x, y, z = quaternion
+        unit = f"[{w / norm:.6g}, {x / norm:.6g}, {y / norm:.6g}, {z / norm:.6g}]" if norm > 1e-9 else "[1, 0, 0, 0]"
+        raise PydanticCustomError(
+            "quaternion",
+            "a quaternion (w, x, y, z) needs length 1, not {norm}; {unit} would do",
+            {"norm": f"{norm:.6g}", "unit": unit},
+        )
+    w, x, y, z = (component / norm for component in quaternion)
+    return (w, x, y, z)
+
+
+def _flag_or_height(value: object) -> object:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(value, bool) or (is_number and abs(float(value)) <= WORKSPACE_M):  # type: ignore[arg-type]
+        return value
+    raise PydanticCustomError("floor", "true, false or a height in metres would do")
+
+
+def _single_line(name: str) -> str:
+    if not name.isprintable():
+        raise PydanticCustomError("name", "a name has no control characters")
+    return name
+
+
+Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
+Floor = Annotated[bool | float, BeforeValidator(_flag_or_height)]
+Label = Annotated[Name, AfterValidator(_single_line)]
+FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
+
+SECTION = ConfigDict(extra="forbid", frozen=True)
+
+
+class Section:
+    """Refuses keys that are not fields, naming the ones that may have been meant."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            known = [f.name for f in fields(cls) if f.name != "folder"]  # type: ignore[arg-type]
+            for key in data:
+                if key not in known:
+                    raise PydanticCustomError(
+                        "unknown_key",
+                        "unknown key {key}; {known} would do",
+                        {"key": shown(key), "known": would_do(key, known)},
+                    )
+        return data
+
+
+def exactly_one(section: object, names: tuple[str, ...]) -> None:
+    given = [name for name in names if getattr(section, name)]
+    if len(given) != 1:
+        raise PydanticCustomError(
+            "exactly_one",
+            "exactly one of {names} is needed, {given}",
+            {"names": ", ".join(names), "given": f"not {' and '.join(given)}" if given else "none is given"},
+        )

@@ -1,0 +1,101 @@
+"""The ``scene`` section of a request: a scan, a floor, and obstacles by shape."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, StrictBool
+from pydantic.dataclasses import dataclass
+from pydantic_core import PydanticCustomError
+
+from service.errors import shown
+from service.request_fields import SECTION, FilePath, Floor, Label, Length, Point, Quaternion, Section
+
+
+@dataclass(config=SECTION)
+class _Placed(Section):
+    name: Label
+    position: Point = (0.0, 0.0, 0.0)
+    quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(config=SECTION, kw_only=True)
+class BoxRequest(_Placed):
+    """A box with edge lengths ``size``, its centre at ``position``."""
+
+    type: Literal["box"]
+    size: tuple[Length, Length, Length]
+
+
+@dataclass(config=SECTION, kw_only=True)
+class SphereRequest(_Placed):
+    """A sphere."""
+
+    type: Literal["sphere"]
+    radius: Length
+
+
+@dataclass(config=SECTION, kw_only=True)
+class CylinderRequest(_Placed):
+    """A cylinder of length ``height`` along its own z axis, its centre at ``position``."""
+
+    type: Literal["cylinder"]
+    radius: Length
+    height: Length
+
+
+@dataclass(config=SECTION, kw_only=True)
+class CapsuleRequest(_Placed):
+    """A cylinder of length ``height`` along its own z axis with a half sphere on either end."""
+
+    type: Literal["capsule"]
+    radius: Length
+    height: Length
+
+
+@dataclass(config=SECTION, kw_only=True)
+class ConvexRequest(_Placed):
+    """The convex hull of ``points``."""
+
+    type: Literal["convex"]
+    points: Annotated[tuple[Point, ...], Field(min_length=4, max_length=10_000)]
+
+
+@dataclass(config=SECTION, kw_only=True)
+class MeshRequest(_Placed):
+    """A mesh file (STL, OBJ, PLY), split into convex pieces."""
+
+    type: Literal["mesh"]
+    file: FilePath
+
+
+ObstacleRequest = Annotated[
+    BoxRequest | SphereRequest | CylinderRequest | CapsuleRequest | ConvexRequest | MeshRequest,
+    Field(discriminator="type"),
+]
+
+
+@dataclass(config=SECTION)
+class SceneRequest(Section):
+    """What surrounds the robot: a scan, obstacles, or both.
+
+    Attributes:
+        cloud: point cloud file.
+        apply_viewpoint: whether the points are in the sensor's frame and its VIEWPOINT takes them to the world.
+        hint: a point in the world near the object of the task.
+        obstacles: shapes with unique names.
+        floor: a height [m], or whether there is a floor at 0 (a scan brings its own); by default there is one for a
+            robot with a free base.
+    """
+
+    cloud: FilePath | None = None
+    apply_viewpoint: StrictBool = False
+    hint: Point | None = None
+    obstacles: Annotated[tuple[ObstacleRequest, ...], Field(max_length=1000)] = ()
+    floor: Floor | None = None
+
+    def __post_init__(self) -> None:
+        names = [obstacle.name for obstacle in self.obstacles]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})

@@ -1,0 +1,214 @@
+"""A request made real: the robot at its start, the scene around it, and the proof that it can stand there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot import RobotError, RobotModel, load_robot
+from costs.scene import ConvexPiece, Scene
+from perception.errors import PerceptionError
+from perception.perceive import Perceived, perceive
+from perception.read import read_cloud
+from service.errors import RequestError, would_do
+from service.obstacles import flat_floor, obstacle_pieces
+from service.request import PlanRequest
+from service.start import (
+    FEET_GROUP,
+    FLOOR_KIND,
+    beyond_limits,
+    collisions,
+    placed_bodies,
+    sole,
+    standing_problems,
+    start_configuration,
+    unknown_joints,
+)
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class PlanSetup:
+    """What every task starts from.
+
+    Attributes:
+        request: the request it was made from.
+        robot: the robot.
+        start: (n,) start configuration, within the limits.
+        scene: all pieces, the floor's included.
+        perceived: what the scan showed; None without a scan.
+        soles: for each planted link, the corners of its sole in the world at the start [m].
+        notes: what was assumed, snapped or noticed.
+        timings: seconds by step.
+    """
+
+    request: PlanRequest
+    robot: RobotModel
+    start: Float[np.ndarray, "n"]
+    scene: Scene
+    perceived: Perceived | None
+    soles: Mapping[str, Float[np.ndarray, "C 3"]]
+    notes: tuple[str, ...]
+    timings: Mapping[str, float]
+
+    @property
+    def contacts(self) -> tuple[str, ...]:
+        """The links planted at the start."""
+        return tuple(self.soles)
+
+
+def prepare(request: PlanRequest, on_step: Callable[[str], None] | None = None) -> PlanSetup:
+    """Load the robot, read the scan, and check the request against both.
+
+    Args:
+        request: the request.
+        on_step: told the name of each step before it begins.
+
+    Raises:
+        RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
+    """
+    say = on_step or (lambda step: None)
+    timings: dict[str, float] = {}
+    say("load robot")
+    robot = _timed(timings, "load_robot", lambda: _load(request))
+    start, notes = start_configuration(robot, request.start)
+    _check_goal(robot, request)
+    soles = _soles(robot, start, request)
+    say("perceive scene")
+    perceived = _timed(timings, "perceive", lambda: _perceive(request, robot, start, soles))
+    scene = _timed(timings, "build_scene", lambda: _scene(request, robot, start, perceived))
+    say("check start")
+    _timed(timings, "check_start", lambda: _check_start(robot, start, scene, soles))
+    if perceived is not None:
+        notes += perceived.notes
+    return PlanSetup(request, robot, start, scene, perceived, soles, notes, timings)
+
+
+def _timed(timings: dict[str, float], step: str, run: Callable[[], T]) -> T:
+    started = time.perf_counter()
+    value = run()
+    timings[step] = time.perf_counter() - started
+    return value
+
+
+def _load(request: PlanRequest) -> RobotModel:
+    robot = request.robot
+    try:
+        if robot.urdf is None:
+            return load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m)
+        return load_robot(
+            urdf=_existing(request, robot.urdf, "robot.urdf"),
+            srdf=None if robot.srdf is None else _existing(request, robot.srdf, "robot.srdf"),
+            package_dirs=[request.resolve(folder) for folder in robot.package_dirs],
+            root=robot.root,
+        )
+    except RobotError as error:
+        raise RequestError(f"robot: {error}") from None
+
+
+def _existing(request: PlanRequest, path: str, field: str) -> Path:
+    resolved = request.resolve(path)
+    if not resolved.is_file():
+        raise RequestError(f"{field}: {resolved} is not there; paths start at the request's folder")
+    return resolved
+
+
+def _check_goal(robot: RobotModel, request: PlanRequest) -> None:
+    goal = request.goal
+    if goal is None:
+        return
+    problems = unknown_joints(robot, goal.joints, "goal.joints")
+    if not problems:
+        problems = beyond_limits(robot, goal.joints, "goal.joints")
+    if goal.posture is not None and goal.posture not in robot.postures:
+        known = would_do(goal.posture, robot.postures) or "no postures; give goal.joints"
+        problems.append(f"unknown posture {goal.posture!r} in goal.posture; {robot.name} has {known}")
+    for index, pose in enumerate(goal.poses):
+        problems += _unknown_links(robot, (pose.link,), f"goal.poses[{index}].link")
+    if problems:
+        raise RequestError(problems)
+
+
+def _unknown_links(robot: RobotModel, links: tuple[str, ...], field: str) -> list[str]:
+    frames = [frame.name for frame in robot.model.frames if frame.name != "universe"]
+    return [
+        f"unknown link {link!r} in {field}; {robot.name} has {would_do(link, frames)}"
+        for link in links
+        if link not in frames
+    ]
+
+
+def _soles(robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanRequest) -> dict[str, np.ndarray]:
+    feet = request.options.feet
+    if not robot.is_floating:
+        if feet:
+            raise RequestError("options.feet: this robot's base is fixed and plants no feet; leave it out")
+        return {}
+    if feet is None:
+        feet = robot.link_groups.get(FEET_GROUP, ())
+    if not feet:
+        raise RequestError(f"options.feet: {robot.name} names no links in its group 'feet'; list the planted links")
+    bodied = {body.link for body in robot.bodies}
+    problems = _unknown_links(robot, feet, "options.feet")
+    problems += [
+        f"options.feet: link {foot!r} has no collision shape to stand on" for foot in feet if foot not in bodied
+    ]
+    if problems:
+        raise RequestError(problems)
+    return {foot: sole(robot, start, foot) for foot in feet}
+
+
+def _perceive(
+    request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"], soles: Mapping[str, np.ndarray]
+) -> Perceived | None:
+    if request.scene.cloud is None:
+        return None
+    try:
+        cloud = read_cloud(request.resolve(request.scene.cloud), request.scene.apply_viewpoint)
+        return perceive(
+            cloud,
+            robot_hulls=[vertices for _, vertices in placed_bodies(robot, start)],
+            soles=list(soles.values()),
+            valve=request.task is not None and request.task.valve is not None,
+            seed=request.options.seed,
+        )
+    except PerceptionError as error:
+        raise RequestError(f"scene.cloud: {error}") from None
+
+
+def _scene(
+    request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"], perceived: Perceived | None
+) -> Scene:
+    """Obstacles first, then what the scan shows, then the floor; a floor given in the request replaces the scan's."""
+    pieces: list[ConvexPiece] = list(obstacle_pieces(request))
+    floor = request.scene.floor
+    seen = () if perceived is None else perceived.scene.pieces
+    pieces += [piece for piece in seen if floor is None or piece.kind != FLOOR_KIND]
+    if floor is None:
+        floor = robot.is_floating and not any(piece.kind == FLOOR_KIND for piece in pieces)
+    if floor is not False:
+        height = 0.0 if floor is True else float(floor)
+        pieces.append(flat_floor(height, start[:2] if robot.is_floating else np.zeros(2)))
+    try:
+        return Scene(tuple(pieces))
+    except ValueError as error:
+        raise RequestError(
+            f"scene.obstacles: {error}; the names 'floor' and those of the scan's pieces are taken"
+        ) from None
+
+
+def _check_start(
+    robot: RobotModel, start: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, np.ndarray]
+) -> None:
+    problems = [f"start is in collision: {line}" for line in collisions(robot, start, scene, tuple(soles))]
+    if soles:
+        problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]
+    if problems:
+        raise RequestError(problems)

@@ -1,0 +1,182 @@
+"""Where the robot stands at first: the start configuration of a request, and whether a robot can stand so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import coal
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.collision.shapes import static_convex
+from costs.robot import BASE_NAMES, LinkBody, RobotModel
+from costs.scene import ConvexPiece, Scene
+from costs.support import SupportPolygon
+from service.errors import RequestError, would_do
+from service.request import StartRequest
+
+SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
+STANDING_POSTURE = "stand"
+FEET_GROUP = "feet"
+SOLE_BAND_M = 0.005  # vertices this close to a foot's lowest one are its sole
+FLOOR_KIND = "floor"
+FLOOR_CONTACT_M = 0.03  # deepest a planted sole may stand in the floor at the start: a scanned floor is that uncertain
+TOUCH_M = 1e-6
+
+
+def start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
+    """Configuration of a start request, and notes about what was assumed or snapped.
+
+    Raises:
+        RequestError: an unknown posture or joint, or a joint beyond its limits by more than 1e-3.
+    """
+    q, notes = _posture(robot, start)
+    given = start.positions_by_joint
+    problems = unknown_joints(robot, given, "start.joints")
+    if problems:
+        raise RequestError(problems)
+    for name, position in given.items():
+        q[robot.joint_names.index(name)] = position
+    if start.base is not None:
+        if not robot.is_floating:
+            raise RequestError("start.base: this robot's base is fixed; leave it out, or give robot.root: floating")
+        q[:3] = start.base.position
+        # The base's coordinates are intrinsic yaw, pitch, roll.
+        q[3:6] = Rotation.from_quat(start.base.quaternion_wxyz, scalar_first=True).as_euler("ZYX")
+        if abs(math.degrees(q[4])) > 85.0:
+            raise RequestError(
+                f"start.base.quaternion_wxyz: a pitch of {math.degrees(q[4]):.0f} deg is too near to 90; "
+                "at most 85 would do"
+            )
+    return _snapped(robot, q, notes)
+
+
+def unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence[str], field: str) -> list[str]:
+    """One line for each name that is no joint of the robot."""
+    joints = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
+    return [
+        f"unknown joint {name!r} in {field}; {robot.name} has {would_do(name, joints)}"
+        for name in names
+        if name not in joints
+    ]
+
+
+def beyond_limits(robot: RobotModel, positions: Mapping[str, float], field: str, tolerance: float = 0.0) -> list[str]:
+    """One line for each joint position that is beyond the joint's limits by more than ``tolerance``."""
+    problems = []
+    for name, position in positions.items():
+        index = robot.joint_names.index(name)
+        lower, upper = float(robot.lower[index]), float(robot.upper[index])
+        if not lower - tolerance <= position <= upper + tolerance:
+            problems.append(
+                f"{field}.{name}: {position:.6g} is outside the joint's limits; {lower:.6g} to {upper:.6g} would do"
+            )
+    return problems
+
+
+def placed_bodies(robot: RobotModel, q: Float[np.ndarray, "n"]) -> list[tuple[LinkBody, Float[np.ndarray, "V 3"]]]:
+    """Every body with its vertices in the world at ``q`` [m]."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    return [(b, b.vertices @ data.oMi[b.joint].rotation.T + data.oMi[b.joint].translation) for b in robot.bodies]
+
+
+def sole(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
+    """Corners of a foot's sole in the world [m]: the link's vertices within 5 mm of its lowest one at ``q``."""
+    vertices = np.vstack([v for body, v in placed_bodies(robot, q) if body.link == link])
+    return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
+
+
+def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[str]:
+    """One line for each pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
+    placed = [(body, vertices, static_convex(vertices)) for body, vertices in placed_bodies(robot, q)]
+    found: list[tuple[float, str]] = []
+    for piece in scene.pieces:
+        shape = static_convex(piece.vertices)
+        for body, vertices, convex in placed:
+            if body.link in robot.fixed_links or not _boxes_meet(vertices, piece.vertices):
+                continue
+            allowed = FLOOR_CONTACT_M if body.link in planted and piece.kind == FLOOR_KIND else TOUCH_M
+            depth = _depth(convex, shape)
+            if depth > allowed:
+                found.append((depth, f"{body.link} is {depth:.3f} m inside {_described(piece)}"))
+    for a, (first, first_vertices, first_convex) in enumerate(placed):
+        for second, second_vertices, second_convex in placed[a + 1 :]:
+            pair = tuple(sorted((first.link, second.link)))
+            if first.joint == second.joint or pair in robot.ignored_pairs:
+                continue
+            if _boxes_meet(first_vertices, second_vertices):
+                depth = _depth(first_convex, second_convex)
+                if depth > TOUCH_M:
+                    found.append((depth, f"{first.link} is {depth:.3f} m inside {second.link}"))
+    return [line for _, line in sorted(found, key=lambda entry: -entry[0])]
+
+
+def standing_problems(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
+) -> list[str]:
+    """One line for each planted foot that hangs in the air, and one when the centre of mass is outside the soles."""
+    floors = [static_convex(piece.vertices) for piece in scene.pieces if piece.kind == FLOOR_KIND]
+    problems = []
+    for link, corners in soles.items():
+        gap = min((-_depth(static_convex(corners), floor) for floor in floors), default=0.0)
+        if gap > FLOOR_CONTACT_M:
+            problems.append(f"the sole of {link} is {gap:.3f} m above the floor; lower start.base or leave it out")
+    com = pin.centerOfMass(robot.model, robot.model.createData(), q)
+    try:
+        margin = float(SupportPolygon.of_soles(list(soles.values())).margin(com[None, :2])[0])
+    except ValueError:
+        return [*problems, f"the soles of {', '.join(soles)} touch in a line; a foot flat on the floor would do"]
+    if margin < 0.0:
+        problems.append(
+            f"the centre of mass ({com[0]:.3f}, {com[1]:.3f}) is {-margin:.3f} m outside the support polygon of "
+            f"{', '.join(soles)}; move the base or lean the torso"
+        )
+    return problems
+
+
+def _posture(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
+    if start.posture is not None:
+        if start.posture not in robot.postures:
+            known = would_do(start.posture, robot.postures) or "no postures; give start.joints"
+            raise RequestError(f"unknown posture {start.posture!r} in start.posture; {robot.name} has {known}")
+        return robot.postures[start.posture].copy(), ()
+    if STANDING_POSTURE in robot.postures:
+        return robot.postures[STANDING_POSTURE].copy(), ()
+    q = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
+    given = set(start.positions_by_joint)
+    joints = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
+    assumed = [name for name in joints if name not in given]
+    if not assumed:
+        return q, ()
+    return q, (f"{len(assumed)} joints without a start position start at 0 or at the nearest limit",)
+
+
+def _snapped(
+    robot: RobotModel, q: Float[np.ndarray, "n"], notes: tuple[str, ...]
+) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
+    problems = beyond_limits(robot, dict(zip(robot.joint_names, q, strict=True)), "start.joints", SNAP_TOLERANCE)
+    if problems:
+        raise RequestError(problems)
+    inside = np.clip(q, robot.lower, robot.upper)
+    for index in np.flatnonzero(inside != q):
+        notes += (f"start: {robot.joint_names[index]} snapped from {q[index]:.6g} to its limit {inside[index]:.6g}",)
+    return inside, notes
+
+
+def _boxes_meet(first: Float[np.ndarray, "V 3"], second: Float[np.ndarray, "W 3"]) -> bool:
+    return bool(np.all(first.min(axis=0) <= second.max(axis=0)) and np.all(second.min(axis=0) <= first.max(axis=0)))
+
+
+def _depth(first: coal.Convex, second: coal.Convex) -> float:
+    """Penetration depth, negative when apart [m]."""
+    result = coal.DistanceResult()
+    identity = coal.Transform3s()
+    return -float(coal.distance(first, identity, second, identity, coal.DistanceRequest(), result))
+
+
+def _described(piece: ConvexPiece) -> str:
+    return f"{piece.name}" if piece.kind == piece.name else f"{piece.name} ({piece.kind})"
