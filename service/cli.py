@@ -13,7 +13,10 @@ import typer
 from service.cli_report import print_figures, print_table, print_verdict
 from service.cli_run import cancellable, consoles, print_json, progress, run
 
-EXIT_CODE_HELP = "Exit codes: 0 CERTIFIED, 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, 130 CANCELLED, 70 internal error."
+EXIT_CODE_HELP = (
+    "Exit codes: 0 CERTIFIED, 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, 70 internal error, "
+    "130 CANCELLED."
+)
 app = typer.Typer(
     name="scopt",
     help="Whole-body trajectories for humanoids, with a certificate that a stranger can replay.",
@@ -87,14 +90,15 @@ def _plan(request_file: Path, cloud: Path | None, folder: Path, as_json: bool) -
     out, err = consoles()
     with progress(err, "read request") as report, cancellable(err) as should_stop:
         report("read request", 0.0)
-        from service.output import check_folder, write_result
-        from service.planner import plan
         from service.request_file import load_request, with_cloud
-        from service.result_json import summary_json
 
         request = load_request(request_file)
         if cloud is not None:
             request = with_cloud(request, cloud)
+        from service.output import check_folder, write_result
+        from service.planner import plan
+        from service.result_json import summary_json
+
         check_folder(folder)
         result = plan(request, on_progress=report, should_stop=should_stop)
         report("write result", 1.0)

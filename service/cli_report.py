@@ -31,13 +31,13 @@ def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
 
 
 def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
-    """Phases, planning time, smallest clearance and between what, smallest balance margin."""
+    """Phases, times, smallest clearance and between what, smallest balance margin."""
     names = [phase["name"] for phase in summary.get("phases") or []]
     if names:
         out.print(f"phases           {', '.join(names)}", markup=False)
-    out.print(
-        f"planning time    {summary['planning_time_s']:.2f} s{_slowest(summary.get('timings') or {})}", markup=False
-    )
+    if "planning_time_s" in summary:
+        seconds = float(summary["planning_time_s"])
+        out.print(f"planning time    {seconds:.2f} s{_slowest(summary.get('timings') or {})}", markup=False)
     clearance, pair = summary.get("min_clearance_m"), summary.get("min_clearance_pair")
     between = f" between {pair[0]} and {pair[1]}" if pair else ""
     out.print(f"clearance        {_millimetres(clearance)}{between}", markup=False)
@@ -58,8 +58,8 @@ def _checks(checks: Sequence[Mapping[str, Any]]) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("check")
     table.add_column("")
-    table.add_column("value", justify="right")
-    table.add_column("limit", justify="right")
+    table.add_column("value", justify="right", no_wrap=True)
+    table.add_column("limit", justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     for check in checks:
         mark = Text("ok", style="green") if check["ok"] else Text("FAILS", style="bold red")
@@ -67,15 +67,19 @@ def _checks(checks: Sequence[Mapping[str, Any]]) -> Table:
         table.add_row(
             Text(str(check["name"])),
             mark,
-            _with_unit(check["value"], unit),
-            _with_unit(check["limit"], unit),
+            _in_unit(check["value"], unit),
+            _in_unit(check["limit"], unit),
             Text(str(check["text"])),
         )
     return table
 
 
-def _with_unit(value: float | None, unit: str) -> str:
-    return "" if value is None else f"{value:.4g} {unit}".rstrip()
+def _in_unit(value: float | None, unit: str) -> str:
+    if value is None:
+        return ""
+    if unit == "1":
+        return f"{100.0 * value:.4g} %"
+    return f"{1000.0 * value:.4g} mm" if unit == "m" else f"{value:.4g} {unit}"
 
 
 def _millimetres(value: float | None) -> str:

@@ -26,7 +26,7 @@ EXIT_CODES = {
     "CANCELLED": 130,
 }
 EXIT_INTERNAL = 70
-MIN_WIDTH = 100  # a table in a log file need not be squeezed into 80 columns
+MIN_WIDTH = 120  # a table in a log file need not be squeezed into 80 columns
 TRACEBACK_VARIABLE = "SCOPT_TRACEBACK"
 
 

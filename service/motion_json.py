@@ -149,7 +149,7 @@ def _axis(robot: RobotModel, joint: pin.JointModel) -> Float[np.ndarray, "3"]:
     """The direction a revolute joint turns about, in its own frame."""
     data = joint.createData()
     joint.calc(data, np.zeros(robot.n), np.zeros(robot.n))
-    return np.asarray(data.S)[3:, 0]
+    return np.asarray(data.S).reshape(6)[3:]
 
 
 def _centres_of_mass(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "S 3"]:

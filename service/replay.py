@@ -30,7 +30,6 @@ def verify_result(path: str | Path) -> dict[str, Any]:
         "verdict": "CERTIFIED" if is_certified else _without_certificate(certificate),
         "explanation": [] if is_certified else [check.text for check in certificate.failed()],
         "notes": [*certificate.notes, *_contradictions(data, certificate)],
-        "planning_time_s": 0.0,
         "timings": {"verify": seconds},
         **proof_summary(certificate),
         "phases": data["phases"],
