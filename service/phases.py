@@ -1,0 +1,184 @@
+"""Solving single phases: poses and trajectories of a whole body, with what each phase promises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance
+from costs.robot import BASE_NAMES
+from costs.state import MotionState
+from scopt import Constraint, Cost, Result, Settings, TrustRegionSQP
+from service.monitor import Monitor
+from service.spline import Hold
+from service.verify import Target
+from service.whole_body import WholeBody
+
+
+@dataclass(frozen=True)
+class PlannedPhase:
+    """A phase of the motion as the optimiser left it, and what the verifier shall hold it to.
+
+    Attributes:
+        name: as the user sees it.
+        q: (T, n) waypoints.
+        is_feasible: whether the optimiser kept every constraint.
+        holds: what stays put between the waypoints besides the planted links.
+        allowances: pairs that may touch besides planted links and floor.
+        targets: given the path parameter of the phase's end, what it must reach or follow.
+        is_settling: whether it begins outside the balance margin.
+    """
+
+    name: str
+    q: Float[np.ndarray, "T n"]
+    is_feasible: bool
+    holds: tuple[Hold, ...] = ()
+    allowances: tuple[Allowance, ...] = ()
+    targets: Callable[[float], tuple[Target, ...]] = lambda s: ()
+    is_settling: bool = False
+
+
+@dataclass(frozen=True)
+class TaskPlan:
+    """What a task's planner hands over.
+
+    Attributes:
+        body: the robot (perhaps with a mechanism) in its scene.
+        phases: in order; the last one may be infeasible, then ``obstacle`` says what stands in the way.
+        obstacle: sentences; empty when every phase is feasible.
+        figures: numbers the task reports.
+        notes: what was chosen.
+    """
+
+    body: WholeBody
+    phases: tuple[PlannedPhase, ...]
+    obstacle: tuple[str, ...] = ()
+    figures: Mapping[str, float | str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether every phase was solved."""
+        return not self.obstacle and bool(self.phases) and all(phase.is_feasible for phase in self.phases)
+
+
+@dataclass(frozen=True)
+class PhaseSolver:
+    """Solves poses and trajectories of one body under one monitor."""
+
+    body: WholeBody
+    monitor: Monitor
+    settings: Settings
+
+    def pose(
+        self,
+        name: str,
+        guesses: Sequence[Float[np.ndarray, "n"]],
+        constraints: Sequence[Constraint[MotionState]],
+        allowances: Sequence[Allowance] = (),
+        fixed: Mapping[int, float] | None = None,
+    ) -> Result:
+        """A single configuration near the nominal posture; the first guess that leads to a feasible one wins.
+
+        Args:
+            name: of the step.
+            guesses: (n,) starts.
+            constraints: of the task, at waypoint 0.
+            allowances: pairs that may touch.
+            fixed: value by coordinate index.
+        """
+        lower, upper = self.body.bounds(1, {})
+        for index, value in (fixed or {}).items():
+            lower[0, index] = upper[0, index] = value
+        problem = self.body.problem(lower, upper, self.body.checker(allowances), constraints=constraints)
+        return self._first_feasible(name, problem, [guess[None] for guess in guesses])
+
+    def trajectory(
+        self,
+        name: str,
+        starts: Sequence[Float[np.ndarray, "T n"]],
+        fixed: Mapping[int, Float[np.ndarray, "n"]],
+        costs: Sequence[Cost[MotionState]] = (),
+        constraints: Sequence[Constraint[MotionState]] = (),
+        allowances: Sequence[Allowance] = (),
+        bounds: Callable[[np.ndarray, np.ndarray], None] | None = None,
+        balanced: Sequence[int] | None = None,
+    ) -> Result:
+        """A trajectory; the first start that leads to a feasible one wins, else the best is returned.
+
+        Args:
+            name: of the phase.
+            starts: (T, n) starting trajectories.
+            fixed: configuration by waypoint.
+            costs, constraints: of the task.
+            allowances: pairs that may touch.
+            bounds: may narrow the bounds in place.
+            balanced: waypoints at which balance is asked; all if not given.
+        """
+        lower, upper = self.body.bounds(len(starts[0]), fixed)
+        if bounds is not None:
+            bounds(lower, upper)
+        checker = self.body.checker(allowances, list(fixed.values()))
+        problem = self.body.problem(lower, upper, checker, costs, constraints, balanced)
+        return self._first_feasible(name, problem, starts)
+
+    def _first_feasible(self, name: str, problem: object, starts: Sequence[Float[np.ndarray, "T n"]]) -> Result:
+        best: Result | None = None
+        for start in starts:
+            self.monitor.check()
+            solver = TrustRegionSQP(self.monitor.settings(self.settings))
+            result = solver.solve(problem, start, should_stop=self.monitor.should_stop)  # type: ignore[arg-type]
+            self.monitor.note(name, result)
+            if result.is_feasible:
+                return result
+            if best is None or _shortfall(result) < _shortfall(best):
+                best = result
+        if best is None:
+            raise ValueError("at least one start is needed")
+        return best
+
+
+def _shortfall(result: Result) -> float:
+    return max(result.violation.values(), default=0.0)
+
+
+def guesses(body: WholeBody) -> list[Float[np.ndarray, "n"]]:
+    """Configurations worth starting from: the nominal one, then the robot's postures standing where it stands."""
+    found = [body.nominal.copy()]
+    for _, posture in sorted(body.robot.postures.items()):
+        guess = posture.copy()
+        if body.robot.is_floating:
+            guess[: len(BASE_NAMES)] = body.nominal[: len(BASE_NAMES)]
+        found.append(guess)
+    return found
+
+
+def straight(first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:
+    """Waypoints on the straight line between two configurations."""
+    return np.asarray(first + (last - first) * np.linspace(0.0, 1.0, n_waypoints)[:, None])
+
+
+def via(
+    first: Float[np.ndarray, "n"],
+    middle: Float[np.ndarray, "n"],
+    last: Float[np.ndarray, "n"],
+    n_waypoints: int,
+) -> Float[np.ndarray, "T n"]:
+    """Waypoints on two straight lines through a configuration between."""
+    half = n_waypoints // 2
+    return np.concatenate([straight(first, middle, half + 1)[:-1], straight(middle, last, n_waypoints - half)])
+
+
+def shortcomings(result: Result, name: str) -> tuple[str, ...]:
+    """What kept a phase from being feasible, the worst first, in words."""
+    units = {"balance": "m", "collision": "m", "self-collision": "m"}
+    worst = sorted(result.violation.items(), key=lambda item: -item[1])
+    lines = [
+        f"{name}: '{term}' is violated by {amount:.3g} {units.get(term, 'm or rad')}"
+        for term, amount in worst
+        if amount > 1e-3
+    ]
+    return tuple(lines) or (f"{name}: {result.message}",)

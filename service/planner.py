@@ -1,0 +1,121 @@
+"""The one entry that CLI and server share: a request in, a verdict with its motion and certificate out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from costs.allowance import Allowance
+from scopt import Settings
+from scopt import Status as SolveStatus
+from service.execute import make_motion
+from service.monitor import Interrupted, Monitor, OnProgress
+from service.phases import PhaseSolver, TaskPlan
+from service.request import PlanRequest
+from service.result import PlanResult, Verdict
+from service.setup import PlanSetup, prepare
+from service.tasks import plan_task
+from service.verify import Certificate, Motion, Status, verify
+from service.whole_body import Aims, WholeBody
+
+VERDICT_OF_STATUS = {
+    Status.CERTIFIED: Verdict.CERTIFIED,
+    Status.FEASIBLE_AT_SAMPLES: Verdict.FEASIBLE_AT_SAMPLES,
+    Status.VIOLATED: Verdict.NOT_FOUND,
+}
+VERDICT_OF_INTERRUPT = {
+    SolveStatus.TIME_LIMIT: (Verdict.TIME_LIMIT, "the time limit of {limit:g} s was reached during '{step}'"),
+    SolveStatus.CANCELLED: (Verdict.CANCELLED, "cancelled during '{step}'"),
+}
+
+
+def plan(
+    request: PlanRequest,
+    on_progress: OnProgress | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> PlanResult:
+    """Plan, time and certify what a request asks for.
+
+    Args:
+        request: what is asked.
+        on_progress: told the step at work and the fraction done.
+        should_stop: asked often; True ends the plan as CANCELLED.
+
+    Returns:
+        The verdict with the best motion found; only a request that cannot be used is an error.
+
+    Raises:
+        RequestError: one line per problem of the request or of a file it names.
+    """
+    monitor = Monitor(request.options.time_limit_s, should_stop, on_progress)
+    setup = prepare(request, lambda step: monitor.report(step, 0.02))
+    monitor.timings.update(setup.timings)
+    attempt = _Attempt()
+    try:
+        _run(setup, monitor, attempt)
+    except Interrupted as interruption:
+        verdict, text = VERDICT_OF_INTERRUPT[interruption.status]
+        step = next(reversed(monitor.timings), "set-up")
+        attempt.verdict = verdict
+        attempt.explanation = (text.format(limit=request.options.time_limit_s, step=step),)
+    return attempt.result(setup, monitor)
+
+
+@dataclass
+class _Attempt:
+    """What has been found so far; complete enough at any time to be handed over."""
+
+    verdict: Verdict = Verdict.NOT_FOUND
+    explanation: tuple[str, ...] = ()
+    task: TaskPlan | None = None
+    motion: Motion | None = None
+    certificate: Certificate | None = None
+
+    def result(self, setup: PlanSetup, monitor: Monitor) -> PlanResult:
+        task, perceived = self.task, setup.perceived
+        return PlanResult(
+            request=setup.request,
+            verdict=self.verdict,
+            robot=setup.robot,
+            scene=setup.scene if task is None else task.body.scene,
+            start=setup.start,
+            motion=self.motion,
+            certificate=self.certificate,
+            explanation=self.explanation,
+            notes=(*setup.notes, *(() if task is None else task.notes)),
+            planning_time_s=time.perf_counter() - monitor.started,
+            timings=monitor.timings,
+            figures={} if task is None else task.figures,
+            detections=detections_of(setup),
+            cloud=np.zeros((0, 3)) if perceived is None else perceived.points,
+        )
+
+
+def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt) -> None:
+    """Solve the task, make the motion, certify it."""
+    options = setup.request.options
+    aims = Aims(options.margin_m, options.balance_margin_m)
+    body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
+    solver = PhaseSolver(body, monitor, Settings(qp=options.qp))
+    attempt.task = plan_task(setup, solver)
+    attempt.explanation = attempt.task.obstacle
+    if not attempt.task.phases:
+        return
+    with monitor.step("curve and timing", 0.75):
+        attempt.motion = make_motion(attempt.task, options.velocity_scale, options.acceleration_scale)
+    with monitor.step("certificate", 0.85):
+        attempt.certificate = verify(attempt.motion)
+    if attempt.task.is_feasible:
+        attempt.verdict = VERDICT_OF_STATUS[attempt.certificate.status]
+        attempt.explanation = tuple(check.text for check in attempt.certificate.failed())
+
+
+def detections_of(setup: PlanSetup) -> tuple[Mapping[str, Any], ...]:
+    """What perception recognised, as JSON-ready data."""
+    if setup.perceived is None:
+        return ()
+    return tuple(valve.to_dict() for valve in setup.perceived.valves)

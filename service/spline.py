@@ -1,0 +1,201 @@
+"""From waypoints to the executed curve: projected onto the holds, smooth within a phase, at rest between phases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.collision import Contacts
+from costs.curve import Curve
+from costs.kinematics import KinematicsEngine
+from costs.state import MotionState
+from scopt import Residual
+
+Hold = Callable[[Int[np.ndarray, "S"]], Residual[MotionState]]
+"""Makes the residual that a hold keeps at zero at the given waypoints."""
+
+PROJECTION_STEPS = 8
+PROJECTION_TOLERANCE = 1e-9  # [m, rad]
+SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
+MAX_INSERTIONS = 6  # rounds; each halves the intervals that drift
+
+
+@dataclass(frozen=True)
+class Path:
+    """The waypoints of one phase and what holds along it.
+
+    Attributes:
+        name: of the phase.
+        q: (T, n) waypoints; the first is the last of the phase before.
+        holds: what is kept at zero all along (planted feet, a hand on a wheel).
+        drift: largest residual of a hold between waypoints [m, rad].
+    """
+
+    name: str
+    q: Float[np.ndarray, "T n"]
+    holds: tuple[Hold, ...]
+    drift: float = 5e-4
+
+
+@dataclass(frozen=True)
+class Spline:
+    """The curve of all phases.
+
+    Attributes:
+        curve: through all waypoints.
+        ends: (F + 1,) knot index at which each phase begins, and the last knot.
+        stiff: (K,) whether a knot is one of the phases' own waypoints, not inserted.
+    """
+
+    curve: Curve
+    ends: tuple[int, ...]
+    is_waypoint: np.ndarray
+
+
+def make_spline(
+    engine: KinematicsEngine,
+    paths: Sequence[Path],
+    lower: Float[np.ndarray, "n"],
+    upper: Float[np.ndarray, "n"],
+    speed: Float[np.ndarray, "n"],
+) -> Spline:
+    """A C1 cubic spline through all phases, with waypoints inserted where a hold would drift.
+
+    Args:
+        engine: kinematics.
+        paths: phases in order; each begins where the one before ends.
+        lower, upper: (n,) limits that tangents must not cross.
+        speed: (n,) natural speed of each coordinate; the path parameter runs in about seconds at these speeds.
+    """
+    originals: list[np.ndarray] = []
+    refined: list[Path] = []
+    tangents: list[np.ndarray] = []
+    knots: list[np.ndarray] = []
+    for index, path in enumerate(paths):
+        q = np.array(path.q)
+        if index:
+            q[0] = refined[-1].q[-1]
+        is_original = np.ones(len(q), dtype=bool)
+        q[1:] = _projected(engine, q[1:], path.holds)
+        for _ in range(MAX_INSERTIONS):
+            s = _parameter(q, speed)
+            v = _tangents(engine, q, s, path.holds, lower, upper)
+            middle = Curve(s, q, v)(0.5 * (s[1:] + s[:-1]))
+            drifting = np.flatnonzero(_largest(engine, middle, path.holds) > path.drift)
+            if not len(drifting):
+                break
+            inserted = _projected(engine, middle[drifting], path.holds)
+            q = np.insert(q, drifting + 1, inserted, axis=0)
+            is_original = np.insert(is_original, drifting + 1, False)
+        s = _parameter(q, speed)
+        refined.append(replace(path, q=q))
+        tangents.append(_tangents(engine, q, s, path.holds, lower, upper))
+        knots.append(s)
+        originals.append(is_original)
+    return _joined(refined, knots, tangents, originals)
+
+
+def _joined(
+    paths: Sequence[Path],
+    knots: Sequence[np.ndarray],
+    tangents: Sequence[np.ndarray],
+    originals: Sequence[np.ndarray],
+) -> Spline:
+    """One curve of all phases; they share their border knots, where the tangents vanish."""
+    s, q, v = [knots[0]], [paths[0].q], [tangents[0]]
+    is_waypoint = [originals[0]]
+    ends = [0, len(knots[0]) - 1]
+    for path, knot, tangent, original in zip(paths[1:], knots[1:], tangents[1:], originals[1:], strict=True):
+        s.append(knot[1:] + s[-1][-1])
+        q.append(path.q[1:])
+        v.append(tangent[1:])
+        is_waypoint.append(original[1:])
+        ends.append(ends[-1] + len(knot) - 1)
+    curve = Curve(np.concatenate(s), np.concatenate(q), np.concatenate(v))
+    return Spline(curve, tuple(ends), np.concatenate(is_waypoint))
+
+
+def _parameter(q: Float[np.ndarray, "T n"], speed: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T"]:
+    """Cumulative time of the slowest coordinate at its natural speed."""
+    steps = np.maximum((np.abs(np.diff(q, axis=0)) / speed).max(axis=1), SMALLEST_STEP)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _tangents(
+    engine: KinematicsEngine,
+    q: Float[np.ndarray, "T n"],
+    s: Float[np.ndarray, "T"],
+    holds: Sequence[Hold],
+    lower: Float[np.ndarray, "n"],
+    upper: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "T n"]:
+    """dq/ds at the waypoints: three-point differences that neither overshoot nor break the holds; zero at the ends."""
+    slopes = np.diff(q, axis=0) / np.diff(s)[:, None]
+    tangents = np.zeros_like(q)
+    h = np.diff(s)[:, None]
+    tangents[1:-1] = (h[1:] * slopes[:-1] + h[:-1] * slopes[1:]) / (h[1:] + h[:-1])
+    room = np.minimum(q - lower, upper - q)
+    nearest = np.concatenate([h[:1], np.minimum(h[1:], h[:-1]), h[-1:]])
+    # A cubic moves at most 4/27 h |v| past a knot against which its other end pulls; stay within the limit there.
+    limit = np.maximum(room, 0.0) * 27.0 / 4.0 / nearest
+    tangents = np.clip(tangents, -limit, limit)
+    tangents[1:-1] = _along_holds(engine, q[1:-1], tangents[1:-1], holds)
+    return tangents
+
+
+def _linearized(
+    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
+) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k n"]]:
+    """Residuals and Jacobians of all holds at separate configurations."""
+    state = MotionState(engine(q), Contacts.none())
+    everywhere = np.arange(len(q))
+    n = q.shape[1]
+    values, jacobians = [], []
+    for hold in holds:
+        rows = hold(everywhere).linearize(state)
+        k = len(rows.value) // len(q)
+        dense = rows.jacobian.toarray().reshape(len(q), k, len(q), n)
+        values.append(rows.value.reshape(len(q), k))
+        jacobians.append(dense[everywhere, :, everywhere])
+    return np.concatenate(values, axis=1), np.concatenate(jacobians, axis=1)
+
+
+def _projected(
+    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
+) -> Float[np.ndarray, "S n"]:
+    """The nearest configurations that keep the holds (Gauss-Newton with least-norm steps)."""
+    if not holds or not len(q):
+        return q
+    for _ in range(PROJECTION_STEPS):
+        value, jacobian = _linearized(engine, q, holds)
+        if np.abs(value).max() < PROJECTION_TOLERANCE:
+            break
+        q = q - _least_norm(jacobian, value)
+    return q
+
+
+def _along_holds(
+    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], v: Float[np.ndarray, "S n"], holds: Sequence[Hold]
+) -> Float[np.ndarray, "S n"]:
+    """The part of velocities that does not break the holds."""
+    if not holds or not len(q):
+        return v
+    _, jacobian = _linearized(engine, q, holds)
+    return v - _least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, v))
+
+
+def _least_norm(jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "S n"]:
+    return np.asarray(np.einsum("snk,sk->sn", np.linalg.pinv(jacobian, rcond=1e-6), value))
+
+
+def _largest(engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]) -> Float[np.ndarray, "S"]:
+    """Largest residual of any hold at each configuration."""
+    if not holds:
+        return np.zeros(len(q))
+    state = MotionState(engine(q), Contacts.none())
+    everywhere = np.arange(len(q))
+    parts = [np.abs(hold(everywhere).value(state)).reshape(len(q), -1) for hold in holds]
+    return np.asarray(np.concatenate(parts, axis=1).max(axis=1))

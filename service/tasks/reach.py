@@ -1,0 +1,116 @@
+"""Reaching joint positions, a posture, or poses of links."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.robot import BASE_NAMES
+from costs.state import MotionState
+from costs.terms import AxisDirection, FramePose, WithinTolerance
+from scopt import Constraint
+from service.phases import PhaseSolver, PlannedPhase, TaskPlan, guesses, shortcomings, straight, via
+from service.request import GoalRequest, PoseGoalRequest
+from service.verify import JointTarget, PoseTarget, Target
+from service.whole_body import WholeBody
+
+WAYPOINTS = 16
+JOINT_TOLERANCE = 1e-3  # promised at the goal [rad, m]
+SMALLEST_SHIFT, SMALLEST_TURN = 1e-4, 1e-3  # tolerances below these are beyond the optimiser's [m, rad]
+AIM = 0.5  # the optimiser keeps to this share of a pose's tolerance, the rest is for the curve and the certificate
+AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) -> TaskPlan:
+    """One phase from the start to the goal."""
+    body, monitor = solver.body, solver.monitor
+    count = WAYPOINTS if n_waypoints is None else n_waypoints
+    start = body.nominal
+    joints = _joint_goal(body, goal)
+    tasks = [constraint for pose in goal.poses for constraint in _pose_constraints(body, pose, 0)]
+    with monitor.step("goal pose", 0.1):
+        candidates = guesses(body)
+        for guess in candidates:
+            guess[list(joints)] = list(joints.values())
+        end = solver.pose("goal pose", candidates, tasks, fixed=joints)
+    if not end.is_feasible:
+        attempt = PlannedPhase("reach", np.stack([start, end.x[0]]), False)
+        return TaskPlan(body, (attempt,), shortcomings(end, "goal pose"))
+
+    def at_goal(lower: np.ndarray, upper: np.ndarray) -> None:
+        for index, value in joints.items():
+            lower[-1, index] = upper[-1, index] = value
+
+    starts = [straight(start, end.x[0], count)]
+    starts += [via(start, guess, end.x[0], count) for guess in candidates[1:]]
+    with monitor.step("reach", 0.4):
+        reach = solver.trajectory(
+            "reach",
+            starts,
+            {0: start},
+            constraints=[c for pose in goal.poses for c in _pose_constraints(body, pose, count - 1)],
+            bounds=at_goal,
+        )
+
+    def targets(s_last: float) -> tuple[Target, ...]:
+        named = body.robot.joint_names
+        return (
+            *(JointTarget(named[index], value, JOINT_TOLERANCE, s_last) for index, value in joints.items()),
+            *(_pose_target(pose, s_last) for pose in goal.poses),
+        )
+
+    phase = PlannedPhase("reach", reach.x, reach.is_feasible, targets=targets)
+    return TaskPlan(body, (phase,), () if reach.is_feasible else shortcomings(reach, "reach"))
+
+
+def _joint_goal(body: WholeBody, goal: GoalRequest) -> Mapping[int, float]:
+    """Goal value by coordinate index; a posture's base stays free, since the feet stand where they stand."""
+    robot = body.robot
+    if goal.posture is None:
+        return {robot.joint_names.index(name): value for name, value in goal.joints.items()}
+    posture = robot.postures[goal.posture]
+    first = len(BASE_NAMES) if robot.is_floating else 0
+    return {index: float(posture[index]) for index in range(first, robot.n)}
+
+
+def _rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
+    if pose.quaternion_wxyz is None:
+        return None
+    return np.asarray(Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix())
+
+
+def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
+    """Position within its tolerance, orientation within its own, one axis of the frame perhaps free."""
+    rotation = _rotation(pose)
+    target = np.eye(4)
+    target[:3, 3] = pose.position
+    if rotation is not None:
+        target[:3, :3] = rotation
+    where = [waypoint]
+    robot = body.robot
+    place = FramePose(robot, pose.link, where, target, (True,) * 3 + (False,) * 3)
+    constraints = [_within(f"position of {pose.link}", place, pose.position_tolerance_m)]
+    tolerance = np.deg2rad(pose.rotation_tolerance_deg)
+    if rotation is not None and pose.free_axis == "none":
+        turn = FramePose(robot, pose.link, where, target, (False,) * 3 + (True,) * 3)
+        constraints.append(_within(f"orientation of {pose.link}", turn, tolerance))
+    elif rotation is not None:
+        axis = np.eye(3)[AXES[pose.free_axis]]
+        along = AxisDirection(robot, pose.link, where, axis, rotation @ axis)
+        constraints.append(_within(f"axis of {pose.link}", along, tolerance))
+    return constraints
+
+
+def _within(name: str, residual: FramePose | AxisDirection, tolerance: float) -> Constraint[MotionState]:
+    reserve = max((1.0 - AIM) * tolerance, 1e-5)
+    return Constraint(name, WithinTolerance(residual, AIM * tolerance), tolerance=reserve)
+
+
+def _pose_target(pose: PoseGoalRequest, at: float) -> PoseTarget:
+    rotation = None if pose.free_axis != "none" else _rotation(pose)
+    turn = np.inf if rotation is None else max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
+    place = np.full(3, max(pose.position_tolerance_m, SMALLEST_SHIFT))
+    return PoseTarget(pose.link, np.asarray(pose.position, dtype=float), rotation, place, np.full(3, turn), at)
