@@ -75,6 +75,17 @@ class Meeting:
     second: Float[np.ndarray, "3"]
 
 
+@dataclass(frozen=True)
+class Unproven:
+    """A pair on a stretch with the lower bound of its clearance that was reached, and its allowed depth or NaN [m]."""
+
+    couple: int
+    first: float
+    last: float
+    lower: float
+    allowed: float
+
+
 @dataclass
 class ClearanceProof:
     """What the search has shown so far.
@@ -83,7 +94,7 @@ class ClearanceProof:
         couple, first, last, distance, bound: columns of the proven stretches; on each the pair's clearance is at least
             ``distance - bound`` [m].
         refuted: poses at which a pair penetrates deeper than allowed, deepest per pair.
-        unproven: (couple, first, last, lower bound) of stretches that resisted.
+        unproven: stretches that resisted.
         nearest: smallest sampled distance of a pair that may not touch.
         deepest: per pair allowed to touch and phase, the smallest sampled distance and where.
         n_stretches: stretches looked at.
@@ -95,7 +106,7 @@ class ClearanceProof:
     distance: list[float] = field(default_factory=list)
     bound: list[float] = field(default_factory=list)
     refuted: dict[int, Meeting] = field(default_factory=dict)
-    unproven: list[tuple[int, float, float, float]] = field(default_factory=list)
+    unproven: list[Unproven] = field(default_factory=list)
     nearest: float = np.inf
     deepest: dict[tuple[int, int], Meeting] = field(default_factory=dict)
     n_stretches: int = 0
@@ -178,7 +189,13 @@ class ClearanceSearch:
         self._keep(stretches, np.flatnonzero(is_kept & ~is_blurred), distance, look.bound)
         if is_last:
             proof.unproven += [
-                (int(stretches.couple[k]), float(stretches.first[k]), float(stretches.last[k]), float(lower[k]))
+                Unproven(
+                    int(stretches.couple[k]),
+                    float(stretches.first[k]),
+                    float(stretches.last[k]),
+                    float(lower[k]),
+                    float(allowed[k]),
+                )
                 for k in open_rows
             ]
             return np.array([], dtype=int)

@@ -19,7 +19,7 @@ from service.verify.certificate import (
     scene_hash,
 )
 from service.verify.chain import JointTree
-from service.verify.clearance import ClearanceProof, ClearanceSearch, Meeting
+from service.verify.clearance import ClearanceProof, ClearanceSearch, Meeting, Unproven
 from service.verify.couples import Couples, collect
 from service.verify.dynamics import dynamics_checks
 from service.verify.errors import VerifyError
@@ -109,7 +109,7 @@ def _min_clearance(
     if len(lower):
         nearest.append((float(lower.min()), int(couple[lower.argmin()])))
     # What resisted counts with its lower bound, what collides with its depth.
-    nearest += [(row[3], row[0]) for row in proof.unproven]
+    nearest += [(row.lower, row.couple) for row in proof.unproven if np.isnan(row.allowed)]
     nearest += [(m.distance, m.couple) for m in proof.refuted.values() if np.isnan(m.allowed)]
     distance, best = min(nearest)
     return distance, None if best < 0 else couples.names(best)
@@ -126,16 +126,17 @@ def _clearance_checks(
         text = f"{names[0]} penetrates {names[1]} by {-1e3 * meeting.distance:.1f} mm"
         place = _place(motion, meeting, names)
         checks.append(Check("clearance", False, meeting.distance, limit, "m", text, place, Basis.SAMPLES))
-    worst: dict[int, tuple[float, float, float]] = {}
-    for couple, first, last, lower in proof.unproven:
-        if couple not in proof.refuted and lower < worst.get(couple, (np.inf,))[0]:
-            worst[couple] = (lower, first, last)
-    for couple, (lower, first, last) in worst.items():
+    worst: dict[int, Unproven] = {}
+    for row in proof.unproven:
+        if row.couple not in proof.refuted and (row.couple not in worst or row.lower < worst[row.couple].lower):
+            worst[row.couple] = row
+    for couple, row in worst.items():
         names = couples.names(couple)
-        middle = 0.5 * (first + last)
-        text = f"clearance of {names[0]} and {names[1]} not shown: {1e3 * lower:.3f} mm at least"
+        middle = 0.5 * (row.first + row.last)
+        limit = 0.0 if np.isnan(row.allowed) else -row.allowed
+        text = f"clearance of {names[0]} and {names[1]} not shown: {1e3 * row.lower:.3f} mm at least"
         where = Where(middle, time_of(motion.law, middle), None, names)
-        checks.append(Check("clearance", True, lower, 0.0, "m", text, where, Basis.UNPROVEN))
+        checks.append(Check("clearance", True, row.lower, limit, "m", text, where, Basis.UNPROVEN))
     if not checks:
         shown = "no pair is checked" if np.isnan(smallest) else f"clearance is at least {1e3 * smallest:.1f} mm"
         between = f" ({pair[0]} and {pair[1]})" if pair else ""
