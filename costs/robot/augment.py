@@ -44,10 +44,11 @@ def with_revolute(
         velocity, acceleration: limits [rad/s, rad/s^2]; the effort is unlimited.
 
     Raises:
-        RobotError: for names in use, a zero axis or values that are not finite.
+        RobotError: for names in use, a zero axis, limits the wrong way round, values that are not finite.
     """
     origin, axis = np.asarray(origin, dtype=float), np.asarray(axis, dtype=float)
-    _check(robot, name, link, bodies, origin, axis)
+    _check_names(robot, name, link, bodies)
+    _check_values(name, origin, axis, np.array([lower, upper, velocity, acceleration]))
     model = robot.model.copy()
     joint = model.addJoint(
         0, pin.JointModelRevoluteUnaligned(axis / np.linalg.norm(axis)), pin.SE3(np.eye(3), origin), name
@@ -81,14 +82,7 @@ def _mechanism_bodies(
     return tuple(made)
 
 
-def _check(
-    robot: RobotModel,
-    name: str,
-    link: str,
-    bodies: Mapping[str, Float[np.ndarray, "V 3"]],
-    origin: Float[np.ndarray, "3"],
-    axis: Float[np.ndarray, "3"],
-) -> None:
+def _check_names(robot: RobotModel, name: str, link: str, bodies: Mapping[str, Float[np.ndarray, "V 3"]]) -> None:
     if name in robot.joint_names:
         raise RobotError(f"joint name '{name}' is in use by {robot.name}; choose another")
     if robot.model.existFrame(link):
@@ -99,5 +93,17 @@ def _check(
             raise RobotError(f"body name '{body}' is in use by {robot.name}; choose another")
         if not np.all(np.isfinite(points)):
             raise RobotError(f"body '{body}' of link '{link}' has a vertex that is not finite")
-    if not (np.all(np.isfinite(origin)) and np.all(np.isfinite(axis)) and np.linalg.norm(axis) > 1e-9):
-        raise RobotError(f"joint '{name}': origin and axis must be finite and the axis not zero")
+
+
+def _check_values(
+    name: str, origin: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], limits: Float[np.ndarray, "4"]
+) -> None:
+    if origin.shape != (3,) or axis.shape != (3,) or not np.all(np.isfinite([origin, axis])):
+        raise RobotError(f"joint '{name}': origin and axis must be three finite numbers each")
+    if np.linalg.norm(axis) < 1e-9:
+        raise RobotError(f"joint '{name}': axis is zero; give it a direction")
+    lower, upper, velocity, acceleration = limits
+    if not (lower <= upper and velocity > 0.0 and acceleration > 0.0):
+        raise RobotError(
+            f"joint '{name}': lower must not exceed upper, velocity and acceleration must be positive; got {limits}"
+        )

@@ -167,6 +167,7 @@ def _posture(
             posture[column] = values[name][0]
     if names[0] == BASE_NAMES[0] and srdf.virtual_joint in values:
         x, y, z, qx, qy, qz, qw = values[srdf.virtual_joint]
+        # SRDF leaves the quaternion's length to the reader; the reader of the SRDF refused a zero one.
         yaw_pitch_roll = pin.rpy.matrixToRpy(pin.Quaternion(qw, qx, qy, qz).normalized().matrix())[::-1]
         posture[:6] = [x, y, z, *yaw_pitch_roll]
     return posture

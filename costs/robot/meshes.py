@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from costs.robot.errors import RobotError
 
-MAX_MESH_BYTES = 64 * 1024 * 1024
+MAX_MESH_BYTES = 32 * 1024 * 1024
 MAX_MESH_VERTICES = 1_000_000
 _STL_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -68,31 +68,40 @@ def read_vertices(path: Path, where: str) -> Float[np.ndarray, "V 3"]:
     vertices = reader(path.read_bytes(), f"{where}: mesh '{path.name}'")
     if len(vertices) < 4:
         raise RobotError(f"{where}: mesh '{path.name}' has {len(vertices)} vertices; a body needs at least 4")
-    if len(vertices) > MAX_MESH_VERTICES:
-        raise RobotError(f"{where}: mesh '{path.name}' has more than {MAX_MESH_VERTICES} vertices; simplify it")
     if not np.all(np.isfinite(vertices)):
         raise RobotError(f"{where}: mesh '{path.name}' has a vertex that is not finite; repair it")
     return vertices
 
 
 def _read_obj(data: bytes, where: str) -> Float[np.ndarray, "V 3"]:
-    rows = [line.split()[1:4] for line in data.splitlines() if line.startswith((b"v ", b"v\t"))]
-    try:
-        return np.array([[float(value) for value in row] for row in rows], dtype=float).reshape(-1, 3)
-    except ValueError:
-        raise RobotError(f"{where}: a vertex line does not hold three numbers") from None
+    return _vertex_lines(data, b"v", where)
 
 
 def _read_stl(data: bytes, where: str) -> Float[np.ndarray, "V 3"]:
     if len(data) >= 84:
         count = int.from_bytes(data[80:84], "little")
         if 84 + count * _STL_FACET.itemsize == len(data):
+            if 3 * count > MAX_MESH_VERTICES:
+                raise RobotError(f"{where} has more than {MAX_MESH_VERTICES} vertices; simplify it")
             facets = np.frombuffer(data, _STL_FACET, count, offset=84)
             return facets["corners"].reshape(-1, 3).astype(float)
     if not data.lstrip().startswith(b"solid"):
         raise RobotError(f"{where}: neither text STL nor a binary one of the length its header claims")
-    rows = [line.split()[1:4] for line in data.splitlines() if line.lstrip().startswith(b"vertex")]
-    try:
-        return np.array([[float(value) for value in row] for row in rows], dtype=float).reshape(-1, 3)
-    except ValueError:
-        raise RobotError(f"{where}: a vertex line does not hold three numbers") from None
+    return _vertex_lines(data, b"vertex", where)
+
+
+def _vertex_lines(data: bytes, keyword: bytes, where: str) -> Float[np.ndarray, "V 3"]:
+    """Coordinates of the lines that begin with ``keyword``; what follows the third number is left out."""
+    values: list[float] = []
+    for line in data.splitlines():
+        words = line.split(None, 4)
+        if not words or words[0] != keyword:
+            continue
+        try:
+            x, y, z = (float(word) for word in words[1:4])
+        except ValueError:
+            raise RobotError(f"{where}: a vertex line does not hold three numbers") from None
+        values += (x, y, z)
+        if len(values) > 3 * MAX_MESH_VERTICES:
+            raise RobotError(f"{where} has more than {MAX_MESH_VERTICES} vertices; simplify it")
+    return np.array(values).reshape(-1, 3)

@@ -54,7 +54,7 @@ def contact_counts(
     of_link: dict[str, list[int]] = {}
     for index, body in enumerate(bodies):
         of_link.setdefault(body.link, []).append(index)
-    objects = [coal.CollisionObject(_convex(body.vertices)) for body in bodies]
+    objects = [coal.CollisionObject(convex(body.vertices)) for body in bodies]
     counts = dict.fromkeys(pairs, 0)
     request = coal.CollisionRequest()
     for pose in poses:
@@ -108,7 +108,8 @@ def _overlap(a: coal.CollisionObject, b: coal.CollisionObject, request: coal.Col
     return bool(coal.collide(a, b, request, coal.CollisionResult()))
 
 
-def _convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
+def convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
+    """The hull of ``vertices`` as coal sees it, with triangles that face outwards."""
     points = coal.StdVec_Vec3s()
     points.extend([np.asarray(vertex) for vertex in vertices])
     triangles = coal.StdVec_Triangle()

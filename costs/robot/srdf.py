@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -126,6 +127,8 @@ def _states(
                 raise RobotError(f"{inside}: unknown joint '{joint}'; {suggest(joint, urdf.joints)}")
             count = 7 if joint == virtual else 1
             values[joint] = tuple(numbers(required(item, "value", inside), count, f"{inside}: joint '{joint}'"))
+            if joint == virtual and math.hypot(*values[joint][3:]) < 1e-6:
+                raise RobotError(f"{inside}: joint '{joint}': the quaternion is zero; write x y z qx qy qz qw")
     return states
 
 

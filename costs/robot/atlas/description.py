@@ -72,7 +72,7 @@ def mesh_points() -> Mapping[str, Float[np.ndarray, "V 3"]]:
 
 def quoted(values: tuple[float, ...] | list[float]) -> str:
     """Numbers as an XML attribute value, quotes included."""
-    return quoteattr(" ".join(f"{float(value):.12g}" for value in values))
+    return quoteattr(" ".join(f"{float(value):.15g}" for value in values))
 
 
 def _mesh_lines(name: str) -> list[str]:
