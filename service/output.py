@@ -19,11 +19,13 @@ from service.errors import ResultError, shown
 from service.motion_json import samples_of
 from service.result import PlanResult
 from service.result_json import FORMAT, to_result_json
-from service.viewer import placements_of, write_viewer
+from service.viewer import placements_of, write_glb, write_openrave, write_viewer
 
 RESULT_NAME = "result.json"
 TRAJECTORY_NAME = "trajectory.csv"
 VIEWER_NAME = "viewer.html"
+GLB_NAME = "scene.glb"
+OPENRAVE_NAME = "openrave"
 MAX_RESULT_BYTES = 512 * 2**20
 
 
@@ -151,7 +153,10 @@ def _write_robot(robot: RobotModel, folder: Path) -> None:
 def _write_views(result: PlanResult, data: Mapping[str, Any], folder: Path) -> None:
     q = result.start[None] if result.motion is None else result.motion.curve(samples_of(result.motion))
     links = tuple(dict.fromkeys(body.link for body in result.robot.bodies))
-    write_viewer(data, placements_of(result.robot, q[:, : result.robot.n], links), folder / VIEWER_NAME)
+    placements = placements_of(result.robot, q[:, : result.robot.n], links)
+    write_viewer(data, placements, folder / VIEWER_NAME)
+    write_glb(data, placements, folder / GLB_NAME)
+    write_openrave(data, folder / OPENRAVE_NAME)
 
 
 def _refuse_constant(name: str) -> float:

@@ -1,0 +1,66 @@
+"""The house itself: which code runs, what ``--help`` costs, what ships."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("scopt", "costs", "perception", "service")
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_package_resolves_to_this_checkout(name: str) -> None:
+    module = importlib.import_module(name)
+    assert module.__file__ is not None
+    assert Path(module.__file__).resolve().parent == ROOT / name
+
+
+def test_help_loads_no_heavy_library() -> None:
+    program = (
+        "import sys\n"
+        "sys.argv = ['scopt', '--help']\n"
+        "from service.cli import main\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
+        "heavy = {'open3d', 'cvxpy', 'matplotlib', 'scipy', 'pinocchio', 'coal', 'numpy', 'pydantic', 'yaml'}\n"
+        "print('LOADED', sorted(heavy & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert "LOADED []" in done.stdout
+    assert "plan" in done.stdout
+
+
+def test_every_public_name_of_the_service_can_be_imported() -> None:
+    service = importlib.import_module("service")
+    for name in service.__all__:
+        assert getattr(service, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = service.nonsense
+
+
+def test_every_dependency_is_pinned_by_a_plain_version() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9._]+", line) for line in lines)
+    pinned = {line.split("==")[0].lower().replace("_", "-") for line in lines}
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    names = {re.split(r"[<>=;! ]", entry)[0].lower().replace("_", "-") for entry in wanted}
+    names -= {"open3d"}  # the wheel for other platforms than Linux on x86-64
+    assert names <= pinned
+
+
+def test_licence_is_apache_2_of_the_scopt_authors() -> None:
+    text = (ROOT / "LICENSE").read_text()
+    assert "Apache License" in text
+    assert "scopt authors" in text
+
+
+def test_page_and_models_are_package_data() -> None:
+    for path in ("costs/robot/atlas/atlas.urdf", "service/viewer/page/dist/viewer.js"):
+        assert (ROOT / path).is_file()
