@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from service.viewer.files import replace_file
 from service.viewer.payload import json_safe, payload_of
 from service.viewer.placements import LinkPlacements
 
@@ -28,10 +29,7 @@ def write_viewer(result: Mapping[str, Any], placements: LinkPlacements, path: Pa
     Raises:
         ValueError: see ``payload_of``.
     """
-    page = render_viewer(payload_of(result, placements))
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(page, encoding="utf-8")
-    partial.replace(path)
+    replace_file(path, render_viewer(payload_of(result, placements)).encode("utf-8"))
 
 
 def render_viewer(payload: Mapping[str, Any]) -> str:

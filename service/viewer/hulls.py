@@ -56,7 +56,7 @@ def convex_mesh(vertices: Float[np.ndarray, "V 3"]) -> ConvexMesh:
 
 def _solid(points: Float[np.ndarray, "V 3"]) -> ConvexMesh:
     hull = ConvexHull(points)
-    triangles = np.asarray(hull.simplices).copy()
+    triangles: Int[np.ndarray, "F 3"] = np.array(hull.simplices, dtype=int)
     corners = points[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     # Qhull does not order the corners of a facet; its outward normal says which ones to swap.

@@ -224,7 +224,9 @@ export class App implements Player {
     const place = index >= 0 ? this.marks.places[index] : undefined;
     if (place) {
       this.header.setView((this.view = null));
-      this.stage.focus(place);
+      // The bodies a check speaks of may stand where they are; the rest of the robot should not hide the place.
+      const names = new Set(where?.names ?? []);
+      this.stage.focus(place, this.robot.meshes.filter((mesh) => !names.has(mesh.name.split("/")[0])));
     }
     this.stage.draw();
   }

@@ -1,6 +1,6 @@
 // Renderer, light and camera; draws only when something changed.
 import {
-  Box3, DirectionalLight, HemisphereLight, MOUSE, Object3D, PCFShadowMap, PerspectiveCamera, Raycaster, Scene, SRGBColorSpace,
+  Box3, DirectionalLight, HemisphereLight, Mesh, MOUSE, Object3D, PCFShadowMap, PerspectiveCamera, Raycaster, Scene, SRGBColorSpace,
   Vector2, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
@@ -163,11 +163,22 @@ export class Stage {
     return 1.12 * distance;
   }
 
-  // Look at a place from where the camera is, but near.
-  focus(place: Vector3): void {
+  // Look at a place from near and, as far as possible, from the side the camera is on: the view is turned about the
+  // vertical until none of the blockers stands in between.
+  focus(place: Vector3, blockers: Mesh[] = []): void {
     const away = this.camera.position.clone().sub(this.controls.target);
     const distance = Math.min(2.4, Math.max(away.length(), 0.8));
-    this.moveTo(place.clone().addScaledVector(away.normalize(), distance), place);
+    away.normalize();
+    away.z = Math.min(Math.max(away.z, 0.15), 0.75);
+    const directions = [0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180].map((degrees) =>
+      away.clone().applyAxisAngle(new Vector3(0, 0, 1), (degrees * Math.PI) / 180).normalize());
+    this.scene.updateMatrixWorld();
+    const isClear = (direction: Vector3): boolean => {
+      const eye = place.clone().addScaledVector(direction, distance);
+      return new Raycaster(eye, direction.clone().negate(), 0, distance - 0.02).intersectObjects(blockers, false).length === 0;
+    };
+    const direction = directions.find(isClear) ?? directions[0];
+    this.moveTo(place.clone().addScaledVector(direction, distance), place);
   }
 
   // Keep the view but carry its centre along.

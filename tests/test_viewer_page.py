@@ -1,0 +1,207 @@
+"""The viewer in a real browser: what it draws, what it says, and that it talks to nobody."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import Browser, find_chromium
+from viewer_results import BAD_CHECK, TURN, make_result
+
+from service.viewer import LinkPlacements, write_viewer
+
+PAGE = Path(__file__).parents[1] / "service" / "viewer" / "page"
+
+
+def test_the_bundle_was_built_from_these_sources():
+    digest = hashlib.sha256()
+    sources = sorted((PAGE / "src").iterdir(), key=lambda path: path.name)
+    for path in [PAGE / "build.mjs", PAGE / "package.json", *sources]:
+        digest.update(f"{path.relative_to(PAGE).as_posix()}\n".encode() + path.read_bytes())
+    built = (PAGE / "dist" / "sources.sha256").read_text().strip()
+    assert digest.hexdigest() == built, "run `npm install && npm run build` in service/viewer/page"
+
+
+def test_the_bundle_carries_the_licence_of_three():
+    version = json.loads((PAGE / "package.json").read_text())["devDependencies"]["three"]
+    text = (PAGE / "dist" / "LICENSES.txt").read_text()
+    assert f"three.js {version}" in text
+    assert "Permission is hereby granted" in text
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no chromium on this machine")
+    browser = Browser(program, tmp_path_factory.mktemp("profile"))
+    browser.size(1000, 700)
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """Addresses of a certified result, an unsolved one, and a scene without a trajectory."""
+    folder = tmp_path_factory.mktemp("pages")
+    scene, _ = make_result(verdict="INFEASIBLE")
+    for key in ("trajectory", "phases", "waypoints", "support_polygons", "com", "zmp", "movables", "cloud", "checks"):
+        scene[key] = None
+    bare = scene, LinkPlacements((), np.zeros((0, 0, 7)))
+    results = {"certified": make_result(), "unsolved": make_result(verdict="NOT_FOUND"), "scene": bare}
+    for name, (result, placements) in results.items():
+        write_viewer(result, placements, folder / f"{name}.html")
+    return {name: (folder / f"{name}.html").as_uri() for name in results}
+
+
+def colour_at(browser, what, width=3):
+    """Mean colour of the picture around the projected place."""
+    browser.settle()
+    x, y = (round(value) for value in browser.run(f"window.__viewer.project({json.dumps(what)})"))
+    return browser.picture()[y - width : y + width + 1, x - width : x + width + 1].reshape(-1, 3).mean(axis=0)
+
+
+def test_the_page_draws_every_kind_of_thing_without_complaint(browser, pages):
+    browser.open(pages["certified"])
+    browser.settle()
+    counts = browser.run("window.__viewer.counts")
+    assert counts == {
+        "robot": 6,
+        "ghosts": 7,
+        "pieces": 2,
+        "movables": 1,
+        "targets": 2,
+        "balance": 1,
+        "contacts": 2,
+        "checks": 0,
+        "cloud": 500,
+        "floor": 1,
+    }
+    assert browser.run("window.__viewer.verdict") == "CERTIFIED"
+    assert "CERTIFIED" in browser.run("document.querySelector('.verdict').textContent")
+    assert browser.complaints() == []
+    assert browser.requests() == [pages["certified"]]
+
+
+def test_robot_pixels_are_where_the_hands_are_projected(browser, pages):
+    browser.open(pages["certified"] + "#t=0&theme=dark&layers=robot,floor&camera=front")
+    left, right = (colour_at(browser, link) for link in ("l_hand", "r_hand"))
+    assert left[1] > left[0] + 40  # teal: more green than red
+    assert right[0] > right[2] + 60  # amber: more red than blue
+
+
+def test_the_hand_leaves_its_place_as_time_goes_on(browser, pages):
+    browser.open(pages["certified"] + "#t=0&theme=dark&layers=robot,floor&camera=side")
+    before = browser.run("window.__viewer.project('l_hand')")
+    browser.run("window.__viewer.setTime(3)")
+    after = browser.run("window.__viewer.project('l_hand')")
+    assert np.hypot(*np.subtract(after, before)) > 30.0
+    place = browser.run("window.__viewer.project([0.55, 0.3, 1.15])")
+    np.testing.assert_allclose(after, place, atol=1.0)
+
+
+def test_the_valve_turns_with_its_angle(browser, pages):
+    browser.open(pages["certified"] + "#t=6")
+    assert browser.run("window.__viewer.angle(0)") == pytest.approx(TURN, abs=1e-3)
+    assert "115°" in browser.run("document.querySelector('.label.spot').textContent")
+
+
+def test_ghosts_colour_the_picture_and_can_be_switched_off(browser, pages):
+    browser.open(pages["certified"] + "#t=0&theme=dark&camera=side&layers=robot,ghosts")
+    browser.settle()
+    with_ghosts = browser.picture().astype(int)
+    browser.key("g")
+    browser.settle()
+    without = browser.picture().astype(int)
+    assert np.count_nonzero(np.abs(with_ghosts - without).max(axis=2)[60:600, :650] > 12) > 300
+
+
+def test_a_click_on_a_check_jumps_to_its_time_and_marks_its_place(browser, pages):
+    browser.open(pages["unsolved"] + "#t=0")
+    assert browser.run("window.__viewer.counts.checks") == 1
+    camera = browser.run("window.__viewer.camera")
+    browser.run("document.querySelector('.check.fail').click()")
+    browser.settle()
+    assert browser.run("window.__viewer.time") == pytest.approx(4.0)
+    moved = browser.run("window.__viewer.camera")
+    assert not np.allclose(moved, camera)
+    np.testing.assert_allclose(moved[3:], [0.4, -0.5, 0.6], atol=1e-6)
+    assert "clearance −12 mm" in browser.run("document.querySelector('.label.bad:not([hidden])').textContent")
+    red = colour_at(browser, "crate")
+    assert red[0] > red[1] + 60
+
+
+def test_an_unsolved_result_says_what_stands_in_the_way(browser, pages):
+    browser.open(pages["unsolved"])
+    text = browser.run("document.body.innerText")
+    assert "NOT FOUND" in text
+    assert "l_hand enters 'crate' by 12 mm" in text
+    assert browser.run("document.querySelectorAll('.flag').length") == 1
+    assert browser.run("document.querySelectorAll('.check')[0].className").endswith("fail")
+
+
+def test_failed_check_is_first_in_the_list_of_an_unsolved_result():
+    result, _ = make_result(verdict="NOT_FOUND")
+    assert [check["ok"] for check in result["checks"]].index(False) == BAD_CHECK
+
+
+def test_a_scene_without_trajectory_shows_its_pieces_and_no_time_bar(browser, pages):
+    browser.open(pages["scene"])
+    browser.settle()
+    counts = browser.run("window.__viewer.counts")
+    assert (counts["robot"], counts["ghosts"], counts["pieces"]) == (0, 0, 2)
+    assert browser.run("getComputedStyle(document.querySelector('.timeline')).display") == "none"
+    assert browser.complaints() == []
+
+
+@pytest.mark.parametrize(
+    ("key", "expression", "expected"),
+    [
+        ("2", "document.querySelector('.segmented .on').textContent", "Front"),
+        ("?", "document.querySelector('.help').hidden", False),
+        ("d", "document.documentElement.dataset.theme", "light"),
+        ("ArrowRight", "window.__viewer.time.toFixed(3)", "1.000"),
+        ("End", "window.__viewer.time.toFixed(3)", "6.000"),
+        ("]", "window.__viewer.time.toFixed(3)", "3.000"),
+        ("x", "[...document.querySelectorAll('.tools > button')].at(0).className", "on"),
+    ],
+)
+def test_keys_do_what_the_help_says(browser, pages, key, expression, expected):
+    browser.open(pages["certified"] + "#theme=dark&t=0")
+    browser.key(key)
+    assert browser.run(expression) == expected
+
+
+def test_space_plays_and_the_page_rests_when_paused(browser, pages):
+    browser.open(pages["certified"])
+    browser.settle()
+    frames = browser.run("window.__viewer.frames")
+    assert browser.run("new Promise((done) => setTimeout(() => done(window.__viewer.frames), 300))") == frames
+    browser.key(" ")
+    assert browser.run("new Promise((done) => setTimeout(() => done(window.__viewer.time), 600))") > 0.05
+
+
+def test_both_themes_keep_text_readable(browser, pages):
+    for theme in ("dark", "light"):
+        browser.open(pages["certified"] + f"#theme={theme}")
+        style = "getComputedStyle(document.querySelector('{}')).{}"
+        text = browser.run(style.format(".check .name", "color"))
+        card = browser.run(style.format(".panel", "backgroundColor"))
+        levels = [np.array(c[c.index("(") + 1 : -1].split(",")[:3], dtype=float).mean() for c in (text, card)]
+        assert abs(levels[0] - levels[1]) > 120, theme
+
+
+def test_a_hostile_name_stays_text(browser, tmp_path):
+    result, placements = make_result()
+    result["robot"]["name"] = "<img src=x onerror='window.bad=1'>"
+    result["checks"][0]["name"] = "</script><script>window.bad=1</script>"
+    result["pieces"][1]["name"] = "<b>crate</b>"
+    path = tmp_path / "hostile.html"
+    write_viewer(result, placements, path)
+    browser.open(path.as_uri())
+    assert browser.run("window.bad === undefined")
+    assert browser.run("document.querySelectorAll('img, b:not(.chip b)').length") == 0
+    assert browser.complaints() == []
