@@ -22,11 +22,9 @@ class RequestError(ServiceError):
 
     def __init__(self, problems: str | Sequence[str]) -> None:
         lines = (problems,) if isinstance(problems, str) else tuple(problems)
-        lines = tuple(" ".join(line.split()) for line in lines)
-        if len(lines) > MAX_PROBLEMS:
-            lines = (*lines[:MAX_PROBLEMS], f"and {len(lines) - MAX_PROBLEMS} more")
-        self.problems = lines
-        super().__init__("\n".join(lines))
+        self.problems = tuple(" ".join(line.split()) for line in lines)
+        more = len(self.problems) - MAX_PROBLEMS
+        super().__init__("\n".join([*self.problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]))
 
 
 class ResultError(ServiceError):
