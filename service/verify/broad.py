@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from service.verify.clearance import Stretches, stretch_bounds
+from service.verify.clearance import ROUNDING_M, Stretches, stretch_bounds
 from service.verify.couples import Couples
 from service.verify.forward import placements
 from service.verify.motion import Motion
@@ -58,9 +58,9 @@ def open_stretches(
     floors: Float[np.ndarray, "I C"],
     horizon: float,
 ) -> Stretches:
-    """Pairs and stretches that the broad phase leaves open: below the horizon, or 0 for pairs that may touch."""
+    """Pairs and stretches that the broad phase leaves open: nearer than the horizon, or perhaps touching if allowed."""
     may_touch = ~np.isnan(couples.allowed[:, phase].T)
-    stretch, couple = np.nonzero(floors < np.where(may_touch, 0.0, horizon))
+    stretch, couple = np.nonzero(floors < np.where(may_touch, ROUNDING_M, horizon))
     return Stretches(couple, edges[:-1][stretch], edges[1:][stretch], phase[stretch], floors[stretch, couple])
 
 

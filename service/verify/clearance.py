@@ -17,6 +17,8 @@ from service.verify.settings import VerifySettings
 
 # Stretches prepared at once in the first round.
 _CHUNK = 2000
+# Far above the rounding errors of placements and distances at the scale of a room, far below anything that matters [m].
+ROUNDING_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ class ClearanceSearch:
     def _is_wanted(self, stretches: Stretches) -> Bool[np.ndarray, "E"]:
         """Where the floor leaves something to know: a pair may touch, or may be nearer than the nearest known."""
         nearest = min(self.proof.nearest, self._settings.clearance_horizon_m)
-        enough = np.where(np.isnan(self._allowed(stretches)), max(nearest, 1e-9), 0.0)
+        enough = np.where(np.isnan(self._allowed(stretches)), max(nearest, ROUNDING_M), ROUNDING_M)
         return np.asarray(stretches.floor < enough)
 
     def _allowed(self, stretches: Stretches) -> Float[np.ndarray, "E"]:
@@ -165,7 +167,7 @@ class ClearanceSearch:
         for row in range(len(allowed)):
             may_touch = not np.isnan(allowed[row])
             need = -allowed[row] if may_touch else 0.0
-            enough = 0.0 if may_touch else max(min(proof.nearest, settings.clearance_horizon_m), 1e-9)
+            enough = ROUNDING_M if may_touch else max(min(proof.nearest, settings.clearance_horizon_m), ROUNDING_M)
             if stretches.floor[row] >= enough:
                 continue
             proof.n_stretches += 1
@@ -312,7 +314,7 @@ def stretch_bounds(
     middle: Int[np.ndarray, "E"],
     settings: VerifySettings,
 ) -> Float[np.ndarray, "E"]:
-    """How far a mover may leave its chords, the exported samples' line included, per stretch [m].
+    """How far a mover may leave its chords, the exported samples' line and rounding included, per stretch [m].
 
     ``middle`` are the rows of ``placed`` that hold the stretches' middles.
     """
@@ -330,5 +332,5 @@ def stretch_bounds(
             world = placed.rotation[at, solid.joint] @ centre + placed.translation[at, solid.joint]
             distance = np.linalg.norm(placed.translation[at][:, chain.joints] - world[:, None], axis=2) + radius
             reach = chain.local_reach(distance, part)
-            bound[rows] = chain.deviation(part, reach) + chain.sampling_slack(part, settings.rounding)
+            bound[rows] = chain.deviation(part, reach) + chain.sampling_slack(part, settings.rounding) + ROUNDING_M
     return bound
