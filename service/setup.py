@@ -156,9 +156,10 @@ def _soles(robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanReques
     if not feet:
         raise RequestError(f"options.feet: {robot.name} names no links in its group 'feet'; list the planted links")
     bodied = {body.link for body in robot.bodies}
-    problems = _unknown_links(robot, feet, "options.feet")
-    problems += [
-        f"options.feet: link {foot!r} has no collision shape to stand on" for foot in feet if foot not in bodied
+    problems = _unknown_links(robot, feet, "options.feet") or [
+        f"options.feet: link {foot!r} has no collision shape to stand on; {', '.join(sorted(bodied))} have"
+        for foot in feet
+        if foot not in bodied
     ]
     if problems:
         raise RequestError(problems)

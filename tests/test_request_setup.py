@@ -1,0 +1,236 @@
+"""A request against its robot and scene: names, limits, files, a start that cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from costs.robot import RobotModel, load_robot
+from costs.scene import Scene
+from service.errors import RequestError
+from service.obstacles import flat_floor, obstacle_pieces
+from service.request_file import parse_request
+from service.setup import PlanSetup, prepare
+from service.start import collisions, sole, standing_problems
+
+GOAL = {"posture": "stand"}
+BOX = {"type": "box", "size": [0.3, 0.3, 0.3]}
+
+
+@pytest.fixture(scope="module")
+def atlas() -> RobotModel:
+    return load_robot("atlas")
+
+
+def _prepare(folder: Path | str = ".", **sections: Any) -> PlanSetup:
+    return prepare(parse_request({"robot": {"name": "atlas"}, "goal": GOAL, **sections}, folder))
+
+
+def _problems(folder: Path | str = ".", **sections: Any) -> list[str]:
+    with pytest.raises(RequestError) as caught:
+        _prepare(folder, **sections)
+    return list(caught.value.problems)
+
+
+def test_atlas_stands_on_the_floor_by_default() -> None:
+    setup = _prepare()
+    assert setup.contacts == ("l_foot", "r_foot")
+    assert [piece.name for piece in setup.scene.pieces] == ["floor"]
+    assert setup.notes == ()
+    for corners in setup.soles.values():
+        assert len(corners) == 4
+        np.testing.assert_allclose(corners[:, 2], 0.0, atol=1e-6)
+
+
+def test_joints_override_the_posture_by_either_spelling() -> None:
+    setup = _prepare(
+        start={"posture": "stand", "joints": {"neck_ry": 0.1}, "joint_names": ["back_bkz"], "positions": [0.2]}
+    )
+    names = setup.robot.joint_names
+    assert setup.start[names.index("neck_ry")] == 0.1
+    assert setup.start[names.index("back_bkz")] == 0.2
+    assert setup.start[names.index("l_arm_elx")] == setup.robot.postures["stand"][names.index("l_arm_elx")]
+
+
+def test_a_start_base_is_where_the_pelvis_is(atlas: RobotModel) -> None:
+    height = float(atlas.postures["stand"][2])
+    half = np.sqrt(0.5)
+    setup = _prepare(start={"base": {"position": [1.0, 2.0, height], "quaternion_wxyz": [half, 0, 0, half]}})
+    np.testing.assert_allclose(setup.start[:6], [1.0, 2.0, height, np.pi / 2, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("sections", "problem"),
+    [
+        (
+            {"start": {"joints": {"l_arm_elz": 0.1}}},
+            "unknown joint 'l_arm_elz' in start.joints; atlas has l_arm_ely, l_arm_elx, r_arm_ely, …",
+        ),
+        ({"goal": {"joints": {"elbow": 0.1}}}, "unknown joint 'elbow' in goal.joints; atlas has "),
+        ({"start": {"posture": "stnd"}}, "unknown posture 'stnd' in start.posture; atlas has stand, reach_ready"),
+        ({"goal": {"posture": "sit"}}, "unknown posture 'sit' in goal.posture; atlas has stand, reach_ready"),
+        (
+            {"goal": {"poses": [{"link": "l_hnad", "position": [0, 0, 0]}]}},
+            "unknown link 'l_hnad' in goal.poses[0].link; atlas has l_hand, ",
+        ),
+        ({"options": {"feet": ["l_fot"]}}, "unknown link 'l_fot' in options.feet; atlas has l_foot, "),
+        ({"robot": {"name": "atlsa"}}, "robot: unknown robot 'atlsa'; "),
+        (
+            {"robot": {"urdf": "missing.urdf"}},
+            "robot.urdf: missing.urdf is not there; paths start at the ",
+        ),
+        ({"scene": {"cloud": "missing.pcd"}}, "scene.cloud: missing.pcd: cannot be read"),
+        ({"start": {"joints": {"base_x": 0.1}}}, "unknown joint 'base_x' in start.joints"),
+    ],
+)
+def test_an_unknown_name_is_told_with_the_names_that_would_do(sections: dict[str, Any], problem: str) -> None:
+    (line,) = _problems(**sections)
+    assert line.startswith(problem)
+
+
+def test_a_start_just_beyond_a_limit_is_snapped_and_said(atlas: RobotModel) -> None:
+    limit = float(atlas.upper[atlas.joint_names.index("neck_ry")])
+    setup = _prepare(start={"joints": {"neck_ry": limit + 5e-4}})
+    assert setup.start[atlas.joint_names.index("neck_ry")] == limit
+    (note,) = setup.notes
+    assert note.startswith("start: neck_ry snapped from ")
+
+
+def test_a_start_far_beyond_a_limit_is_refused_with_the_limits(atlas: RobotModel) -> None:
+    limit = float(atlas.upper[atlas.joint_names.index("neck_ry")])
+    (line,) = _problems(start={"joints": {"neck_ry": limit + 2e-3}})
+    assert line.startswith("start.joints.neck_ry: ")
+    assert line.endswith(f" to {limit:.6g} would do")
+
+
+def test_a_goal_beyond_a_limit_is_refused() -> None:
+    (line,) = _problems(goal={"joints": {"neck_ry": 9.0}})
+    assert line.startswith("goal.joints.neck_ry: 9 is outside the joint's limits; ")
+
+
+def test_a_start_in_collision_names_pair_and_depth() -> None:
+    # The pelvis of the standing Atlas is at (0, 0, 0.9); a box in it.
+    lines = _problems(scene={"obstacles": [{"name": "crate", "position": [0.0, 0.0, 0.9], **BOX}]})
+    assert any(line.startswith("start is in collision: pelvis is 0.") and "m inside crate" in line for line in lines)
+
+
+def test_depth_of_a_start_in_collision_is_the_penetration(atlas: RobotModel) -> None:
+    # A floor 50 mm too high: both feet stand 50 mm deep in it.
+    q = atlas.postures["stand"]
+    lines = collisions(atlas, q, Scene((flat_floor(0.05, q[:2]),)), ("l_foot", "r_foot"))
+    assert {line.split(" is ")[0] for line in lines} == {"l_foot", "r_foot"}
+    assert all("is 0.050 m inside floor" in line for line in lines)
+
+
+def test_crossed_legs_are_in_collision() -> None:
+    lines = _problems(start={"joints": {"l_leg_hpx": -0.5}})
+    assert lines[0].startswith("start is in collision: l_lleg is 0.1")
+    assert lines[0].endswith("m inside r_uleg")
+
+
+def test_a_centre_of_mass_beyond_the_feet_is_told_in_metres(atlas: RobotModel) -> None:
+    q = atlas.postures["stand"]
+    soles = {"l_foot": sole(atlas, q, "l_foot")}
+    (line,) = standing_problems(atlas, q, Scene((flat_floor(0.0, q[:2]),)), soles)
+    inner_edge = float(soles["l_foot"][:, 1].min())
+    outside = float(line.split(" m outside")[0].split()[-1])
+    assert outside == pytest.approx(inner_edge, abs=0.02)  # the COM is in the middle between the feet
+    assert "outside the support polygon of l_foot" in line
+
+
+def test_one_planted_foot_under_a_middle_stance_is_refused() -> None:
+    lines = _problems(options={"feet": ["l_foot"]})
+    assert any(line.startswith("start is out of balance: the centre of mass") for line in lines)
+
+
+def test_feet_in_the_air_are_refused(atlas: RobotModel) -> None:
+    height = float(atlas.postures["stand"][2]) + 0.1
+    lines = _problems(start={"base": {"position": [0, 0, height]}})
+    assert "start is out of balance: the sole of l_foot is 0.100 m above the floor" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "is empty"),
+        (b"# .PCD v0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2000000000\nHEIGHT 1\n"
+         b"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2000000000\nDATA binary\n", ""),
+        (b"not a cloud at all", ""),
+    ],
+)  # fmt: skip
+def test_a_lying_cloud_is_refused_by_its_field(tmp_path: Path, content: bytes, problem: str) -> None:
+    (tmp_path / "scan.pcd").write_bytes(content)
+    (line,) = _problems(tmp_path, scene={"cloud": "scan.pcd"})
+    assert line.startswith("scene.cloud: ")
+    assert problem in line
+
+
+def test_round_obstacles_are_contained_in_their_pieces() -> None:
+    rng = np.random.default_rng(0)
+    request = parse_request({
+        "robot": {"name": "atlas"},
+        "goal": GOAL,
+        "scene": {"obstacles": [
+            {"name": "ball", "type": "sphere", "radius": 0.2, "position": [1, 2, 3]},
+            {"name": "post", "type": "cylinder", "radius": 0.1, "height": 1.0},
+            {"name": "pill", "type": "capsule", "radius": 0.1, "height": 1.0},
+        ]},
+    })  # fmt: skip
+    pieces = {piece.name: ConvexHull(piece.vertices).equations for piece in obstacle_pieces(request)}
+    directions = rng.normal(size=(500, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ring = directions[:, :2] / np.linalg.norm(directions[:, :2], axis=1, keepdims=True)
+    surfaces = {
+        "ball": [1, 2, 3] + 0.2 * directions,
+        "post": np.column_stack([0.1 * ring, rng.uniform(-0.5, 0.5, 500)]),
+        "pill": 0.1 * directions + np.column_stack([np.zeros((500, 2)), 0.5 * np.sign(directions[:, 2])]),
+    }
+    for name, points in surfaces.items():
+        equations = pieces[name]
+        assert np.max(points @ equations[:, :3].T + equations[:, 3]) <= 1e-9
+
+
+def test_an_obstacle_turns_about_its_own_position() -> None:
+    half = np.sqrt(0.5)
+    plank = {
+        "name": "plank",
+        "type": "box",
+        "size": [2.0, 0.2, 0.1],
+        "position": [5, 0, 1],
+        "quaternion_wxyz": [half, 0, 0, half],
+    }
+    request = parse_request({"robot": {"name": "atlas"}, "goal": GOAL, "scene": {"obstacles": [plank]}})
+    (piece,) = obstacle_pieces(request)
+    np.testing.assert_allclose(piece.lower, [4.9, -1.0, 0.95], atol=1e-12)
+    np.testing.assert_allclose(piece.upper, [5.1, 1.0, 1.05], atol=1e-12)
+
+
+def test_flat_points_are_no_obstacle() -> None:
+    flat = {"name": "sheet", "type": "convex", "points": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]}
+    (line,) = _problems(scene={"obstacles": [flat]})
+    assert line == "scene.obstacles[0].points: the 4 points lie in a plane; four that span a volume would do"
+
+
+def test_an_obstacle_may_not_take_the_floors_name() -> None:
+    (line,) = _problems(scene={"obstacles": [{"name": "floor", "position": [3, 0, 1], **BOX}]})
+    assert line.startswith("scene.obstacles: piece names must be unique; repeated: floor")
+
+
+def test_a_fixed_robot_has_no_feet_and_no_floor_by_default(shared_data: Path) -> None:
+    folder = shared_data / "robots"
+    urdf = sorted(folder.glob("panda*/*.urdf"))[0].relative_to(folder)
+    robot = {"urdf": str(urdf), "package_dirs": [str(urdf.parent)]}
+    request = {
+        "robot": robot,
+        "goal": {"joints": {"panda_joint1": 0.5}},
+        "start": {"joints": {"panda_joint4": -1.5, "panda_joint6": 1.5}},
+    }
+    setup = prepare(parse_request(request, folder))
+    assert setup.contacts == ()
+    assert setup.scene.pieces == ()
+    with pytest.raises(RequestError, match=r"options\.feet: this robot's base is fixed"):
+        prepare(parse_request({**request, "options": {"feet": ["panda_link0"]}}, folder))
