@@ -173,7 +173,8 @@ def test_tool_frame_ends_the_hook_on_the_hand_axis(distance: float) -> None:
         elbow = _frame(robot, data, f"{side}_larm").translation
         assert np.linalg.norm(tool.translation - elbow) > np.linalg.norm(hand.translation - elbow)
         (hook,) = (body for body in robot.bodies if body.link == f"{side}_hook")
-        assert hook.vertices[:, 1].max() * sign == pytest.approx(max(sign * distance, sign * 0.045))
+        assert (sign * hook.vertices[:, 1]).max() == pytest.approx(distance)
+        assert (sign * hook.vertices[:, 1]).min() == pytest.approx(0.045)
         radius = np.linalg.norm(hook.vertices[:, [0, 2]], axis=1).max()
         assert 0.008 < radius < 0.010
 

@@ -40,6 +40,10 @@ def parse_xml(text: str, where: str, root_tag: str) -> etree._Element:
     """
     if len(text) > MAX_XML_BYTES:
         raise RobotError(f"{where}: larger than {MAX_XML_BYTES // 2**20} MB; a robot description is far smaller")
+    # Entities in attributes would be expanded while parsing, so a DOCTYPE in plain sight is refused before.
+    refused = RobotError(f"{where}: DOCTYPE is refused; remove it")
+    if "<!DOCTYPE" in text:
+        raise refused
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
                              remove_comments=True, remove_pis=True)  # fmt: skip
     try:
@@ -47,7 +51,8 @@ def parse_xml(text: str, where: str, root_tag: str) -> etree._Element:
     except (etree.XMLSyntaxError, UnicodeEncodeError) as error:
         raise RobotError(f"{where}: not well-formed XML ({str(error).splitlines()[0]})") from None
     if root.getroottree().docinfo.doctype:
-        raise RobotError(f"{where}: DOCTYPE is refused; remove it")
+        # One hidden by the declared encoding.
+        raise refused
     if root.tag != root_tag:
         raise RobotError(f"{where}: the root element is <{root.tag}>; it must be <{root_tag}>")
     return root

@@ -1,0 +1,111 @@
+"""Bodies contain the shapes they stand for, and not much more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+from costs.robot import RobotError, load_robot, shapes
+from costs.robot.hull import hull_vertices
+from costs.robot.outer import outer_hull
+
+LENGTH = st.floats(1e-3, 2.0)
+SEED = st.integers(0, 10_000)
+
+
+def _overhang(hull: np.ndarray, points: np.ndarray) -> float:
+    """How far the farthest of ``points`` lies outside the hull [m]."""
+    equations = ConvexHull(hull).equations
+    return float((points @ equations[:, :3].T + equations[:, 3]).max())
+
+
+def _directions(seed: int) -> np.ndarray:
+    vectors = np.random.default_rng(seed).normal(size=(2000, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+@given(radius=LENGTH, seed=SEED)
+@settings(max_examples=20)
+def test_sphere_polytope_contains_the_sphere_within_8_4_percent(radius: float, seed: int) -> None:
+    hull = shapes.sphere(radius)
+    assert len(hull) == 32
+    assert _overhang(hull, radius * _directions(seed)) < 1e-9
+    assert np.linalg.norm(hull, axis=1).max() < 1.084 * radius
+
+
+@given(radius=LENGTH, length=LENGTH, seed=SEED)
+@settings(max_examples=20)
+def test_capsule_polytope_contains_the_capsule_within_9_8_percent(radius: float, length: float, seed: int) -> None:
+    hull = shapes.capsule(radius, length)
+    points = radius * _directions(seed)
+    points[:, 2] += np.sign(points[:, 2]) * 0.5 * length
+    assert len(hull) == 32
+    assert _overhang(hull, points) < 1e-9
+    past_the_axis = hull - np.array([0.0, 0.0, 1.0]) * np.clip(hull[:, 2:], -0.5 * length, 0.5 * length)
+    assert np.linalg.norm(past_the_axis, axis=1).max() < 1.098 * radius
+
+
+@given(radius=LENGTH, length=LENGTH, seed=SEED)
+@settings(max_examples=20)
+def test_cylinder_prism_contains_the_cylinder_within_2_percent(radius: float, length: float, seed: int) -> None:
+    hull = shapes.cylinder(radius, length)
+    angle = 2.0 * np.pi * np.random.default_rng(seed).uniform(size=2000)
+    ring = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    points = np.column_stack([ring, np.where(np.arange(2000) % 2 == 0, 0.5, -0.5) * length])
+    assert _overhang(hull, points) < 1e-9
+    assert np.linalg.norm(hull[:, :2], axis=1).max() < 1.02 * radius
+    assert np.abs(hull[:, 2]).max() == 0.5 * length
+
+
+def test_box_has_its_eight_corners() -> None:
+    corners = shapes.box(np.array([2.0, 4.0, 6.0]))
+    assert {tuple(corner) for corner in corners} == {(x, y, z) for x in (-1, 1) for y in (-2, 2) for z in (-3, 3)}
+
+
+@given(seed=SEED, count=st.integers(33, 400), size=st.tuples(LENGTH, LENGTH, LENGTH), is_round=st.booleans())
+@settings(max_examples=30)
+def test_outer_hull_of_few_vertices_contains_the_body(
+    seed: int, count: int, size: tuple[float, float, float], is_round: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3))
+    if is_round:
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
+    vertices = hull_vertices(points * np.maximum(size, 0.05 * max(size)), "sample")
+    outer = outer_hull(vertices)
+    extent = float(np.ptp(vertices, axis=0).max())
+    assert len(outer) <= (48 if len(vertices) > 32 else 32)
+    assert _overhang(outer, vertices) <= 1e-9 * extent
+    assert _overhang(vertices, outer) <= 0.06 * extent
+
+
+def test_outer_hull_of_a_small_body_is_the_body() -> None:
+    vertices = shapes.box(np.ones(3))
+    assert outer_hull(vertices) is vertices
+
+
+def test_outer_hull_of_many_panda_vertices_exceeds_by_3_mm(shared_data: Path) -> None:
+    folder = shared_data / "mbm_panda"
+    panda = load_robot(urdf=folder / "panda_bench" / "panda.urdf", package_dirs=[folder])
+    reduced = [body for body in panda.bodies if len(body.vertices) > 32]
+    assert len(reduced) == 9
+    for body in reduced:
+        assert len(body.outer) <= 48
+        assert _overhang(body.outer, body.vertices) <= 0.0
+        assert _overhang(body.vertices, body.outer) < 3.2e-3, body.name
+
+
+def test_outer_hull_is_the_same_every_time() -> None:
+    vertices = hull_vertices(np.random.default_rng(1).normal(size=(300, 3)), "sample")
+    np.testing.assert_array_equal(outer_hull(vertices), outer_hull(vertices.copy()))
+
+
+def test_flat_points_have_no_hull() -> None:
+    flat = np.column_stack([np.random.default_rng(2).normal(size=(20, 2)), np.zeros(20)])
+    with pytest.raises(RobotError, match="lie in a plane"):
+        hull_vertices(flat, "sheet")
