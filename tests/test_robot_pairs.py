@@ -1,0 +1,109 @@
+"""Which link pairs are left out of the self-collision check."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_files import LIMIT, joint, link, robot, write_urdf
+
+from costs.robot import RobotModel, load_robot
+from costs.robot.self_pairs import (
+    ALWAYS_FRACTION,
+    adjacent_pairs,
+    contact_counts,
+    link_pair,
+    random_poses,
+    same_joint_pairs,
+)
+
+WIDE = LIMIT.replace('"-1"', '"-3"').replace('upper="1"', 'upper="3"')
+BOX = '<box size="0.4 0.1 0.1"/>'
+
+
+def _rates(model: RobotModel, seed: int, count: int = 200) -> dict[tuple[str, str], float]:
+    """Share of random poses in which each pair of links overlaps."""
+    links = sorted({body.link for body in model.bodies})
+    poses = random_poses(model.model, model.lower, model.upper, count, seed)
+    counts = contact_counts(model.model, model.bodies, [link_pair(a, b) for a, b in combinations(links, 2)], poses)
+    return {pair: hits / count for pair, hits in counts.items()}
+
+
+def _near(model: RobotModel) -> frozenset[tuple[str, str]]:
+    return same_joint_pairs(model.bodies) | adjacent_pairs(model.model, model.bodies)
+
+
+def test_neighbours_are_ignored_also_across_links_without_a_body(tmp_path: Path) -> None:
+    text = robot(
+        link("base", BOX), link("hub"), link("arm", BOX), link("tip", BOX), link("cap", BOX),
+        joint("j1", "base", "hub"), joint("j2", "hub", "arm"), joint("j3", "arm", "tip"),
+        joint("weld", "tip", "cap", "fixed", "", "0 0 5"),
+    )  # fmt: skip
+    model = load_robot(urdf=write_urdf(tmp_path, text))
+    # "cap" is welded to "tip", so one joint lies between it and "arm".
+    assert model.ignored_pairs == {("arm", "base"), ("arm", "tip"), ("arm", "cap"), ("cap", "tip")}
+
+
+def test_pair_that_always_overlaps_is_ignored_and_one_that_does_at_zero_only_is_not(tmp_path: Path) -> None:
+    shifted = '<collision><origin xyz="2 0 0"/><geometry><box size="0.4 0.1 0.1"/></geometry></collision>'
+    text = robot(
+        link("base", BOX), link("mid", BOX), link("spin", BOX), f'<link name="far">{shifted}</link>',
+        '<link name="post"><collision><origin xyz="2 0 0"/><geometry><box size="0.4 0.1 0.1"/></geometry>'
+        "</collision></link>",
+        joint("j1", "base", "mid", inside=WIDE, xyz="0 0 0"), joint("j2", "mid", "spin", inside=WIDE, xyz="0 0 0"),
+        joint("j3", "mid", "far", inside=WIDE, xyz="0 0 0"), joint("weld", "base", "post", "fixed", "", "0 0 0"),
+    )  # fmt: skip
+    model = load_robot(urdf=write_urdf(tmp_path, text))
+    assert ("base", "spin") in model.ignored_pairs  # both turn about one axis that runs through them
+    assert _rates(model, 3)[("far", "post")] > 0.0
+    assert ("far", "post") not in model.ignored_pairs  # they overlap at the zero pose, but can part
+
+
+def test_pairs_of_an_srdf_are_taken_as_they_stand(tmp_path: Path) -> None:
+    text = robot(
+        link("a", BOX), link("b", BOX), link("c", BOX), link("d", BOX),
+        joint("j1", "a", "b"), joint("j2", "b", "c"), joint("w", "c", "d", "fixed", ""),
+    )  # fmt: skip
+    srdf = tmp_path / "robot.srdf"
+    srdf.write_text('<robot name="sample"><disable_collisions link1="c" link2="a" reason="User"/></robot>')
+    model = load_robot(urdf=write_urdf(tmp_path, text), srdf=srdf)
+    assert model.ignored_pairs == {("a", "c"), ("c", "d")}
+
+
+@pytest.mark.parametrize("which", ["atlas", "panda", "drcsim"])
+def test_ignored_pairs_are_neighbours_or_nearly_always_overlap(which: str, request: pytest.FixtureRequest) -> None:
+    if which == "atlas":
+        model = load_robot("atlas")
+    else:
+        robots = request.getfixturevalue("shared_data") / "robots"
+        folder = robots / ("panda" if which == "panda" else "atlas_drcsim_v5_simple")
+        model = load_robot(urdf=next(folder.glob("*.urdf")), root="fixed" if which == "panda" else "floating")
+    rates = _rates(model, seed=7)
+    near = _near(model)
+    assert near <= model.ignored_pairs
+    for pair in model.ignored_pairs - near:
+        assert rates[pair] > ALWAYS_FRACTION - 0.03, pair
+    # A pair that overlaps now and then stays checked.
+    assert all(pair not in model.ignored_pairs for pair, rate in rates.items() if rate < 0.9 and pair not in near)
+    assert any(0.0 < rate < 0.9 for pair, rate in rates.items() if pair not in near)
+
+
+def test_atlas_checks_every_pair_but_its_neighbours() -> None:
+    atlas = load_robot("atlas")
+    assert atlas.ignored_pairs == _near(atlas)
+    links = {body.link for body in atlas.bodies}
+    assert len(links) * (len(links) - 1) // 2 - len(atlas.ignored_pairs) == 349
+
+
+def test_sampled_poses_lie_within_the_limits_and_turn_unbounded_joints(tmp_path: Path) -> None:
+    text = robot(
+        link("a"), link("b"), link("c"), joint("j1", "a", "b"),
+        joint("j2", "b", "c", "continuous", '<limit velocity="1" effort="1"/>'),
+    )  # fmt: skip
+    model = load_robot(urdf=write_urdf(tmp_path, text), root="floating")
+    poses = random_poses(model.model, model.lower, model.upper, 500)
+    assert np.all(poses[:, :6] == 0.0)
+    assert np.abs(poses[:, 6]).max() <= 1.0
+    assert 3.0 < np.abs(poses[:, 7]).max() <= np.pi
