@@ -1,0 +1,81 @@
+"""Convex hulls of points that may be flat, with few vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull, QhullError
+
+MAX_VERTICES = 64
+_SKIN = 0.005
+# Corners of an octahedron: the smallest symmetric body that gives flat points a volume.
+_OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+@dataclass(frozen=True)
+class Hull:
+    """A convex hull and the points it was made for.
+
+    Attributes:
+        vertices: (V, 3) [m].
+        faces: (F, 4) half-spaces ``a . x + b <= 0``.
+        volume: [m^3].
+        members: indices of the points it holds.
+    """
+
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Float[np.ndarray, "F 4"]
+    volume: float
+    members: Int[np.ndarray, "K"]
+
+    @property
+    def lower(self) -> Float[np.ndarray, "3"]:
+        """Lower corner of the bounding box [m]."""
+        return np.asarray(self.vertices.min(axis=0))
+
+    @property
+    def upper(self) -> Float[np.ndarray, "3"]:
+        """Upper corner of the bounding box [m]."""
+        return np.asarray(self.vertices.max(axis=0))
+
+
+def hull_of(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"]) -> Hull:
+    """Hull of the points; flat ones are given a skin of 5 mm."""
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        points = thickened(points, _SKIN)
+        hull = ConvexHull(points)
+    return Hull(points[hull.vertices], hull.equations, float(hull.volume), members)
+
+
+def thickened(points: Float[np.ndarray, "N 3"], skin: float) -> Float[np.ndarray, "M 3"]:
+    """The points moved by ``skin`` along each axis both ways: their hull holds all of them with a margin."""
+    return np.asarray((points[:, None, :] + skin * _OCTAHEDRON).reshape(-1, 3))
+
+
+def limited(vertices: Float[np.ndarray, "V 3"], most: int = MAX_VERTICES) -> Float[np.ndarray, "W 3"]:
+    """A hull of at most ``most`` vertices that contains the given one.
+
+    The extreme vertices in evenly spread directions are kept and scaled about their centre until they hold the rest.
+    """
+    vertices = vertices[ConvexHull(vertices).vertices]
+    if len(vertices) <= most:
+        return vertices
+    k = np.arange(most)
+    z = 1.0 - 2.0 * (k + 0.5) / most
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * k
+    spread = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
+    # Directions are spread over the body's own shape, or a long thin one would get all its vertices at its ends.
+    centred = vertices - vertices.mean(axis=0)
+    _, scale, axes = np.linalg.svd(centred, full_matrices=False)
+    directions = (spread / np.maximum(scale, 1e-3 * scale[0])) @ axes
+    kept = vertices[np.unique(np.argmax(vertices @ directions.T, axis=0))]
+    hull = ConvexHull(kept)
+    centre = kept.mean(axis=0)
+    depth = -(hull.equations[:, :3] @ centre + hull.equations[:, 3])
+    reach = (vertices - centre) @ hull.equations[:, :3].T
+    factor = max(1.0, float((reach / depth).max()))
+    return np.asarray(centre + factor * (kept - centre))

@@ -1,0 +1,142 @@
+"""The whole chain: a cloud to floor, convex pieces and detected valves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.scene import ConvexPiece, Scene
+from perception.clean import Reach, inliers, inside_hulls, voxel_downsample
+from perception.cloud import Cloud
+from perception.errors import CloudError
+from perception.floor import FloorPlane, find_floor, floor_piece, on_floor
+from perception.pieces import make_pieces
+from perception.valve import ValveDetection, detect_in
+from perception.valve_bodies import stem_of, stem_points, wheel_points
+
+CONFIDENT = 0.5
+_MOST_SHOWN = 60_000
+_SHOWN_VOXEL = 0.01
+_DEFAULT_REACH = Reach()
+
+
+@dataclass(frozen=True)
+class Perceived:
+    """What a cloud shows.
+
+    Attributes:
+        scene: pieces ``floor``, ``plane/i``, ``clutter/i`` and, with a valve, ``stem``; the wheel itself is not in it.
+        floor: the floor's plane; None when none was seen.
+        valves: detections, best first; empty unless a valve was asked for.
+        shown: (M, 3) decimated points for a viewer, at most 60,000 [m].
+        timings: seconds by step.
+        notes: sentences a user should read.
+    """
+
+    scene: Scene
+    floor: FloorPlane | None
+    valves: tuple[ValveDetection, ...]
+    shown: Float[np.ndarray, "M 3"]
+    timings: Mapping[str, float]
+    notes: tuple[str, ...]
+
+    @property
+    def valve(self) -> ValveDetection | None:
+        """The best valve if it is one to act on."""
+        return self.valves[0] if self.valves and self.valves[0].confidence >= CONFIDENT else None
+
+
+class _Clock:
+    """Seconds by step; a step ends when the next begins."""
+
+    def __init__(self) -> None:
+        self.timings: dict[str, float] = {}
+        self._since = time.perf_counter()
+
+    def lap(self, step: str) -> None:
+        now = time.perf_counter()
+        self.timings[step] = self.timings.get(step, 0.0) + now - self._since
+        self._since = now
+
+
+def perceive(
+    cloud: Cloud,
+    *,
+    reach: Reach = _DEFAULT_REACH,
+    robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
+    soles: Sequence[Float[np.ndarray, "S 3"]] = (),
+    valve: bool,
+    hint: Float[np.ndarray, "3"] | None = None,
+    seed: int = 0,
+) -> Perceived:
+    """Floor, convex pieces and, on request, wheel valves of a cloud in world coordinates (z up).
+
+    Args:
+        cloud: the scan; its origin must be where the rays started, since they tell what is free.
+        reach: what matters.
+        robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
+        soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
+        valve: whether to look for wheel valves; the best one's points are kept out of the pieces.
+        hint: (3,) a point near the valve [m].
+        seed: of all random choices; the same input and seed give the same result.
+
+    Raises:
+        CloudError: nothing of the cloud lies in reach.
+    """
+    clock = _Clock()
+    near = _in_reach(cloud, reach)
+    own = inside_hulls(near, robot_hulls)
+    near, notes = near[~own], [*cloud.notes]
+    if own.any():
+        notes.append(f"left out {int(own.sum())} points on the robot itself")
+    clock.lap("crop and self-filter")
+    floor = find_floor(near, seed)
+    obstacles = near if floor is None else near[~on_floor(near, floor, soles)]
+    if floor is None:
+        notes.append("no floor was found; nothing stands for it in the scene")
+    clock.lap("floor")
+    obstacles = obstacles[inliers(obstacles, cloud.origin)]
+    clock.lap("outliers")
+    valves = tuple(detect_in(obstacles, cloud, hint, seed)) if valve else ()
+    stem = None
+    if valves and valves[0].confidence >= CONFIDENT:
+        obstacles, stem = _without_valve(obstacles, valves[0])
+    clock.lap("valve")
+    made = make_pieces(obstacles, cloud.origin, cloud.points, seed)
+    clock.lap("pieces")
+    extra = ([] if floor is None else [floor_piece(floor, reach)]) + ([] if stem is None else [stem])
+    timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
+    return Perceived(Scene((*extra, *made.pieces)), floor, valves, _shown(near), timings, tuple(notes))
+
+
+def _in_reach(cloud: Cloud, reach: Reach) -> Float[np.ndarray, "N 3"]:
+    near = cloud.points[reach.contains(cloud.points)]
+    if not len(near):
+        centre = np.median(cloud.points, axis=0)
+        raise CloudError(
+            f"none of {len(cloud.points)} points lie within {reach.radius} m of ({reach.x}, {reach.y}); "
+            f"their middle is ({centre[0]:.1f}, {centre[1]:.1f}, {centre[2]:.1f}): metres in the robot's start frame are needed"
+        )
+    return near
+
+
+def _without_valve(
+    points: Float[np.ndarray, "N 3"], valve: ValveDetection
+) -> tuple[Float[np.ndarray, "M 3"], ConvexPiece | None]:
+    """The points that are neither wheel nor stem, and the stem."""
+    rest = points[~wheel_points(valve, points)]
+    stem = stem_of(valve, rest)
+    if stem is not None:
+        rest = rest[~stem_points(valve, stem, rest)]
+    return rest, stem
+
+
+def _shown(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
+    if not len(points):
+        return points
+    thinned, _ = voxel_downsample(points, _SHOWN_VOXEL)
+    return np.asarray(thinned[:: -(-len(thinned) // _MOST_SHOWN)])

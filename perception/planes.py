@@ -1,0 +1,257 @@
+"""Flat regions of a cloud: planes by one-point RANSAC over normals, connected and refitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+_CELL = 0.04
+
+
+@dataclass(frozen=True)
+class PlaneSettings:
+    """What counts as one plane.
+
+    Attributes:
+        distance: farthest a member lies from the plane [m].
+        normal_dot: least cosine between a member's normal and the plane's.
+        min_points: fewest members.
+        min_size: least extent of a region in its second direction [m].
+        max_planes: at most so many.
+        n_candidates: hypotheses per plane.
+        n_neighbours: points that make a normal.
+        absorb: points this close to a plane may be its noise [m].
+        noise_share: they are when there are fewer than this share of the members around them.
+        bias: farthest the mean of the points around a member lies from the plane [m].
+    """
+
+    distance: float = 0.02
+    normal_dot: float = 0.88
+    min_points: int = 60
+    min_size: float = 0.08
+    max_planes: int = 60
+    n_candidates: int = 160
+    n_neighbours: int = 16
+    absorb: float = 0.06
+    noise_share: float = 0.5
+    bias: float = 0.01
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A flat region.
+
+    Attributes:
+        normal: (3,) unit, towards the sensor.
+        offset: ``normal . x == offset`` on it [m].
+        members: indices of its points.
+        noise: indices of points that it explains but that do not shape it.
+    """
+
+    normal: Float[np.ndarray, "3"]
+    offset: float
+    members: Int[np.ndarray, "K"]
+    noise: Int[np.ndarray, "L"]
+
+    @property
+    def basis(self) -> Float[np.ndarray, "2 3"]:
+        """Two unit directions in the plane, the second as upright as can be."""
+        up = np.array([0.0, 0.0, 1.0]) if abs(self.normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+        first = np.cross(up, self.normal)
+        first /= np.linalg.norm(first)
+        return np.stack([first, np.cross(self.normal, first)])
+
+
+def point_normals(
+    points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], n_neighbours: int
+) -> Float[np.ndarray, "N 3"]:
+    """Unit normals by principal components of the nearest neighbours, turned towards the sensor."""
+    k = min(n_neighbours, len(points))
+    _, neighbours = cKDTree(points).query(points, k=k, workers=-1)
+    near = points[np.reshape(neighbours, (len(points), k))]
+    near = near - near.mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))[1][:, :, 0]
+    away = ((origin - points) * normals).sum(axis=1) < 0.0
+    normals[away] *= -1.0
+    return np.asarray(normals)
+
+
+def find_planes(
+    points: Float[np.ndarray, "N 3"],
+    counts: Int[np.ndarray, "N"],
+    origin: Float[np.ndarray, "3"],
+    rng: np.random.Generator,
+    settings: PlaneSettings | None = None,
+) -> tuple[Plane, ...]:
+    """Flat connected regions, largest first as found; their members are disjoint.
+
+    Args:
+        points: (N, 3) downsampled [m].
+        counts: (N,) measured points each stands for.
+        origin: (3,) of the rays [m].
+        rng: for the hypotheses.
+        settings: what counts as one plane.
+    """
+    settings = settings or PlaneSettings()
+    planes: list[Plane] = []
+    if len(points) < settings.min_points:
+        return ()
+    normals = point_normals(points, origin, settings.n_neighbours)
+    left = np.arange(len(points))
+    misses = 0
+    while len(planes) < settings.max_planes and len(left) >= settings.min_points and misses < 4:
+        members = _best_region(points, counts, normals, origin, left, rng, settings)
+        if members is None:
+            misses += 1
+            continue
+        misses = 0
+        plane = Plane(*_fit(points[members], origin), members, members[:0])
+        left = np.setdiff1d(left, members, assume_unique=True)
+        noise = _noise_of(plane, points, counts, left, settings)
+        distance = np.abs(points[left] @ plane.normal - plane.offset)
+        # Close noise is the surface itself, whatever its normal; it belongs to the outline.
+        grown = np.concatenate([members, left[noise & (distance < settings.distance)]])
+        planes.append(replace(plane, members=grown, noise=left[noise & (distance >= settings.distance)]))
+        left = left[~noise]
+    return tuple(planes)
+
+
+def _best_region(
+    points: Float[np.ndarray, "N 3"],
+    counts: Int[np.ndarray, "N"],
+    normals: Float[np.ndarray, "N 3"],
+    origin: Float[np.ndarray, "3"],
+    left: Int[np.ndarray, "K"],
+    rng: np.random.Generator,
+    settings: PlaneSettings,
+) -> Int[np.ndarray, "M"] | None:
+    """The connected members of the plane that most of a sample agrees on; None when too few or too thin."""
+    sample = left if len(left) <= 3000 else rng.choice(left, 3000, replace=False)
+    seeds = rng.choice(left, min(settings.n_candidates, len(left)), replace=False)
+    offsets = (points[seeds] * normals[seeds]).sum(axis=1)
+    agree = np.abs(points[sample] @ normals[seeds].T - offsets) < settings.distance
+    agree &= normals[sample] @ normals[seeds].T > settings.normal_dot
+    best = int(np.argmax(agree.sum(axis=0)))
+    normal, offset, region = normals[seeds[best]], float(offsets[best]), sample[agree[:, best]]
+    for _ in range(3):
+        if len(region) < 10:
+            return None
+        normal, offset = _fit(points[region], origin)
+        near = np.abs(points[left] @ normal - offset) < settings.distance
+        region = left[near & (normals[left] @ normal > settings.normal_dot)]
+    aligned = left[normals[left] @ normal > 0.5]
+    region = _consistent(points, counts, aligned, Plane(normal, offset, region, region[:0]), settings)
+    region = _largest_connected(points, region, Plane(normal, offset, region, region[:0]), origin)
+    if len(region) < settings.min_points:
+        return None
+    flat = points[region] @ Plane(normal, offset, region, region[:0]).basis.T
+    if np.sqrt(12.0 * np.linalg.eigvalsh(np.cov(flat.T))[0]) < settings.min_size:
+        return None
+    return region
+
+
+def _consistent(
+    points: Float[np.ndarray, "N 3"],
+    counts: Int[np.ndarray, "N"],
+    around: Int[np.ndarray, "K"],
+    plane: Plane,
+    settings: PlaneSettings,
+) -> Int[np.ndarray, "M"]:
+    """Members where the points around, near the plane or not, scatter about it.
+
+    Half of the noise of a face 3 cm behind lies within 2 cm of the plane; its mean gives it away.
+    """
+    if not len(plane.members):
+        return plane.members
+    distance = points[around] @ plane.normal - plane.offset
+    around, distance = around[np.abs(distance) < settings.absorb], distance[np.abs(distance) < settings.absorb]
+    raster = _Raster.over(points[plane.members] @ plane.basis.T)
+    weights, cells = counts[around], raster.cells(points[around] @ plane.basis.T)
+    inside = ((cells >= 0) & (cells < raster.shape)).all(axis=1)
+    total = _counts(cells[inside], weights[inside], raster.shape)
+    mean = _counts(cells[inside], (weights * distance)[inside], raster.shape) / np.maximum(total, 1e-9)
+    mine = raster.cells(points[plane.members] @ plane.basis.T)
+    return np.asarray(plane.members[np.abs(mean[tuple(mine.T)]) < settings.bias])
+
+
+def _fit(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], float]:
+    centre = points.mean(axis=0)
+    normal = np.linalg.eigh(np.cov((points - centre).T))[1][:, 0]
+    if normal @ (origin - centre) < 0.0:
+        normal = -normal
+    return normal, float(normal @ centre)
+
+
+def _noise_of(
+    plane: Plane,
+    points: Float[np.ndarray, "N 3"],
+    counts: Int[np.ndarray, "N"],
+    left: Int[np.ndarray, "K"],
+    settings: PlaneSettings,
+) -> Bool[np.ndarray, "K"]:
+    """Which of the points left are the plane's noise: near it, and few beside the members around them
+    or evenly on both sides.
+
+    Without this, the tails of the range noise are found as further planes before a wall.  A real thing that lies on
+    the plane hides it: there the members are missing, and its points are kept.
+    """
+    near = np.flatnonzero(np.abs(points[left] @ plane.normal - plane.offset) < settings.absorb)
+    mine = points[plane.members] @ plane.basis.T
+    raster = _Raster.over(mine)
+    cells = raster.cells(points[left[near]] @ plane.basis.T)
+    valid = ((cells >= 0) & (cells < raster.shape)).all(axis=1)
+    weights = counts[left[near[valid]]]
+    others = _counts(cells[valid], weights, raster.shape)
+    members = _counts(raster.cells(mine), counts[plane.members], raster.shape)
+    distance = points[left[near[valid]]] @ plane.normal - plane.offset
+    bias = _counts(cells[valid], weights * distance, raster.shape) / np.maximum(members + others, 1e-9)
+    few = (others < settings.noise_share * members) | (np.abs(bias) < settings.bias / 2)
+    few &= members > 0.0
+    noise = np.zeros(len(left), dtype=bool)
+    noise[near[valid]] = few[tuple(cells[valid].T)]
+    return noise
+
+
+@dataclass(frozen=True)
+class _Raster:
+    """Square cells over a region of a plane."""
+
+    lower: Float[np.ndarray, "2"]
+    shape: Int[np.ndarray, "2"]
+
+    @classmethod
+    def over(cls, flat: Float[np.ndarray, "N 2"]) -> _Raster:
+        lower = flat.min(axis=0) - _CELL
+        return cls(lower, np.ceil((flat.max(axis=0) - lower) / _CELL).astype(int) + 1)
+
+    def cells(self, flat: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "N 2"]:
+        return np.asarray(np.floor((flat - self.lower) / _CELL).astype(int))
+
+
+def _counts(
+    cells: Int[np.ndarray, "N 2"], weights: np.ndarray, shape: Int[np.ndarray, "2"]
+) -> Float[np.ndarray, "U V"]:
+    """Points per cell, averaged over the cell and its eight neighbours."""
+    flat = np.ravel_multi_index(tuple(cells.T), tuple(shape))
+    counts = np.bincount(flat, weights, minlength=int(np.prod(shape))).reshape(shape)
+    return np.asarray(ndimage.uniform_filter(counts, size=3, mode="constant"))
+
+
+def _largest_connected(
+    points: Float[np.ndarray, "N 3"], region: Int[np.ndarray, "K"], plane: Plane, origin: Float[np.ndarray, "3"]
+) -> Int[np.ndarray, "M"]:
+    """Members of the largest patch, linked over max(5 cm, 4.5 % of range) in the plane."""
+    if not len(region):
+        return region
+    flat = points[region] @ plane.basis.T
+    link = max(0.05, 0.045 * float(np.median(np.linalg.norm(points[region] - origin, axis=1))))
+    cells = np.floor((flat - flat.min(axis=0)) / (link / 2)).astype(int)
+    grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    grid[tuple(cells.T)] = True
+    labels, _ = ndimage.label(ndimage.binary_dilation(grid), structure=np.ones((3, 3)))
+    of_point = labels[tuple(cells.T)]
+    return np.asarray(region[of_point == np.bincount(of_point).argmax()])

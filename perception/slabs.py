@@ -1,0 +1,196 @@
+"""Flat regions to convex slabs: the region's outline is cut so that no slab covers an opening a ray went through."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import ConvexHull, QhullError
+
+from perception.planes import Plane
+
+_CELL = 0.025
+_BEHIND = 0.05
+_PAD = 0.006
+FRONT = 0.017
+_BACK = 0.017
+_WORTHWHILE = 0.05
+_NOISE = 0.003
+
+
+@dataclass(frozen=True)
+class Slab:
+    """A convex patch of a plane with some thickness.
+
+    Attributes:
+        outline: (K, 2) corners in the plane's basis [m], counter-clockwise.
+        vertices: (2 K, 3) world [m].
+        faces: (K, 3) half-planes ``a . u + b <= 0`` of the outline.
+    """
+
+    outline: Float[np.ndarray, "K 2"]
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Float[np.ndarray, "K 3"]
+
+
+@dataclass(frozen=True)
+class _Region:
+    """A plane seen as a picture: where rays went through it, and where its members are."""
+
+    flat: Float[np.ndarray, "N 2"]
+    lower: Float[np.ndarray, "2"]
+    pierced: Bool[np.ndarray, "U V"]
+
+
+def slabs_of(
+    plane: Plane,
+    points: Float[np.ndarray, "N 3"],
+    origin: Float[np.ndarray, "3"],
+    ends: Float[np.ndarray, "M 3"],
+) -> list[Slab]:
+    """Convex slabs that cover the plane's members and no opening.
+
+    Args:
+        plane: the flat region.
+        points: (N, 3) the cloud its members index [m].
+        origin: (3,) of the rays [m].
+        ends: (M, 3) of all rays of the scan [m].
+    """
+    flat = points[plane.members] @ plane.basis.T
+    region = _picture(plane, flat, origin, ends)
+    parts: list[Int[np.ndarray, "K"]] = []
+    todo = [np.arange(len(flat))]
+    while todo:
+        indices = todo.pop()
+        open_cells = _open_cells(region, _outline(flat[indices]))
+        if len(indices) < 4 or not len(open_cells):
+            parts.append(indices)
+        else:
+            todo.extend(indices[side] for side in _cut(flat[indices], open_cells))
+    parts = _merged(region, parts)
+    return [_slab(plane, flat[part]) for part in parts]
+
+
+def _picture(
+    plane: Plane, flat: Float[np.ndarray, "N 2"], origin: Float[np.ndarray, "3"], ends: Float[np.ndarray, "M 3"]
+) -> _Region:
+    """Cells of the region's rectangle that rays crossed and that hold no member, nor does a neighbour."""
+    lower = flat.min(axis=0) - 2 * _CELL
+    shape = np.ceil((flat.max(axis=0) + 2 * _CELL - lower) / _CELL).astype(int) + 1
+    before = origin @ plane.normal - plane.offset
+    behind = ends @ plane.normal - plane.offset
+    through = (behind < -_BEHIND) if before > 0.0 else np.zeros(len(ends), dtype=bool)
+    t = before / (before - behind[through])
+    crossing = (origin + t[:, None] * (ends[through] - origin)) @ plane.basis.T
+    pierced = _raster(crossing, lower, shape)
+    hit = ndimage.binary_dilation(_raster(flat, lower, shape), structure=np.ones((3, 3), dtype=bool))
+    return _Region(flat, lower, pierced & ~hit)
+
+
+def _raster(
+    flat: Float[np.ndarray, "N 2"], lower: Float[np.ndarray, "2"], shape: np.ndarray
+) -> Bool[np.ndarray, "U V"]:
+    grid = np.zeros(shape, dtype=bool)
+    cells = np.floor((flat - lower) / _CELL).astype(int)
+    cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
+    grid[tuple(cells.T)] = True
+    return grid
+
+
+def _outline(
+    flat: Float[np.ndarray, "N 2"], pad: float = 0.0
+) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "F 3"]]:
+    """Corners, counter-clockwise, and half-planes of the hull; ``pad`` is added on all sides."""
+    if pad > 0.0:
+        flat = (flat[:, None, :] + pad * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])).reshape(-1, 2)
+    try:
+        hull = ConvexHull(flat)
+    except (QhullError, ValueError):
+        return _outline(flat, 0.002)
+    return flat[hull.vertices], hull.equations
+
+
+def _open_cells(
+    region: _Region, outline: tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "F 3"]]
+) -> Float[np.ndarray, "H 2"]:
+    """Centres of the pierced cells inside the outline; empty when they are so few that noise explains them."""
+    corners, faces = outline
+    first = np.floor((corners.min(axis=0) - region.lower) / _CELL).astype(int).clip(0)
+    last = np.ceil((corners.max(axis=0) - region.lower) / _CELL).astype(int)
+    cells = np.argwhere(region.pierced[first[0] : last[0] + 1, first[1] : last[1] + 1]) + first
+    centres = (cells + 0.5) * _CELL + region.lower
+    inside = centres[(centres @ faces[:, :2].T + faces[:, 2] <= 0.0).all(axis=1)]
+    x, y = corners.T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    return np.asarray(inside if len(inside) * _CELL**2 > _NOISE * area else inside[:0])
+
+
+def _cut(
+    flat: Float[np.ndarray, "N 2"], open_cells: Float[np.ndarray, "H 2"]
+) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
+    """Two groups of points: the largest that one straight cut frees of all open cells, and the rest.
+
+    Cuts run along the outermost open cells, upright or turned with the points.  When they would free little, the
+    points are halved across their longest side instead.
+    """
+    frames = (np.eye(2), np.linalg.eigh(np.cov(flat.T))[1])
+    best = np.zeros(len(flat), dtype=bool)
+    for frame in frames:
+        turned, cells = flat @ frame, open_cells @ frame
+        for axis in range(2):
+            for side in (turned[:, axis] < cells[:, axis].min(), turned[:, axis] > cells[:, axis].max()):
+                best = side if side.sum() > best.sum() else best
+    if best.sum() >= _WORTHWHILE * len(flat):
+        return np.flatnonzero(best), np.flatnonzero(~best)
+    longest = flat @ frames[1][:, 1]
+    order = np.argsort(longest, kind="stable")
+    return order[: len(flat) // 2], order[len(flat) // 2 :]
+
+
+def _merged(region: _Region, parts: list[Int[np.ndarray, "K"]]) -> list[Int[np.ndarray, "K"]]:
+    """Parts joined, the smallest with the neighbour that adds least area, while the joint outline is closed."""
+    parts = sorted(parts, key=lambda part: (len(part), int(part[0])))
+    kept: list[Int[np.ndarray, "K"]] = []
+    while parts:
+        part = parts.pop(0)
+        options = []
+        for i, other in enumerate(parts):
+            if not _near(region.flat[part], region.flat[other]):
+                continue
+            joint = np.concatenate([part, other])
+            outline = _outline(region.flat[joint])
+            if not len(_open_cells(region, outline)):
+                options.append((float(np.prod(np.ptp(outline[0], axis=0))), i, joint))
+        if options:
+            _, i, joint = min(options, key=lambda option: option[:2])
+            parts[i] = joint
+            parts.sort(key=lambda part: (len(part), int(part[0])))
+        else:
+            kept.append(part)
+    return kept
+
+
+def _near(a: Float[np.ndarray, "N 2"], b: Float[np.ndarray, "M 2"]) -> bool:
+    gap = 0.06
+    return bool((a.min(axis=0) <= b.max(axis=0) + gap).all() and (b.min(axis=0) <= a.max(axis=0) + gap).all())
+
+
+def _slab(plane: Plane, flat: Float[np.ndarray, "N 2"]) -> Slab:
+    """Thickened outline, its corners thinned to at most 32."""
+    corners, faces = _outline(flat, _PAD)
+    if len(corners) > 32:
+        corners, faces = _coarser(corners)
+    middle = corners @ plane.basis + plane.offset * plane.normal
+    vertices = np.concatenate([middle + FRONT * plane.normal, middle - _BACK * plane.normal])
+    return Slab(corners, vertices, faces)
+
+
+def _coarser(corners: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "M 2"], Float[np.ndarray, "F 3"]]:
+    """Outline of at most 32 corners that is at most millimetres smaller: extreme corners in 32 directions."""
+    angles = 2 * np.pi * np.arange(32) / 32
+    directions = np.stack([np.cos(angles), np.sin(angles)])
+    scale = np.maximum(np.ptp(corners, axis=0), 1e-3)
+    kept = corners[np.unique(np.argmax((corners / scale) @ directions, axis=0))]
+    return _outline(kept)

@@ -1,0 +1,260 @@
+"""Detection of wheel valves: circles proposed, rims fitted to the rays, evidence weighed into a confidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from perception.circles import Circle, find_circles
+from perception.clean import Reach, inliers, voxel_downsample
+from perception.cloud import Cloud
+from perception.floor import find_floor, on_floor
+from perception.planes import PlaneSettings, find_planes
+from perception.wheel import Passage, Rays, Ring, fit_ring, pass_ring, rays_of, rim_hits
+
+_VOXEL = 0.015
+_WALL = PlaneSettings(min_size=0.45, min_points=400, max_planes=12, n_neighbours=20)
+_HINT_RADIUS = 0.5
+_SECTORS = 36
+_BEHIND = 0.05
+_DEPTH = 0.06
+_REPORTED = 0.05
+
+
+@dataclass(frozen=True)
+class ValveDetection:
+    """A wheel valve as seen.
+
+    Attributes:
+        centre: (3,) of the rim [m].
+        axis: (3,) unit, towards the sensor.
+        rim_radius: of the rim's centre line [m].
+        outer_radius: [m].
+        tube_radius: half width of the rim along the radius [m].
+        half_depth: half thickness of the rim along the axis [m].
+        spoke_angles: about the axis, from ``wheel_basis(axis)[0]`` (horizontal), right-handed [rad].
+        spoke_half_angle: half the widest spoke's angle at two thirds of the rim radius [rad].
+        hub_radius: inside it nothing was seen through [m].
+        inner_depth: lowest and highest place along the axis of what was seen inside the rim [m].
+        confidence: 0 to 1.
+        rms: of the rim's depth residuals [m].
+        n_inliers: rays that ended on the rim.
+    """
+
+    centre: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    rim_radius: float
+    outer_radius: float
+    tube_radius: float
+    half_depth: float
+    spoke_angles: tuple[float, ...]
+    spoke_half_angle: float
+    hub_radius: float
+    inner_depth: tuple[float, float]
+    confidence: float
+    rms: float
+    n_inliers: int
+
+    @property
+    def ring(self) -> Ring:
+        """The rim."""
+        return Ring(self.centre, self.axis, self.rim_radius, self.tube_radius, self.half_depth)
+
+
+def detect_valves(
+    cloud: Cloud,
+    hint: Float[np.ndarray, "3"] | None = None,
+    reach: Reach | None = None,
+    seed: int = 0,
+) -> list[ValveDetection]:
+    """Wheel valves, best first; a confidence of 0.5 or more is one to act on.
+
+    Args:
+        cloud: the scan.
+        hint: (3,) a point near the wheel: only what lies within half a metre of it is looked at [m].
+        reach: where to look; by default within 3 m.
+        seed: of the hypotheses.
+    """
+    reach = reach or Reach()
+    near = cloud.points[reach.contains(cloud.points)]
+    if hint is not None:
+        near = near[np.linalg.norm(near - hint, axis=1) < 2 * _HINT_RADIUS]
+    floor = find_floor(near, seed)
+    if floor is not None:
+        near = near[~on_floor(near, floor)]
+    return detect_in(near[inliers(near, cloud.origin)], cloud, hint, seed)
+
+
+def detect_in(
+    obstacles: Float[np.ndarray, "N 3"], cloud: Cloud, hint: Float[np.ndarray, "3"] | None, seed: int
+) -> list[ValveDetection]:
+    """As :func:`detect_valves`, for obstacle points cleaned already."""
+    rng = np.random.default_rng(seed)
+    coarse, counts = voxel_downsample(obstacles, _VOXEL)
+    left = np.ones(len(coarse), dtype=bool)
+    for plane in find_planes(coarse, counts, cloud.origin, rng, _WALL):
+        left[plane.members] = left[plane.noise] = False
+    candidates = coarse[left]
+    if hint is not None:
+        candidates = candidates[np.linalg.norm(candidates - hint, axis=1) < _HINT_RADIUS]
+    rays = rays_of(cloud.origin, cloud.points)
+    detections = [_examine(circle, rays) for circle in find_circles(candidates, cloud.origin, rng)]
+    detections = [d for d in detections if d.confidence >= _REPORTED]
+    detections.sort(key=lambda d: -d.confidence)
+    return _apart(detections)
+
+
+def _apart(detections: list[ValveDetection]) -> list[ValveDetection]:
+    """Without the weaker ones of those that share a place."""
+    kept: list[ValveDetection] = []
+    for one in detections:
+        if all(np.linalg.norm(one.centre - other.centre) > 0.5 * other.outer_radius for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _examine(circle: Circle, rays: Rays) -> ValveDetection:
+    """Fit the rim and weigh the evidence."""
+    near = rays.towards(circle.centre, 1.4 * circle.radius + 0.12)
+    ring = fit_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012))
+    if ring.axis @ (rays.origin - ring.centre) < 0.0:
+        ring = Ring(ring.centre, -ring.axis, ring.radius, ring.half_width, ring.half_depth)
+    near = rays.towards(ring.centre, 1.4 * ring.radius + 0.12)
+    passage = pass_ring(near, ring)
+    hit = rim_hits(near, ring, passage)
+    rms = float(np.sqrt(np.mean((near.length - passage.depth)[hit] ** 2))) if hit.any() else np.inf
+    inside = _inside(near, ring, passage)
+    return ValveDetection(
+        ring.centre,
+        ring.axis,
+        ring.radius,
+        ring.radius + ring.half_width,
+        ring.half_width,
+        ring.half_depth,
+        inside.spoke_angles,
+        inside.spoke_half_angle,
+        inside.hub_radius,
+        inside.depth,
+        _confidence(near, ring, passage, hit, inside.open_share, rms),
+        rms,
+        int(hit.sum()),
+    )
+
+
+def _confidence(
+    rays: Rays, ring: Ring, passage: Passage, hit: Bool[np.ndarray, "N"], open_share: float, rms: float
+) -> float:
+    """Product of: rim seen all round, air around it, openings in it, a rim's proportions, depths that agree."""
+    through = rays.length > passage.depth + _BEHIND
+    distance = np.linalg.norm(passage.place, axis=1)
+    sector = (
+        np.floor(np.arctan2(passage.place[:, 1], passage.place[:, 0]) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+    )
+    inside_rim = passage.level < 0.9
+    rim = _shares(sector, inside_rim & hit, inside_rim & (hit | through))
+    outer = ring.radius + ring.half_width
+    around = (distance > outer + 0.012) & (distance < outer + 0.05)
+    # Air: rays that went on, or ended well before or behind the rim's plane.
+    solid = around & (np.abs(rays.length - passage.crossing) < _BEHIND)
+    air = _shares(sector, around & ~solid, around)
+    seen = ~np.isnan(rim)
+    if seen.mean() < 0.4:
+        return 0.0
+    complete = float(np.nanmean(rim > 0.6) * min(1.0, np.sum(seen & (rim > 0.6)) / (0.6 * _SECTORS)))
+    airy = float(np.mean(air[~np.isnan(air)] > 0.7)) if (~np.isnan(air)).any() else 0.0
+    return float(
+        _rising(complete, 0.55, 0.9)
+        * _rising(airy, 0.45, 0.85)
+        * _rising(open_share, 0.04, 0.2)
+        * _rising(-ring.half_width / ring.radius, -0.5, -0.35)
+        * _rising(-rms, -0.03, -0.02)
+        * _rising(float(hit.sum()), 15.0, 60.0)
+    )
+
+
+def _shares(sector: np.ndarray, these: Bool[np.ndarray, "N"], all_of: Bool[np.ndarray, "N"]) -> Float[np.ndarray, "S"]:
+    """Share per sector; NaN where there is nothing."""
+    total = np.bincount(sector[all_of], minlength=_SECTORS).astype(float)
+    total[total == 0.0] = np.nan
+    return np.asarray(np.bincount(sector[these], minlength=_SECTORS) / total)
+
+
+def _rising(value: float, low: float, high: float) -> float:
+    """0 up to ``low``, 1 from ``high`` on, smooth between."""
+    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
+    return x * x * (3.0 - 2.0 * x)
+
+
+@dataclass(frozen=True)
+class _Inside:
+    """What is inside the rim."""
+
+    spoke_angles: tuple[float, ...]
+    spoke_half_angle: float
+    hub_radius: float
+    depth: tuple[float, float]
+    open_share: float
+
+
+def _inside(rays: Rays, ring: Ring, passage: Passage) -> _Inside:
+    """Openings, spokes and hub from which rays inside the rim ended at the wheel and which went on."""
+    distance = np.linalg.norm(passage.place, axis=1)
+    inner = ring.radius - ring.half_width
+    behind = rays.length - passage.crossing
+    solid, through = np.abs(behind) < _DEPTH, behind >= _DEPTH
+    known = (distance < inner - 0.004) & (solid | through)
+    if known.sum() < 5 or inner <= 0.02:
+        return _Inside((), 0.0, max(inner, 0.0), (-ring.half_depth, ring.half_depth), 0.0)
+    height = (rays.ends - ring.centre) @ ring.axis
+    at_wheel = known & solid
+    depth = tuple(np.percentile(height[at_wheel], [4, 96])) if at_wheel.any() else (-ring.half_depth, ring.half_depth)
+    open_share = float((known & through).sum() / known.sum())
+    hub = _hub_radius(distance[known], solid[known], inner)
+    band = known & (distance > max(1.1 * hub, 0.45 * inner))
+    angle = np.arctan2(passage.place[:, 1], passage.place[:, 0])
+    angles, half = _spokes(angle[band], solid[band])
+    return _Inside(angles, half, hub, (float(depth[0]), float(depth[1])), open_share)
+
+
+def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], inner: float) -> float:
+    """The largest radius within which four fifths of the rays ended at the wheel."""
+    edges = np.linspace(0.0, inner, 13)[1:]
+    radius = 0.0
+    for low, high in zip(np.concatenate([[0.0], edges[:-1]]), edges, strict=True):
+        ring = (distance >= low) & (distance < high)
+        if ring.any() and solid[ring].mean() < 0.8:
+            break
+        radius = float(high)
+    return radius
+
+
+def _spokes(angle: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"]) -> tuple[tuple[float, ...], float]:
+    """Angles of the solid sectors and the widest half angle; none when sectors do not stand out clearly."""
+    n_bins = 72
+    index = np.floor(angle / (2 * np.pi) * n_bins).astype(int) % n_bins
+    total = np.bincount(index, minlength=n_bins)
+    if (total == 0).mean() > 0.2:
+        return (), 0.0
+    kernel = np.array([0.5, 1.0, 0.5])
+    hits = _round_filter(np.bincount(index[solid], minlength=n_bins), kernel)
+    share = hits / np.maximum(_round_filter(total, kernel), 1e-9)
+    is_spoke = share > 0.5
+    if is_spoke.all() or not is_spoke.any():
+        return (), 0.0
+    start = int(np.flatnonzero(~is_spoke)[0])
+    rolled = np.roll(is_spoke, -start)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rolled.astype(int), [0]])))
+    angles, widest = [], 0.0
+    for low, high in edges.reshape(-1, 2):
+        angles.append(float(((low + high) / 2 + start) / n_bins * 2 * np.pi % (2 * np.pi)))
+        widest = max(widest, (high - low) / 2 / n_bins * 2 * np.pi)
+    return tuple(sorted(angles)), float(widest)
+
+
+def _round_filter(values: np.ndarray, kernel: np.ndarray) -> Float[np.ndarray, "S"]:
+    """Correlate around the circle."""
+    half = len(kernel) // 2
+    shifted = [weight * np.roll(values, half - i) for i, weight in enumerate(kernel)]
+    return np.asarray(np.sum(shifted, axis=0))
