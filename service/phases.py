@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
-from costs.robot import BASE_NAMES
+from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
 from scopt import Constraint, Cost, Result, Settings, TrustRegionSQP
 from service.monitor import Monitor
 from service.spline import Hold
-from service.verify import Target
+from service.verify import Motion, Target
 from service.whole_body import WholeBody
+
+Targets = Callable[[float], tuple[Target, ...]]
+"""What a phase must reach or follow, given the path parameter of its end."""
+
+Bounds = Callable[[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]], None]
+"""Narrows lower and upper bounds in place."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +36,7 @@ class PlannedPhase:
         allowances: pairs that may touch besides planted links and floor.
         targets: given the path parameter of the phase's end, what it must reach or follow.
         is_settling: whether it begins outside the balance margin.
+        resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
     """
 
     name: str
@@ -37,8 +44,15 @@ class PlannedPhase:
     is_feasible: bool
     holds: tuple[Hold, ...] = ()
     allowances: tuple[Allowance, ...] = ()
-    targets: Callable[[float], tuple[Target, ...]] = lambda s: ()
+    targets: Targets = lambda s_last: ()
     is_settling: bool = False
+    resolve: Callable[[Float[np.ndarray, "T n"]], Result] | None = None
+
+    def for_robot(self, robot: RobotModel) -> PlannedPhase:
+        """The phase of a robot that has got further coordinates, which stay at zero."""
+        q = np.zeros((len(self.q), robot.n))
+        q[:, : self.q.shape[1]] = self.q
+        return replace(self, q=q)
 
 
 @dataclass(frozen=True)
@@ -49,15 +63,17 @@ class TaskPlan:
         body: the robot (perhaps with a mechanism) in its scene.
         phases: in order; the last one may be infeasible, then ``obstacle`` says what stands in the way.
         obstacle: sentences; empty when every phase is feasible.
-        figures: numbers the task reports.
+        measure: numbers the task reports, measured on the finished motion.
         notes: what was chosen.
+        is_impossible: whether ``obstacle`` holds for every motion, not only for those that were tried.
     """
 
     body: WholeBody
     phases: tuple[PlannedPhase, ...]
     obstacle: tuple[str, ...] = ()
-    figures: Mapping[str, float | str] = field(default_factory=dict)
+    measure: Callable[[Motion], Mapping[str, float]] = lambda motion: {}
     notes: tuple[str, ...] = ()
+    is_impossible: bool = False
 
     @property
     def is_feasible(self) -> bool:
@@ -93,7 +109,8 @@ class PhaseSolver:
         lower, upper = self.body.bounds(1, {})
         for index, value in (fixed or {}).items():
             lower[0, index] = upper[0, index] = value
-        problem = self.body.problem(lower, upper, self.body.checker(allowances), constraints=constraints)
+        checker = self.body.checker(allowances, [self.body.nominal])
+        problem = self.body.problem(lower, upper, checker, constraints=constraints)
         return self._first_feasible(name, problem, [guess[None] for guess in guesses])
 
     def trajectory(
@@ -104,7 +121,7 @@ class PhaseSolver:
         costs: Sequence[Cost[MotionState]] = (),
         constraints: Sequence[Constraint[MotionState]] = (),
         allowances: Sequence[Allowance] = (),
-        bounds: Callable[[np.ndarray, np.ndarray], None] | None = None,
+        bounds: Bounds | None = None,
         balanced: Sequence[int] | None = None,
     ) -> Result:
         """A trajectory; the first start that leads to a feasible one wins, else the best is returned.

@@ -9,19 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from costs.allowance import Allowance
 from scopt import Settings
 from scopt import Status as SolveStatus
 from service.execute import make_motion
 from service.monitor import Interrupted, Monitor, OnProgress
 from service.phases import PhaseSolver, TaskPlan
-from service.request import PlanRequest
+from service.repair import repaired
+from service.request import Options, PlanRequest
 from service.result import PlanResult, Verdict
 from service.setup import PlanSetup, prepare
 from service.tasks import plan_task
 from service.verify import Certificate, Motion, Status, verify
 from service.whole_body import Aims, WholeBody
 
+MAX_REPAIRS = 3
 VERDICT_OF_STATUS = {
     Status.CERTIFIED: Verdict.CERTIFIED,
     Status.FEASIBLE_AT_SAMPLES: Verdict.FEASIBLE_AT_SAMPLES,
@@ -89,7 +90,7 @@ class _Attempt:
             notes=(*setup.notes, *(() if task is None else task.notes)),
             planning_time_s=time.perf_counter() - monitor.started,
             timings=monitor.timings,
-            figures={} if task is None else task.figures,
+            figures={} if task is None or self.motion is None else task.measure(self.motion),
             detections=detections_of(setup),
             cloud=np.zeros((0, 3)) if perceived is None else perceived.points,
         )
@@ -103,13 +104,28 @@ def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt) -> None:
     solver = PhaseSolver(body, monitor, Settings(qp=options.qp))
     attempt.task = plan_task(setup, solver)
     attempt.explanation = attempt.task.obstacle
+    if attempt.task.is_impossible:
+        attempt.verdict = Verdict.INFEASIBLE
     if not attempt.task.phases:
         return
+    _certify(attempt, attempt.task, options, monitor)
+    for _ in range(MAX_REPAIRS):
+        if attempt.verdict is Verdict.CERTIFIED or attempt.motion is None or attempt.certificate is None:
+            return
+        task = repaired(attempt.task, attempt.motion, attempt.certificate, monitor)
+        if task is None or not task.is_feasible:
+            return
+        _certify(attempt, task, options, monitor)
+
+
+def _certify(attempt: _Attempt, task: TaskPlan, options: Options, monitor: Monitor) -> None:
+    """Make the motion of a task's phases and have it verified."""
+    attempt.task = task
     with monitor.step("curve and timing", 0.75):
-        attempt.motion = make_motion(attempt.task, options.velocity_scale, options.acceleration_scale)
+        attempt.motion = make_motion(task, options.velocity_scale, options.acceleration_scale)
     with monitor.step("certificate", 0.85):
         attempt.certificate = verify(attempt.motion)
-    if attempt.task.is_feasible:
+    if task.is_feasible:
         attempt.verdict = VERDICT_OF_STATUS[attempt.certificate.status]
         attempt.explanation = tuple(check.text for check in attempt.certificate.failed())
 

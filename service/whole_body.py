@@ -27,6 +27,7 @@ from scopt import Constraint, Cost, Problem, Sense
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]
+SELF_SHARE = 0.5  # of the margin is asked of the robot's own links: their distance is known better than the world's
 CLEARANCE_TOLERANCE = 2e-3  # of the margin that is aimed at [m]
 LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
 SOLE_BAND = 4e-3  # sole corners are the vertices this close to the lowest one [m]
@@ -116,7 +117,12 @@ class WholeBody:
         there; otherwise no trajectory through it would be feasible.
         """
         margins = PairMargins.of(
-            self.robot, self.scene, self.aims.margin, (*self.standing_allowances(), *allowances), overrides
+            self.robot,
+            self.scene,
+            self.aims.margin,
+            (*self.standing_allowances(), *allowances),
+            overrides,
+            SELF_SHARE * self.aims.margin,
         )
         checker = SweptCollisionChecker(self.robot, self.scene, margins)
         for q in ends:

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from service.errors import RequestError
 from service.phases import PhaseSolver, TaskPlan
 from service.setup import PlanSetup
 from service.tasks.reach import plan_reach
+from service.tasks.settle import needs_settling, settle
 from service.tasks.valve_task import plan_valve
 
 
 def plan_task(setup: PlanSetup, solver: PhaseSolver) -> TaskPlan:
-    """Plan what the request asks for: a goal or a task.
+    """Plan what the request asks for, settling first where the start is not balanced enough.
 
     Raises:
         RequestError: the request asks for nothing that is known here.
     """
+    if not needs_settling(solver.body):
+        return _plan(setup, solver)
+    settled = settle(solver)
+    if not settled.is_feasible:
+        return settled
+    rest = _plan(setup, replace(solver, body=settled.body))
+    first = settled.phases[0].for_robot(rest.body.robot)
+    return replace(rest, phases=(first, *rest.phases))
+
+
+def _plan(setup: PlanSetup, solver: PhaseSolver) -> TaskPlan:
     request = setup.request
     if request.goal is not None:
         return plan_reach(solver, request.goal, request.options.waypoints)

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
-from scopt import Constraint
+from scopt import Constraint, Result
 from service.phases import PhaseSolver, PlannedPhase, TaskPlan, guesses, shortcomings, straight, via
+from service.reachability import beyond_reach
 from service.request import GoalRequest, PoseGoalRequest
 from service.verify import JointTarget, PoseTarget, Target
 from service.whole_body import WholeBody
@@ -30,6 +31,13 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
     count = WAYPOINTS if n_waypoints is None else n_waypoints
     start = body.nominal
     joints = _joint_goal(body, goal)
+    reasons = [
+        reason
+        for pose in goal.poses
+        if (reason := beyond_reach(body, pose.link, np.array(pose.position), pose.position_tolerance_m)) is not None
+    ]
+    if reasons:
+        return TaskPlan(body, (), tuple(reasons), is_impossible=True)
     tasks = [constraint for pose in goal.poses for constraint in _pose_constraints(body, pose, 0)]
     with monitor.step("goal pose", 0.1):
         candidates = guesses(body)
@@ -62,7 +70,10 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
             *(_pose_target(pose, s_last) for pose in goal.poses),
         )
 
-    phase = PlannedPhase("reach", reach.x, reach.is_feasible, targets=targets)
+    def resolve(q: Float[np.ndarray, "T n"]) -> Result:
+        return solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]})
+
+    phase = PlannedPhase("reach", reach.x, reach.is_feasible, targets=targets, resolve=resolve)
     return TaskPlan(body, (phase,), () if reach.is_feasible else shortcomings(reach, "reach"))
 
 

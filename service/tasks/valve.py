@@ -1,109 +1,89 @@
-"""Turning a valve with a hook: reach the wheel, insert the hook, turn, retract."""
+"""Turning a valve: reach the wheel, insert the hook, turn, retract; and again from a new grasp where the wrist ends.
+
+Two modes. ``hook``: the hook rests between the spokes and the hand is free to turn about its axis, so that one stroke
+goes all the way round. ``grasp``: the hand turns with the wheel, starting with the wrist at the limit that leaves the
+longest turn (Franklin, 2016, sec. 4.3), and takes a new grasp when its range is used up.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
-from costs.robot import RobotModel, with_revolute
-from costs.rotation import tangent_basis
+from costs.kinematics import planted_poses
+from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint, Result, Sense
-from service.phases import PhaseSolver, PlannedPhase, TaskPlan, guesses, shortcomings, straight, via
+from service.phases import (
+    Bounds,
+    PhaseSolver,
+    PlannedPhase,
+    Targets,
+    TaskPlan,
+    guesses,
+    shortcomings,
+    straight,
+    via,
+)
 from service.spline import Hold
-from service.verify import CircleTarget, JointTarget, Target
-from service.whole_body import WholeBody
+from service.tasks.wheel import (
+    HAND_AXIS,
+    RIM_PREFIX,
+    VALVE_JOINT,
+    VALVE_LINK,
+    Hand,
+    Wheel,
+    tool_positions,
+    turned_angle,
+    with_wheel,
+)
+from service.verify import CircleTarget, JointTarget, Motion, Target
+from service.whole_body import LIMIT_RESERVE, WholeBody
 
-VALVE_JOINT = "valve_turn"
-VALVE_LINK = "valve"
-WHEEL_SPEED = 1.0  # [rad/s]
-WHEEL_ACCELERATION = 2.0  # [rad/s^2]
+Mode = Literal["hook", "grasp"]
+
 STANDOFF = 0.07  # of the tool from the wheel's plane before it is inserted, beyond the rim's tube [m]
 TURN_STEP = np.deg2rad(20.0)  # between waypoints
 RIM_TOLERANCE = 5e-3  # of the tool from the rim's centre line, as promised [m]
 AXIS_TOLERANCE = np.deg2rad(3.0)  # of the hand axis from the valve's, as promised
 AXIS_AIM = np.deg2rad(1.0)  # what the optimiser keeps to at the waypoints
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
+ANGLE_TOLERANCE = 1e-3  # of the hand about its axis in a grasp, and of the wheel at the end [rad]
 TOUCH_RESERVE = 0.015  # the hook may be this much deeper in the rim than its half thickness [m]
+WRIST_RESERVE = 0.1  # kept from the wrist's limits in a grasp, for the lean of the hand axis [rad]
 REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5
+TOOL_POSITION = (True,) * 3 + (False,) * 3
 
 
 @dataclass(frozen=True)
-class Wheel:
-    """The wheel to turn.
+class Stroke:
+    """One turn of the wheel without letting go.
 
     Attributes:
-        centre: (3,) of the rim's centre-line circle, in the world [m].
-        axis: (3,) unit, towards the robot.
-        radius: of the centre line [m].
-        tube_radius: half the rim's thickness [m].
-        gaps: angles about the axis at which there is no spoke, from ``start_direction`` [rad].
-        start_direction: (3,) unit, where the angle is zero.
-        bodies: vertices in the world by body name: rim pieces are called ``valve/rim/...``.
+        suffix: of the phases' names; empty for the only one.
+        first, last: wheel angle at its ends [rad].
     """
 
-    centre: Float[np.ndarray, "3"]
-    axis: Float[np.ndarray, "3"]
-    radius: float
-    tube_radius: float
-    gaps: tuple[float, ...]
-    start_direction: Float[np.ndarray, "3"]
-    bodies: Mapping[str, Float[np.ndarray, "V 3"]]
-
-    def rim_point(self, angle: float) -> Float[np.ndarray, "3"]:
-        """Point of the centre line at an angle, in the world [m]."""
-        third = np.cross(self.axis, self.start_direction)
-        return np.asarray(self.centre + self.radius * (np.cos(angle) * self.start_direction + np.sin(angle) * third))
+    suffix: str
+    first: float
+    last: float
 
 
 @dataclass(frozen=True)
-class Hand:
-    """A hand with its hook.
-
-    Attributes:
-        side: ``left`` or ``right``.
-        tool: frame at the hook's end, z along the hand axis outwards.
-        hook: link that may touch the rim.
-    """
-
-    side: str
-    tool: str
-    hook: str
-
-
-HANDS = {"left": Hand("left", "l_tool", "l_hook"), "right": Hand("right", "r_tool", "r_hook")}
-
-
-def with_wheel(body: WholeBody, wheel: Wheel) -> WholeBody:
-    """The body of a robot whose last coordinate is the wheel's angle."""
-    robot = with_revolute(
-        body.robot,
-        name=VALVE_JOINT,
-        origin=wheel.centre,
-        axis=wheel.axis,
-        bodies=wheel.bodies,
-        link=VALVE_LINK,
-        lower=-2.5 * np.pi,
-        upper=2.5 * np.pi,
-        velocity=WHEEL_SPEED,
-        acceleration=WHEEL_ACCELERATION,
-    )
-    return body.with_robot(robot, np.append(body.nominal, 0.0))
-
-
-@dataclass(frozen=True)
-class HookTask:
+class ValveTurn:
     """One attempt to turn a wheel with one hand, entering at one gap.
 
     Attributes:
         solver: of the body augmented by the wheel.
         wheel: what to turn.
         hand: with which hand.
+        mode: ``hook`` or ``grasp``.
         turn: angle to turn by, right-handed about the wheel's axis [rad].
         entry: angle of the gap at which the hook is inserted [rad].
     """
@@ -111,6 +91,7 @@ class HookTask:
     solver: PhaseSolver
     wheel: Wheel
     hand: Hand
+    mode: Mode
     turn: float
     entry: float
 
@@ -127,73 +108,119 @@ class HookTask:
     @property
     def touching(self) -> tuple[Allowance, ...]:
         """The hook may touch the rim, and nothing else may."""
-        return (Allowance(self.hand.hook, "valve/rim/*", self.wheel.tube_radius + TOUCH_RESERVE),)
+        return (Allowance(self.hand.hook, f"{RIM_PREFIX}*", self.wheel.tube_radius + TOUCH_RESERVE),)
 
-    def hold(self) -> Hold:
-        """The tool stays at its point of the rim while the wheel turns."""
-        local = np.eye(4)
-        local[:3, 3] = self.wheel.rim_point(self.entry) - self.wheel.centre
-        return lambda waypoints: FramePose(
-            self.robot, self.hand.tool, waypoints, local, (True,) * 3 + (False,) * 3, VALVE_LINK
-        )
+    def strokes(self) -> tuple[Stroke, ...]:
+        """As few equal strokes as the wrist's range allows; one in hook mode."""
+        count = 1
+        if self.mode == "grasp":
+            column, _ = self.hand.wrist(self.robot)
+            usable = self.robot.upper[column] - self.robot.lower[column] - 2.0 * WRIST_RESERVE
+            count = int(np.ceil(abs(self.turn) / usable))
+        edges = np.linspace(0.0, self.turn, count + 1)
+        names = [""] if count == 1 else [f" {k + 1}" for k in range(count)]
+        return tuple(Stroke(name, *ends) for name, *ends in zip(names, edges[:-1], edges[1:], strict=True))
 
     def plan(self) -> TaskPlan:
-        """All phases, backwards from the turn: what it needs decides where the hook goes in."""
-        monitor = self.solver.monitor
-        start = self.body.nominal
+        """All strokes one after the other, each planned backwards from its turn."""
+        phases: tuple[PlannedPhase, ...] = ()
+        at = self.body.nominal
+        for stroke in self.strokes():
+            done, failed = self._stroke(stroke, at)
+            phases += done
+            if failed:
+                return TaskPlan(self.body, phases, failed, measure=self._measure)
+            at = phases[-1].q[-1]
+        note = f"{self.hand.side} hand in {self.mode} mode, inserted at {np.rad2deg(self.entry):.0f} deg of the rim"
+        return TaskPlan(self.body, phases, measure=self._measure, notes=(note,))
+
+    def _stroke(self, stroke: Stroke, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], tuple[str, ...]]:
+        """The phases of a stroke from configuration ``at``, and what went wrong (nothing, if all is well)."""
+        monitor, suffix = self.solver.monitor, stroke.suffix
         with monitor.step("pose at the wheel", 0.1):
-            pose = self.solver.pose(
-                "pose at the wheel", guesses(self.body), self._on_rim([0]), self.touching, {self.robot.n - 1: 0.0}
-            )
+            pose = self._pose(stroke, at)
         if not pose.is_feasible:
-            return self._stopped("pose at the wheel", pose, np.stack([start, pose.x[0]]))
+            return _stopped(f"reach{suffix}", "pose at the wheel", pose, np.stack([at, pose.x[0]]))
+        hold = self._hold(stroke, pose.x[0])
         with monitor.step("turn", 0.2):
-            turn = self._turn(pose.x[0])
+            turn = self._turn(stroke, hold, pose.x[0])
         if not turn.is_feasible:
-            return self._stopped("turn", turn, np.concatenate([start[None], turn.x]))
+            return _stopped(f"turn{suffix}", "turn", turn, np.concatenate([at[None], turn.x]))
         with monitor.step("insert", 0.45):
-            insert = self._line("insert", turn.x[0], self.entry)
+            insert = self._line("insert", turn.x[0], self.entry + stroke.first)
         if not insert.is_feasible:
-            return self._stopped("insert", insert, np.concatenate([start[None], insert.x[::-1]]))
-        with monitor.step("retract", 0.55):
-            retract = self._line("retract", turn.x[-1], self.entry + self.turn)
-        if not retract.is_feasible:
-            return self._stopped("retract", retract, np.concatenate([turn.x, retract.x]))
+            return _stopped(f"insert{suffix}", "insert", insert, np.concatenate([at[None], insert.x[::-1]]))
         approach = insert.x[::-1]
-        with monitor.step("reach", 0.65):
-            reach = self._reach(start, approach[0])
-        return TaskPlan(
-            self.body,
-            (
-                PlannedPhase("reach", reach.x, reach.is_feasible),
-                PlannedPhase("insert", approach, True, allowances=self.touching),
-                PlannedPhase("turn", turn.x, True, (self.hold(),), self.touching, self._turn_targets),
-                PlannedPhase("retract", retract.x, True, allowances=self.touching),
-            ),
-            () if reach.is_feasible else shortcomings(reach, "reach"),
-            notes=(f"{self.hand.side} hand, hook inserted at {np.rad2deg(self.entry):.0f} deg",),
-        )
+        with monitor.step("reach", 0.55):
+            reach = self._reach(at, approach[0])
+        phases = [PlannedPhase(f"reach{suffix}", reach.x, reach.is_feasible, resolve=self._reach_again)]
+        if not reach.is_feasible:
+            return tuple(phases), shortcomings(reach, f"reach{suffix}")
+        with monitor.step("retract", 0.65):
+            retract = self._line("retract", turn.x[-1], self.entry + stroke.last)
+        phases += [
+            PlannedPhase(f"insert{suffix}", approach, True, allowances=self.touching),
+            PlannedPhase(f"turn{suffix}", turn.x, True, (hold,), self.touching, self._targets(stroke)),
+            PlannedPhase(f"retract{suffix}", retract.x, retract.is_feasible, allowances=self.touching),
+        ]
+        return tuple(phases), () if retract.is_feasible else shortcomings(retract, f"retract{suffix}")
 
-    def _stopped(self, step: str, result: Result, q: Float[np.ndarray, "T n"]) -> TaskPlan:
-        """The best attempt as a single phase, with what is wrong with it."""
-        return TaskPlan(self.body, (PlannedPhase(step, q, False),), shortcomings(result, step))
-
-    def _on_rim(self, waypoints: Sequence[int]) -> tuple[Constraint[MotionState], ...]:
-        return (
-            Constraint("tool on the rim", self.hold()(np.asarray(waypoints)), Sense.EQUAL_ZERO, POSITION_TOLERANCE),
-            self._hand_axis(waypoints),
+    def _pose(self, stroke: Stroke, at: Float[np.ndarray, "n"]) -> Result:
+        """The hook at its point of the rim as the stroke begins; in a grasp with the wrist at its limit."""
+        fixed = {self.robot.n - 1: stroke.first}
+        if self.mode == "grasp":
+            column, sense = self.hand.wrist(self.robot)
+            # The tool's z axis points against the wheel's: a positive turn needs the wrist to go against its sense.
+            rises = np.sign(stroke.last - stroke.first) * sense < 0.0
+            reserve = max(WRIST_RESERVE, LIMIT_RESERVE)
+            lower, upper = self.robot.lower[column] + reserve, self.robot.upper[column] - reserve
+            fixed[column] = float(lower if rises else upper)
+        candidates = [at, *guesses(self.body)[1:]]
+        on_rim = Constraint(
+            "tool on the rim",
+            FramePose(self.robot, self.hand.tool, [0], self._rim_target(), TOOL_POSITION, VALVE_LINK),
+            Sense.EQUAL_ZERO,
+            POSITION_TOLERANCE,
         )
+        return self.solver.pose("pose at the wheel", candidates, (on_rim, self._hand_axis([0])), self.touching, fixed)
+
+    def _rim_target(self) -> Float[np.ndarray, "4 4"]:
+        """The hook's point of the rim in the wheel's frame."""
+        target = np.eye(4)
+        target[:3, 3] = self.wheel.rim_point(self.entry) - self.wheel.centre
+        return target
+
+    def _hold(self, stroke: Stroke, pose: Float[np.ndarray, "n"]) -> Hold:
+        """The tool stays at its point of the rim; in a grasp it also keeps its angle about the hand axis."""
+        target, axes = self._rim_target(), TOOL_POSITION
+        if self.mode == "grasp":
+            target[:3, :3] = self._grasp_rotation(stroke, pose)
+            axes = (True, True, True, False, False, True)
+        return lambda waypoints: FramePose(self.robot, self.hand.tool, waypoints, target, axes, VALVE_LINK)
+
+    def _grasp_rotation(self, stroke: Stroke, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"]:
+        """rotation_valve_tool of a grasp: z along the wheel's axis inwards, x as the hand has it in ``pose``."""
+        tool = planted_poses(self.body.engine, pose, [self.hand.tool])[self.hand.tool][:3, :3]
+        valve = planted_poses(self.body.engine, pose, [VALVE_LINK])[VALVE_LINK][:3, :3]
+        z = -self.wheel.axis
+        x = tool[:, 0] - (tool[:, 0] @ z) * z
+        x /= np.linalg.norm(x)
+        return np.asarray(valve.T @ np.stack([x, np.cross(z, x), z], axis=1))
 
     def _hand_axis(self, waypoints: Sequence[int]) -> Constraint[MotionState]:
         """The hand axis is parallel to the valve's, the hand free to turn about it."""
-        along = AxisDirection(self.robot, self.hand.tool, waypoints, np.array([0.0, 0.0, 1.0]), -self.wheel.axis)
+        along = AxisDirection(self.robot, self.hand.tool, waypoints, HAND_AXIS, -self.wheel.axis)
         return Constraint("hand axis", WithinTolerance(along, AXIS_AIM), tolerance=0.2 * AXIS_AIM)
 
-    def _turn(self, pose: Float[np.ndarray, "n"]) -> Result:
-        n_waypoints = max(int(np.ceil(abs(self.turn) / TURN_STEP)) + 1, 3)
-        angles = np.linspace(0.0, self.turn, n_waypoints)
+    def _turn(self, stroke: Stroke, hold: Hold, pose: Float[np.ndarray, "n"]) -> Result:
+        n_waypoints = max(int(np.ceil(abs(stroke.last - stroke.first) / TURN_STEP)) + 1, 3)
+        everywhere = np.arange(n_waypoints)
+        angles = np.linspace(stroke.first, stroke.last, n_waypoints)
         start = np.tile(pose, (n_waypoints, 1))
         start[:, -1] = angles
+        if self.mode == "grasp":
+            column, sense = self.hand.wrist(self.robot)
+            start[:, column] -= sense * (angles - stroke.first)
 
         def at_angles(lower: np.ndarray, upper: np.ndarray) -> None:
             lower[:, -1] = upper[:, -1] = angles
@@ -202,7 +229,10 @@ class HookTask:
             "turn",
             [start],
             {},
-            constraints=self._on_rim(range(n_waypoints)),
+            constraints=(
+                Constraint("tool on the rim", hold(everywhere), Sense.EQUAL_ZERO, POSITION_TOLERANCE),
+                self._hand_axis(everywhere.tolist()),
+            ),
             allowances=self.touching,
             bounds=at_angles,
         )
@@ -213,11 +243,7 @@ class HookTask:
         targets = np.tile(np.eye(4), (LINE_WAYPOINTS - 1, 1, 1))
         targets[:, :3, 3] = self.wheel.rim_point(angle) + steps[1:, None] * self.wheel.axis
         waypoints = np.arange(1, LINE_WAYPOINTS)
-        line = FramePose(self.robot, self.hand.tool, waypoints, targets, (True,) * 3 + (False,) * 3)
-
-        def wheel_still(lower: np.ndarray, upper: np.ndarray) -> None:
-            lower[:, -1] = upper[:, -1] = at_rim[-1]
-
+        line = FramePose(self.robot, self.hand.tool, waypoints, targets, TOOL_POSITION)
         return self.solver.trajectory(
             name,
             [np.tile(at_rim, (LINE_WAYPOINTS, 1))],
@@ -227,49 +253,69 @@ class HookTask:
                 self._hand_axis(waypoints.tolist()),
             ),
             allowances=self.touching,
-            bounds=wheel_still,
+            bounds=_wheel_still(at_rim[-1]),
         )
 
     def _reach(self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"]) -> Result:
-        def wheel_still(lower: np.ndarray, upper: np.ndarray) -> None:
-            lower[:, -1] = upper[:, -1] = 0.0
-
         starts = [straight(start, end, REACH_WAYPOINTS)]
         for guess in guesses(self.body)[1:]:
+            guess[-1] = start[-1]
             starts.append(via(start, guess, end, REACH_WAYPOINTS))
-        return self.solver.trajectory("reach", starts, {0: start, REACH_WAYPOINTS - 1: end}, bounds=wheel_still)
+        return self.solver.trajectory(
+            "reach", starts, {0: start, REACH_WAYPOINTS - 1: end}, bounds=_wheel_still(start[-1])
+        )
 
-    def _turn_targets(self, s_last: float) -> tuple[Target, ...]:
+    def _reach_again(self, q: Float[np.ndarray, "T n"]) -> Result:
+        return self.solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]}, bounds=_wheel_still(q[0, -1]))
+
+    def _targets(self, stroke: Stroke) -> Targets:
         circle = CircleTarget(
             self.hand.tool,
             self.wheel.centre,
             self.wheel.axis,
             self.wheel.radius,
             RIM_TOLERANCE,
-            np.array([0.0, 0.0, -1.0]),
+            -HAND_AXIS,
             AXIS_TOLERANCE,
         )
-        return (circle, JointTarget(VALVE_JOINT, self.turn, 1e-3, s_last))
+
+        def targets(s_last: float) -> tuple[Target, ...]:
+            return circle, JointTarget(VALVE_JOINT, stroke.last, ANGLE_TOLERANCE, s_last)
+
+        return targets
+
+    def _measure(self, motion: Motion) -> Mapping[str, float]:
+        """The angle the tool has gone round the valve's axis, measured on the executed curve."""
+        turned = 0.0
+        for phase in motion.phases:
+            if phase.name.startswith("turn"):
+                s = np.linspace(phase.first, phase.last, 400)
+                points = tool_positions(motion.robot, self.hand.tool, motion.curve(s))
+                turned += turned_angle(points, self.wheel.centre, self.wheel.axis)
+        return {"turned_deg": float(np.rad2deg(turned))}
 
 
-def turned_angle(
-    tool: Float[np.ndarray, "S 3"], centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "S"]:
-    """Angle by which a point has gone round an axis since the first sample, unwrapped [rad]."""
-    first, second = tangent_basis(np.asarray(axis))
-    offset = tool - centre
-    angle = np.unwrap(np.arctan2(offset @ second, offset @ first))
-    return np.asarray(angle - angle[0])
+def _wheel_still(angle: float) -> Bounds:
+    def bounds(lower: np.ndarray, upper: np.ndarray) -> None:
+        lower[:, -1] = upper[:, -1] = angle
+
+    return bounds
 
 
-def plan_hook(solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], turn: float) -> TaskPlan:
+def _stopped(
+    name: str, step: str, result: Result, q: Float[np.ndarray, "T n"]
+) -> tuple[tuple[PlannedPhase, ...], tuple[str, ...]]:
+    """The best attempt as a single phase, with what is wrong with it."""
+    return (PlannedPhase(name, q, False),), shortcomings(result, step)
+
+
+def plan_turn(solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], mode: Mode, turn: float) -> TaskPlan:
     """Try hands and gaps in turn; the first that works, else the attempt that got furthest."""
-    body = with_wheel(solver.body, wheel)
-    solver = replace(solver, body=body)
+    solver = replace(solver, body=with_wheel(solver.body, wheel))
     best: TaskPlan | None = None
     for hand in hands:
         for entry in wheel.gaps:
-            plan = HookTask(solver, wheel, hand, turn, entry).plan()
+            plan = ValveTurn(solver, wheel, hand, mode, turn, entry).plan()
             if plan.is_feasible:
                 return plan
             if best is None or len(plan.phases) > len(best.phases):

@@ -5,14 +5,112 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
+from costs.kinematics import planted_poses
+from perception import ValveDetection, valve_bodies, wheel_basis
 from service.errors import RequestError
 from service.phases import PhaseSolver, TaskPlan
+from service.reachability import beyond_reach
 from service.request import ValveRequest
 from service.setup import PlanSetup
-from service.tasks.valve import HANDS, Hand, Wheel, plan_hook
+from service.tasks.stance import stance_advice
+from service.tasks.valve import plan_turn
+from service.tasks.wheel import HANDS, VALVE_LINK, Hand, Wheel
+from service.whole_body import WholeBody
+
+SURE = 0.5  # confidence from which a detection is acted on
+TUBE_RADIUS = 0.015  # of a valve given by its circle alone [m]
+GAPS_WITHOUT_SPOKES = np.deg2rad([0.0, 90.0, 180.0, 270.0])
 
 
 def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> TaskPlan:
     """Turn the valve of a request: detected in the scan, or given by centre, axis and radius."""
-    raise NotImplementedError
+    found = _valve(setup, request)
+    if isinstance(found, str):
+        return TaskPlan(solver.body, (), (found,))
+    hands = _hands(solver.body, request, found)
+    reasons = [beyond_reach(solver.body, hand.tool, found.centre, found.rim_radius) for hand in hands]
+    if all(reasons):
+        return TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)
+    wheel = _wheel(solver.body, found, hands[0])
+    plan = plan_turn(solver, wheel, hands, request.mode, np.deg2rad(request.turn_deg))
+    note = (
+        f"valve at {np.round(found.centre, 3).tolist()}, axis {np.round(found.axis, 3).tolist()}, "
+        f"rim radius {found.rim_radius:.3f} m, confidence {found.confidence:.2f}"
+    )
+    if plan.is_feasible:
+        return replace(plan, notes=(note, *plan.notes))
+    return replace(plan, obstacle=(*plan.obstacle, stance_advice(solver, wheel, hands[0])), notes=(note, *plan.notes))
+
+
+def _valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
+    """The valve to turn, or a sentence that says why there is none."""
+    given = (request.centre, request.axis, request.radius)
+    if any(value is not None for value in given):
+        if request.centre is None or request.axis is None or request.radius is None:
+            raise RequestError("task.valve: centre, axis and radius come together; give all three or none")
+        return _given(np.array(request.centre), np.array(request.axis), request.radius)
+    if setup.perceived is None:
+        raise RequestError("task.valve: no scan to find it in; give scene.cloud, or centre, axis and radius")
+    valves = setup.perceived.valves
+    if not valves:
+        return "no valve was found in the scan; scene.hint (a point near it) would help, or centre, axis and radius"
+    if valves[0].confidence < SURE:
+        centre = np.round(valves[0].centre, 2).tolist()
+        return (
+            f"no valve was found with confidence: the best candidate, at {centre}, has {valves[0].confidence:.2f} "
+            f"of the {SURE} needed; scene.hint (a point near it) would help, or centre, axis and radius"
+        )
+    return valves[0]
+
+
+def _given(centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], radius: float) -> ValveDetection:
+    """A valve known by its circle; nothing is known of its spokes."""
+    return ValveDetection(
+        centre=centre,
+        axis=axis / np.linalg.norm(axis),
+        rim_radius=radius,
+        outer_radius=radius + TUBE_RADIUS,
+        tube_radius=TUBE_RADIUS,
+        half_depth=TUBE_RADIUS,
+        spoke_angles=(),
+        spoke_half_angle=0.0,
+        hub_radius=0.25 * radius,
+        inner_depth=(-TUBE_RADIUS, TUBE_RADIUS),
+        confidence=1.0,
+        rms=0.0,
+        n_inliers=0,
+    )
+
+
+def _hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> list[Hand]:
+    """The hands to try, the one on the valve's side first."""
+    known = [hand for hand in HANDS.values() if body.robot.model.existFrame(hand.tool)]
+    if request.hand != "auto":
+        known = [hand for hand in known if hand.side == request.hand]
+    if not known:
+        raise RequestError(
+            f"task.valve.hand: robot '{body.robot.name}' has no {request.hand} tool frame (l_tool, r_tool)"
+        )
+    poses = planted_poses(body.engine, body.nominal, [hand.tool for hand in known])
+    return sorted(known, key=lambda hand: float(np.linalg.norm(poses[hand.tool][:3, 3] - valve.centre)))
+
+
+def _wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
+    """The wheel as a mechanism, its gaps ordered by how near they are to the hand."""
+    first, _, axis = wheel_basis(valve.axis)
+    bodies = {f"{VALVE_LINK}/{name}": vertices for name, vertices in valve_bodies(valve).items() if name != "stem"}
+    wheel = Wheel(valve.centre, axis, valve.rim_radius, valve.tube_radius, first, (), bodies)
+    at = planted_poses(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
+    gaps = sorted(_gaps(valve), key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
+    return replace(wheel, gaps=tuple(gaps))
+
+
+def _gaps(valve: ValveDetection) -> list[float]:
+    """Angles half-way between neighbouring spokes."""
+    if not valve.spoke_angles:
+        return [float(angle) for angle in GAPS_WITHOUT_SPOKES]
+    spokes = np.sort(np.mod(valve.spoke_angles, 2.0 * np.pi))
+    widths = np.diff(np.append(spokes, spokes[0] + 2.0 * np.pi))
+    return [float(angle) for angle in spokes + 0.5 * widths]

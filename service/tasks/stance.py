@@ -1,0 +1,59 @@
+"""Where the robot should stand instead: the smallest shift of pelvis and feet from which a circle is in reach."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.scene import Scene
+from costs.terms import AxisDirection, FramePose, WithinTolerance
+from scopt import Constraint, Sense
+from service.phases import PhaseSolver
+from service.tasks.wheel import HAND_AXIS, Hand, Wheel
+
+SHIFTS = (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)  # forwards and to the left [m]
+ANGLES = np.deg2rad([0.0, 90.0, 180.0, 270.0])
+AXIS_AIM = np.deg2rad(1.5)
+
+
+def stance_advice(solver: PhaseSolver, wheel: Wheel, hand: Hand) -> str:
+    """A sentence about the pelvis shift that would bring the whole rim into reach, as far as limits and balance go.
+
+    What the robot may hit is left out: the shift says where to stand, the next plan says whether that is free.
+    """
+    body = replace(solver.body, scene=Scene())
+    yaw = body.nominal[3]
+    forward, left = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    candidates = sorted(product(SHIFTS, SHIFTS), key=lambda shift: np.hypot(*shift))
+    for ahead, aside in candidates:
+        shift = ahead * forward + aside * left
+        if _is_reachable(replace(solver, body=body), wheel, hand, shift):
+            if ahead == aside == 0.0:
+                return f"the rim is within reach of the {hand.side} hand from here; what stands around it is in the way"
+            words = [f"{abs(ahead):.1f} m {'forward' if ahead > 0 else 'back'}"] if ahead else []
+            words += [f"{abs(aside):.1f} m to the {'left' if aside > 0 else 'right'}"] if aside else []
+            return f"moving the pelvis (and the feet) {' and '.join(words)} would bring the rim within reach"
+    return f"no shift of the pelvis by up to {max(SHIFTS):.1f} m brings the rim within reach of the {hand.side} hand"
+
+
+def _is_reachable(solver: PhaseSolver, wheel: Wheel, hand: Hand, shift: Float[np.ndarray, "3"]) -> bool:
+    """Whether the hand reaches four points of the rim, the wheel moved against the shift instead of the robot."""
+    body = solver.body
+    waypoints = np.arange(len(ANGLES))
+    targets = np.tile(np.eye(4), (len(ANGLES), 1, 1))
+    targets[:, :3, 3] = [wheel.rim_point(angle) - shift for angle in ANGLES]
+    place = FramePose(body.robot, hand.tool, waypoints, targets, (True,) * 3 + (False,) * 3)
+    along = AxisDirection(body.robot, hand.tool, waypoints, HAND_AXIS, -wheel.axis)
+    result = solver.trajectory(
+        "stance",
+        [np.tile(body.nominal, (len(ANGLES), 1))],
+        {},
+        constraints=(
+            Constraint("tool on the rim", place, Sense.EQUAL_ZERO, 2e-3),
+            Constraint("hand axis", WithinTolerance(along, AXIS_AIM), tolerance=0.2 * AXIS_AIM),
+        ),
+    )
+    return result.is_feasible
