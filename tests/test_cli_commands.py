@@ -1,0 +1,243 @@
+"""The command line: exit codes, one line for wrong input, exactly one JSON object, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from click.testing import Result
+from small_plan import small_plan
+from typer.testing import CliRunner
+
+from service.cli import app
+from service.cli_run import EXIT_CODES
+from service.errors import RequestError
+from service.result import PlanResult, Verdict
+
+ROOT = Path(__file__).parents[1]
+REQUEST = ROOT / "examples" / "requests" / "joints.yaml"
+
+
+@pytest.fixture(scope="module")
+def made() -> PlanResult:
+    return small_plan()
+
+
+@pytest.fixture
+def planner(monkeypatch: pytest.MonkeyPatch, made: PlanResult) -> SimpleNamespace:
+    """Stands in for ``service.planner``; its ``plan`` can be exchanged."""
+    stand_in = SimpleNamespace(plan=lambda request, on_progress, should_stop: made)
+    monkeypatch.setitem(sys.modules, "service.planner", stand_in)
+    return stand_in
+
+
+def _scopt(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def _only_object(result: Result) -> dict[str, Any]:
+    data = json.loads(result.stdout)
+    assert {"verdict", "planning_time_s", "timings", "min_clearance_m", "phases"} <= data.keys()
+    assert isinstance(data, dict)
+    return data
+
+
+def test_a_certified_plan_ends_with_its_figures_and_files(planner: SimpleNamespace, tmp_path: Path) -> None:
+    result = _scopt("plan", REQUEST, "--out", tmp_path / "plan")
+    assert result.exit_code == 0, result.stderr
+    lines = result.stdout.splitlines()
+    assert "CERTIFIED" in lines
+    ends = [line.split()[0] for line in lines[-6:]]
+    assert ends == ["phases", "planning", "clearance", "balance", "viewer", "trajectory"]
+    assert lines[-2].endswith("viewer.html")
+    assert Path(lines[-1].split(maxsplit=1)[1]).is_file()
+    assert "34.9 mm between" in lines[-4]
+    assert "write result" in result.stderr
+
+
+@pytest.mark.parametrize("verdict", [v for v in Verdict if v is not Verdict.INVALID_REQUEST], ids=lambda v: v.value)
+def test_every_verdict_has_its_exit_code_one_object_and_a_folder(
+    planner: SimpleNamespace, made: PlanResult, tmp_path: Path, verdict: Verdict
+) -> None:
+    planner.plan = lambda request, on_progress, should_stop: replace(made, verdict=verdict)
+    result = _scopt("plan", REQUEST, "--out", tmp_path / "plan", "--json")
+    assert result.exit_code == EXIT_CODES[verdict.value]
+    data = _only_object(result)
+    assert data["verdict"] == verdict.value
+    assert [phase["name"] for phase in data["phases"]] == ["bend", "turn"]
+    assert Path(data["viewer"]).is_file()
+
+
+def test_exit_codes_are_the_documented_ones() -> None:
+    assert {verdict.value for verdict in Verdict} == EXIT_CODES.keys()
+    documented = {"CERTIFIED": 0, "INVALID_REQUEST": 3, "TIME_LIMIT": 5, "CANCELLED": 130}
+    assert {**dict.fromkeys(EXIT_CODES, 4), **documented} == EXIT_CODES
+
+
+def test_a_wrong_request_is_one_line_and_exit_code_3(planner: SimpleNamespace, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text("robot: {name: atlas}\ngoal: {posture: stand}\noptions: {wayponts: 3}\n")
+    result = _scopt("plan", path, "--out", tmp_path / "plan", "--json")
+    assert result.exit_code == 3
+    problem = "wrong.yaml: options: unknown key 'wayponts'; waypoints, … would do"
+    assert result.stderr.splitlines()[-1] == problem
+    data = _only_object(result)
+    assert (data["verdict"], data["explanation"]) == ("INVALID_REQUEST", [problem])
+    assert not (tmp_path / "plan").exists()
+
+
+def test_a_request_that_the_robot_refuses_is_invalid_too(planner: SimpleNamespace, tmp_path: Path) -> None:
+    def refuse(request: object, on_progress: object, should_stop: object) -> PlanResult:
+        raise RequestError(["start is in collision: l_hand is 0.010 m inside crate", "second"])
+
+    planner.plan = refuse
+    result = _scopt("plan", REQUEST, "--out", tmp_path / "plan")
+    assert result.exit_code == 3
+    assert result.stderr.splitlines()[-2:] == ["start is in collision: l_hand is 0.010 m inside crate", "second"]
+
+
+def test_a_missing_request_file_is_invalid_and_a_missing_argument_is_usage(planner: SimpleNamespace) -> None:
+    assert _scopt("plan", "nowhere.yaml").exit_code == 3
+    assert _scopt("plan").exit_code == 2
+    assert _scopt("plan", REQUEST, "--colour", "red").exit_code == 2
+    assert _scopt("dance").exit_code == 2
+
+
+def test_a_defect_is_one_line_and_exit_code_70(planner: SimpleNamespace, tmp_path: Path) -> None:
+    def broken(request: object, on_progress: object, should_stop: object) -> PlanResult:
+        raise ZeroDivisionError("division\nby zero")
+
+    planner.plan = broken
+    result = _scopt("plan", REQUEST, "--out", tmp_path / "plan", "--json")
+    assert result.exit_code == 70
+    assert "Traceback" not in result.output
+    assert "internal error, please report it: ZeroDivisionError: division by zero" in result.stderr.splitlines()[-1]
+    assert _only_object(result)["verdict"] == "INTERNAL_ERROR"
+
+
+def test_an_occupied_output_folder_is_refused_before_planning(planner: SimpleNamespace, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    planner.plan = pytest.fail
+    result = _scopt("plan", REQUEST, "--out", tmp_path)
+    assert result.exit_code == 3
+    assert "name a new or empty folder" in result.stderr
+
+
+def test_another_cloud_takes_the_place_of_the_requests(
+    planner: SimpleNamespace, made: PlanResult, tmp_path: Path
+) -> None:
+    seen = []
+
+    def remember(request: Any, on_progress: Callable[[str, float], None], should_stop: object) -> PlanResult:
+        seen.append(request.resolve(request.scene.cloud).resolve())
+        on_progress("reach", 0.5)
+        return made
+
+    planner.plan = remember
+    result = _scopt("plan", REQUEST, "--out", tmp_path / "plan", "--cloud", tmp_path / "other.pcd")
+    assert result.exit_code == 0, result.stderr
+    assert seen == [(tmp_path / "other.pcd").resolve()]
+    assert " 50 % reach" in result.stderr
+
+
+def test_verify_and_view_read_what_plan_wrote(
+    planner: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert _scopt("plan", REQUEST, "--out", tmp_path / "plan").exit_code == 0
+    verified = _scopt("verify", tmp_path / "plan" / "result.json", "--json")
+    assert verified.exit_code == 0
+    assert json.loads(verified.stdout)["verdict"] == "CERTIFIED"
+    viewed = _scopt("view", tmp_path / "plan")
+    assert viewed.exit_code == 0
+    assert viewed.stdout.strip() == str((tmp_path / "plan" / "viewer.html").resolve())
+    assert _scopt("verify", tmp_path).exit_code == 3
+    assert _scopt("view", tmp_path).exit_code == 3
+
+
+def test_robots_lists_atlas() -> None:
+    assert "atlas" in _scopt("robots").stdout
+    assert json.loads(_scopt("robots", "--json").stdout)["robots"][0]["name"] == "atlas"
+
+
+def test_posture_without_robot_is_a_usage_error(tmp_path: Path) -> None:
+    result = _scopt("scene", "scan.pcd", "--out", tmp_path / "s.json", "--posture", "p.yaml")
+    assert result.exit_code == 2
+    assert "--posture needs --robot" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("missing.pcd",), "missing.pcd: cannot be read"),
+        (("scan.txt7",), "scan.txt7"),
+        (("missing.pcd", "--robot", "atlsa"), "--robot: unknown robot 'atlsa'"),
+        (("missing.pcd", "--robot", "atlas", "--posture", "none.yaml"), "none.yaml: cannot be read"),
+    ],
+)
+def test_a_wrong_scene_argument_is_one_line(tmp_path: Path, arguments: tuple[str, ...], problem: str) -> None:
+    result = _scopt("scene", *arguments, "--out", tmp_path / "scene.json")
+    assert result.exit_code == 3
+    assert result.stderr.splitlines()[-1].startswith(problem)
+    assert not (tmp_path / "scene.json").exists()
+
+
+SLOW_PLANNER = """
+import sys, time, types
+from dataclasses import replace
+sys.path.insert(0, {support!r})
+from small_plan import small_plan
+from service.result import Verdict
+made = small_plan()
+def plan(request, on_progress, should_stop):
+    on_progress("waiting", 0.5)
+    while {waits} or not should_stop():
+        time.sleep(0.01)
+    return replace(made, verdict=Verdict.CANCELLED, explanation=("cancelled during 'waiting'",))
+sys.modules["service.planner"] = types.SimpleNamespace(plan=plan)
+sys.argv = ["scopt", "plan", {request!r}, "--out", {out!r}, "--json"]
+from service.cli import main
+main()
+"""
+
+
+def _interrupted(tmp_path: Path, times: int) -> tuple[int, dict[str, Any]]:
+    """Exit code and JSON of a plan that gets Ctrl-C so many times."""
+    program = SLOW_PLANNER.format(
+        support=str(ROOT / "tests" / "support"), waits=times > 1, request=str(REQUEST), out=str(tmp_path / "plan")
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    while "waiting" not in process.stderr.readline():
+        assert process.poll() is None
+    for _ in range(times):
+        os.kill(process.pid, signal.SIGINT)
+        time.sleep(0.2)
+    stdout, _ = process.communicate(timeout=30)
+    return process.returncode, json.loads(stdout)
+
+
+def test_ctrl_c_hands_over_the_best_so_far(tmp_path: Path) -> None:
+    code, data = _interrupted(tmp_path, 1)
+    assert (code, data["verdict"]) == (130, "CANCELLED")
+    assert (tmp_path / "plan" / "result.json").is_file()
+    assert [path.name for path in tmp_path.iterdir()] == ["plan"]
+
+
+def test_ctrl_c_twice_stops_at_once_and_writes_nothing(tmp_path: Path) -> None:
+    code, data = _interrupted(tmp_path, 2)
+    assert (code, data["verdict"]) == (130, "CANCELLED")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,228 @@
+"""Result folders: complete, atomic, and read back as the same motion."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+from small_plan import small_plan
+
+from costs.robot import load_robot
+from service import output
+from service.errors import ResultError
+from service.motion_json import file_columns, file_positions, samples_of
+from service.output import check_folder, read_result, write_result
+from service.replay import read_motion, verify_result
+from service.result import PlanResult, Verdict
+from service.verify import Status
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def plan() -> PlanResult:
+    return small_plan()
+
+
+@pytest.fixture(scope="module")
+def folder(plan: PlanResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_result(plan, tmp_path_factory.mktemp("results") / "plan").folder
+
+
+def test_the_small_plan_is_certified(plan: PlanResult) -> None:
+    assert plan.certificate is not None
+    assert plan.certificate.status is Status.CERTIFIED, [check.text for check in plan.certificate.failed()]
+
+
+def test_a_result_folder_holds_every_documented_key(folder: Path) -> None:
+    text = (ROOT / "docs" / "result-format.md").read_text()
+    rows = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    keys = {name for row in rows for name in row.replace("`", "").replace(" ", "").split(",") if "." not in name}
+    data = read_result(folder)
+    assert keys <= data.keys()
+    assert data.keys() - keys <= {"min_clearance_pair", "request_hash"}
+    for name in ("trajectory.csv", "viewer.html", "scene.glb", "openrave/environment.xml", "openrave/trajectory.xml"):
+        assert (folder / name).stat().st_size > 500
+
+
+def test_nothing_but_the_folder_is_left_beside_it(folder: Path) -> None:
+    assert [path.name for path in folder.parent.iterdir()] == ["plan"]
+
+
+def test_the_written_robot_is_the_robot(plan: PlanResult, folder: Path) -> None:
+    data = read_result(folder)["robot"]
+    robot = load_robot(
+        urdf=folder / data["urdf"],
+        srdf=folder / data["srdf"],
+        package_dirs=[folder / name for name in data["package_dirs"]],
+        root=data["root"],
+    )
+    assert robot.joint_names == plan.robot.joint_names
+    for name in ("lower", "upper", "velocity", "acceleration", "effort"):
+        np.testing.assert_array_equal(getattr(robot, name), getattr(plan.robot, name))
+    assert robot.ignored_pairs == plan.robot.ignored_pairs
+    for body, original in zip(robot.bodies, plan.robot.bodies, strict=True):
+        np.testing.assert_allclose(body.vertices, original.vertices, atol=1e-12)
+
+
+def test_bodies_are_written_in_the_frames_of_their_links(plan: PlanResult, folder: Path) -> None:
+    # A world position two ways: through the joint, as the planner has it, and through the link, as a stranger does.
+    data = plan.robot.model.createData()
+    pin.framesForwardKinematics(plan.robot.model, data, plan.start)
+    for written, body in zip(read_result(folder)["bodies"], plan.robot.bodies, strict=True):
+        through_joint = np.array([data.oMi[body.joint].act(v) for v in body.vertices])
+        frame = data.oMf[plan.robot.model.getFrameId(written["link"])]
+        through_link = np.array([frame.act(np.array(v)) for v in written["vertices"]])
+        np.testing.assert_allclose(through_link, through_joint, atol=1e-9)
+
+
+def test_the_base_is_written_as_position_and_quaternion() -> None:
+    robot = load_robot("atlas")
+    rng = np.random.default_rng(1)
+    q = np.tile(robot.postures["stand"], (50, 1))
+    q[:, :6] = np.cumsum(0.2 * rng.normal(size=(50, 6)), axis=0)
+    q[:, 4] = np.clip(q[:, 4], -1.4, 1.4)
+    rows = file_positions(robot, q)
+    assert file_columns(robot)[:7] == ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
+    for row, configuration in zip(rows, q, strict=True):
+        yaw, pitch, roll = configuration[3:6]
+        # Intrinsic z-y-x, written out: Rz(yaw) Ry(pitch) Rx(roll).
+        expected = Rotation.from_euler("z", yaw) * Rotation.from_euler("y", pitch) * Rotation.from_euler("x", roll)
+        actual = Rotation.from_quat(row[3:7], scalar_first=True)
+        assert (expected.inv() * actual).magnitude() < 1e-9
+    assert np.all(np.sum(rows[1:, 3:7] * rows[:-1, 3:7], axis=1) > 0.0)
+
+
+def test_csv_and_json_hold_the_same_samples(folder: Path) -> None:
+    trajectory = read_result(folder)["trajectory"]
+    with (folder / "trajectory.csv").open() as file:
+        header, *rows = csv.reader(file)
+    assert header == ["time", *trajectory["joint_names"]]
+    table = np.array(rows, dtype=float)
+    np.testing.assert_allclose(table[:, 0], trajectory["times"], rtol=1e-9)
+    np.testing.assert_allclose(table[:, 1:], trajectory["positions"], atol=1e-9)
+
+
+def test_a_motion_read_back_is_the_motion_written(plan: PlanResult, folder: Path) -> None:
+    written, motion = plan.motion, read_motion(read_result(folder), folder)
+    assert written is not None
+    assert motion.robot.joint_names == written.robot.joint_names
+    assert motion.mechanism_links == {"wheel"}
+    np.testing.assert_array_equal(motion.curve.positions, written.curve.positions)
+    np.testing.assert_array_equal(samples_of(motion), samples_of(written))
+    for phase, original in zip(motion.phases, written.phases, strict=True):
+        assert (phase.name, phase.first, phase.last) == (original.name, original.first, original.last)
+        assert phase.allowances == original.allowances
+        for contact, planted in zip(phase.contacts, original.contacts, strict=True):
+            np.testing.assert_allclose(contact.pose_world_link, planted.pose_world_link, atol=1e-12)
+            np.testing.assert_allclose(contact.sole, planted.sole, atol=1e-12)
+        for target, wanted in zip(phase.targets, original.targets, strict=True):
+            assert type(target) is type(wanted)
+            for name, value in vars(wanted).items():
+                if value is None or isinstance(value, str):
+                    assert getattr(target, name) == value
+                else:
+                    np.testing.assert_allclose(getattr(target, name), value, atol=1e-12)
+
+
+def test_a_certificate_made_anew_agrees_with_the_recorded_one(plan: PlanResult, folder: Path) -> None:
+    assert plan.certificate is not None
+    again = verify_result(folder)
+    assert again["verdict"] == "CERTIFIED"
+    assert again["min_clearance_m"] == pytest.approx(plan.certificate.min_clearance_m, abs=1e-6)
+    assert again["notes"] == list(plan.certificate.notes)
+
+
+def test_a_piece_moved_into_the_robot_is_found_when_verified_anew(folder: Path, tmp_path: Path) -> None:
+    data = read_result(folder)
+    crate = next(piece for piece in data["pieces"] if piece["name"] == "crate")
+    crate["vertices"] = [[x - 1.5, y, z + 0.4] for x, y, z in crate["vertices"]]
+    forged = tmp_path / "forged.json"
+    forged.write_text(json.dumps(data))
+    (tmp_path / "robot").symlink_to(folder / "robot")
+    with pytest.raises(ResultError, match="lies outside the result folder"):
+        verify_result(forged)
+    (tmp_path / "robot").unlink()
+    _copy_tree(folder / "robot", tmp_path / "robot")
+    again = verify_result(forged)
+    assert again["verdict"] == "NOT_FOUND"
+    assert any("crate" in sentence for sentence in again["explanation"])
+    assert "scene_sha256 of the recorded certificate does not fit these files" in again["notes"]
+
+
+def _copy_tree(source: Path, target: Path) -> None:
+    for path in source.rglob("*"):
+        if path.is_file():
+            copy = target / path.relative_to(source)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(path.read_bytes())
+
+
+def test_without_a_motion_the_start_can_be_looked_at(plan: PlanResult, tmp_path: Path) -> None:
+    nothing = replace(plan, verdict=Verdict.INFEASIBLE, motion=None, certificate=None, explanation=("too far",))
+    files = write_result(nothing, tmp_path / "nothing")
+    data = read_result(files.folder)
+    assert data["curve"] is None
+    assert data["explanation"] == ["too far"]
+    assert len(data["trajectory"]["positions"]) == 1
+    assert files.viewer.stat().st_size > 100_000
+    with pytest.raises(ResultError, match="no motion to verify; its verdict is 'INFEASIBLE'"):
+        verify_result(files.folder)
+
+
+def test_an_earlier_result_is_replaced_as_a_whole(plan: PlanResult, tmp_path: Path) -> None:
+    first = write_result(plan, tmp_path / "plan")
+    (first.folder / "left-over").write_text("old")
+    write_result(replace(plan, notes=("second",)), tmp_path / "plan")
+    assert read_result(first.folder)["notes"] == ["second"]
+    assert not (first.folder / "left-over").exists()
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, OSError(28, "No space left on device")])
+def test_an_interrupted_write_leaves_the_earlier_result_and_nothing_else(
+    plan: PlanResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interruption: BaseException
+) -> None:
+    write_result(plan, tmp_path / "plan")
+
+    def interrupted(*args: object) -> None:
+        raise interruption
+
+    monkeypatch.setattr(output, "write_viewer", interrupted)
+    with pytest.raises((KeyboardInterrupt, ResultError)):
+        write_result(replace(plan, notes=("second",)), tmp_path / "plan")
+    assert [path.name for path in tmp_path.iterdir()] == ["plan"]
+    assert read_result(tmp_path / "plan")["notes"] == ["made by hand"]
+
+
+def test_a_folder_with_other_things_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(ResultError, match=r"holds other files and no result\.json; name a new or empty folder"):
+        check_folder(tmp_path)
+    with pytest.raises(ResultError, match="is a file; name a folder"):
+        check_folder(tmp_path / "thesis.tex")
+    check_folder(tmp_path / "new")
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        ("", "is no JSON"),
+        ("[1]", r"format is \[1\]; 'scopt-result/1' would do"),
+        ('{"format": "scopt-result/9"}', "format is 'scopt-result/9'"),
+        ('{"format": NaN}', "NaN is no number that JSON has"),
+        ('{"format": "scopt-result/1"}', "has no motion to verify"),
+        ('{"format": "scopt-result/1", "curve": {}}', "lacks 'robot'"),
+        ("[" * 100_000, "is no JSON"),
+    ],
+)
+def test_a_broken_result_is_refused_in_one_line(tmp_path: Path, content: str, problem: str) -> None:
+    (tmp_path / "result.json").write_text(content)
+    with pytest.raises(ResultError, match=problem) as caught:
+        verify_result(tmp_path)
+    assert "\n" not in str(caught.value)
