@@ -128,7 +128,8 @@ class KinematicsEngine:
         jacobian = np.empty((n_waypoints, 6, model.nv))
         placements = _placement_block(data, model.njoints)
         for t in range(n_waypoints):
-            jacobian[t] = pin.computeJointJacobians(model, data, q[t])
+            # pinocchio hands out the Jacobian of a single coordinate as a vector
+            jacobian[t] = pin.computeJointJacobians(model, data, q[t]).reshape(6, model.nv)
             rotation[t] = placements[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)  # stored column by column
             position[t] = placements[:, 9:12]
         return Kinematics(self.robot, self.topology, np.array(q), rotation, position, jacobian)

@@ -14,6 +14,8 @@ from costs.state import MotionState
 from scopt import AffineRows, Residual
 
 ALL_AXES = (True,) * 6
+SMALLEST_SINE = 1e-12  # below it an axis has no direction across another
+OPPOSITE_SINE = 1e-4  # below it an axis counts as opposite its direction [rad]
 
 
 class _Frame:
@@ -127,8 +129,8 @@ class AxisDirection(Residual[MotionState]):
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
         along, tangential, _ = self._components(state.kinematics)
-        scale, _, _ = _angle_scale(along, tangential)
-        return np.asarray((scale[:, None] * tangential).ravel())
+        angle, unit, _ = _deviation(along, tangential)
+        return np.asarray((angle[:, None] * unit).ravel())
 
     def linearize(self, state: MotionState) -> AffineRows:
         kinematics, here = state.kinematics, self._waypoints
@@ -140,12 +142,12 @@ class AxisDirection(Residual[MotionState]):
         moved = rotation.transpose(0, 2, 1) @ moved
         d_along = np.einsum("k,skn->sn", self._direction, moved)
         d_tangential = np.einsum("ak,skn->san", self._tangents, moved)
-        scale, by_along, by_sine = _angle_scale(along, tangential)
-        sine = np.linalg.norm(tangential, axis=1)
-        unit = tangential / np.where(sine < 1e-12, 1.0, sine)[:, None]
-        d_scale = by_along[:, None] * d_along + by_sine[:, None] * np.einsum("sa,san->sn", unit, d_tangential)
-        rows = scale[:, None, None] * d_tangential + tangential[:, :, None] * d_scale[:, None, :]
-        return _rows(scale[:, None] * tangential, rows, here, kinematics)
+        angle, unit, across = _deviation(along, tangential)
+        d_sine = np.einsum("sa,san->sn", unit, d_tangential)
+        d_angle = along[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
+        rows = across[:, None, None] * d_tangential
+        rows = rows + unit[:, :, None] * (d_angle - across[:, None] * d_sine)[:, None, :]
+        return _rows(angle[:, None] * unit, rows, here, kinematics)
 
     def _components(
         self, kinematics: Kinematics
@@ -159,22 +161,21 @@ class AxisDirection(Residual[MotionState]):
         return local @ self._direction, local @ self._tangents.T, world_axis
 
 
-def _angle_scale(
+def _deviation(
     cosine: Float[np.ndarray, "S"], tangential: Float[np.ndarray, "S 2"]
-) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S"], Float[np.ndarray, "S"]]:
-    """``angle / sine`` and its derivatives by cosine and sine, taken as independent; finite at angle 0.
+) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S 2"], Float[np.ndarray, "S"]]:
+    """Angle, the unit tangent along which the axis deviates, and how fast the rows turn as it moves across [rad/rad].
 
-    Opposite the direction the way back is not unique; the scale is capped there so that the rows stay finite.
+    Exactly opposite the direction every way back is as short; the first tangent is taken.  Close to it the rows turn
+    about the direction without bound, so that only the way back is linearised there.
     """
     sine = np.linalg.norm(tangential, axis=1)
     angle = np.arctan2(sine, cosine)
-    small = sine < 1e-6
-    safe = np.where(small, 1.0, sine)
-    square = sine**2 + cosine**2
-    scale = np.where(small, np.where(cosine > 0.0, 1.0, np.pi * 1e6), angle / safe)
-    by_cosine = np.where(small, -1.0, -1.0 / square)
-    by_sine = np.where(small, 0.0, (cosine / square * sine - angle) / safe**2)
-    return scale, by_cosine, by_sine
+    vanishes = sine < SMALLEST_SINE
+    unit = tangential / np.where(vanishes, 1.0, sine)[:, None]
+    unit[vanishes & (cosine < 0.0)] = (1.0, 0.0)
+    across = np.where(vanishes, 1.0, angle / np.where(vanishes, 1.0, sine))
+    return angle, unit, np.where((sine < OPPOSITE_SINE) & (cosine < 0.0), 0.0, across)
 
 
 class PointHalfSpace(Residual[MotionState]):
