@@ -64,6 +64,7 @@ class Constraint(Generic[StateT]):
         sense: EQUAL_ZERO or AT_MOST_ZERO.
         tolerance: largest violation of a row that counts as feasible [unit of the residual].
         scale: the residual is multiplied by this in the penalty, so that unlike units weigh alike.
+        unit: of the residual, for messages.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Constraint(Generic[StateT]):
     sense: Sense = Sense.AT_MOST_ZERO
     tolerance: float = 1e-4
     scale: float = 1.0
+    unit: str = ""
 
     def violation(self, value: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
         """How far each row is from what is asked, >= 0."""

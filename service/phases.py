@@ -9,13 +9,16 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
+from costs.collision import Contacts
 from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
-from scopt import Constraint, Cost, Result, Settings, TrustRegionSQP
+from scopt import Constraint, Cost, Problem, Result, Settings, TrustRegionSQP
 from service.monitor import Monitor
 from service.spline import Hold
 from service.verify import Motion, Target
-from service.whole_body import WholeBody
+from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
+
+MOST_REASONS = 5
 
 Targets = Callable[[float], tuple[Target, ...]]
 """What a phase must reach or follow, given the path parameter of its end."""
@@ -46,7 +49,7 @@ class PlannedPhase:
     allowances: tuple[Allowance, ...] = ()
     targets: Targets = lambda s_last: ()
     is_settling: bool = False
-    resolve: Callable[[Float[np.ndarray, "T n"]], Result] | None = None
+    resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
 
     def for_robot(self, robot: RobotModel) -> PlannedPhase:
         """The phase of a robot that has got further coordinates, which stay at zero."""
@@ -82,6 +85,67 @@ class TaskPlan:
 
 
 @dataclass(frozen=True)
+class Solved:
+    """A solved problem, feasible or not.
+
+    Attributes:
+        result: of the optimiser.
+        problem: what was solved.
+        body: whose motion it is.
+    """
+
+    result: Result
+    problem: Problem[MotionState]
+    body: WholeBody
+
+    @property
+    def x(self) -> Float[np.ndarray, "T n"]:
+        """The best waypoints."""
+        return self.result.x
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether every constraint is kept."""
+        return self.result.is_feasible
+
+    def shortcomings(self, name: str) -> tuple[str, ...]:
+        """What stands in the way at the best waypoints, the worst first, in words."""
+        state = self.problem.state(self.x)
+        lines: list[tuple[float, str]] = []
+        for constraint in self.problem.constraints:
+            short = constraint.violation(constraint.residual.value(state))
+            worst = float(short.max(initial=0.0))
+            if worst <= constraint.tolerance:
+                continue
+            if constraint.name not in ("collision", "self-collision"):
+                text = f"{name}: '{constraint.name}' is off by {worst:.3g} {constraint.unit}".rstrip()
+                lines.append((worst / constraint.tolerance, text))
+        lines += [(depth / CLEARANCE_TOLERANCE, f"{name}: {text}") for depth, text in self._near_misses(state.contacts)]
+        lines.sort(key=lambda line: -line[0])
+        return tuple(text for _, text in lines[:MOST_REASONS]) or (f"{name}: {self.result.message}",)
+
+    def _near_misses(self, contacts: Contacts) -> list[tuple[float, str]]:
+        """Each pair that is too near, at its worst: by how much, and in words."""
+        worst: dict[tuple[str, str], tuple[float, str]] = {}
+        bodies, pieces = self.body.robot.bodies, self.body.scene.pieces
+        for row in range(len(contacts)):
+            short = float(contacts.margin[row] - contacts.distance[row])
+            if short <= CLEARANCE_TOLERANCE:
+                continue
+            first = bodies[contacts.body[row]].name
+            other = int(contacts.other[row])
+            second = bodies[other].name if contacts.is_self[row] else pieces[other].name
+            distance = 1e3 * float(contacts.distance[row])
+            where = f"between waypoints {contacts.first[row]} and {contacts.second[row]}"
+            if contacts.first[row] == contacts.second[row]:
+                where = "there"
+            how = f"is {-distance:.0f} mm inside" if distance < 0.0 else f"comes within {distance:.0f} mm of"
+            text = f"{first} {how} {second} {where} ({1e3 * float(contacts.margin[row]):.0f} mm are aimed at)"
+            worst[first, second] = max(worst.get((first, second), (0.0, "")), (short, text))
+        return list(worst.values())
+
+
+@dataclass(frozen=True)
 class PhaseSolver:
     """Solves poses and trajectories of one body under one monitor."""
 
@@ -96,7 +160,7 @@ class PhaseSolver:
         constraints: Sequence[Constraint[MotionState]],
         allowances: Sequence[Allowance] = (),
         fixed: Mapping[int, float] | None = None,
-    ) -> Result:
+    ) -> Solved:
         """A single configuration near the nominal posture; the first guess that leads to a feasible one wins.
 
         Args:
@@ -123,7 +187,7 @@ class PhaseSolver:
         allowances: Sequence[Allowance] = (),
         bounds: Bounds | None = None,
         balanced: Sequence[int] | None = None,
-    ) -> Result:
+    ) -> Solved:
         """A trajectory; the first start that leads to a feasible one wins, else the best is returned.
 
         Args:
@@ -142,24 +206,27 @@ class PhaseSolver:
         problem = self.body.problem(lower, upper, checker, costs, constraints, balanced)
         return self._first_feasible(name, problem, starts)
 
-    def _first_feasible(self, name: str, problem: object, starts: Sequence[Float[np.ndarray, "T n"]]) -> Result:
+    def _first_feasible(
+        self, name: str, problem: Problem[MotionState], starts: Sequence[Float[np.ndarray, "T n"]]
+    ) -> Solved:
         best: Result | None = None
         for start in starts:
             self.monitor.check()
             solver = TrustRegionSQP(self.monitor.settings(self.settings))
-            result = solver.solve(problem, start, should_stop=self.monitor.should_stop)  # type: ignore[arg-type]
+            result = solver.solve(problem, start, should_stop=self.monitor.should_stop)
             self.monitor.note(name, result)
-            if result.is_feasible:
-                return result
-            if best is None or _shortfall(result) < _shortfall(best):
+            if best is None or _shortfall(result, problem) < _shortfall(best, problem):
                 best = result
+            if result.is_feasible:
+                break
         if best is None:
             raise ValueError("at least one start is needed")
-        return best
+        return Solved(best, problem, self.body)
 
 
-def _shortfall(result: Result) -> float:
-    return max(result.violation.values(), default=0.0)
+def _shortfall(result: Result, problem: Problem[MotionState]) -> float:
+    """Largest violation relative to its tolerance."""
+    return max((result.violation[c.name] / c.tolerance for c in problem.constraints), default=0.0)
 
 
 def guesses(body: WholeBody) -> list[Float[np.ndarray, "n"]]:
@@ -187,15 +254,3 @@ def via(
     """Waypoints on two straight lines through a configuration between."""
     half = n_waypoints // 2
     return np.concatenate([straight(first, middle, half + 1)[:-1], straight(middle, last, n_waypoints - half)])
-
-
-def shortcomings(result: Result, name: str) -> tuple[str, ...]:
-    """What kept a phase from being feasible, the worst first, in words."""
-    units = {"balance": "m", "collision": "m", "self-collision": "m"}
-    worst = sorted(result.violation.items(), key=lambda item: -item[1])
-    lines = [
-        f"{name}: '{term}' is violated by {amount:.3g} {units.get(term, 'm or rad')}"
-        for term, amount in worst
-        if amount > 1e-3
-    ]
-    return tuple(lines) or (f"{name}: {result.message}",)

@@ -159,6 +159,7 @@ class WholeBody:
                 FramePose(self.robot, foot.link, everywhere, foot.pose_world_link),
                 Sense.EQUAL_ZERO,
                 FOOT_TOLERANCE,
+                unit="m or rad",
             )
             for foot in self.planted
         ]
@@ -168,10 +169,10 @@ class WholeBody:
                 everywhere if balanced is None else balanced,
                 self.aims.balance_margin + BALANCE_RESERVE,
             )
-            standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE))
+            standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m"))
         for name, is_self in (("collision", False), ("self-collision", True)):
             clearance = SweptClearance(self.robot, is_self=is_self)
-            standing.append(Constraint(name, clearance, tolerance=CLEARANCE_TOLERANCE))
+            standing.append(Constraint(name, clearance, tolerance=CLEARANCE_TOLERANCE, unit="m"))
 
         def state(x: Float[np.ndarray, "T n"]) -> MotionState:
             kinematics = self.engine(x)

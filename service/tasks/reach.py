@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
-from scopt import Constraint, Result
-from service.phases import PhaseSolver, PlannedPhase, TaskPlan, guesses, shortcomings, straight, via
+from scopt import Constraint
+from service.phases import PhaseSolver, PlannedPhase, Solved, TaskPlan, guesses, straight, via
 from service.reachability import beyond_reach
 from service.request import GoalRequest, PoseGoalRequest
 from service.verify import JointTarget, PoseTarget, Target
@@ -46,7 +46,7 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
         end = solver.pose("goal pose", candidates, tasks, fixed=joints)
     if not end.is_feasible:
         attempt = PlannedPhase("reach", np.stack([start, end.x[0]]), False)
-        return TaskPlan(body, (attempt,), shortcomings(end, "goal pose"))
+        return TaskPlan(body, (attempt,), end.shortcomings("goal pose"))
 
     def at_goal(lower: np.ndarray, upper: np.ndarray) -> None:
         for index, value in joints.items():
@@ -70,11 +70,11 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
             *(_pose_target(pose, s_last) for pose in goal.poses),
         )
 
-    def resolve(q: Float[np.ndarray, "T n"]) -> Result:
+    def resolve(q: Float[np.ndarray, "T n"]) -> Solved:
         return solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]})
 
     phase = PlannedPhase("reach", reach.x, reach.is_feasible, targets=targets, resolve=resolve)
-    return TaskPlan(body, (phase,), () if reach.is_feasible else shortcomings(reach, "reach"))
+    return TaskPlan(body, (phase,), () if reach.is_feasible else reach.shortcomings("reach"))
 
 
 def _joint_goal(body: WholeBody, goal: GoalRequest) -> Mapping[int, float]:
@@ -103,21 +103,21 @@ def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> 
     where = [waypoint]
     robot = body.robot
     place = FramePose(robot, pose.link, where, target, (True,) * 3 + (False,) * 3)
-    constraints = [_within(f"position of {pose.link}", place, pose.position_tolerance_m)]
+    constraints = [_within(f"position of {pose.link}", place, pose.position_tolerance_m, "m")]
     tolerance = np.deg2rad(pose.rotation_tolerance_deg)
     if rotation is not None and pose.free_axis == "none":
         turn = FramePose(robot, pose.link, where, target, (False,) * 3 + (True,) * 3)
-        constraints.append(_within(f"orientation of {pose.link}", turn, tolerance))
+        constraints.append(_within(f"orientation of {pose.link}", turn, tolerance, "rad"))
     elif rotation is not None:
         axis = np.eye(3)[AXES[pose.free_axis]]
         along = AxisDirection(robot, pose.link, where, axis, rotation @ axis)
-        constraints.append(_within(f"axis of {pose.link}", along, tolerance))
+        constraints.append(_within(f"axis of {pose.link}", along, tolerance, "rad"))
     return constraints
 
 
-def _within(name: str, residual: FramePose | AxisDirection, tolerance: float) -> Constraint[MotionState]:
+def _within(name: str, residual: FramePose | AxisDirection, tolerance: float, unit: str) -> Constraint[MotionState]:
     reserve = max((1.0 - AIM) * tolerance, 1e-5)
-    return Constraint(name, WithinTolerance(residual, AIM * tolerance), tolerance=reserve)
+    return Constraint(name, WithinTolerance(residual, AIM * tolerance), tolerance=reserve, unit=unit)
 
 
 def _pose_target(pose: PoseGoalRequest, at: float) -> PoseTarget:

@@ -19,15 +19,15 @@ from costs.kinematics import planted_poses
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
-from scopt import Constraint, Result, Sense
+from scopt import Constraint, Sense
 from service.phases import (
     Bounds,
     PhaseSolver,
     PlannedPhase,
+    Solved,
     Targets,
     TaskPlan,
     guesses,
-    shortcomings,
     straight,
     via,
 )
@@ -155,7 +155,7 @@ class ValveTurn:
             reach = self._reach(at, approach[0])
         phases = [PlannedPhase(f"reach{suffix}", reach.x, reach.is_feasible, resolve=self._reach_again)]
         if not reach.is_feasible:
-            return tuple(phases), shortcomings(reach, f"reach{suffix}")
+            return tuple(phases), reach.shortcomings(f"reach{suffix}")
         with monitor.step("retract", 0.65):
             retract = self._line("retract", turn.x[-1], self.entry + stroke.last)
         phases += [
@@ -163,9 +163,9 @@ class ValveTurn:
             PlannedPhase(f"turn{suffix}", turn.x, True, (hold,), self.touching, self._targets(stroke)),
             PlannedPhase(f"retract{suffix}", retract.x, retract.is_feasible, allowances=self.touching),
         ]
-        return tuple(phases), () if retract.is_feasible else shortcomings(retract, f"retract{suffix}")
+        return tuple(phases), () if retract.is_feasible else retract.shortcomings(f"retract{suffix}")
 
-    def _pose(self, stroke: Stroke, at: Float[np.ndarray, "n"]) -> Result:
+    def _pose(self, stroke: Stroke, at: Float[np.ndarray, "n"]) -> Solved:
         """The hook at its point of the rim as the stroke begins; in a grasp with the wrist at its limit."""
         fixed = {self.robot.n - 1: stroke.first}
         if self.mode == "grasp":
@@ -181,6 +181,7 @@ class ValveTurn:
             FramePose(self.robot, self.hand.tool, [0], self._rim_target(), TOOL_POSITION, VALVE_LINK),
             Sense.EQUAL_ZERO,
             POSITION_TOLERANCE,
+            unit="m",
         )
         return self.solver.pose("pose at the wheel", candidates, (on_rim, self._hand_axis([0])), self.touching, fixed)
 
@@ -210,9 +211,9 @@ class ValveTurn:
     def _hand_axis(self, waypoints: Sequence[int]) -> Constraint[MotionState]:
         """The hand axis is parallel to the valve's, the hand free to turn about it."""
         along = AxisDirection(self.robot, self.hand.tool, waypoints, HAND_AXIS, -self.wheel.axis)
-        return Constraint("hand axis", WithinTolerance(along, AXIS_AIM), tolerance=0.2 * AXIS_AIM)
+        return Constraint("hand axis", WithinTolerance(along, AXIS_AIM), tolerance=0.2 * AXIS_AIM, unit="rad")
 
-    def _turn(self, stroke: Stroke, hold: Hold, pose: Float[np.ndarray, "n"]) -> Result:
+    def _turn(self, stroke: Stroke, hold: Hold, pose: Float[np.ndarray, "n"]) -> Solved:
         n_waypoints = max(int(np.ceil(abs(stroke.last - stroke.first) / TURN_STEP)) + 1, 3)
         everywhere = np.arange(n_waypoints)
         angles = np.linspace(stroke.first, stroke.last, n_waypoints)
@@ -230,14 +231,14 @@ class ValveTurn:
             [start],
             {},
             constraints=(
-                Constraint("tool on the rim", hold(everywhere), Sense.EQUAL_ZERO, POSITION_TOLERANCE),
+                Constraint("tool on the rim", hold(everywhere), Sense.EQUAL_ZERO, POSITION_TOLERANCE, unit="m"),
                 self._hand_axis(everywhere.tolist()),
             ),
             allowances=self.touching,
             bounds=at_angles,
         )
 
-    def _line(self, name: str, at_rim: Float[np.ndarray, "n"], angle: float) -> Result:
+    def _line(self, name: str, at_rim: Float[np.ndarray, "n"], angle: float) -> Solved:
         """Straight away from the rim along the valve's axis."""
         steps = np.linspace(0.0, self.wheel.tube_radius + STANDOFF, LINE_WAYPOINTS)
         targets = np.tile(np.eye(4), (LINE_WAYPOINTS - 1, 1, 1))
@@ -249,14 +250,14 @@ class ValveTurn:
             [np.tile(at_rim, (LINE_WAYPOINTS, 1))],
             {0: at_rim},
             constraints=(
-                Constraint("tool on its line", line, Sense.EQUAL_ZERO, POSITION_TOLERANCE),
+                Constraint("tool on its line", line, Sense.EQUAL_ZERO, POSITION_TOLERANCE, unit="m"),
                 self._hand_axis(waypoints.tolist()),
             ),
             allowances=self.touching,
             bounds=_wheel_still(at_rim[-1]),
         )
 
-    def _reach(self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"]) -> Result:
+    def _reach(self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"]) -> Solved:
         starts = [straight(start, end, REACH_WAYPOINTS)]
         for guess in guesses(self.body)[1:]:
             guess[-1] = start[-1]
@@ -265,7 +266,7 @@ class ValveTurn:
             "reach", starts, {0: start, REACH_WAYPOINTS - 1: end}, bounds=_wheel_still(start[-1])
         )
 
-    def _reach_again(self, q: Float[np.ndarray, "T n"]) -> Result:
+    def _reach_again(self, q: Float[np.ndarray, "T n"]) -> Solved:
         return self.solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]}, bounds=_wheel_still(q[0, -1]))
 
     def _targets(self, stroke: Stroke) -> Targets:
@@ -303,10 +304,10 @@ def _wheel_still(angle: float) -> Bounds:
 
 
 def _stopped(
-    name: str, step: str, result: Result, q: Float[np.ndarray, "T n"]
+    name: str, step: str, result: Solved, q: Float[np.ndarray, "T n"]
 ) -> tuple[tuple[PlannedPhase, ...], tuple[str, ...]]:
     """The best attempt as a single phase, with what is wrong with it."""
-    return (PlannedPhase(name, q, False),), shortcomings(result, step)
+    return (PlannedPhase(name, q, False),), result.shortcomings(step)
 
 
 def plan_turn(solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], mode: Mode, turn: float) -> TaskPlan:
