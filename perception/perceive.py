@@ -114,12 +114,12 @@ def perceive(
 
 
 def _in_reach(cloud: Cloud, reach: Reach) -> Float[np.ndarray, "N 3"]:
-    near = cloud.points[reach.contains(cloud.points)]
+    near = np.asarray(cloud.points[reach.contains(cloud.points)])
     if not len(near):
         centre = np.median(cloud.points, axis=0)
         raise CloudError(
-            f"none of {len(cloud.points)} points lie within {reach.radius} m of ({reach.x}, {reach.y}); "
-            f"their middle is ({centre[0]:.1f}, {centre[1]:.1f}, {centre[2]:.1f}): metres in the robot's start frame are needed"
+            f"none of {len(cloud.points)} points lie within {reach.radius} m of ({reach.x}, {reach.y}); their middle "
+            f"is ({', '.join(f'{value:.1f}' for value in centre)}): metres in the robot's start frame are needed"
         )
     return near
 
