@@ -19,7 +19,7 @@ from service.errors import ResultError, shown
 from service.motion_json import samples_of
 from service.result import PlanResult
 from service.result_json import FORMAT, to_result_json
-from service.viewer import placements_of, write_glb, write_openrave, write_viewer
+from service.viewer import drawn_frames, placements_of, write_glb, write_openrave, write_viewer
 
 RESULT_NAME = "result.json"
 TRAJECTORY_NAME = "trajectory.csv"
@@ -152,8 +152,7 @@ def _write_robot(robot: RobotModel, folder: Path) -> None:
 
 def _write_views(result: PlanResult, data: Mapping[str, Any], folder: Path) -> None:
     q = result.start[None] if result.motion is None else result.motion.curve(samples_of(result.motion))
-    links = tuple(dict.fromkeys(body.link for body in result.robot.bodies))
-    placements = placements_of(result.robot, q[:, : result.robot.n], links)
+    placements = placements_of(result.robot, q[:, : result.robot.n], drawn_frames(result.robot, data))
     write_viewer(data, placements, folder / VIEWER_NAME)
     write_glb(data, placements, folder / GLB_NAME)
     write_openrave(data, folder / OPENRAVE_NAME)

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from service.viewer.frames import kept_samples, packed, quantized
 from service.viewer.hulls import convex_mesh
 from service.viewer.placements import LinkPlacements
+from service.viewer.proof import ClearanceTrack, clearance_track
 
 MAX_CLOUD_POINTS = 60_000
 
@@ -35,8 +36,11 @@ def payload_of(result: Mapping[str, Any], placements: LinkPlacements) -> dict[st
     phases, waypoints = _list(result, "phases"), [int(i) for i in _list(result, "waypoints")]
     kept = kept_samples(times, [*waypoints, *(int(p[end]) for p in phases for end in ("first", "last"))])
     poses = placements.poses[kept]
+    proof = clearance_track(result) if len(times) else None
     return {
         **_summary(result),
+        "checks": _placed_checks(result, proof),
+        "clearance": packed(_track_rows(proof), "f4"),
         "times": packed(times[kept], "f4"),
         "links": list(placements.links),
         "positions": quantized(poses[..., :3]),
@@ -93,12 +97,12 @@ def json_safe(value: Any) -> Any:
 
 def _summary(result: Mapping[str, Any]) -> dict[str, Any]:
     request = result.get("request") or {}
-    task = request.get("task") if isinstance(request, Mapping) else None
+    task = (request.get("task") or request.get("goal")) if isinstance(request, Mapping) else None
     robot = result.get("robot") or {}
     return {
         "verdict": result.get("verdict", ""),
         "robot": robot.get("name", ""),
-        "task": next(iter(task), "") if isinstance(task, Mapping) else "",
+        "task": _task_name(task) if isinstance(task, Mapping) else "",
         "explanation": _list(result, "explanation"),
         "notes": _list(result, "notes"),
         "figures": result.get("figures") or {},
@@ -108,8 +112,27 @@ def _summary(result: Mapping[str, Any]) -> dict[str, Any]:
         "min_clearance_pair": result.get("min_clearance_pair") or [],
         "min_balance_margin_m": result.get("min_balance_margin_m"),
         "request_hash": result.get("request_hash", ""),
-        "checks": _list(result, "checks"),
     }
+
+
+def _task_name(task: Mapping[str, Any]) -> str:
+    """What is asked for, in one word: the first thing of the task or goal that is not empty."""
+    return next((str(name) for name, content in task.items() if content), "")
+
+
+def _placed_checks(result: Mapping[str, Any], proof: ClearanceTrack | None) -> list[Mapping[str, Any]]:
+    """The checks; the clearance of the whole curve is shown where its proof has least to spare."""
+    checks: list[Mapping[str, Any]] = []
+    for check in _list(result, "checks"):
+        where = check.get("where") or {}
+        if check["name"] == "clearance" and where.get("time_s") is None and proof is not None and proof.pair:
+            where = {"time_s": proof.time_s, "position": None, "names": list(proof.pair)}
+        checks.append({**check, "where": where})
+    return checks
+
+
+def _track_rows(proof: ClearanceTrack | None) -> Float[np.ndarray, "N 2"]:
+    return np.empty((0, 2)) if proof is None else np.column_stack([proof.times, proof.clearance])
 
 
 def _list(result: Mapping[str, Any], key: str) -> Sequence[Any]:

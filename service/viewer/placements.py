@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -50,6 +51,19 @@ def placements_of(robot: RobotModel, q: Float[np.ndarray, "S n"], links: Sequenc
             x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(data.oMf[frame])
             poses[sample, column] = (x, y, z, qw, qx, qy, qz)
     return LinkPlacements(tuple(links), continuous(poses))
+
+
+def drawn_frames(robot: RobotModel, result: Mapping[str, Any]) -> tuple[str, ...]:
+    """Links and frames a viewer needs of a result: those with bodies, those aimed at, and those its checks speak of.
+
+    A joint counts as the frame of its name, so that a check of a joint can be shown at the joint.
+    """
+    names = [body["link"] for body in result.get("bodies") or []]
+    for phase in result.get("phases") or []:
+        names.extend(target["frame"] for target in phase.get("targets") or [] if target.get("frame"))
+    for check in result.get("checks") or []:
+        names.extend((check.get("where") or {}).get("names") or [])
+    return tuple(dict.fromkeys(name for name in names if robot.model.existFrame(name)))
 
 
 def continuous(poses: Float[np.ndarray, "S L 7"]) -> Float[np.ndarray, "S L 7"]:

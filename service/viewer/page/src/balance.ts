@@ -115,5 +115,7 @@ export class Balance implements Layer {
   xray(on: boolean): void {
     const materials = [this.fill, this.border, this.inner, this.zmp, this.traces, this.dot.material as MeshBasicMaterial];
     for (const material of materials) material.depthTest = !on;
+    // From above the ball would cover the traces under it.
+    this.ball.scale.setScalar(on ? 0.4 : 1);
   }
 }

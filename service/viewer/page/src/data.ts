@@ -20,7 +20,7 @@ export interface Support extends Span { polygon: number[][]; margin_m?: number }
 export interface Where { time_s?: number | null; position?: number[] | null; names?: string[] | null }
 export interface Check {
   name: string; ok: boolean; value: number | null; limit: number | null; unit: string | null;
-  text: string | null; where?: Where | null;
+  text: string | null; where?: Where | null; basis?: string;
 }
 
 interface Payload {
@@ -32,14 +32,14 @@ interface Payload {
   bodies: { name: string; link: string; hull: PackedHull }[];
   pieces: PackedNamedHull[];
   movables: { name: string; origin: number[]; axis: number[]; bodies: PackedNamedHull[]; angles: Packed }[];
-  waypoints: number[]; phases: Phase[]; support: Support[]; com: Packed; zmp: Packed; cloud: Quantized;
+  waypoints: number[]; phases: Phase[]; support: Support[]; com: Packed; zmp: Packed; clearance: Packed; cloud: Quantized;
 }
 
 export interface Result extends Omit<
-  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "com" | "zmp" | "cloud"
+  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "com" | "zmp" | "clearance" | "cloud"
 > {
   times: Float32Array; positions: Float32Array; rotations: Int16Array; bodies: Body[]; pieces: NamedHull[];
-  movables: Movable[]; com: Float32Array; zmp: Float32Array; cloud: Float32Array;
+  movables: Movable[]; com: Float32Array; zmp: Float32Array; clearance: Float32Array; cloud: Float32Array;
 }
 
 function bytesOf(packed: Packed): ArrayBuffer {
@@ -80,6 +80,7 @@ export function readPayload(): Result {
     })),
     com: floats(payload.com),
     zmp: floats(payload.zmp),
+    clearance: floats(payload.clearance),
     cloud: points(payload.cloud),
   };
 }

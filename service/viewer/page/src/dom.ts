@@ -41,11 +41,15 @@ const digits = (value: number): string => {
 // A figure in the unit people say it in: small metres as millimetres, radians as degrees.
 export function figure(value: number | null | undefined, unit: string | null | undefined): string {
   if (value === null || value === undefined) return "–";
+  if (unit === "m" && value !== 0 && Math.abs(value) < 5e-7) return "< 0.001 mm";
   if (unit === "m" && Math.abs(value) < 0.9995) return `${digits(1000 * value)} mm`;
+  if (unit === "1") return `${digits(100 * value)} %`;
   if (unit === "rad") return `${digits((180 / Math.PI) * value)}°`;
   if (unit === "deg") return `${digits(value)}°`;
   return unit && unit !== "-" ? `${digits(value)} ${unit}` : digits(value);
 }
 
 export const seconds = (t: number): string => `${t.toFixed(2)} s`;
+// check.names.with_links read "check · names · with_links".
+export const title = (name: string): string => name.replaceAll(".", " · ");
 export const words = (name: string): string => name.replaceAll("_", " ");

@@ -140,3 +140,18 @@ export function insideBy(corners: number[][], x: number, y: number): number {
   if (area >= 0) return least;
   return insideBy([...corners].reverse(), x, y);
 }
+
+// The corners of the convex hull in the plane, counter-clockwise; corners keep their height.
+export function convexRing(corners: number[][]): number[][] {
+  const sorted = [...corners].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+  const turns = (a: number[], b: number[], c: number[]): number => (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+  const half = (points: number[][]): number[][] => {
+    const chain: number[][] = [];
+    for (const p of points) {
+      while (chain.length > 1 && turns(chain[chain.length - 2], chain[chain.length - 1], p) <= 0) chain.pop();
+      chain.push(p);
+    }
+    return chain.slice(0, -1);
+  };
+  return [...half(sorted), ...half(sorted.reverse())];
+}

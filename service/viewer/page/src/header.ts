@@ -45,10 +45,12 @@ export function makeHeader(
     button("round", "◐", "Dark or light (d)", toggle.theme), button("round", "?", "Keys (?)", toggle.help),
     button("round", "☰", "Panel (i)", toggle.panel),
   );
+  const meaning = MEANING[result.verdict] ?? "";
+  const said = result.times.length > 0 ? meaning : meaning.split("; this is")[0];
   const verdict = el("div", `verdict ${tone(result.verdict)}`, words(result.verdict || "NO VERDICT"));
-  verdict.title = MEANING[result.verdict] ?? "";
+  verdict.title = said;
   const title = [result.robot, result.task].filter(Boolean).map(words).join(" · ");
-  const says = el("span", "says", MEANING[result.verdict] ?? "");
+  const says = el("span", "says", said);
   const element = el("header", "top", verdict, el("div", "what", el("h1", "", title || "scene"), says), chips, tools);
   return {
     element,

@@ -1,7 +1,7 @@
 // The checks at the places they speak of: failed ones always, any other while it is selected.
 import { Group, Mesh, MeshStandardMaterial, Vector3 } from "three";
 import { Check } from "./data";
-import { figure } from "./dom";
+import { figure, title } from "./dom";
 import { Label, Labels } from "./labels";
 import { Layer } from "./layer";
 import { Motion } from "./motion";
@@ -30,7 +30,7 @@ export class Marks implements Layer {
     this.own = checks.map((check, i) => {
       const at = this.places[i];
       if (!at) return undefined;
-      const text = `${check.name} ${figure(check.value, check.unit)}`;
+      const text = `${title(check.name)} ${figure(check.value, check.unit)}`;
       const label: Label = { at, text, kind: check.ok ? "good" : "bad", isOn: false };
       labels.add(label);
       return label;

@@ -1,6 +1,6 @@
 // The side panel: what stands in the way, the checks with their figures, the current phase, layers, notes.
 import { Check, Phase, Result } from "./data";
-import { button, el, figure, seconds, words } from "./dom";
+import { button, el, figure, seconds, title, words } from "./dom";
 import { Layer } from "./layer";
 
 function section(title: string, ...content: (Node | string)[]): HTMLElement {
@@ -39,8 +39,8 @@ export class Panel {
       scroll.append(section("What stands in the way", el("ul", "why", ...result.explanation.map((line) => el("li", "", line)))));
     }
     if (result.checks.length > 0) {
-      const title = failed > 0 ? `Checks · ${failed} of ${result.checks.length} failed` : `Checks · all ${result.checks.length} hold`;
-      scroll.append(section(title, el("div", "checks", ...order.map((i) => this.check(result.checks[i], i, choose)))));
+      const summary = failed > 0 ? `Checks · ${failed} of ${result.checks.length} failed` : `Checks · all ${result.checks.length} hold`;
+      scroll.append(section(summary, el("div", "checks", ...order.map((i) => this.check(result.checks[i], i, choose)))));
     }
     if (result.phases.length > 0) scroll.append(section("Now", this.phase));
     scroll.append(section("Layers", el("div", "layers", ...layers.map((layer) => this.layer(layer, toggle)))));
@@ -58,13 +58,13 @@ export class Panel {
     const limit = check.limit === null || check.limit === undefined ? "" : `limit ${figure(check.limit, check.unit)}`;
     const row = button(`check ${check.ok ? "ok" : "fail"}`, "", `Show where: ${check.name}`, () => choose(index));
     row.append(
-      el("span", "mark", check.ok ? "✓" : "✕"), el("span", "name", words(check.name)),
+      el("span", "mark", check.ok ? "✓" : "✕"), el("span", "name", title(check.name)),
       el("span", "value", hasValue ? figure(check.value, check.unit) : ""), el("span", "limit", limit),
     );
     const where = check.where ?? {};
     const place = [...(where.names ?? []).slice(0, 1), ...(where.names ?? []).slice(1, 2)].join(" ↔ ");
     const time = typeof where.time_s === "number" ? `t ${seconds(where.time_s)}` : "";
-    const detail = [place, time].filter(Boolean).join(" · ");
+    const detail = [place, time, check.basis === "samples" ? "at samples" : ""].filter(Boolean).join(" · ");
     row.append(el("span", "detail", detail));
     if (check.text) row.append(el("span", "text", check.text));
     this.rows.set(index, row);

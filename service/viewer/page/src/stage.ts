@@ -160,7 +160,7 @@ export class Stage {
       const needed = Math.max(Math.abs(p.dot(y)) / tall, Math.abs(p.dot(x)) / (tall * this.camera.aspect));
       distance = Math.max(distance, needed + p.dot(z));
     }
-    return 1.12 * distance;
+    return 1.03 * distance;
   }
 
   // Look at a place from near and, as far as possible, from the side the camera is on: the view is turned about the

@@ -4,7 +4,7 @@ import {
   TorusGeometry, Vector2, Vector3,
 } from "three";
 import { Contact, Phase, Result, Target } from "./data";
-import { filledPolygon, ribbon } from "./geometry";
+import { convexRing, filledPolygon, ribbon } from "./geometry";
 import { Layer } from "./layer";
 import { Label } from "./labels";
 import { Colours } from "./theme";
@@ -136,7 +136,7 @@ export class Contacts implements Layer {
 
   private mark(contact: Contact): Group {
     const group = new Group();
-    const sole = contact.sole ?? [];
+    const sole = convexRing(contact.sole ?? []);
     if (sole.length < 3) return group;
     // A sole need not be level: its own heights are kept, only lifted off the floor.
     const geometry = filledPolygon(sole, 0);

@@ -1,7 +1,7 @@
-// The time bar: phases by name, waypoints as ticks, failed checks as flags, balance as a curve; drag to scrub.
-import { Result, rowAt, spanAt } from "./data";
-import { button, el, icon, seconds, svg, words } from "./dom";
-import { insideBy } from "./geometry";
+// The time bar: phases by name, waypoints as ticks, failed checks as flags, what is left as curves; drag to scrub.
+import { curves } from "./curves";
+import { Result, spanAt } from "./data";
+import { button, el, icon, seconds, title, words } from "./dom";
 import { timeColour } from "./theme";
 
 export interface Player {
@@ -79,42 +79,15 @@ export class Timeline {
       tick.addEventListener("pointerleave", () => this.player.focusGhost(-1));
       ticks.append(tick);
     });
-    this.track.append(bar, ticks, this.balanceCurve());
+    this.track.append(bar, ticks, ...curves(this.result, this.player.start, this.player.end));
     this.result.checks.forEach((check, index) => {
       const t = check.where?.time_s;
       if (check.ok || t === null || t === undefined) return;
-      const flag = button("flag", "", `${check.name} at ${seconds(t)}`, () => this.player.chooseCheck(index));
+      const flag = button("flag", "", `${title(check.name)} at ${seconds(t)}`, () => this.player.chooseCheck(index));
       flag.addEventListener("pointerdown", (event) => event.stopPropagation());
       flag.style.left = `${100 * this.share(t)}%`;
       this.track.append(flag);
     });
-  }
-
-  // Distance of the ZMP inside its polygon over time, with the wanted margin as a line.
-  private balanceCurve(): Element {
-    const { support, times, zmp } = this.result;
-    const curve = svg("svg", { viewBox: "0 0 1000 30", preserveAspectRatio: "none", class: "curve" });
-    const margins: [number, number, number][] = [];
-    for (let i = 0; i <= 240 && support.length > 0 && times.length > 1; i++) {
-      const t = this.player.start + (i / 240) * (this.player.end - this.player.start);
-      const [x, y] = rowAt(times, zmp, 2, t);
-      const current = spanAt(support, t);
-      if (!Number.isFinite(x) || !current || current.polygon.length < 3) continue;
-      margins.push([(1000 * i) / 240, insideBy(current.polygon, x, y), current.margin_m ?? 0]);
-    }
-    if (margins.length < 2) return el("div", "curve");
-    const top = Math.max(...margins.map(([, value, wanted]) => Math.max(value, wanted)), 1e-3) * 1.15;
-    const bottom = Math.min(0, ...margins.map(([, value]) => value));
-    const y = (value: number): string => (29 - (28 * (value - bottom)) / (top - bottom)).toFixed(2);
-    const line = (k: 1 | 2): string => margins.map((row, i) => `${i ? "L" : "M"}${row[0].toFixed(1)} ${y(row[k])}`).join("");
-    const first = margins[0][0].toFixed(1);
-    curve.append(
-      svg("path", { d: `${line(1)}L${margins.at(-1)![0]} ${y(bottom)}L${first} ${y(bottom)}Z`, class: "area" }),
-      svg("path", { d: line(1), class: "value" }), svg("path", { d: line(2), class: "limit" }),
-    );
-    const least = Math.min(...margins.map(([, value]) => value));
-    const note = el("span", "note", `balance: at least ${(1000 * least).toFixed(0)} mm inside`);
-    return el("div", "curve", curve, note);
   }
 
   private scrub(): void {

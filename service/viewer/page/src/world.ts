@@ -4,7 +4,7 @@ import {
   LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, NotEqualStencilFunc, PlaneGeometry, Points,
   ShaderMaterial, ShadowMaterial, Vector3,
 } from "three";
-import { Movable, NamedHull, Result, rowAt } from "./data";
+import { Hull, Movable, NamedHull, Result, rowAt } from "./data";
 import { words } from "./dom";
 import { edgeGeometry, hullGeometry } from "./geometry";
 import { Label } from "./labels";
@@ -54,6 +54,18 @@ export function floorHeight(result: Result): number {
   return tops.length > 0 ? Math.min(...tops) : 0;
 }
 
+// The hull with only the edges of its top face: a slab's thickness is of no interest.
+function topOnly(hull: Hull): Hull {
+  let top = -Infinity;
+  for (let i = 2; i < hull.vertices.length; i += 3) top = Math.max(top, hull.vertices[i]);
+  const isTop = (index: number): boolean => hull.vertices[3 * index + 2] > top - 0.002;
+  const kept = Array.from({ length: hull.edges.length / 2 }, (_, i) => i).filter((i) => isTop(hull.edges[2 * i]) && isTop(hull.edges[2 * i + 1]));
+  return {
+    ...hull, edges: Uint16Array.from(kept.flatMap((i) => [hull.edges[2 * i], hull.edges[2 * i + 1]])),
+    bends: Uint8Array.from(kept.map((i) => hull.bends[i])),
+  };
+}
+
 export class Floor implements Layer {
   readonly name = "floor";
   readonly label = "Floor";
@@ -61,6 +73,7 @@ export class Floor implements Layer {
   readonly group = new Group();
   readonly count: number;
   private readonly ground: ShaderMaterial;
+  private shadow = 0;
   private readonly shade = new ShadowMaterial({ transparent: true, depthWrite: false });
   private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.35, vertexColors: true });
 
@@ -81,7 +94,7 @@ export class Floor implements Layer {
       plane.receiveShadow = material === this.shade;
       this.group.add(plane);
     }
-    const lines = new LineSegments(edgeGeometry(slabs.map((slab) => slab.hull)), this.edges);
+    const lines = new LineSegments(edgeGeometry(slabs.map((slab) => topOnly(slab.hull))), this.edges);
     lines.renderOrder = -1;
     this.group.add(lines);
   }
@@ -89,9 +102,13 @@ export class Floor implements Layer {
   recolour(colours: Colours): void {
     (this.ground.uniforms.ground.value as Color).set(colours.floor);
     (this.ground.uniforms.lines.value as Color).set(colours.grid);
+    this.shadow = colours.shadow;
     this.shade.opacity = colours.shadow;
     this.edges.color.set(colours.grid);
   }
+
+  // The shadow of a robot one looks through would only distract.
+  xray(on: boolean): void { this.shade.opacity = on ? 0.25 * this.shadow : this.shadow; }
 }
 
 // All pieces of the world but the floor: thin glass with crisp edges, thinner still in front of the robot.
@@ -166,7 +183,7 @@ export class Cloud implements Layer {
       varying float vNear;
       void main() {
         if (length(gl_PointCoord - 0.5) > 0.5) discard;
-        gl_FragColor = vec4(colour, 0.55 * vNear);
+        gl_FragColor = vec4(colour, 0.45 * vNear);
         #include <colorspace_fragment>
       }`,
   });
@@ -181,6 +198,21 @@ export class Cloud implements Layer {
   }
 
   recolour(colours: Colours): void { (this.material.uniforms.colour.value as Color).set(colours.cloud); }
+}
+
+// The lowest place the turning bodies reach: their label hangs there, clear of them.
+function lowest(movable: Movable): Vector3 {
+  const origin = new Vector3().fromArray(movable.origin);
+  const axis = new Vector3().fromArray(movable.axis).normalize();
+  const p = new Vector3();
+  let radius = 0;
+  for (const { hull } of movable.bodies) {
+    for (let i = 0; i < hull.vertices.length; i += 3) {
+      radius = Math.max(radius, p.fromArray(hull.vertices, i).sub(origin).cross(axis).length());
+    }
+  }
+  const down = new Vector3(0, 0, -1).projectOnPlane(axis);
+  return down.length() > 1e-3 ? origin.addScaledVector(down.normalize(), radius) : origin;
 }
 
 export class Movables implements Layer {
@@ -207,7 +239,7 @@ export class Movables implements Layer {
         this.solids.push({ name: body.name, mesh });
         group.add(mesh);
       }
-      this.labels.push({ at: origin, text: movable.name, kind: "spot", isOn: true });
+      this.labels.push({ at: lowest(movable), text: movable.name, kind: "spot", isOn: true });
       this.turning.push({ group, movable });
       this.group.add(group);
     }

@@ -1,0 +1,95 @@
+"""The clearance proof over time, as the viewer draws it."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+import pytest
+from viewer_results import make_result
+
+from costs.robot import load_robot
+from service.viewer import drawn_frames
+from service.viewer.payload import payload_of
+from service.viewer.proof import clearance_track
+
+
+def proven_result():
+    """A certificate with two broad stretches, one near pair, and the hand allowed to touch the rim during the turn.
+
+    The path runs from 0 to 1 within 6 s at constant speed.
+    """
+    result, placements = make_result()
+    result["curve"] = {"law": {"times": [0.0, 6.0], "path": [0.0, 1.0], "speed": [1 / 6, 1 / 6]}}
+    result["certificate"] = {
+        "exempt": [{"pair": ["rim/0", "l_hand"], "phase": "turn"}],
+        "stretches": {
+            "pairs": [["l_hand", "crate"], ["l_hand", "rim/0"]],
+            "edges": [0.0, 0.5, 1.0],
+            "floors": [0.2, 0.1],
+            "pair": [0, 0, 1, 1],
+            "first": [0.25, 0.5, 0.0, 0.5],
+            "last": [0.5, 0.75, 0.25, 1.0],
+            "distance": [0.05, 0.03, 0.09, -0.004],
+            "bound": [0.01, 0.005, 0.01, 0.001],
+        },
+    }
+    result["checks"][1]["where"] = {"time_s": None, "position": None, "names": []}
+    return result, placements
+
+
+@pytest.mark.parametrize(("time", "expected"), [(0.7, 0.08), (2.0, 0.04), (4.0, 0.025), (5.5, 0.1)])
+def test_clearance_at_a_time_is_the_least_of_floor_and_covering_rows(time, expected):
+    track = clearance_track(proven_result()[0])
+    assert np.interp(time, track.times, track.clearance) == pytest.approx(expected)
+
+
+def test_the_place_of_least_clearance_is_the_middle_of_its_stretch():
+    track = clearance_track(proven_result()[0])
+    assert track.pair == ("l_hand", "crate")
+    assert track.time_s == pytest.approx(0.625 * 6.0, abs=1e-3)
+
+
+def test_the_same_pair_counts_in_a_phase_where_it_may_not_touch():
+    result, _ = proven_result()
+    result["certificate"]["exempt"][0]["phase"] = "reach"
+    assert clearance_track(result).clearance.min() == pytest.approx(-0.005)
+
+
+def test_the_clearance_check_points_to_the_place_of_least_clearance():
+    check = payload_of(*proven_result())["checks"][1]
+    assert check["where"]["names"] == ["l_hand", "crate"]
+    assert check["where"]["time_s"] == pytest.approx(3.75, abs=1e-3)
+
+
+def test_payload_carries_the_track_as_time_and_clearance():
+    entry = payload_of(*proven_result())["clearance"]
+    rows = np.frombuffer(base64.b64decode(entry["data"]), dtype="<f4").reshape(entry["shape"])
+    assert rows[-1, 0] == pytest.approx(6.0)
+    assert rows[:, 1].min() == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize("missing", ["certificate", "curve"])
+def test_without_certificate_or_time_law_there_is_no_track(missing):
+    result, _ = proven_result()
+    result[missing] = None
+    assert clearance_track(result) is None
+
+
+def test_a_proof_without_near_pairs_has_floors_only():
+    result, _ = proven_result()
+    for key in ("pair", "first", "last", "distance", "bound"):
+        result["certificate"]["stretches"][key] = []
+    track = clearance_track(result)
+    assert track.pair is None
+    assert set(track.clearance) == {0.2, 0.1}
+
+
+def test_drawn_frames_are_those_with_bodies_targets_and_checks():
+    robot = load_robot("atlas")
+    result = {
+        "bodies": [{"name": "pelvis", "link": "pelvis"}, {"name": "pelvis/1", "link": "pelvis"}],
+        "phases": [{"targets": [{"kind": "pose", "frame": "l_tool"}, {"kind": "joints"}]}],
+        "checks": [{"where": {"names": ["back_bkz", "crate"]}}, {"where": None}],
+    }
+    assert drawn_frames(robot, result) == ("pelvis", "l_tool", "back_bkz")
