@@ -103,6 +103,12 @@ def test_doctype_is_refused(tmp_path: Path, head: str) -> None:
     assert "DOCTYPE is refused" in _refusal(write_urdf(tmp_path, head + two_links()))
 
 
+def test_entities_in_attributes_are_refused_before_they_expand(tmp_path: Path) -> None:
+    head = '<!DOCTYPE r [<!ENTITY a "0"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>'
+    urdf = write_urdf(tmp_path, head + two_links().replace('xyz="0 0 1" rpy', 'xyz="&c; 0 1" rpy'))
+    assert "DOCTYPE is refused" in _refusal(urdf)
+
+
 def test_deep_and_large_xml_are_refused(tmp_path: Path) -> None:
     deep = '<robot name="a">' + "<b>" * 200_000 + "</b>" * 200_000 + "</robot>"
     assert "not well-formed XML" in _refusal(write_urdf(tmp_path, deep))

@@ -1,4 +1,11 @@
-"""The Atlas v5 that ships with the package: public figures, shapes and hooks of our own."""
+"""The Atlas v5 that ships with the package: public figures, shapes and hooks of our own.
+
+Each hand link carries a hook, a rod on the hand axis (+y of ``l_hand``, -y of ``r_hand``) with the link name ``l_hook``
+or ``r_hook``. It ends at the frame ``l_tool`` or ``r_tool``, whose z axis points outwards along the hand axis and whose
+x axis is the hand's. The soles of ``l_foot`` and ``r_foot`` are their bodies' lowest faces. In the postures ``stand``
+and ``reach_ready`` both soles lie on z = 0, the pelvis is at x = y = 0, and the centre of mass is above the middle of
+the feet.
+"""
 
 from __future__ import annotations
 
