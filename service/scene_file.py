@@ -13,10 +13,7 @@ from typing import Any
 import numpy as np
 
 from costs.robot import RobotError, load_robot
-from perception.clean import Reach
-from perception.errors import PerceptionError
-from perception.perceive import perceive
-from perception.read import read_cloud
+from perception import PerceptionError, Reach, perceive, read_cloud
 from service.errors import RequestError, ResultError
 from service.request import StartRequest
 from service.request_file import load_start

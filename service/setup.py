@@ -13,9 +13,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
-from perception.errors import PerceptionError
-from perception.perceive import Perceived, perceive
-from perception.read import read_cloud
+from perception import Perceived, PerceptionError, Reach, perceive, read_cloud
 from service.errors import RequestError, would_do
 from service.obstacles import flat_floor, obstacle_pieces
 from service.request import PlanRequest
@@ -171,13 +169,18 @@ def _perceive(
 ) -> Perceived | None:
     if request.scene.cloud is None:
         return None
+    task = None if request.task is None else request.task.valve
+    hint = request.scene.hint if task is None or task.hint is None else task.hint
+    x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
     try:
         cloud = read_cloud(request.resolve(request.scene.cloud), request.scene.apply_viewpoint)
         return perceive(
             cloud,
+            reach=Reach(x=x, y=y),
             robot_hulls=[vertices for _, vertices in placed_bodies(robot, start)],
             soles=list(soles.values()),
-            valve=request.task is not None and request.task.valve is not None,
+            valve=task is not None,
+            hint=None if hint is None else np.array(hint),
             seed=request.options.seed,
         )
     except PerceptionError as error:
