@@ -147,11 +147,19 @@ class Solved:
 
 @dataclass(frozen=True)
 class PhaseSolver:
-    """Solves poses and trajectories of one body under one monitor."""
+    """Solves poses and trajectories of one body under one monitor.
+
+    Attributes:
+        body: the robot in its scene.
+        monitor: of the plan.
+        settings: of the optimiser.
+        overrides: ``(link, other, margin)`` for pairs that are asked for another clearance [m].
+    """
 
     body: WholeBody
     monitor: Monitor
     settings: Settings
+    overrides: tuple[tuple[str, str, float], ...] = ()
 
     def pose(
         self,
@@ -173,7 +181,7 @@ class PhaseSolver:
         lower, upper = self.body.bounds(1, {})
         for index, value in (fixed or {}).items():
             lower[0, index] = upper[0, index] = value
-        checker = self.body.checker(allowances, [self.body.nominal])
+        checker = self.body.checker(allowances, [self.body.nominal], self.overrides)
         problem = self.body.problem(lower, upper, checker, constraints=constraints)
         return self._first_feasible(name, problem, [guess[None] for guess in guesses])
 
@@ -202,7 +210,7 @@ class PhaseSolver:
         lower, upper = self.body.bounds(len(starts[0]), fixed)
         if bounds is not None:
             bounds(lower, upper)
-        checker = self.body.checker(allowances, list(fixed.values()))
+        checker = self.body.checker(allowances, list(fixed.values()), self.overrides)
         problem = self.body.problem(lower, upper, checker, costs, constraints, balanced)
         return self._first_feasible(name, problem, starts)
 

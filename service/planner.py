@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -92,7 +92,7 @@ class _Attempt:
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
             detections=detections_of(setup),
-            cloud=np.zeros((0, 3)) if perceived is None else perceived.points,
+            cloud=np.zeros((0, 3)) if perceived is None else perceived.shown,
         )
 
 
@@ -134,4 +134,4 @@ def detections_of(setup: PlanSetup) -> tuple[Mapping[str, Any], ...]:
     """What perception recognised, as JSON-ready data."""
     if setup.perceived is None:
         return ()
-    return tuple(valve.to_dict() for valve in setup.perceived.valves)
+    return tuple({"kind": "valve", **asdict(valve)} for valve in setup.perceived.valves)

@@ -143,7 +143,7 @@ def _tangents(
     limit = np.maximum(room, 0.0) * 27.0 / 4.0 / nearest
     tangents = np.clip(tangents, -limit, limit)
     tangents[1:-1] = _along_holds(engine, q[1:-1], tangents[1:-1], holds)
-    return tangents
+    return np.asarray(tangents)
 
 
 def _linearized(
@@ -184,7 +184,7 @@ def _along_holds(
     if not holds or not len(q):
         return v
     _, jacobian = _linearized(engine, q, holds)
-    return v - _least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, v))
+    return np.asarray(v - _least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, v)))
 
 
 def _least_norm(jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "S n"]:

@@ -56,6 +56,7 @@ AXIS_AIM = np.deg2rad(1.0)  # what the optimiser keeps to at the waypoints
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
 ANGLE_TOLERANCE = 1e-3  # of the hand about its axis in a grasp, and of the wheel at the end [rad]
 TOUCH_RESERVE = 0.015  # the hook may be this much deeper in the rim than its half thickness [m]
+HOOK_MARGIN = 5e-3  # asked of the hook and the wheel it reaches into [m]
 WRIST_RESERVE = 0.1  # kept from the wrist's limits in a grasp, for the lean of the hand axis [rad]
 REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5
 TOOL_POSITION = (True,) * 3 + (False,) * 3
@@ -312,7 +313,11 @@ def _stopped(
 
 def plan_turn(solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], mode: Mode, turn: float) -> TaskPlan:
     """Try hands and gaps in turn; the first that works, else the attempt that got furthest."""
-    solver = replace(solver, body=with_wheel(solver.body, wheel))
+    solver = replace(
+        solver,
+        body=with_wheel(solver.body, wheel),
+        overrides=tuple((hand.hook, f"{VALVE_LINK}/*", HOOK_MARGIN) for hand in hands),
+    )
     best: TaskPlan | None = None
     for hand in hands:
         for entry in wheel.gaps:
