@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -53,6 +54,20 @@ def test_every_dependency_is_pinned_by_a_plain_version() -> None:
     names = {re.split(r"[<>=;! ]", entry)[0].lower().replace("_", "-") for entry in wanted}
     names -= {"open3d"}  # the wheel for other platforms than Linux on x86-64
     assert names <= pinned
+
+
+def test_the_program_in_the_readme_runs(tmp_path: Path) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    assert len(blocks) == 1
+    assert len(blocks[0].splitlines()) <= 15
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", blocks[0]], capture_output=True, text=True, check=False, cwd=tmp_path, env=environment
+    )
+    assert done.returncode == 0, done.stderr
+    assert "CERTIFIED" in done.stdout.splitlines()
+    assert (tmp_path / "out" / "reach" / "viewer.html").is_file()
 
 
 def test_licence_is_apache_2_of_the_scopt_authors() -> None:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import RequestError
-from service.request import PlanRequest
+from service.request import PlanRequest, PoseRequest
 from service.request_file import load_request, load_start, parse_request, request_hash, to_json, with_cloud
 
 ROOT = Path(__file__).parents[1]
@@ -47,6 +48,27 @@ def test_a_minimal_request_has_stated_defaults(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", sorted((ROOT / "examples" / "requests").glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_example_request_is_valid(path: Path) -> None:
     assert isinstance(load_request(path), PlanRequest)
+
+
+def _keys(section: type, prefix: str = "") -> set[str]:
+    """Every key of the schema, dotted; poses and what stands in lists is left out."""
+    names = set()
+    for name, hint in get_type_hints(section).items():
+        kinds = (hint,) if get_origin(hint) in (None, tuple) else get_args(hint)
+        inner = [kind for kind in kinds if dataclasses.is_dataclass(kind) and kind is not PoseRequest]
+        names |= _keys(inner[0], f"{prefix}{name}.") if inner else {prefix + name}
+    return names - {"folder"}
+
+
+def test_every_key_is_documented_and_every_documented_key_exists() -> None:
+    documented = set()
+    for line in (ROOT / "docs" / "request-format.md").read_text().splitlines():
+        if line.startswith("| `"):
+            first, *rest = re.findall(r"`([a-z_.]+)`", line.split("|")[1])
+            parent = first.rpartition(".")[0]
+            documented |= {first, *(name if "." in name else f"{parent}.{name}" for name in rest)}
+    keys = _keys(PlanRequest) | {"start.joint_names", "start.positions"}
+    assert documented | {"start.joint_names", "start.positions"} == keys
 
 
 def test_a_valve_task_hooks_and_turns_once_by_default() -> None:
