@@ -32,12 +32,18 @@ class Extreme:
 
 
 def largest(
-    edges: Float[np.ndarray, "E"], evaluate: Evaluate, limit: float, resolution: float, max_halvings: int
+    edges: Float[np.ndarray, "E"],
+    evaluate: Evaluate,
+    limit: float,
+    resolution: float,
+    max_halvings: int,
+    max_sharpenings: int,
 ) -> Extreme:
     """Bound the largest value between the edges, halving stretches until each is below the limit.
 
-    A bound above the largest sample by more than ``resolution`` is sharpened too, to be worth reporting.
-    A stretch is given up when a sample on it exceeds the limit or after ``max_halvings``.
+    A bound above the largest sample by more than ``resolution`` is sharpened too, to be worth reporting, by at most
+    ``max_sharpenings`` halvings.  A stretch is given up when a sample on it exceeds the limit or after
+    ``max_halvings``.
     """
     first, last = edges[:-1], edges[1:]
     bound, sampled, where, n_stretches = -np.inf, -np.inf, float(edges[0]), 0
@@ -51,7 +57,8 @@ def largest(
             sampled = float(samples[best])
             where = float(first[best] if at_first[best] >= at_last[best] else last[best])
         is_high = upper > limit
-        is_split = (is_high & (samples <= limit)) | (~is_high & (upper > sampled + resolution))
+        is_blurred = ~is_high & (upper > sampled + resolution) & (halving < max_sharpenings)
+        is_split = (is_high & (samples <= limit)) | is_blurred
         if halving == max_halvings:
             is_split[:] = False
         settled = ~is_split

@@ -219,7 +219,7 @@ class PhaseChecks:
     ) -> Extreme:
         settings = self._settings
         fine = settings.resolution_m if resolution is None else resolution
-        return largest(edges, evaluate, limit, fine, settings.max_halvings)
+        return largest(edges, evaluate, limit, fine, settings.max_halvings, settings.max_sharpenings)
 
     def _check(
         self,

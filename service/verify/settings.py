@@ -11,7 +11,7 @@ class VerifySettings:
 
     Attributes:
         max_halvings: how often a stretch between two knots may be halved before it counts as unproven.
-        max_sharpenings: how often a proven stretch may be halved only to know the smallest clearance more closely.
+        max_sharpenings: how often a proven stretch may be halved only to know the smallest margin more closely.
         max_stretches: how many narrow-phase stretches may be looked at in all.
         clearance_horizon_m: clearances are reported up to this distance.
         resolution_m: the smallest clearance is reported to within this.
@@ -22,7 +22,7 @@ class VerifySettings:
     """
 
     max_halvings: int = 12
-    max_sharpenings: int = 6
+    max_sharpenings: int = 4
     max_stretches: int = 60_000
     clearance_horizon_m: float = 0.1
     resolution_m: float = 1e-3

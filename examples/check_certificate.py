@@ -1,0 +1,172 @@
+"""Replay a certificate as a stranger would: `python examples/check_certificate.py out/valve` prints a table of claims.
+
+Only numpy and pinocchio: own placements and rotation bounds (`replayed_motion.py`), and for distances Wolfe's
+minimum-norm-point algorithm (Math. Programming 11, 1976), which hands over a separating direction as its proof.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from replayed_motion import Array, Replay, read_model
+
+
+def separation(a: Array, b: Array, wanted: float) -> float:
+    """Proven lower bound of the signed distance of two hulls; stops as soon as it is as much as wanted."""
+    best = -np.inf
+    for scale in (1.0, 0.9, 0.6, 0.2):  # hulls that overlap are shrunk until a direction separates them
+        sa, sb = (p.mean(axis=0) + scale * (p - p.mean(axis=0)) for p in (a, b))
+        corral, weight = sb[:1] - sa[:1], np.ones(1)
+        for _ in range(80):
+            norm = np.linalg.norm(weight @ corral)
+            if best >= wanted or norm < 1e-12:
+                break
+            n = weight @ corral / norm
+            best = max(best, float((b @ n).min() - (a @ n).max()))
+            w = sb[(sb @ n).argmin()] - sa[(sa @ n).argmax()]
+            if norm - w @ n < 1e-11:
+                break
+            corral, weight = np.vstack([corral, w]), np.append(weight, 0.0)
+            for _ in range(8):  # towards the affine minimum, dropping the points that leave the simplex
+                system = np.block(
+                    [[np.zeros((1, 1)), np.ones((1, len(corral)))], [np.ones((len(corral), 1)), corral @ corral.T]]
+                )
+                y = np.linalg.lstsq(system, np.eye(len(system))[0], rcond=None)[0][1:]
+                out = y <= 1e-12
+                part = np.min(weight[out] / np.maximum(weight[out] - y[out], 1e-300), initial=1.0)
+                weight = weight + part * (y - weight)
+                keep = weight > 1e-12
+                corral, weight = corral[keep], weight[keep] / weight[keep].sum()
+                if not out.any():
+                    break
+    return best
+
+
+def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
+    """Every pair on the whole curve: by the certificate's rows where it has some, by bounding boxes elsewhere."""
+    solids, moved = {}, {m["name"] for m in data["movables"]}
+    for body in data["bodies"]:
+        frame = replay.model.frames[replay.model.getFrameId(body["link"])]
+        points = np.array(body["vertices"]) @ frame.placement.rotation.T + frame.placement.translation
+        solids[body["name"]] = (body["link"], int(frame.parentJoint), points)
+    for movable in data["movables"]:
+        joint = int(replay.model.getJointId(movable["joint"]))
+        for body in movable["bodies"]:
+            solids[body["name"]] = (movable["name"], joint, np.array(body["vertices"]) - movable["origin"])
+    pieces = {p["name"]: ("", 0, np.array(p["vertices"])) for p in data["pieces"]}
+    pairs = [(n, p) for n, (link, j, _) in solids.items() if j and link not in moved for p in pieces]
+    for (n, (la, ja, _)), (m, (lb, jb, _)) in itertools.combinations(solids.items(), 2):
+        is_apart = moved >= {la, lb} or (moved & {la, lb} and 0 in (ja, jb))
+        if ja != jb and la != lb and sorted((la, lb)) not in data["ignored_pairs"] and not is_apart:
+            pairs.append((n, m))
+    solids |= pieces
+    proof, rows, failed, smallest, n_rows = data["certificate"]["stretches"], {}, [], np.inf, 0
+    for p, *row in zip(*(proof[key] for key in ("pair", "first", "last", "distance")), strict=True):
+        rows.setdefault(tuple(proof["pairs"][p]), []).append(row)
+    for pair in pairs:
+        pair = pair[::-1] if pair[::-1] in rows else pair
+        (lm, jm, mover), (lh, jh, holder) = solids[pair[0]], solids[pair[1]]
+        chain, own = replay.chain(jh, jm, mover), sorted(rows.get(pair, []))
+        for a, b in itertools.pairwise(replay.edges.tolist()):
+            phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
+            depths = [w["depth"] for w in phase["allowances"] if covers(w, (pair[0], lm), (pair[1], lh))]
+            need, at = -max(depths, default=0.0), a
+            for first, last, claimed in [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]:
+                is_whole, at = first <= at, last
+                swept = np.vstack([replay.points(s, jm, mover, jh) for s in (first, last)])
+                bound = replay.bound(first, last, chain, jm, mover)
+                gap = np.maximum(swept.min(axis=0) - holder.max(axis=0), holder.min(axis=0) - swept.max(axis=0))
+                low = float(np.linalg.norm(np.maximum(gap, 0.0)))
+                wanted = max(need + bound, -1.0 if claimed is None or depths else claimed - 1e-6)
+                if low < wanted or low == 0.0:
+                    low, n_rows = separation(swept, holder, wanted), n_rows + 1
+                failed += [] if is_whole and low >= wanted - 1e-9 else [pair]
+                smallest = smallest if depths else min(smallest, low - bound)
+            failed += [] if at >= b else [pair]
+    shown = f"not shown for {failed[0]}" if failed else f"at least {1e3 * smallest:.1f} mm"
+    return not failed, f"{shown} ({len(pairs)} pairs, {n_rows} separating directions)"
+
+
+def covers(allowance: dict[str, Any], one: tuple[str, str], other: tuple[str, str]) -> bool:
+    def fits(pattern: str, names: tuple[str, str]) -> bool:
+        return any(n and (n == pattern or (pattern[-1] == "*" and n.startswith(pattern[:-1]))) for n in names)
+
+    return any(fits(allowance["link"], x) and fits(allowance["other"], y) for x, y in ((one, other), (other, one)))
+
+
+def feet(replay: Replay, phase: dict[str, Any], contact: dict[str, Any]) -> tuple[bool, str]:
+    """Sole corners stay where they are planted."""
+    frame, sole = replay.model.frames[replay.model.getFrameId(contact["link"])], np.array(contact["sole"])
+    pose = pin.XYZQUATToSE3(np.array([*contact["position"], *np.roll(contact["quaternion_wxyz"], -1)]))
+    points = np.array([frame.placement.act(pose.actInv(corner)) for corner in sole])
+    joint = int(frame.parentJoint)
+    chain = replay.chain(0, joint, points)
+    drift = replay.highest(
+        phase,
+        lambda s: np.linalg.norm(replay.points(s, joint, points) - sole, axis=1).max(),
+        lambda a, b: replay.bound(a, b, chain, joint, points),
+    )
+    return drift <= contact["tolerance_m"], f"drifts at most {1e3 * drift:.3f} mm"
+
+
+def balance(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
+    """The centre of mass stays inside the support polygon, with the promised margin."""
+    corners = np.array(phase["support"]["polygon"])
+    edge = np.roll(corners, -1, axis=0) - corners
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
+    masses = [
+        (j, inertia.mass, inertia.lever[None])
+        for j, inertia in enumerate(replay.model.inertias)
+        if inertia.mass > 0 < j
+    ]
+    total = sum(mass for _, mass, _ in masses)
+    chains = [replay.chain(0, j, lever) for j, _, lever in masses]
+
+    def outside(s: float) -> float:
+        centre = sum(mass * replay.points(s, j, lever)[0] for j, mass, lever in masses) / total
+        return float(((centre[:2] - corners) * normal).sum(axis=1).max())
+
+    def leaving(a: float, b: float) -> float:
+        rows = zip(masses, chains, strict=True)
+        return float(sum(mass * replay.bound(a, b, chain, j, lever) for (j, mass, lever), chain in rows) / total)
+
+    margin = -replay.highest(phase, outside, leaving)
+    return margin >= phase["support"]["margin_m"], f"centre of mass {1e3 * margin:.1f} mm inside the feet"
+
+
+def limits(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
+    """Joint positions stay within the URDF's limits."""
+    own = slice(6 if replay.base.any() else 0, len(replay.model.lowerPositionLimit))
+    low, high = replay.model.lowerPositionLimit[own], replay.model.upperPositionLimit[own]
+
+    def leaving(a: float, b: float) -> float:
+        piece = int(np.searchsorted(replay.knots, 0.5 * (a + b)) - 1)
+        return float((b - a) ** 2 / 8 * replay.rates(a, b, piece)[1][own].max())
+
+    excess = replay.highest(phase, lambda s: np.maximum(low - replay.q(s)[own], replay.q(s)[own] - high).max(), leaving)
+    return excess <= 1e-6, f"{-excess:.4f} rad left to the nearest limit"
+
+
+def main(folder: Path) -> int:
+    data = json.loads((folder / "result.json").read_text())
+    if data["certificate"] is None:
+        raise SystemExit(f"{folder}: the result holds no certificate (verdict {data['verdict']})")
+    replay = Replay(read_model(folder, data), data)
+    claims = [("clearance", *clearance(replay, data))]
+    for phase in data["phases"]:
+        claims += [(f"{phase['name']}: {c['link']}", *feet(replay, phase, c)) for c in phase["contacts"]]
+        claims += [(f"{phase['name']}: balance", *balance(replay, phase))] if phase["support"] else []
+        claims += [(f"{phase['name']}: limits", *limits(replay, phase))]
+    for name, is_ok, text in claims:
+        print(f"{'ok  ' if is_ok else 'FAIL'} {name:28} {text}")
+    return 0 if all(is_ok for _, is_ok, _ in claims) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

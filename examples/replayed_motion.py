@@ -1,0 +1,130 @@
+"""The motion of a result, rebuilt from its URDF and curve: placements, and how far points leave their chords.
+
+The other half of `check_certificate.py`; numpy and pinocchio only.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+
+ROUNDING = 1e-8  # of a coordinate as written [rad, m]
+Array = np.ndarray
+
+
+def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
+    """The URDF (continuous joints as revolute ones), its root, and the joints that the task moves."""
+    tree = ElementTree.parse(folder / data["robot"]["urdf"]).getroot()
+    for joint in (j for j in tree.iter("joint") if j.get("type") == "continuous"):
+        joint.set("type", "revolute")
+        joint.append(ElementTree.Element("limit", lower="-1e3", upper="1e3", effort="0", velocity="0"))
+    text, root = ElementTree.tostring(tree, encoding="unicode"), pin.JointModelComposite()
+    root.addJoint(pin.JointModelTranslation())
+    root.addJoint(pin.JointModelSphericalZYX())
+    is_floating = data["robot"]["root"] == "floating"
+    model = pin.buildModelFromXML(text, root) if is_floating else pin.buildModelFromXML(text)
+    for m in data["movables"]:
+        turn = pin.JointModelRevoluteUnaligned(np.array(m["axis"]))
+        model.addJoint(0, turn, pin.SE3(np.eye(3), np.array(m["origin"])), m["joint"])
+    if list(model.names)[1 + is_floating :] != data["curve"]["joint_names"][6 * is_floating :]:
+        raise SystemExit("the URDF's joints are not the curve's")
+    return model
+
+
+class Replay:
+    """Placements along the curve, and how far a point can leave the chord between two of them."""
+
+    def __init__(self, model: pin.Model, data: dict[str, Any]) -> None:
+        self.model, curve, phases = model, data["curve"], data["phases"]
+        self.knots, q, v = (np.array(curve[key], float) for key in ("knots", "positions", "tangents"))
+        self.samples = np.array(curve["samples"], float)
+        self.edges = np.unique([*self.knots, *(self.samples[p[end]] for p in phases for end in ("first", "last"))])
+        h = np.diff(self.knots)[:, None]
+        d = np.diff(q, axis=0) / h
+        self.c = np.stack([q[:-1], v[:-1], (3 * d - 2 * v[:-1] - v[1:]) / h, (v[:-1] + v[1:] - 2 * d) / h**2])
+        self.travel = np.abs(np.vstack([q, q[:-1] + h * v[:-1] / 3, q[1:] - h * v[1:] / 3])).max(axis=0)  # Bezier hull
+        self.coordinates = [list(range(j.idx_v, j.idx_v + j.nv)) if i else [] for i, j in enumerate(model.joints)]
+        slides = [j.shortname().startswith("JointModelP") for j in model.joints]
+        self.turns = np.array([not slides[j] for j, ids in enumerate(self.coordinates) for _ in ids])
+        self.base = np.zeros(model.nv, bool)
+        if data["robot"]["root"] == "floating":
+            self.turns[:3], self.base[3:6] = False, True
+        self.known: dict[float, Any] = {}
+
+    def q(self, s: float, order: int = 0, piece: int | None = None) -> Array:
+        if piece is None:
+            piece = int(np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2))
+        u, (c0, c1, c2, c3) = s - self.knots[piece], self.c[:, piece]
+        return (c0 + u * (c1 + u * (c2 + u * c3)), c1 + u * (2 * c2 + 3 * u * c3), 2 * c2 + 6 * u * c3)[order]
+
+    def place(self, s: float, joint: int) -> tuple[Array, Array]:
+        if s not in self.known:
+            data = self.model.createData()
+            pin.forwardKinematics(self.model, data, self.q(s))
+            self.known[s] = [(p.rotation.copy(), p.translation.copy()) for p in data.oMi]
+        return self.known[s][joint]
+
+    def points(self, s: float, joint: int, points: Array, frame: int = 0) -> Array:
+        (r, t), (rf, tf) = self.place(s, joint), self.place(s, frame)
+        return (points @ r.T + t - tf) @ rf
+
+    def chain(self, holder: int, mover: int, points: Array) -> list[tuple[int, int, float]]:
+        """(coordinate, joint, reach) from the holder outwards; reach bounds |dp/dq| in any configuration."""
+        up, down, parents = [], [], self.model.parents
+        for path, joint in ((up, holder), (down, mover)):
+            while joint:
+                path.append(int(joint))
+                joint = parents[joint]
+        while up and down and up[-1] == down[-1]:
+            up.pop(), down.pop()
+        offset, rows = [p.translation for p in self.model.jointPlacements], []
+        far = np.linalg.norm(points if down or not up else points - offset[up[-1]], axis=1).max()
+        for joint in down + up[::-1]:
+            is_up = joint in up
+            if is_up and joint == up[-1]:
+                far += np.linalg.norm(offset[joint] - offset[down[-1]]) if down else 0.0
+            elif is_up:
+                far += np.linalg.norm(offset[joint])
+            for i in self.coordinates[joint] if is_up else self.coordinates[joint][::-1]:
+                rows.append((i, joint, far if self.turns[i] else 1.0))
+                far += 0.0 if self.turns[i] else self.travel[i]
+            far += np.linalg.norm(offset[joint]) if not is_up and joint != down[-1] else 0.0
+        return rows[::-1]
+
+    def rates(self, a: float, b: float, piece: int) -> tuple[Array, Array]:
+        _, c1, c2, c3 = self.c[:, piece]
+        u = np.clip(-c2 / np.where(c3 == 0.0, np.inf, 3 * c3), a - self.knots[piece], b - self.knots[piece])
+        slopes = [self.q(a, 1, piece), self.q(b, 1, piece), c1 + u * (2 * c2 + 3 * u * c3)]
+        return np.abs(slopes).max(axis=0), np.abs([self.q(a, 2, piece), self.q(b, 2, piece)]).max(axis=0)
+
+    def bound(self, a: float, b: float, chain: list[tuple[int, int, float]], mover: int, points: Array) -> float:
+        """How far any of the points may leave its chord between a and b, the exported samples' line included."""
+        ids, joints, reach = (np.array(column) for column in zip(*chain, strict=True))
+        piece = int(np.searchsorted(self.knots, 0.5 * (a + b)) - 1)
+        (speed, bend), k = (rate[ids] for rate in self.rates(a, b, piece)), np.arange(len(ids))
+        centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        middle, turns = 0.5 * (a + b), self.turns[ids]
+        gap = [self.place(middle, j)[1] for j in joints] - self.points(middle, mover, centre[None])
+        now = np.linalg.norm(gap, axis=1) + np.linalg.norm(points - centre, axis=1).max()
+        distal = np.append(np.cumsum((speed * reach)[::-1])[::-1], 0.0)[1:]
+        near = np.where(turns, np.minimum(reach, now + 0.5 * (b - a) * distal), reach)
+        weight = near[np.maximum.outer(k, k)] * turns[np.minimum.outer(k, k)]
+        low, high = np.searchsorted(self.samples, a, side="right") - 1, np.searchsorted(self.samples, b)
+        step = np.diff(self.samples)[low:high].max()
+        fast, sharp = (rate[ids] for rate in self.rates(self.knots[piece], self.knots[piece + 1], piece))
+        line, base = (reach * (step**2 / 8 * sharp + ROUNDING)).sum(), self.base[ids]
+        slerp = (step * fast[base].sum()) ** 2 / 4 * reach[base].max(initial=0.0)
+        return float((b - a) ** 2 / 8 * (speed @ weight @ speed + near @ bend) + line + slerp) + 1e-9
+
+    def highest(self, phase: dict, value: Callable[[float], float], leaving: Callable[[float, float], float]) -> float:
+        """Largest convex value on a phase: that of the chords' ends plus how far the path leaves the chords."""
+        first, last = self.samples[phase["first"]], self.samples[phase["last"]]
+        edges = self.edges[(self.edges >= first) & (self.edges <= last)]
+        parts = np.concatenate([np.linspace(a, b, 9)[:-1] for a, b in itertools.pairwise(edges)] + [edges[-1:]])
+        return max(max(value(a), value(b)) + leaving(a, b) for a, b in itertools.pairwise(parts.tolist()))
