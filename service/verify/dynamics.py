@@ -72,6 +72,8 @@ def forces(
     share = _share_map([position for _, position in feet]) if feet else None
     wrench, torque = np.zeros((len(times), 6)), np.zeros((len(times), model.nv))
     for k in range(len(times)):
+        # rnea leaves the placements in the world untouched.
+        pin.forwardKinematics(model, data, q[k])
         torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
         for joint in roots:
             wrench[k] += data.oMi[joint].act(data.f[joint]).vector

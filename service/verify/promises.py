@@ -105,7 +105,7 @@ class PhaseChecks:
         column = self._motion.robot.joint_names.index(target.joint)
         value = float(self._motion.curve(np.array([target.at]))[0, column])
         error = abs(value - target.value)
-        found = Extreme(error, error, target.at, error <= target.tolerance, 0)
+        found = Extreme(error, error, target.at, bool(error <= target.tolerance), 0)
         text = f"{target.joint} is at {value:.4f}, wanted {target.value:.4f}"
         return self._check(f"target.{phase.name}.{target.joint}", found, target.tolerance, "rad", text, None)
 
@@ -158,7 +158,7 @@ class PhaseChecks:
             extreme = self._largest(edges, evaluate, scale, scale / 20.0)
         else:
             value = float(relative(np.array([target.at]))[0])
-            extreme = Extreme(value, value, target.at, value <= scale, 0)
+            extreme = Extreme(value, value, target.at, bool(value <= scale), 0)
         at = path.at(np.array([extreme.s]))[0][0, 0]
         shown = f"{1e3 * extreme.bound:.2f} mm" if unit == "m" else f"{np.rad2deg(extreme.bound):.3f} deg"
         text = f"{target.frame} is within {shown} of its target in {phase.name}"
@@ -237,12 +237,12 @@ class PhaseChecks:
         sign = -1.0 if negate else 1.0
         point = None if position is None else (float(position[0]), float(position[1]), float(position[2]))
         where = Where(extreme.s, time_of(self._motion.law, extreme.s), point, names)
-        is_ok = extreme.sampled <= limit
-        value = sign * (extreme.bound if extreme.is_proven else extreme.sampled)
+        is_ok = bool(extreme.sampled <= limit)
+        value = sign * float(extreme.bound if extreme.is_proven else extreme.sampled)
         basis = Basis.PROOF if extreme.is_proven else Basis.UNPROVEN if is_ok else Basis.SAMPLES
         if not extreme.is_proven:
             text = f"not shown that {text}" if is_ok else f"not so: {text}"
-        return Check(name, is_ok, value, sign * limit, unit, text, where, basis)
+        return Check(name, is_ok, value, sign * float(limit), unit, text, where, basis)
 
 
 def outside_polygon(polygon: Float[np.ndarray, "E 2"], points: Float[np.ndarray, "S 2"]) -> Float[np.ndarray, "S"]:
