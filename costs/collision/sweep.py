@@ -36,8 +36,9 @@ class BodyVertices:
         """The bodies of a robot."""
         count = np.array([len(body.outer) for body in robot.bodies], dtype=int)
         longest = int(count.max(initial=1))
-        local = np.stack([np.concatenate([b.outer, np.tile(b.outer[-1], (longest - len(b.outer), 1))])
-                          for b in robot.bodies])  # fmt: skip
+        local = np.empty((len(robot.bodies), longest, 3))
+        for row, body in zip(local, robot.bodies, strict=True):
+            row[: len(body.outer)], row[len(body.outer) :] = body.outer, body.outer[-1]
         centre = 0.5 * (local.min(axis=1) + local.max(axis=1))
         radius = np.linalg.norm(local - centre[:, None], axis=2).max(axis=1)
         return BodyVertices(local, count, np.array([b.joint for b in robot.bodies], dtype=int), centre, radius)

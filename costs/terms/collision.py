@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.collision.contacts import Contacts
-from costs.collision.sweep import BodyVertices
 from costs.robot.model import RobotModel
 from costs.state import MotionState
 from scopt import AffineRows, Residual
@@ -25,7 +24,7 @@ class SweptClearance(Residual[MotionState]):
             robot: whose bodies the contacts speak of.
             is_self: whether to take the robot's contacts with itself or with the world.
         """
-        self._joint = BodyVertices.of(robot).joint
+        self._joint = np.array([body.joint for body in robot.bodies], dtype=int)
         self._is_self = is_self
 
     def _contacts(self, state: MotionState) -> Contacts:
