@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from costs.robot import RobotError, RobotModel, load_robot, shapes, with_revolute
@@ -41,6 +41,7 @@ def test_the_new_joint_is_the_last_coordinate() -> None:
     axis=st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1),
     seed=st.integers(0, 1000),
 )
+@settings(max_examples=30)
 def test_the_mechanism_turns_about_its_axis_whatever_the_robot_does(
     angle: float, axis: tuple[float, float, float], seed: int
 ) -> None:

@@ -83,6 +83,12 @@ def test_urdf_that_cannot_be_right_is_refused_in_one_line(tmp_path: Path, text: 
     assert message in _refusal(write_urdf(tmp_path, text))
 
 
+def test_joint_named_like_a_base_coordinate_is_refused_on_a_floating_base(tmp_path: Path) -> None:
+    urdf = write_urdf(tmp_path, two_links().replace('name="turn"', 'name="base_yaw"'))
+    assert load_robot(urdf=urdf).joint_names == ("base_yaw",)
+    assert "'base_yaw' is reserved for the floating base" in _refusal(urdf, root="floating")
+
+
 def test_chain_of_128_joints_loads(tmp_path: Path) -> None:
     assert load_robot(urdf=write_urdf(tmp_path, _chain(129))).n == 128
 

@@ -233,11 +233,11 @@ def test_atlas_is_listed_with_a_description() -> None:
     ("arguments", "message"),
     [
         ({}, "either"),
-        ({"name": "atlas", "urdf": "x.urdf"}, "either"),
+        ({"name": "atlas", "urdf": Path("x.urdf")}, "either"),
         ({"name": "atlas", "root": "hovering"}, "root 'hovering'"),
-        ({"name": "atlas", "srdf": "x.srdf"}, "brings its own"),
-        ({"urdf": "x.urdf", "tool_distance_m": 0.2}, "tool_distance_m belongs to bundled robots"),
-        ({"urdf": "missing.urdf"}, "missing.urdf: cannot be read"),
+        ({"name": "atlas", "srdf": Path("x.srdf")}, "brings its own"),
+        ({"urdf": Path("x.urdf"), "tool_distance_m": 0.2}, "tool_distance_m belongs to bundled robots"),
+        ({"urdf": Path("missing.urdf")}, "missing.urdf: cannot be read"),
         ({"name": "atlas", "locked_joints": {"l_arm_elz": 0.0}}, "'l_arm_elz' is not a movable joint; did you mean"),
     ],
 )

@@ -52,7 +52,7 @@ def build_robot(
     urdf = parse_urdf(urdf_source, urdf_where, locked_joints)
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
     model = _pinocchio_model(urdf, root, urdf_where)
-    names = _coordinate_names(model)
+    names = _coordinate_names(model, urdf_where)
     limits = _limits(urdf, names)
     bodies, files = _bodies(urdf, model, roots, urdf_where)
     if srdf.disabled_pairs:
@@ -89,10 +89,13 @@ def _pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
     return model
 
 
-def _coordinate_names(model: pin.Model) -> tuple[str, ...]:
+def _coordinate_names(model: pin.Model, where: str) -> tuple[str, ...]:
     names: list[str] = []
     for joint in range(1, model.njoints):
         names.extend([model.names[joint]] if model.joints[joint].nq == 1 else BASE_NAMES)
+    taken = [name for name in BASE_NAMES if names.count(name) > 1]
+    if taken:
+        raise RobotError(f"{where}: joint name '{taken[0]}' is reserved for the floating base; rename it")
     return tuple(names)
 
 

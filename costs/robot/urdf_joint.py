@@ -87,7 +87,7 @@ def lock_joints(
         leader, multiplier, offset = joint.mimic
         if leader not in locked:
             follows = f"joint '{joint.name}' mimics '{leader}'"
-            raise RobotError(f"{where}: {follows}, which is not supported; lock '{leader}' at a position")
+            raise RobotError(f"{where}: {follows}, which is not supported; lock '{leader}' or itself")
         locked[joint.name] = multiplier * locked[leader] + offset
     elements = {element.get("name"): element for element in tree.findall("joint")}
     for name, position in locked.items():

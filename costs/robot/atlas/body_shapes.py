@@ -113,7 +113,7 @@ _LEFT: Mapping[str, tuple[Points, ...]] = {
 # fmt: on
 
 
-def foot(sole: Points) -> Points:
+def foot(sole: Float[np.ndarray, "4 3"]) -> Points:
     """A foot whose lowest face is exactly ``sole`` (4 corners), with a rim, an instep and an ankle above it."""
     rim = sole + np.array([0.0, 0.0, 0.022])
     low, high = sole.min(axis=0), sole.max(axis=0)
