@@ -38,7 +38,7 @@ def find_circles(
     origin: Float[np.ndarray, "3"],
     rng: np.random.Generator,
     radii: tuple[float, float] = (0.05, 0.4),
-    n_seeds: int = 80,
+    n_seeds: int = 110,
     n_triples: int = 120,
     most: int = 8,
 ) -> list[Circle]:

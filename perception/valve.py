@@ -20,7 +20,10 @@ _HINT_RADIUS = 0.5
 _SECTORS = 36
 _BEHIND = 0.05
 _DEPTH = 0.06
+_SPOKE_DEPTH = 0.04
 _REPORTED = 0.05
+_CORRIDOR = 0.005
+_HOPELESS = 0.005
 
 
 @dataclass(frozen=True)
@@ -35,12 +38,13 @@ class ValveDetection:
         tube_radius: half width of the rim along the radius [m].
         half_depth: half thickness of the rim along the axis [m].
         spoke_angles: about the axis, from ``wheel_basis(axis)[0]`` (horizontal), right-handed [rad].
-        spoke_half_angle: half the widest spoke's angle at two thirds of the rim radius [rad].
         hub_radius: inside it nothing was seen through [m].
         inner_depth: lowest and highest place along the axis of what was seen inside the rim [m].
         confidence: 0 to 1.
         rms: of the rim's depth residuals [m].
         n_inliers: rays that ended on the rim.
+        spoke_half_width: of the spokes [m].
+        spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
     """
 
     centre: Float[np.ndarray, "3"]
@@ -50,12 +54,13 @@ class ValveDetection:
     tube_radius: float
     half_depth: float
     spoke_angles: tuple[float, ...]
-    spoke_half_angle: float
     hub_radius: float
     inner_depth: tuple[float, float]
     confidence: float
     rms: float
     n_inliers: int
+    spoke_half_width: float = 0.0
+    spoke_share: float = 0.0
 
     @property
     def ring(self) -> Ring:
@@ -118,7 +123,13 @@ def _apart(detections: list[ValveDetection]) -> list[ValveDetection]:
 def _examine(circle: Circle, rays: Rays) -> ValveDetection:
     """Fit the rim and weigh the evidence."""
     near = rays.towards(circle.centre, 1.4 * circle.radius + 0.12)
-    ring = fit_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012))
+    ring = fit_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012), n_rounds=1)
+    first = _judged(rays, ring)
+    return first if first.confidence < _HOPELESS else _judged(rays, fit_ring(near, ring, n_rounds=2))
+
+
+def _judged(rays: Rays, ring: Ring) -> ValveDetection:
+    """The ring as a detection, with what is inside it and how much speaks for it."""
     if ring.axis @ (rays.origin - ring.centre) < 0.0:
         ring = Ring(ring.centre, -ring.axis, ring.radius, ring.half_width, ring.half_depth)
     near = rays.towards(ring.centre, 1.4 * ring.radius + 0.12)
@@ -134,12 +145,13 @@ def _examine(circle: Circle, rays: Rays) -> ValveDetection:
         ring.half_width,
         ring.half_depth,
         inside.spoke_angles,
-        inside.spoke_half_angle,
         inside.hub_radius,
         inside.depth,
         _confidence(near, ring, passage, hit, inside.open_share, rms),
         rms,
         int(hit.sum()),
+        inside.spoke_half_width,
+        inside.spoke_share,
     )
 
 
@@ -167,7 +179,7 @@ def _confidence(
     return float(
         _rising(complete, 0.55, 0.9)
         * _rising(airy, 0.45, 0.85)
-        * _rising(open_share, 0.04, 0.2)
+        * _rising(open_share, 0.02, 0.08)
         * _rising(-ring.half_width / ring.radius, -0.5, -0.35)
         * _rising(-rms, -0.03, -0.02)
         * _rising(float(hit.sum()), 15.0, 60.0)
@@ -192,7 +204,8 @@ class _Inside:
     """What is inside the rim."""
 
     spoke_angles: tuple[float, ...]
-    spoke_half_angle: float
+    spoke_half_width: float
+    spoke_share: float
     hub_radius: float
     depth: tuple[float, float]
     open_share: float
@@ -206,16 +219,15 @@ def _inside(rays: Rays, ring: Ring, passage: Passage) -> _Inside:
     solid, through = np.abs(behind) < _DEPTH, behind >= _DEPTH
     known = (distance < inner - 0.004) & (solid | through)
     if known.sum() < 5 or inner <= 0.02:
-        return _Inside((), 0.0, max(inner, 0.0), (-ring.half_depth, ring.half_depth), 0.0)
+        return _Inside((), 0.0, 0.0, max(inner, 0.0), (-ring.half_depth, ring.half_depth), 0.0)
     height = (rays.ends - ring.centre) @ ring.axis
     at_wheel = known & solid
     depth = tuple(np.percentile(height[at_wheel], [4, 96])) if at_wheel.any() else (-ring.half_depth, ring.half_depth)
     open_share = float((known & through).sum() / known.sum())
     hub = _hub_radius(distance[known], solid[known], inner)
     band = known & (distance > max(1.1 * hub, 0.45 * inner))
-    angle = np.arctan2(passage.place[:, 1], passage.place[:, 0])
-    angles, half = _spokes(angle[band], solid[band])
-    return _Inside(angles, half, hub, (float(depth[0]), float(depth[1])), open_share)
+    angles, half, explained = _spokes(passage.place[band], (np.abs(behind) < _SPOKE_DEPTH)[band])
+    return _Inside(angles, half, explained, hub, (float(depth[0]), float(depth[1])), open_share)
 
 
 def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], inner: float) -> float:
@@ -230,31 +242,40 @@ def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], 
     return radius
 
 
-def _spokes(angle: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"]) -> tuple[tuple[float, ...], float]:
-    """Angles of the solid sectors and the widest half angle; none when sectors do not stand out clearly."""
-    n_bins = 72
-    index = np.floor(angle / (2 * np.pi) * n_bins).astype(int) % n_bins
-    total = np.bincount(index, minlength=n_bins)
-    if (total == 0).mean() > 0.2:
-        return (), 0.0
-    kernel = np.array([0.5, 1.0, 0.5])
-    hits = _round_filter(np.bincount(index[solid], minlength=n_bins), kernel)
-    share = hits / np.maximum(_round_filter(total, kernel), 1e-9)
-    is_spoke = share > 0.5
+def _spokes(place: Float[np.ndarray, "N 2"], solid: Bool[np.ndarray, "N"]) -> tuple[tuple[float, ...], float, float]:
+    """Angles of the spokes, their half width, and how much of what is solid they explain.
+
+    A narrow corridor is turned about the axis; where most of the rays in it ended at the wheel there is a spoke.
+
+    Args:
+        place: (N, 2) where rays cross the wheel between hub and rim [m].
+        solid: (N,) which of them ended at the wheel.
+    """
+    nothing: tuple[tuple[float, ...], float, float] = (), 0.0, 0.0
+    angle = np.radians(np.arange(0.0, 360.0, 2.0))
+    along = place @ np.stack([np.cos(angle), np.sin(angle)])
+    apart = np.abs(place @ np.stack([-np.sin(angle), np.cos(angle)]))
+    corridor = (along > 0.0) & (apart < _CORRIDOR)
+    total = corridor.sum(axis=0)
+    if (total < 2).mean() > 0.2 or not solid.any():
+        return nothing
+    hits = corridor[solid].sum(axis=0)
+    share = hits / np.maximum(total, 1)
+    # One or two mixed pixels make no spoke.
+    is_spoke = (share > 0.4) & (hits >= 3)
     if is_spoke.all() or not is_spoke.any():
-        return (), 0.0
+        return nothing
     start = int(np.flatnonzero(~is_spoke)[0])
-    rolled = np.roll(is_spoke, -start)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], rolled.astype(int), [0]])))
-    angles, widest = [], 0.0
-    for low, high in edges.reshape(-1, 2):
-        angles.append(float(((low + high) / 2 + start) / n_bins * 2 * np.pi % (2 * np.pi)))
-        widest = max(widest, (high - low) / 2 / n_bins * 2 * np.pi)
-    return tuple(sorted(angles)), float(widest)
-
-
-def _round_filter(values: np.ndarray, kernel: np.ndarray) -> Float[np.ndarray, "S"]:
-    """Correlate around the circle."""
-    half = len(kernel) // 2
-    shifted = [weight * np.roll(values, half - i) for i, weight in enumerate(kernel)]
-    return np.asarray(np.sum(shifted, axis=0))
+    runs = np.flatnonzero(np.diff(np.concatenate([[0], np.roll(is_spoke, -start).astype(int), [0]]))).reshape(-1, 2)
+    angles = []
+    for low, high in runs:
+        mine = (np.arange(low, high) + start) % len(angle)
+        centre = np.sum(share[mine] * np.exp(1j * angle[mine]))
+        angles.append(float(np.angle(centre) % (2.0 * np.pi)))
+    lines = np.array(angles)
+    distance = np.abs(place[solid] @ np.stack([-np.sin(lines), np.cos(lines)]))
+    distance[place[solid] @ np.stack([np.cos(lines), np.sin(lines)]) <= 0.0] = np.inf
+    nearest = distance.min(axis=1)
+    explained = nearest < 2.0 * _CORRIDOR + 0.01
+    half = float(np.percentile(nearest[explained], 90)) if explained.any() else 0.0
+    return tuple(sorted(angles)), half, float(explained.mean())

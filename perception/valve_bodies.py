@@ -15,6 +15,7 @@ _STEM_BEHIND = 0.6
 _USUAL_STEM_RADIUS = 0.02
 _CONFIDENT = 0.5
 _FEWEST_POINTS = 20
+_EXPLAINED = 0.85
 
 
 def valve_bodies(
@@ -47,7 +48,8 @@ def has_clear_spokes(detection: ValveDetection) -> bool:
         detection.confidence >= _CONFIDENT
         and 2 <= n_spokes <= 8
         and detection.hub_radius < 0.7 * (detection.rim_radius - detection.tube_radius)
-        and 2.0 * detection.spoke_half_angle * n_spokes < 0.7 * 2.0 * np.pi
+        and detection.spoke_share >= _EXPLAINED
+        and 2.0 * detection.spoke_half_width * n_spokes < 0.5 * 2.0 * np.pi * 0.6 * detection.rim_radius
     )
 
 
@@ -71,9 +73,9 @@ def _disc(detection: ValveDetection, radius: float, margin: float) -> Float[np.n
 
 
 def _spoke(detection: ValveDetection, angle: float, margin: float) -> Float[np.ndarray, "V 3"]:
-    """A bar from the hub into the rim, as wide as the widest spoke was seen at two thirds of the radius."""
+    """A bar from the hub into the rim, as wide as the spokes were seen."""
     low, high = _depth(detection, margin)
-    half = 2.0 / 3.0 * detection.rim_radius * np.sin(min(detection.spoke_half_angle, 0.5)) + margin
+    half = detection.spoke_half_width + margin
     start, end = 0.7 * detection.hub_radius, detection.rim_radius
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     flat = [r * along + s * half * across for r in (start, end) for s in (-1, 1)]

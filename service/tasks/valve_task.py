@@ -75,7 +75,6 @@ def _given(centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], radius:
         tube_radius=TUBE_RADIUS,
         half_depth=TUBE_RADIUS,
         spoke_angles=(),
-        spoke_half_angle=0.0,
         hub_radius=0.25 * radius,
         inner_depth=(-TUBE_RADIUS, TUBE_RADIUS),
         confidence=1.0,
