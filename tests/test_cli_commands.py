@@ -52,7 +52,12 @@ def _only_object(result: Result) -> dict[str, Any]:
     return data
 
 
-def test_a_certified_plan_ends_with_its_figures_and_files(planner: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_certified_plan_ends_with_its_figures_and_files(
+    planner: SimpleNamespace, made: PlanResult, tmp_path: Path
+) -> None:
+    assert made.certificate is not None
+    assert made.certificate.min_clearance_pair is not None
+    first, second = made.certificate.min_clearance_pair
     result = _scopt("plan", REQUEST, "--out", tmp_path / "plan")
     assert result.exit_code == 0, result.stderr
     lines = result.stdout.splitlines()
@@ -61,7 +66,7 @@ def test_a_certified_plan_ends_with_its_figures_and_files(planner: SimpleNamespa
     assert ends == ["phases", "planning", "clearance", "balance", "viewer", "trajectory"]
     assert lines[-2].endswith("viewer.html")
     assert Path(lines[-1].split(maxsplit=1)[1]).is_file()
-    assert "34.9 mm between" in lines[-4]
+    assert lines[-4].endswith(f" {1000 * made.certificate.min_clearance_m:.1f} mm between {first} and {second}")
     assert "write result" in result.stderr
 
 
