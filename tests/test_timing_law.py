@@ -1,0 +1,156 @@
+"""Timing: limits hold on both sides of every knot, rests are kept, and slowing restores balance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_robots import floating_joint, random_curve, random_model, robot_of
+
+from costs.curve import Curve, TimeLaw
+from costs.robot.model import RobotModel
+from costs.scene import Scene
+from service.timing import TimingError, TimingSettings, slow_until_zmp_inside, time_curve
+from service.verify import Motion, Phase, SupportPolygon, verify
+from service.verify.limits import timed_peaks
+
+SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+
+
+def _robot(n: int, velocity: float = 1.0, acceleration: float = 2.0) -> RobotModel:
+    model = random_model(np.random.default_rng(n), n, is_floating=False, branches=False)
+    robot = robot_of(model, [])
+    return replace(robot, velocity=np.full(n, velocity), acceleration=np.full(n, acceleration))
+
+
+def _dense(curve: Curve, law: TimeLaw, count: int = 20001) -> tuple[np.ndarray, np.ndarray]:
+    s, speed, gain = law.at(np.linspace(0.0, law.times[-1], count)[:-1])
+    velocity = curve(s, 1) * speed[:, None]
+    return velocity, curve(s, 1) * gain[:, None] + curve(s, 2) * (speed**2)[:, None]
+
+
+def test_a_straight_line_takes_the_time_of_the_trapezoid() -> None:
+    # 2 rad at 1 rad/s and 2 rad/s^2: half a second to get up to speed, as much to stop, 1.5 s between.
+    curve = Curve(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 2.0, 21)[:, None], np.full((21, 1), 2.0))
+    law = time_curve(_robot(1), curve)
+    assert law.times[-1] == pytest.approx(2.5, rel=0.01)
+    assert law.times[-1] >= 2.5 - 1e-9
+
+
+def test_scales_slow_the_line_down() -> None:
+    curve = Curve(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 2.0, 21)[:, None], np.full((21, 1), 2.0))
+    law = time_curve(_robot(1), curve, settings=TimingSettings(velocity_scale=0.5, acceleration_scale=0.25))
+    assert law.times[-1] == pytest.approx(5.0, rel=0.01)
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_limits_hold_everywhere_and_something_is_used_up(seed: int, is_steep: bool) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 5))
+    curve = random_curve(rng, n, int(rng.integers(2, 9)))
+    if not is_steep:
+        # At rest between the knots' cubics as well: zero tangents at the ends and at one knot within.
+        curve.tangents[[0, -1, len(curve.knots) // 2]] = 0.0
+    robot = _robot(n)
+    law = time_curve(robot, curve)
+    velocity, acceleration = _dense(curve, law)
+    assert np.all(np.abs(velocity) <= 1.0 + 1e-6)
+    assert np.all(np.abs(acceleration) <= 2.0 + 1e-6)
+    assert max(np.abs(velocity).max(), np.abs(acceleration).max() / 2.0) > 0.5
+    peaks = timed_peaks(curve, law)
+    assert peaks.speed.max() <= 1.0 + 1e-9
+    assert peaks.acceleration.max() <= 2.0 + 1e-9
+    certificate = {check.name: check for check in verify(Motion(robot, Scene(), curve, law)).checks}
+    assert certificate["limits.speed"].ok
+    assert certificate["limits.acceleration"].ok
+    assert certificate["limits.rest"].ok
+
+
+def test_the_robot_rests_where_it_is_told_to() -> None:
+    curve = random_curve(np.random.default_rng(2), 3, 6)
+    rests = [float(curve.knots[2]), 0.5 * float(curve.knots[3] + curve.knots[4])]
+    law = time_curve(_robot(3), curve, rests)
+    for s in rests:
+        assert law.speed[law.path == s].tolist() == [0.0]
+    assert np.all(law.speed[1:-1][~np.isin(law.path[1:-1], rests)] > 0.0)
+
+
+def test_a_jump_of_the_second_derivative_is_respected_on_both_sides() -> None:
+    # q'' jumps from -60 to +60 at the middle knot; only a one-sided look would overrun there.
+    curve = Curve(np.arange(3.0), np.array([[0.0], [0.0], [0.0]]), np.array([[10.0], [-10.0], [10.0]]))
+    _, acceleration = _dense(curve, time_curve(_robot(1), curve))
+    assert np.abs(acceleration).max() <= 2.0 + 1e-6
+
+
+def test_a_motionless_stretch_takes_no_infinite_speed() -> None:
+    curve = Curve(np.arange(4.0), np.zeros((4, 2)), np.zeros((4, 2)))
+    law = time_curve(_robot(2), curve)
+    assert np.all(np.isfinite(law.times))
+    assert 0.03 <= law.times[-1] <= 1.0
+
+
+def test_torque_limits_slow_a_heavy_arm() -> None:
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "turn")
+    model.appendBodyToJoint(joint, pin.Inertia(2.0, np.array([1.0, 0.0, 0.0]), 1e-6 * np.eye(3)), pin.SE3.Identity())
+    robot = replace(robot_of(model, [], limit=100.0), effort=np.array([4.0]))
+    curve = Curve(np.linspace(0.0, 1.0, 11), np.linspace(0.0, 1.0, 11)[:, None], np.ones((11, 1)))
+    # 4 Nm turn 2 kg at 1 m by 2 rad/s^2: sqrt(2) s for 1 rad.
+    law = time_curve(robot, curve)
+    assert law.times[-1] == pytest.approx(np.sqrt(2.0), rel=0.03)
+    free = time_curve(robot, curve, settings=TimingSettings(use_torques=False))
+    assert free.times[-1] < 0.3
+
+
+def test_a_limit_that_is_not_positive_is_refused() -> None:
+    robot = replace(_robot(1), velocity=np.zeros(1))
+    with pytest.raises(TimingError, match="must be positive"):
+        time_curve(robot, Curve(np.arange(2.0), np.array([[0.0], [1.0]]), np.ones((2, 1))))
+
+
+def _cart(height: float) -> RobotModel:
+    model = pin.Model()
+    base = model.addJoint(0, floating_joint(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, pin.Inertia(10.0, np.array([0.0, 0.0, height]), 0.1 * np.eye(3)), pin.SE3.Identity())
+    robot = robot_of(model, [], is_floating=True)
+    return replace(robot, velocity=np.full(6, 1.0), acceleration=np.full(6, 2.0))
+
+
+def _swing() -> Motion:
+    """A mass 1 m above the ground that moves 6 cm to the side within its polygon."""
+    positions = np.zeros((6, 6))
+    positions[:, 0] = np.linspace(0.0, 0.06, 6)
+    curve = Curve(np.arange(6.0), positions, np.gradient(positions, axis=0))
+    robot = _cart(1.0)
+    law = time_curve(robot, curve)
+    support = SupportPolygon(SQUARE)
+    return Motion(robot, Scene(), curve, law, phases=(Phase("swing", 0.0, 5.0, support=support),))
+
+
+def test_slowing_brings_the_zmp_inside_and_no_further() -> None:
+    motion = _swing()
+    before = next(check for check in verify(motion).checks if check.name == "zmp.swing")
+    assert not before.ok
+    law = slow_until_zmp_inside(motion)
+    after = next(check for check in verify(replace(motion, law=law)).checks if check.name == "zmp.swing")
+    assert after.ok
+    assert after.value < 0.01
+    assert motion.law is not None
+    assert law.times[-1] > motion.law.times[-1]
+
+
+def test_slowing_leaves_alone_what_balances() -> None:
+    motion = _swing()
+    wide = replace(motion, phases=(replace(motion.phases[0], support=SupportPolygon(10.0 * SQUARE)),))
+    assert slow_until_zmp_inside(wide) is motion.law
+
+
+def test_a_robot_that_falls_even_at_rest_is_left_for_the_verifier_to_refuse() -> None:
+    motion = _swing()
+    away = replace(motion, phases=(replace(motion.phases[0], support=SupportPolygon(SQUARE + 1.0)),))
+    assert slow_until_zmp_inside(away) is motion.law
