@@ -78,6 +78,14 @@ def test_glb_valve_turns_by_its_angle_about_its_axis(glb):
     np.testing.assert_allclose(document.nodes[node_named(document, "valve")].translation, VALVE)
 
 
+def test_glb_valve_bodies_lie_around_the_point_they_turn_about(glb):
+    document, _ = glb
+    mesh = document.meshes[document.nodes[node_named(document, "valve")].mesh]
+    corners = np.concatenate([rows_of(document, p.attributes.POSITION) for p in mesh.primitives])
+    np.testing.assert_allclose(corners.min(axis=0), [-0.015, -0.015, -0.15], atol=1e-6)
+    np.testing.assert_allclose(corners.max(axis=0), [0.015, 0.015, 0.15], atol=1e-6)
+
+
 def test_glb_rotations_never_jump_to_the_far_side(glb):
     document, _ = glb
     for name in ("torso", "valve"):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Browser, find_chromium
-from viewer_results import BAD_CHECK, TURN, make_result
+from viewer_results import TURN, make_result
 
 from service.viewer import LinkPlacements, write_viewer
 
@@ -143,9 +143,29 @@ def test_an_unsolved_result_says_what_stands_in_the_way(browser, pages):
     assert browser.run("document.querySelectorAll('.check')[0].className").endswith("fail")
 
 
-def test_failed_check_is_first_in_the_list_of_an_unsolved_result():
-    result, _ = make_result(verdict="NOT_FOUND")
-    assert [check["ok"] for check in result["checks"]].index(False) == BAD_CHECK
+def test_a_sole_is_filled_whatever_the_order_of_its_corners(browser, pages):
+    browser.open(pages["certified"] + "#t=1&theme=light&camera=top&layers=contacts")
+    ground = colour_at(browser, [0.0, 0.0, 0.0])
+    for place in ([0.0, 0.14, 0.0], [0.0, 0.08, 0.0], [0.1, 0.11, 0.0], [-0.1, 0.11, 0.0]):
+        assert np.abs(colour_at(browser, place, width=1) - ground).max() > 20, place
+
+
+def test_labels_do_not_cover_each_other(browser, tmp_path):
+    result, placements = make_result(verdict="NOT_FOUND")
+    result["checks"] = [{**result["checks"][1], "name": f"clearance {i}"} for i in range(4)]
+    write_viewer(result, placements, tmp_path / "crowd.html")
+    browser.open((tmp_path / "crowd.html").as_uri())
+    browser.settle()
+    boxes = browser.run(
+        "[...document.querySelectorAll('.label.bad:not([hidden]) span')].map((e) => e.getBoundingClientRect().toJSON())"
+    )
+    assert len(boxes) == 4
+    for i, a in enumerate(boxes):
+        for b in boxes[:i]:
+            apart = (
+                a["left"] >= b["right"] or b["left"] >= a["right"] or a["top"] >= b["bottom"] or b["top"] >= a["bottom"]
+            )
+            assert apart
 
 
 def test_a_scene_without_trajectory_shows_its_pieces_and_no_time_bar(browser, pages):
@@ -157,22 +177,27 @@ def test_a_scene_without_trajectory_shows_its_pieces_and_no_time_bar(browser, pa
     assert browser.complaints() == []
 
 
-@pytest.mark.parametrize(
-    ("key", "expression", "expected"),
-    [
-        ("2", "document.querySelector('.segmented .on').textContent", "Front"),
-        ("?", "document.querySelector('.help').hidden", False),
-        ("d", "document.documentElement.dataset.theme", "light"),
-        ("ArrowRight", "window.__viewer.time.toFixed(3)", "1.000"),
-        ("End", "window.__viewer.time.toFixed(3)", "6.000"),
-        ("]", "window.__viewer.time.toFixed(3)", "3.000"),
-        ("x", "[...document.querySelectorAll('.tools > button')].at(0).className", "on"),
-    ],
-)
-def test_keys_do_what_the_help_says(browser, pages, key, expression, expected):
+KEYS = [
+    ("2", "document.querySelector('.segmented .on').textContent", "Front"),
+    ("?", "document.querySelector('.help').hidden", False),
+    ("Escape", "document.querySelector('.help').hidden", True),
+    ("d", "document.documentElement.dataset.theme", "light"),
+    ("ArrowRight", "window.__viewer.time.toFixed(3)", "1.000"),
+    (".", "window.__viewer.time.toFixed(3)", "1.100"),
+    ("End", "window.__viewer.time.toFixed(3)", "6.000"),
+    ("[", "window.__viewer.time.toFixed(3)", "3.000"),
+    ("Home", "window.__viewer.time.toFixed(3)", "0.000"),
+    ("x", "[...document.querySelectorAll('.tools > button')].at(0).className", "on"),
+    ("i", "getComputedStyle(document.querySelector('.panel')).display", "none"),
+    ("+", "document.querySelector('.speed').value", "2"),
+]
+
+
+def test_keys_do_what_the_help_says(browser, pages):
     browser.open(pages["certified"] + "#theme=dark&t=0")
-    browser.key(key)
-    assert browser.run(expression) == expected
+    for key, expression, expected in KEYS:
+        browser.key(key)
+        assert browser.run(expression) == expected, key
 
 
 def test_space_plays_and_the_page_rests_when_paused(browser, pages):

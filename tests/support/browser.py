@@ -116,8 +116,8 @@ class Browser:
     def settle(self) -> None:
         """Wait until the page has drawn what it was asked for and all camera moves have ended."""
         self.run(
-            "new Promise((done) => { let last = -1; const look = () => { const now = window.__viewer.frames;"
-            "if (now === last) done(true); else { last = now; setTimeout(look, 250); } }; look(); })"
+            "new Promise((done) => { const look = () => "
+            "window.__viewer.busy ? setTimeout(look, 30) : requestAnimationFrame(() => done(true)); look(); })"
         )
 
     def size(self, width: int, height: int) -> None:

@@ -29,8 +29,6 @@ PLACES = {
 VALVE = np.array([0.55, 0.3, 1.0])
 TURN = 2.0
 """What the valve turns [rad]."""
-BAD_CHECK = 1
-"""Index of the check that fails in an unsolved result."""
 
 
 def box(centre: Any, size: Any) -> list[list[float]]:
@@ -132,7 +130,7 @@ def _valve(angles: np.ndarray) -> dict[str, Any]:
 
 
 def _contacts() -> list[dict[str, Any]]:
-    corners = [(-0.13, -0.06), (0.13, -0.06), (0.13, 0.06), (-0.13, 0.06)]
+    corners = [(-0.13, -0.06), (0.13, 0.06), (0.13, -0.06), (-0.13, 0.06)]  # in no order round the sole
     return [
         {
             "link": f"{side}_foot",

@@ -76,6 +76,9 @@ export class Stage {
     this.draw();
   }
 
+  // Whether a drawing or a camera move is still to come.
+  get isBusy(): boolean { return this.isWaiting || this.glide !== null; }
+
   get size(): [number, number] { return [this.host.clientWidth, this.host.clientHeight]; }
 
   resize(): void {
