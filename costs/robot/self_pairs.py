@@ -8,7 +8,7 @@ from itertools import combinations
 import coal
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
 from costs.robot.model import LinkBody
@@ -50,22 +50,25 @@ def contact_counts(
     poses: Float[np.ndarray, "N n"],
 ) -> Mapping[tuple[str, str], int]:
     """In how many of ``poses`` each link pair overlaps."""
-    data = model.createData()
-    of_link: dict[str, list[int]] = {}
-    for index, body in enumerate(bodies):
-        of_link.setdefault(body.link, []).append(index)
-    objects = [coal.CollisionObject(convex(body.vertices)) for body in bodies]
     counts = dict.fromkeys(pairs, 0)
-    request = coal.CollisionRequest()
+    if not counts:
+        return counts
+    wanted = np.array([[link_pair(a.link, b.link) in counts for b in bodies] for a in bodies], dtype=bool)
+    wanted &= np.triu(np.ones_like(wanted), 1)
+    longest = max(len(body.vertices) for body in bodies)
+    local = np.array([np.resize(body.vertices, (longest, 3)) for body in bodies])
+    solids = [convex(body.vertices) for body in bodies]
+    data = model.createData()
     for pose in poses:
         pin.forwardKinematics(model, data, pose)
-        for body, item in zip(bodies, objects, strict=True):
-            placement = data.oMi[body.joint]
-            item.setTransform(coal.Transform3s(placement.rotation, placement.translation))
-            item.computeAABB()
-        for pair in counts:
-            if any(_overlap(objects[i], objects[j], request) for i in of_link[pair[0]] for j in of_link[pair[1]]):
-                counts[pair] += 1
+        placements = [coal.Transform3s(data.oMi[b.joint].rotation, data.oMi[b.joint].translation) for b in bodies]
+        found: set[tuple[str, str]] = set()
+        for i, j in np.argwhere(wanted & _boxes_meet(local, placements)):
+            pair = link_pair(bodies[i].link, bodies[j].link)
+            if pair not in found and _overlap(solids[i], placements[i], solids[j], placements[j]):
+                found.add(pair)
+        for pair in found:
+            counts[pair] += 1
     return counts
 
 
@@ -102,21 +105,27 @@ def derive_ignored_pairs(
     return reasons
 
 
-def _overlap(a: coal.CollisionObject, b: coal.CollisionObject, request: coal.CollisionRequest) -> bool:
-    if not a.getAABB().overlap(b.getAABB()):
-        return False
-    return bool(coal.collide(a, b, request, coal.CollisionResult()))
+def _boxes_meet(local: Float[np.ndarray, "B V 3"], placements: Sequence[coal.Transform3s]) -> Bool[np.ndarray, "B B"]:
+    """Which bodies' axis-aligned boxes overlap."""
+    rotation = np.array([placement.getRotation() for placement in placements]).reshape(-1, 3, 3)
+    translation = np.array([placement.getTranslation() for placement in placements]).reshape(-1, 1, 3)
+    world = local @ rotation.transpose(0, 2, 1) + translation
+    low, high = world.min(axis=1), world.max(axis=1)
+    return np.asarray(((low[:, None] <= high) & (low <= high[:, None])).all(axis=2))
+
+
+def _overlap(a: coal.Convex, pose_a: coal.Transform3s, b: coal.Convex, pose_b: coal.Transform3s) -> bool:
+    return bool(coal.collide(a, pose_a, b, pose_b, coal.CollisionRequest(), coal.CollisionResult()))
 
 
 def convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
     """The hull of ``vertices`` as coal sees it, with triangles that face outwards."""
-    points = coal.StdVec_Vec3s()
-    points.extend([np.asarray(vertex) for vertex in vertices])
-    triangles = coal.StdVec_Triangle()
     hull = ConvexHull(vertices)
-    for simplex, plane in zip(hull.simplices, hull.equations, strict=True):
-        a, b, c = (int(index) for index in simplex)
-        # Qhull does not orient its triangles; coal wants them counter-clockwise seen from outside.
-        outward = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a]) @ plane[:3] > 0.0
-        triangles.append(coal.Triangle(a, b, c) if outward else coal.Triangle(a, c, b))
+    a, b, c = vertices[hull.simplices].transpose(1, 0, 2)
+    # Qhull does not orient its triangles; coal wants them counter-clockwise seen from outside.
+    is_inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    corners = np.where(is_inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    points.extend(list(np.asarray(vertices)))
+    triangles.extend([coal.Triangle(*corner) for corner in corners.tolist()])
     return coal.Convex(points, triangles)
