@@ -226,6 +226,9 @@ class ValveTurn:
 
         def at_angles(lower: np.ndarray, upper: np.ndarray) -> None:
             lower[:, -1] = upper[:, -1] = angles
+            if self.mode == "grasp":
+                column, _ = self.hand.wrist(self.robot)
+                lower[0, column] = upper[0, column] = pose[column]
 
         return self.solver.trajectory(
             "turn",

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.kinematics import planted_poses
-from perception import ValveDetection, valve_bodies, wheel_basis
+from perception import ValveDetection, has_clear_spokes, valve_bodies, wheel_basis
 from service.errors import RequestError
 from service.phases import PhaseSolver, TaskPlan
 from service.reachability import beyond_reach
@@ -20,6 +20,8 @@ from service.tasks.wheel import HANDS, VALVE_LINK, Hand, Wheel
 from service.whole_body import WholeBody
 
 SURE = 0.5  # confidence from which a detection is acted on
+HOOK_ROOM = 0.03  # from the rim's centre line inwards, taken as open where the spokes were not seen clearly [m]
+MIN_HUB = 0.01  # [m]
 TUBE_RADIUS = 0.015  # of a valve given by its circle alone [m]
 GAPS_WITHOUT_SPOKES = np.deg2rad([0.0, 90.0, 180.0, 270.0])
 
@@ -39,6 +41,8 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
         f"valve at {np.round(found.centre, 3).tolist()}, axis {np.round(found.axis, 3).tolist()}, "
         f"rim radius {found.rim_radius:.3f} m, confidence {found.confidence:.2f}"
     )
+    if not has_clear_spokes(found):
+        note += f"; its spokes are not known, it is taken as solid up to {HOOK_ROOM:.2f} m from the rim's centre line"
     if plan.is_feasible:
         return replace(plan, notes=(note, *plan.notes))
     return replace(plan, obstacle=(*plan.obstacle, stance_advice(solver, wheel, hands[0])), notes=(note, *plan.notes))
@@ -99,11 +103,23 @@ def _hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> lis
 def _wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
     """The wheel as a mechanism, its gaps ordered by how near they are to the hand."""
     first, _, axis = wheel_basis(valve.axis)
-    bodies = {f"{VALVE_LINK}/{name}": vertices for name, vertices in valve_bodies(valve).items() if name != "stem"}
+    solids = valve_bodies(valve)
+    if not has_clear_spokes(valve):
+        solids["hub"] = _within(solids["hub"], valve, max(valve.rim_radius - HOOK_ROOM, MIN_HUB))
+    bodies = {f"{VALVE_LINK}/{name}": vertices for name, vertices in solids.items()}
     wheel = Wheel(valve.centre, axis, valve.rim_radius, valve.tube_radius, first, (), bodies)
     at = planted_poses(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
     gaps = sorted(_gaps(valve), key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
     return replace(wheel, gaps=tuple(gaps))
+
+
+def _within(disc: Float[np.ndarray, "V 3"], valve: ValveDetection, radius: float) -> Float[np.ndarray, "V 3"]:
+    """A body of the wheel, drawn in towards the axis until it fits within a radius."""
+    offset = disc - valve.centre
+    height = (offset @ valve.axis)[:, None] * valve.axis
+    flat = offset - height
+    largest = float(np.linalg.norm(flat, axis=1).max())
+    return np.asarray(valve.centre + height + flat * min(1.0, radius / largest))
 
 
 def _gaps(valve: ValveDetection) -> list[float]:

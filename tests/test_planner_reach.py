@@ -1,0 +1,199 @@
+"""Reaching among obstacles, from request to certificate, for the bundled robot and for other people's."""
+
+import numpy as np
+import pytest
+from stranger import Stranger
+
+from service.output import write_result
+from service.planner import plan
+from service.request import Options, PlanRequest
+from service.request_file import parse_request
+from service.result import Verdict
+
+TABLE = {"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.75, 0.0, 0.9]}
+POST = {"name": "post", "type": "cylinder", "radius": 0.04, "height": 2.0, "position": [0.5, 0.45, 1.0]}
+FORWARD = [0.7071068, 0.0, 0.7071068, 0.0]  # the tool's z axis along the world's x
+
+
+def atlas(goal: dict, obstacles: tuple = (TABLE, POST), **options) -> PlanRequest:
+    return parse_request(
+        {
+            "robot": {"name": "atlas"},
+            "start": {"posture": "stand"},
+            "scene": {"obstacles": list(obstacles)},
+            "goal": goal,
+            "options": options,
+        }
+    )
+
+
+def tool_at(position: list[float], **more) -> dict:
+    return {"poses": [{"link": "l_tool", "position": position, **more}]}
+
+
+@pytest.fixture(scope="module")
+def reached(tmp_path_factory):
+    """A certified whole-body reach and its folder."""
+    request = atlas(tool_at([0.6, 0.2, 1.15], quaternion_wxyz=FORWARD, free_axis="z"))
+    result = plan(request)
+    folder = tmp_path_factory.mktemp("reach") / "out"
+    write_result(result, folder)
+    return result, Stranger(folder)
+
+
+def test_a_reach_among_obstacles_is_certified(reached):
+    result, _ = reached
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert result.explanation == ()
+    assert result.certificate.min_clearance_m > 0.0
+
+
+def test_the_tool_arrives_with_its_axis_as_asked(reached):
+    _, stranger = reached
+    tool = stranger.placements(stranger.positions[-1])["l_tool"]
+    assert np.linalg.norm(tool.translation - [0.6, 0.2, 1.15]) < 2e-3
+    assert tool.rotation[:, 2] @ [1.0, 0.0, 0.0] > np.cos(np.deg2rad(0.6))
+
+
+def test_dense_samples_keep_the_certified_clearance(reached):
+    result, stranger = reached
+    planted = {"l_foot", "r_foot"}
+    clearance, pair = stranger.closest(
+        stranger.rows(2, stride=4), lambda body, link, piece: link in planted and piece == "floor"
+    )
+    assert clearance >= result.certificate.min_clearance_m - 1e-6, pair
+
+
+def test_feet_stay_planted_and_the_legs_move(reached):
+    _, stranger = reached
+    first = stranger.placements(stranger.positions[0])
+    for row in stranger.rows(2):
+        now = stranger.placements(row)
+        for foot in ("l_foot", "r_foot"):
+            assert np.linalg.norm(now[foot].translation - first[foot].translation) < 1e-3
+            corner = np.array([0.17, 0.06, -0.076])
+            assert np.linalg.norm(now[foot].act(corner) - first[foot].act(corner)) < 1e-3
+    legs = [i for i, name in enumerate(stranger.names) if "_leg_" in name]
+    assert np.abs(np.diff(stranger.positions[:, legs], axis=0)).sum() > 0.05
+
+
+def test_the_balance_point_stays_inside_by_the_margin(reached):
+    result, stranger = reached
+    from costs.support import SupportPolygon
+
+    polygon = SupportPolygon.of_points(result.motion.phases[0].support.polygon)
+    coms = np.array([stranger.com(row)[:2] for row in stranger.rows(1, stride=2)])
+    assert polygon.margin(coms).min() >= Options().balance_margin_m - 1e-6
+
+
+def test_joint_goals_are_met_exactly():
+    result = plan(atlas({"joints": {"l_arm_elx": 1.2, "r_arm_elx": -1.2}}, obstacles=()))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    names, last = result.robot.joint_names, result.motion.curve.positions[-1]
+    assert last[names.index("l_arm_elx")] == pytest.approx(1.2, abs=1e-6)
+    assert last[names.index("r_arm_elx")] == pytest.approx(-1.2, abs=1e-6)
+
+
+def test_a_named_posture_is_a_goal():
+    result = plan(atlas({"posture": "reach_ready"}, obstacles=()))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    names, last = result.robot.joint_names, result.motion.curve.positions[-1]
+    for name, value in zip(names[6:], result.robot.postures["reach_ready"][6:], strict=True):
+        assert last[names.index(name)] == pytest.approx(value, abs=1e-3)
+
+
+def test_a_target_beyond_the_chain_is_infeasible_with_its_distance():
+    result = plan(atlas(tool_at([3.6, 0.2, 1.15])))
+    assert result.verdict is Verdict.INFEASIBLE
+    assert "l_tool cannot reach [3.6, 0.2, 1.15]: it is" in result.explanation[0]
+    assert result.motion is None
+
+
+def test_a_target_inside_an_obstacle_names_the_links_and_comes_with_the_best_attempt():
+    result = plan(atlas(tool_at([0.75, 0.0, 0.9])))
+    assert result.verdict is Verdict.NOT_FOUND
+    assert any("table" in line and "l_h" in line for line in result.explanation), result.explanation
+    assert result.motion is not None
+    assert result.certificate is not None
+    assert result.certificate.failed()
+
+
+def test_a_start_outside_the_margin_settles_first():
+    result = plan(atlas(tool_at([0.45, 0.3, 1.1], position_tolerance_m=0.01), obstacles=(), balance_margin_m=0.128))
+    assert result.motion.phases[0].name == "settle"
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+
+
+def test_a_cancelled_plan_says_when_and_a_late_one_that_time_is_up():
+    steps = []
+    result = plan(
+        atlas(tool_at([0.6, 0.2, 1.15])),
+        on_progress=lambda step, fraction: steps.append(step),
+        should_stop=lambda: "goal pose" in steps,
+    )
+    assert result.verdict is Verdict.CANCELLED
+    assert "cancelled during" in result.explanation[0]
+    late = plan(atlas(tool_at([0.6, 0.2, 1.15]), time_limit_s=1e-3))
+    assert late.verdict is Verdict.TIME_LIMIT
+    assert "0.001 s" in late.explanation[0]
+
+
+def test_equal_requests_get_equal_motions():
+    request = atlas(tool_at([0.55, 0.3, 1.2]))
+    first, second = plan(request), plan(request)
+    np.testing.assert_array_equal(first.motion.curve.positions, second.motion.curve.positions)
+
+
+def test_the_panda_of_others_reaches_among_boxes(shared_data):
+    folder = shared_data / "robots" / "panda"
+    start = {"panda_joint2": -0.785, "panda_joint4": -2.356, "panda_joint6": 1.571, "panda_joint7": 0.785}
+    result = plan(
+        parse_request(
+            {
+                "robot": {"urdf": str(folder / "panda.urdf"), "package_dirs": [str(folder)]},
+                "start": {"joints": start},
+                "scene": {
+                    "obstacles": [
+                        {"name": "table", "type": "box", "size": [0.8, 1.2, 0.05], "position": [0.75, 0.0, 0.1]},
+                        {"name": "post", "type": "box", "size": [0.06, 0.06, 0.8], "position": [0.45, 0.25, 0.5]},
+                    ]
+                },
+                "goal": {
+                    "poses": [
+                        {
+                            "link": "panda_hand",
+                            "position": [0.45, 0.45, 0.4],
+                            "quaternion_wxyz": [0, 1, 0, 0],
+                            "free_axis": "z",
+                        }
+                    ]
+                },
+            }
+        )
+    )
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+
+
+def test_the_drcsim_atlas_of_others_reaches_over_a_table(shared_data):
+    folder = shared_data / "robots" / "atlas_drcsim_v5_simple"
+    legs = {f"{side}_leg_{joint}": angle for side in "lr" for joint, angle in
+            (("kny", 0.4), ("hpy", -0.2), ("aky", -0.2))}  # fmt: skip
+    result = plan(
+        parse_request(
+            {
+                "robot": {"urdf": str(folder / "atlas_drcsim_v5_simple.urdf"), "root": "floating"},
+                "start": {
+                    "base": {"position": [0.0, 0.0, 0.9302]},
+                    "joints": {"l_arm_shx": -1.3, "r_arm_shx": 1.3, **legs},
+                },
+                "scene": {
+                    "obstacles": [
+                        {"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.85, 0.0, 0.8]}
+                    ]
+                },
+                "goal": {"poses": [{"link": "l_hand", "position": [0.6, 0.2, 1.15]}]},
+                "options": {"feet": ["l_foot", "r_foot"]},
+            }
+        )
+    )
+    assert result.verdict is Verdict.CERTIFIED, result.explanation

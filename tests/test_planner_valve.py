@@ -1,0 +1,146 @@
+"""Turning a valve: from the shipped scan, by a given circle, with either hand and in both modes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stranger import Stranger
+
+from service.output import write_result
+from service.planner import plan
+from service.request_file import load_request, parse_request
+from service.result import Verdict
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+TRUTH = json.loads((EXAMPLES / "data" / "valve_scan.json").read_text())["valve"]
+
+
+def request(valve: dict, cloud: Path | None = None, start: str = "reach_ready", **more):
+    scene = {} if cloud is None else {"cloud": str(cloud)}
+    return parse_request(
+        {"robot": {"name": "atlas"}, "start": {"posture": start}, "scene": scene, "task": {"valve": valve}, **more}
+    )
+
+
+def given(centre=(0.68, 0.12, 1.1), radius=0.14, **more) -> dict:
+    return {"centre": list(centre), "axis": [-1.0, 0.0, 0.0], "radius": radius, **more}
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    """The plan of the shipped request and scan, with its folder."""
+    result = plan(load_request(EXAMPLES / "requests" / "valve.yaml"))
+    folder = tmp_path_factory.mktemp("valve") / "out"
+    write_result(result, folder)
+    return result, Stranger(folder)
+
+
+def tool_path(stranger: Stranger, phase: str, frame: str) -> list:
+    """Placements of a tool at the samples of a phase, and half-way between them."""
+    part = next(p for p in stranger.data["phases"] if p["name"] == phase)
+    rows = stranger.positions[part["first"] : part["last"] + 1]
+    rows = np.concatenate([rows, 0.5 * (rows[1:] + rows[:-1])])
+    order = np.argsort(np.concatenate([np.arange(len(rows) // 2 + 1), np.arange(len(rows) // 2) + 0.5]))
+    return [stranger.placements(row)[frame] for row in rows[order]]
+
+
+def test_the_shipped_scan_gives_a_certified_turn(shipped):
+    result, _ = shipped
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert [phase.name for phase in result.motion.phases] == ["reach", "insert", "turn", "retract"]
+    assert result.figures["turned_deg"] == pytest.approx(360.0, abs=0.5)
+
+
+def test_the_tool_follows_the_true_rim_within_5_mm_of_the_seen_one(shipped):
+    result, stranger = shipped
+    seen = result.detections[0]
+    centre, axis, radius = np.array(seen["centre"]), np.array(seen["axis"]), seen["rim_radius"]
+    for pose in tool_path(stranger, "turn", "l_tool"):
+        offset = pose.translation - centre
+        height = offset @ axis
+        distance = np.hypot(np.linalg.norm(offset - height * axis) - radius, height)
+        assert distance < 5e-3
+        assert -pose.rotation[:, 2] @ axis > np.cos(np.deg2rad(3.0))
+    assert np.linalg.norm(centre - TRUTH["centre"]) < 0.01
+    assert abs(radius - TRUTH["rim_radius"]) < 5e-3
+
+
+def test_the_wheel_turns_with_the_tool_and_the_hook_touches_only_the_rim(shipped):
+    result, stranger = shipped
+    movable = stranger.data["movables"][0]
+    assert movable["angles"][0] == pytest.approx(0.0, abs=1e-9)
+    assert movable["angles"][-1] == pytest.approx(2.0 * np.pi, abs=2e-3)
+    touching = {(a["link"], a["other"]) for phase in stranger.data["phases"] for a in phase["allowances"]}
+    assert touching == {("l_hook", "valve/rim/*"), ("l_foot", "floor"), ("r_foot", "floor")}
+    reach = stranger.data["phases"][0]
+    assert all("valve" not in allowance["other"] for allowance in reach["allowances"])
+
+
+def test_dense_samples_of_the_turn_keep_clear_of_the_scene(shipped):
+    result, stranger = shipped
+    planted = {"l_foot", "r_foot"}
+    clearance, pair = stranger.closest(
+        stranger.rows(1, stride=12), lambda body, link, piece: link in planted and piece == "floor"
+    )
+    assert clearance >= result.certificate.min_clearance_m - 1e-6, pair
+
+
+def test_the_whole_body_helps(shipped):
+    _, stranger = shipped
+    moved = dict(zip(stranger.names, np.ptp(stranger.positions, axis=0), strict=True))
+    assert moved["base_x"] + moved["base_y"] + moved["base_z"] > 0.01
+    assert max(moved[name] for name in moved if name.startswith("back_")) > 0.05
+    assert max(moved[name] for name in moved if "_leg_" in name) > 0.05
+
+
+@pytest.mark.parametrize(
+    ("valve", "phases"),
+    [
+        (given(turn_deg=-90, hand="right", centre=(0.68, -0.12, 1.1)), 4),
+        (given(turn_deg=200, mode="grasp"), 4),
+        (given(turn_deg=360, mode="grasp"), 8),
+    ],
+)
+def test_given_valves_are_turned_as_asked(valve, phases):
+    result = plan(request(valve))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert len(result.motion.phases) == phases
+    assert result.figures["turned_deg"] == pytest.approx(valve["turn_deg"], abs=1.0)
+
+
+def test_in_a_grasp_the_hand_turns_with_the_wheel_from_near_its_wrist_limit():
+    result = plan(request(given(turn_deg=200, mode="grasp", hand="left")))
+    motion = result.motion
+    turn = next(phase for phase in motion.phases if phase.name == "turn")
+    wrist = motion.robot.joint_names.index("l_arm_wry2")
+    first, last = motion.curve(np.array([turn.first, turn.last]))[:, wrist]
+    limits = motion.robot.lower[wrist], motion.robot.upper[wrist]
+    assert min(abs(first - limits[0]), abs(first - limits[1])) < 0.15
+    assert abs(last - first) > np.deg2rad(120.0)
+
+
+def test_a_valve_out_of_reach_comes_with_the_shift_that_would_help():
+    result = plan(request(given(centre=(1.45, 0.12, 1.1), hand="left", turn_deg=90)))
+    assert result.verdict is Verdict.NOT_FOUND
+    assert any("moving the pelvis" in line and "forward" in line for line in result.explanation), result.explanation
+    assert result.motion is not None
+
+
+def test_a_valve_beyond_any_reach_is_infeasible():
+    result = plan(request(given(centre=(5.0, 0.12, 1.1))))
+    assert result.verdict is Verdict.INFEASIBLE
+    assert "cannot reach" in result.explanation[0]
+
+
+def test_a_scan_without_a_valve_says_so(shared_data):
+    result = plan(request({"turn_deg": 90}, shared_data / "scenes" / "door_a" / "scan0.pcd"))
+    assert result.verdict is Verdict.NOT_FOUND
+    assert "no valve was found" in result.explanation[0]
+
+
+@pytest.mark.parametrize("scan", ["scan0.pcd", "scan2.pcd"])
+def test_valves_of_other_scans_are_turned(shared_data, scan):
+    result = plan(request({"turn_deg": 360}, shared_data / "scenes" / "valve_a" / scan))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert result.figures["turned_deg"] == pytest.approx(360.0, abs=0.5)
