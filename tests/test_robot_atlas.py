@@ -260,3 +260,19 @@ def test_groups_are_in_the_order_of_the_coordinates(atlas: RobotModel) -> None:
     assert atlas.groups["back"] == ("back_bkz", "back_bky", "back_bkx")
     assert not atlas.fixed_links
     assert not atlas.mechanism_links
+
+
+def test_meshes_are_closed_surfaces_that_face_outwards() -> None:
+    paths = sorted((FOLDER / "meshes").glob("*.obj"))
+    assert len(paths) == 31
+    for path in paths:
+        lines = [line.split() for line in path.read_text().splitlines()]
+        points = np.array([[float(word) for word in words[1:]] for words in lines if words[0] == "v"])
+        faces = [[int(word) - 1 for word in words[1:]] for words in lines if words[0] == "f"]
+        edges = [(face[k - 1], face[k]) for face in faces for k in range(len(face))]
+        # Every edge is passed once each way.
+        assert len(edges) == len(set(edges))
+        assert {(b, a) for a, b in edges} == set(edges)
+        for face in faces:
+            a, b, c = points[face[:3]]
+            assert np.cross(b - a, c - b) @ (points[face].mean(axis=0) - points.mean(axis=0)) > 0.0, path.name
