@@ -20,6 +20,8 @@ Hold = Callable[[Int[np.ndarray, "S"]], Residual[MotionState]]
 PROJECTION_STEPS = 8
 PROJECTION_TOLERANCE = 1e-9  # [m, rad]
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
+SMALLEST_RATE = 1e-12  # tangents this close to their limits keep them
+LIMIT_ROUNDS = 3  # in which joints at their limits are found
 MAX_INSERTIONS = 6  # rounds; each halves the intervals that drift
 
 
@@ -137,13 +139,29 @@ def _tangents(
     tangents = np.zeros_like(q)
     h = np.diff(s)[:, None]
     tangents[1:-1] = (h[1:] * slopes[:-1] + h[:-1] * slopes[1:]) / (h[1:] + h[:-1])
-    room = np.minimum(q - lower, upper - q)
-    nearest = np.concatenate([h[:1], np.minimum(h[1:], h[:-1]), h[-1:]])
-    # A cubic moves at most 4/27 h |v| past a knot against which its other end pulls; stay within the limit there.
-    limit = np.maximum(room, 0.0) * 27.0 / 4.0 / nearest
-    tangents = np.clip(tangents, -limit, limit)
-    tangents[1:-1] = _along_holds(engine, q[1:-1], tangents[1:-1], holds)
+    least, most = _tangent_limits(q, h, lower, upper)
+    tangents = np.clip(tangents, least, most)
+    tangents[1:-1] = _along_holds(engine, q[1:-1], tangents[1:-1], holds, least[1:-1], most[1:-1])
     return np.asarray(tangents)
+
+
+def _tangent_limits(
+    q: Float[np.ndarray, "T n"],
+    h: Float[np.ndarray, "T-1 1"],
+    lower: Float[np.ndarray, "n"],
+    upper: Float[np.ndarray, "n"],
+) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]]:
+    """Least and greatest tangents with which no interval leaves the limits.
+
+    With ``h v <= 3 (upper - q)`` at its first knot and ``-h v <= 3 (upper - q)`` at its last, a cubic stays below
+    ``upper``, since ``u (1-u)^2`` is at most a third of ``(1 + 2u) (1-u)^2``; the lower limit mirrors it.
+    """
+    above, below = 3.0 * np.maximum(upper - q, 0.0), 3.0 * np.maximum(q - lower, 0.0)
+    least, most = np.full_like(q, -np.inf), np.full_like(q, np.inf)
+    most[:-1], least[:-1] = above[:-1] / h, -below[:-1] / h
+    most[1:] = np.minimum(most[1:], below[1:] / h)
+    least[1:] = np.maximum(least[1:], -above[1:] / h)
+    return least, most
 
 
 def _linearized(
@@ -178,13 +196,34 @@ def _projected(
 
 
 def _along_holds(
-    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], v: Float[np.ndarray, "S n"], holds: Sequence[Hold]
+    engine: KinematicsEngine,
+    q: Float[np.ndarray, "S n"],
+    v: Float[np.ndarray, "S n"],
+    holds: Sequence[Hold],
+    least: Float[np.ndarray, "S n"],
+    most: Float[np.ndarray, "S n"],
 ) -> Float[np.ndarray, "S n"]:
-    """The part of velocities that does not break the holds."""
+    """Velocities near the given ones that neither break the holds nor pass their limits.
+
+    Joints that the holds would drive past a limit stay at it while the others keep the holds; where that is not
+    enough, all slow down together.
+    """
     if not holds or not len(q):
         return v
     _, jacobian = _linearized(engine, q, holds)
-    return np.asarray(v - _least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, v)))
+    at_limit = np.zeros(v.shape, dtype=bool)
+    for _ in range(LIMIT_ROUNDS):
+        free = np.where(at_limit[:, None, :], 0.0, jacobian)
+        v = v - _least_norm(free, np.einsum("skn,sn->sk", jacobian, v))
+        beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
+        if not beyond.any():
+            return v
+        at_limit |= beyond
+        v = np.clip(v, least, most)
+    v = v - _least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, v))
+    beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
+    share = np.where(beyond, np.where(v > 0.0, most, least) / np.where(beyond, v, 1.0), 1.0)
+    return np.asarray(v * share.min(axis=1, keepdims=True))
 
 
 def _least_norm(jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "S n"]:
