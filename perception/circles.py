@@ -40,7 +40,7 @@ def find_circles(
     radii: tuple[float, float] = (0.05, 0.4),
     n_seeds: int = 110,
     n_triples: int = 120,
-    most: int = 8,
+    most: int = 60,
 ) -> list[Circle]:
     """The best circles, best first, no two about the same place.
 

@@ -8,20 +8,22 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from perception.circles import Circle, find_circles
-from perception.clean import Reach, inliers, voxel_downsample
+from perception.clean import Reach, inliers, voxel_downsample, voxel_index
 from perception.cloud import Cloud
 from perception.floor import find_floor, on_floor
 from perception.planes import PlaneSettings, find_planes
 from perception.wheel import Passage, Rays, Ring, fit_ring, pass_ring, rays_of, rim_hits
 
 _VOXEL = 0.015
-_WALL = PlaneSettings(min_size=0.45, min_points=400, max_planes=12, n_neighbours=20)
+_WALL = PlaneSettings(min_size=0.45, min_points=150, max_planes=12, n_neighbours=20)
 _HINT_RADIUS = 0.5
 _SECTORS = 36
 _BEHIND = 0.05
 _DEPTH = 0.06
 _SPOKE_DEPTH = 0.04
 _REPORTED = 0.05
+_WALL_VOXEL = 0.03
+_EXAMINED = 6
 _CORRIDOR = 0.005
 _HOPELESS = 0.005
 
@@ -96,26 +98,52 @@ def detect_in(
     obstacles: Float[np.ndarray, "N 3"], cloud: Cloud, hint: Float[np.ndarray, "3"] | None, seed: int
 ) -> list[ValveDetection]:
     """As :func:`detect_valves`, for obstacle points cleaned already."""
+    if not len(obstacles):
+        return []
     rng = np.random.default_rng(seed)
-    coarse, counts = voxel_downsample(obstacles, _VOXEL)
-    left = np.ones(len(coarse), dtype=bool)
-    for plane in find_planes(coarse, counts, cloud.origin, rng, _WALL):
-        left[plane.members] = left[plane.noise] = False
-    candidates = coarse[left]
+    candidates, _ = voxel_downsample(_before_walls(obstacles, cloud.origin, rng), _VOXEL)
     if hint is not None:
         candidates = candidates[np.linalg.norm(candidates - hint, axis=1) < _HINT_RADIUS]
     rays = rays_of(cloud.origin, cloud.points)
-    detections = [_examine(circle, rays) for circle in find_circles(candidates, cloud.origin, rng)]
+    circles = find_circles(candidates, cloud.origin, rng)
+    circles.sort(key=lambda circle: -circle.score * _promise(circle, rays))
+    detections = [_examine(circle, rays) for circle in circles[:_EXAMINED]]
     detections = [d for d in detections if d.confidence >= _REPORTED]
     detections.sort(key=lambda d: -d.confidence)
     return _apart(detections)
 
 
+def _before_walls(
+    obstacles: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], rng: np.random.Generator
+) -> Float[np.ndarray, "M 3"]:
+    """The points that no large plane explains; planes are sought in large voxels, whose means scatter less."""
+    voxel, n_voxels = voxel_index(obstacles, _WALL_VOXEL)
+    means, counts = voxel_downsample(obstacles, _WALL_VOXEL)
+    keep = np.ones(n_voxels, dtype=bool)
+    for plane in find_planes(means, counts, origin, rng, _WALL):
+        keep[plane.members] = keep[plane.noise] = False
+    return np.asarray(obstacles[keep[voxel]])
+
+
+def _promise(circle: Circle, rays: Rays) -> float:
+    """How much more often rays end on the circle than just outside it, 0 to 1; needs no exact circle."""
+    near = rays.towards(circle.centre, circle.radius + 0.09)
+    passage = pass_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.02, 0.02))
+    behind = near.length - passage.crossing
+    known = behind > -_BEHIND
+    solid = np.abs(behind) < _BEHIND
+    distance = np.linalg.norm(passage.place, axis=1) - circle.radius
+    rim, around = known & (np.abs(distance) < 0.02), known & (distance > 0.045) & (distance < 0.08)
+    if not rim.any() or not around.any():
+        return 0.0
+    return float(max(0.0, solid[rim].mean() - solid[around].mean()))
+
+
 def _apart(detections: list[ValveDetection]) -> list[ValveDetection]:
-    """Without the weaker ones of those that share a place."""
+    """Without those inside the disc of a surer one: rings about its hub or spokes are the same wheel."""
     kept: list[ValveDetection] = []
     for one in detections:
-        if all(np.linalg.norm(one.centre - other.centre) > 0.5 * other.outer_radius for other in kept):
+        if all(np.linalg.norm(one.centre - other.centre) > other.outer_radius for other in kept):
             kept.append(one)
     return kept
 
