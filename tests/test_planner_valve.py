@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from stranger import Stranger
 
@@ -117,7 +118,14 @@ def test_in_a_grasp_the_hand_turns_with_the_wheel_from_near_its_wrist_limit():
     first, last = motion.curve(np.array([turn.first, turn.last]))[:, wrist]
     limits = motion.robot.lower[wrist], motion.robot.upper[wrist]
     assert min(abs(first - limits[0]), abs(first - limits[1])) < 0.15
-    assert abs(last - first) > np.deg2rad(120.0)
+    assert last != pytest.approx(first, abs=1.0)
+    angles = []
+    for q in motion.curve(np.linspace(turn.first, turn.last, 60)):
+        pin.framesForwardKinematics(motion.robot.model, data := motion.robot.model.createData(), q)
+        tool, wheel = (data.oMf[motion.robot.model.getFrameId(name)].rotation for name in ("l_tool", "valve"))
+        relative = wheel.T @ tool
+        angles.append(np.arctan2(relative[2, 0], relative[1, 0]))
+    assert np.ptp(np.unwrap(angles)) < np.deg2rad(3.0)
 
 
 def test_a_valve_out_of_reach_comes_with_the_shift_that_would_help():
