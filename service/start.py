@@ -21,6 +21,7 @@ from service.request import StartRequest
 SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
 STANDING_POSTURE = "stand"
 FEET_GROUP = "feet"
+LARGEST_PITCH_DEG = 85.0
 SOLE_BAND_M = 0.005  # vertices this close to a foot's lowest one are its sole
 FLOOR_KIND = "floor"
 FLOOR_CONTACT_M = 0.03  # deepest a planted sole may stand in the floor at the start: a scanned floor is that uncertain
@@ -44,13 +45,7 @@ def start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[n
         if not robot.is_floating:
             raise RequestError("start.base: this robot's base is fixed; leave it out, or give robot.root: floating")
         q[:3] = start.base.position
-        # The base's coordinates are intrinsic yaw, pitch, roll.
-        q[3:6] = Rotation.from_quat(start.base.quaternion_wxyz, scalar_first=True).as_euler("ZYX")
-        if abs(math.degrees(q[4])) > 85.0:
-            raise RequestError(
-                f"start.base.quaternion_wxyz: a pitch of {math.degrees(q[4]):.0f} deg is too near to 90; "
-                "at most 85 would do"
-            )
+        q[3:6] = _yaw_pitch_roll(start.base.quaternion_wxyz)
     return _snapped(robot, q, notes)
 
 
@@ -153,6 +148,18 @@ def _posture(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, 
     if not assumed:
         return q, ()
     return q, (f"{len(assumed)} joints without a start position start at 0 or at the nearest limit",)
+
+
+def _yaw_pitch_roll(quaternion_wxyz: tuple[float, float, float, float]) -> Float[np.ndarray, "3"]:
+    """The base's coordinates are intrinsic z-y-x angles, which have no unique value at a pitch of 90 degrees."""
+    rotation = Rotation.from_quat(quaternion_wxyz, scalar_first=True)
+    pitch_deg = math.degrees(math.asin(np.clip(-rotation.as_matrix()[2, 0], -1.0, 1.0)))
+    if abs(pitch_deg) > LARGEST_PITCH_DEG:
+        raise RequestError(
+            f"start.base.quaternion_wxyz: a pitch of {pitch_deg:.0f} deg is too near to 90; "
+            f"at most {LARGEST_PITCH_DEG:.0f} would do"
+        )
+    return np.asarray(rotation.as_euler("ZYX"))
 
 
 def _snapped(

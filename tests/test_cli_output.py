@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +19,10 @@ from service import output
 from service.errors import ResultError
 from service.motion_json import file_columns, file_positions, samples_of
 from service.output import check_folder, read_result, write_result
+from service.phase_json import phase_from_json, phase_json
 from service.replay import read_motion, verify_result
 from service.result import PlanResult, Verdict
-from service.verify import Status
+from service.verify import Phase, PlantedContact, Status
 
 ROOT = Path(__file__).parents[1]
 
@@ -87,6 +89,7 @@ def test_the_base_is_written_as_position_and_quaternion() -> None:
     rng = np.random.default_rng(1)
     q = np.tile(robot.postures["stand"], (50, 1))
     q[:, :6] = np.cumsum(0.2 * rng.normal(size=(50, 6)), axis=0)
+    q[:, 3] = np.linspace(0.0, 10.0, 50)  # more than one turn, so that the quaternion changes sides
     q[:, 4] = np.clip(q[:, 4], -1.4, 1.4)
     rows = file_positions(robot, q)
     assert file_columns(robot)[:7] == ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
@@ -129,6 +132,21 @@ def test_a_motion_read_back_is_the_motion_written(plan: PlanResult, folder: Path
                     assert getattr(target, name) == value
                 else:
                     np.testing.assert_allclose(getattr(target, name), value, atol=1e-12)
+
+
+def test_a_contact_keeps_its_pose_and_its_sole_corners() -> None:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("zyx", [0.4, 0.3, 0.2]).as_matrix()
+    pose[:3, 3] = [1.0, 2.0, 3.0]
+    sole = np.array([[0.1, 0.05, 0.0], [0.1, -0.05, 0.0], [-0.1, 0.05, 0.0]])
+    samples = np.array([0.0, 1.0])
+    written = phase_json(Phase("p", 0.0, 1.0, (PlantedContact("foot", pose, sole, 2e-3, 3e-4),)), samples)
+    world = pose[:3, :3] @ sole[0] + pose[:3, 3]
+    np.testing.assert_allclose(written["contacts"][0]["sole"][0], world, atol=1e-12)
+    (contact,) = phase_from_json(written, samples).contacts
+    np.testing.assert_allclose(contact.sole, sole, atol=1e-12)
+    np.testing.assert_allclose(contact.pose_world_link, pose, atol=1e-12)
+    assert (contact.tolerance_m, contact.knot_tolerance_m) == (2e-3, 3e-4)
 
 
 def test_a_certificate_made_anew_agrees_with_the_recorded_one(plan: PlanResult, folder: Path) -> None:
@@ -200,13 +218,34 @@ def test_an_interrupted_write_leaves_the_earlier_result_and_nothing_else(
     assert read_result(tmp_path / "plan")["notes"] == ["made by hand"]
 
 
-def test_a_folder_with_other_things_is_not_replaced(tmp_path: Path) -> None:
+def test_an_earlier_result_returns_when_the_new_one_cannot_take_its_place(
+    plan: PlanResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_result(plan, tmp_path / "plan")
+    rename = os.rename
+
+    def refuse_fresh(source: Path, target: Path) -> None:
+        if Path(source).name == "fresh":
+            raise OSError(5, "Input/output error")
+        rename(source, target)
+
+    monkeypatch.setattr(output.os, "rename", refuse_fresh)
+    with pytest.raises(ResultError, match="cannot be written: Input/output error"):
+        write_result(plan, tmp_path / "plan")
+    assert [path.name for path in tmp_path.iterdir()] == ["plan"]
+    assert read_result(tmp_path / "plan")["notes"] == ["made by hand"]
+
+
+def test_a_folder_with_other_things_is_not_replaced(plan: PlanResult, tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(ResultError, match=r"holds other files and no result\.json; name a new or empty folder"):
         check_folder(tmp_path)
     with pytest.raises(ResultError, match="is a file; name a folder"):
         check_folder(tmp_path / "thesis.tex")
     check_folder(tmp_path / "new")
+    with pytest.raises(ResultError, match="holds other files"):
+        write_result(plan, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 @pytest.mark.parametrize(

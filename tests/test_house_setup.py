@@ -6,6 +6,7 @@ import os
 import shutil
 import stat
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,15 @@ def test_a_python_that_does_not_run_is_passed_over(tmp_path: Path) -> None:
     done = _setup(_checkout(tmp_path / "checkout"), path)
     assert done.returncode == 7  # it went on to make the environment with python3.12
     assert "python3.12 -m venv .venv" in log.read_text()
+
+
+@pytest.mark.parametrize(("version", "fits"), [((3, 10), False), ((3, 11), True), ((3, 13), True), ((3, 14), False)])
+def test_only_pythons_3_11_to_3_13_fit(tmp_path: Path, version: tuple[int, int], fits: bool) -> None:
+    pretend = f"import sys; sys.version_info = {(*version, 0)}; exec(sys.argv[1])"
+    python = f'[[ $1 == -c ]] && exec {sys.executable} -c "{pretend}" "$2"; exit 7'
+    path = _machine(tmp_path / "bin", ldconfig=ALL_LIBRARIES, python3=python)
+    done = _setup(_checkout(tmp_path / "checkout"), path)
+    assert done.returncode == (7 if fits else 1), done.stderr
 
 
 @pytest.mark.parametrize("name", ["setup", "demo", "test", "check", "bench", "clean"])

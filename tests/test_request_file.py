@@ -18,6 +18,7 @@ from service.request import PlanRequest, PoseRequest
 from service.request_file import load_request, load_start, parse_request, request_hash, to_json, with_cloud
 
 ROOT = Path(__file__).parents[1]
+ORDERS = [(("neck_ry", 0.1), ("back_bkz", 0.2)), (("back_bkz", 0.2), ("neck_ry", 0.1))]
 MINIMAL = "robot: {name: atlas}\ngoal: {posture: stand}\n"
 
 
@@ -233,6 +234,8 @@ def test_the_hash_is_of_the_meaning_not_of_the_file_or_its_place(tmp_path: Path)
     other.mkdir()
     spelled_out = load_request(_write(other, "# a comment\n" + MINIMAL + "start: {}\noptions: {seed: 0}\n"))
     assert request_hash(plain) == request_hash(spelled_out)
+    joints = [parse_request({"robot": {"name": "atlas"}, "goal": {"joints": dict(order)}}) for order in ORDERS]
+    assert request_hash(joints[0]) == request_hash(joints[1])
     assert re.fullmatch(r"sha256:[0-9a-f]{64}", request_hash(plain))
     assert request_hash(plain) != request_hash(load_request(_write(tmp_path, MINIMAL + "options: {seed: 1}")))
 

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.errors import RequestError
+from service.motion_json import file_positions
 from service.obstacles import flat_floor, obstacle_pieces
 from service.request_file import parse_request
 from service.setup import PlanSetup, prepare
-from service.start import collisions, sole, standing_problems
+from service.start import collisions, sole, standing_problems, start_configuration
 
 GOAL = {"posture": "stand"}
 BOX = {"type": "box", "size": [0.3, 0.3, 0.3]}
@@ -57,10 +59,21 @@ def test_joints_override_the_posture_by_either_spelling() -> None:
 
 
 def test_a_start_base_is_where_the_pelvis_is(atlas: RobotModel) -> None:
-    height = float(atlas.postures["stand"][2])
+    # Feet wherever the tilted pelvis takes them: only the coordinates are looked at.
+    pose = Rotation.from_euler("z", 0.7) * Rotation.from_euler("y", 0.3) * Rotation.from_euler("x", -0.2)
+    base = {"position": [1.0, 2.0, 3.0], "quaternion_wxyz": pose.as_quat(scalar_first=True).tolist()}
+    request = parse_request({"robot": {"name": "atlas"}, "goal": GOAL, "start": {"base": base}})
+    q, notes = start_configuration(atlas, request.start)
+    np.testing.assert_allclose(q[:6], [1.0, 2.0, 3.0, 0.7, 0.3, -0.2], atol=1e-9)
+    assert notes == ()
+    np.testing.assert_allclose(file_positions(atlas, q[None])[0, 3:7], base["quaternion_wxyz"], atol=1e-9)
+
+
+def test_a_pitch_near_90_degrees_is_refused(atlas: RobotModel) -> None:
     half = np.sqrt(0.5)
-    setup = _prepare(start={"base": {"position": [1.0, 2.0, height], "quaternion_wxyz": [half, 0, 0, half]}})
-    np.testing.assert_allclose(setup.start[:6], [1.0, 2.0, height, np.pi / 2, 0.0, 0.0], atol=1e-9)
+    base = {"position": [0.0, 0.0, 1.0], "quaternion_wxyz": [half, 0.0, half, 0.0]}
+    (line,) = _problems(start={"base": base})
+    assert line == "start.base.quaternion_wxyz: a pitch of 90 deg is too near to 90; at most 85 would do"
 
 
 @pytest.mark.parametrize(
@@ -195,18 +208,12 @@ def test_round_obstacles_are_contained_in_their_pieces() -> None:
 
 
 def test_an_obstacle_turns_about_its_own_position() -> None:
-    half = np.sqrt(0.5)
-    plank = {
-        "name": "plank",
-        "type": "box",
-        "size": [2.0, 0.2, 0.1],
-        "position": [5, 0, 1],
-        "quaternion_wxyz": [half, 0, 0, half],
-    }
+    turned = {"position": [5, 0, 1], "quaternion_wxyz": [np.cos(0.25), 0, 0, np.sin(0.25)]}  # 0.5 rad about z
+    plank = {"name": "plank", "type": "box", "size": [2.0, 0.2, 0.1], **turned}
     request = parse_request({"robot": {"name": "atlas"}, "goal": GOAL, "scene": {"obstacles": [plank]}})
     (piece,) = obstacle_pieces(request)
-    np.testing.assert_allclose(piece.lower, [4.9, -1.0, 0.95], atol=1e-12)
-    np.testing.assert_allclose(piece.upper, [5.1, 1.0, 1.05], atol=1e-12)
+    corner = [5 + np.cos(0.5) - 0.1 * np.sin(0.5), np.sin(0.5) + 0.1 * np.cos(0.5), 1.05]
+    assert np.linalg.norm(piece.vertices - corner, axis=1).min() < 1e-12
 
 
 def test_flat_points_are_no_obstacle() -> None:
