@@ -1,0 +1,383 @@
+"""Cloud files: every format round trip, and what each hostile file is told."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from perception import Cloud, CloudError, make_cloud, read_cloud, write_pcd
+from perception.lzf import compress, decompress
+from perception.pcd import read_pcd
+from perception.ply import read_ply
+from perception.table import read_npz, read_text
+
+COORDINATES = arrays(np.float32, st.tuples(st.integers(1, 40), st.just(3)), elements=st.floats(-50, 50, width=32))
+VIEWPOINT = (0.5, -0.25, 1.5, 1.0, 0.0, 0.0, 0.0)
+
+
+@given(st.binary(max_size=3000))
+def test_lzf_unpacks_what_it_packed(data: bytes) -> None:
+    assert decompress(compress(data), len(data)) == data
+
+
+@given(st.lists(st.sampled_from([b"abc", b"\0\0\0\0", b"x" * 300, b"q"]), max_size=60))
+def test_lzf_unpacks_repetitive_data_and_packs_it_smaller(parts: list[bytes]) -> None:
+    data = b"".join(parts)
+    packed = compress(data)
+    assert decompress(packed, len(data)) == data
+    assert len(packed) <= len(data) + len(data) // 32 + 1
+
+
+@pytest.mark.parametrize(
+    ("packed", "plain"),
+    [
+        (b"\x04hello", b"hello"),
+        (b"\x00a\x20\x00", b"aaaa"),  # copy of 3 from distance 1 repeats the byte
+        (b"\x02abc\x80\x02", b"abcabcabc"),  # copy of 6 from distance 3 overlaps itself
+        (b"\x01ab\xe0\x01\x01", b"ab" + b"ab" * 5),  # length 7 + 1 + 2 = 10 from distance 2
+    ],
+)
+def test_lzf_unpacks_streams_worked_out_by_hand(packed: bytes, plain: bytes) -> None:
+    assert decompress(packed, len(plain)) == plain
+
+
+@pytest.mark.parametrize("packed", [b"\x05ab", b"\x20", b"\xe0", b"\x00a\x20\x05", b"\x00a"])
+def test_lzf_refuses_damaged_streams(packed: bytes) -> None:
+    with pytest.raises(ValueError, match=r"literal|cut off|beginning|announced"):
+        decompress(packed, 5)
+
+
+@given(COORDINATES, st.sampled_from(["ascii", "binary", "binary_compressed"]))
+def test_pcd_round_trip_keeps_points_and_viewpoint(tmp_path_factory, points, encoding) -> None:
+    path = tmp_path_factory.mktemp("pcd") / "cloud.pcd"
+    write_pcd(path, points, VIEWPOINT, encoding)
+    read, viewpoint = read_pcd(path.read_bytes(), "cloud.pcd")
+    np.testing.assert_array_equal(read.astype(np.float32), points)
+    assert viewpoint == VIEWPOINT
+
+
+@given(
+    COORDINATES, st.permutations(["x", "y", "z", "intensity", "_", "_"]), st.sampled_from(["f4", "f8"]), st.booleans()
+)
+def test_pcd_fields_may_come_in_any_order_and_width(points, fields, kind, compressed) -> None:
+    size = int(kind[1])
+    types = {"x": kind, "y": kind, "z": kind, "intensity": "u2", "_": "u1"}
+    dtype = np.dtype([(str(i), "<" + types[field]) for i, field in enumerate(fields)])
+    table = np.zeros(len(points), dtype)
+    for axis, name in enumerate("xyz"):
+        table[str(fields.index(name))] = points[:, axis]
+    sizes = [{"intensity": 2, "_": 1}.get(field, size) for field in fields]
+    kinds = ["U" if field in ("intensity", "_") else "F" for field in fields]
+    raw = b"".join(table[str(i)].tobytes() for i in range(len(fields))) if compressed else table.tobytes()
+    body = struct.pack("<II", len(compress(raw)), len(raw)) + compress(raw) if compressed else raw
+    header = pcd_header(
+        FIELDS=" ".join(fields), SIZE=" ".join(map(str, sizes)), TYPE=" ".join(kinds), COUNT="1 1 1 1 1 1",
+        WIDTH=len(points), POINTS=len(points), DATA="binary_compressed" if compressed else "binary",
+    )  # fmt: skip
+    read, _ = read_pcd(header + body, "cloud.pcd")
+    np.testing.assert_array_equal(read.astype(np.float32), points)
+
+
+def pcd_header(**changes: object) -> bytes:
+    entries: dict[str, object] = {
+        "VERSION": "0.7", "FIELDS": "x y z", "SIZE": "4 4 4", "TYPE": "F F F", "COUNT": "1 1 1", "WIDTH": 2,
+        "HEIGHT": 1, "VIEWPOINT": "0 0 0 1 0 0 0", "POINTS": 2, "DATA": "binary",
+    } | changes  # fmt: skip
+    return "".join(f"{key} {value}\n" for key, value in entries.items() if value is not None).encode()
+
+
+@pytest.mark.parametrize(
+    ("changes", "body", "says"),
+    [
+        ({"WIDTH": 2_000_000_000, "POINTS": 2_000_000_000}, b"\0" * 24, "at most 2000000"),
+        ({"WIDTH": 1000, "POINTS": 1000}, b"\0" * 24, "1000 points of 12 bytes are announced, but only 24"),
+        ({"WIDTH": -2, "POINTS": -2}, b"\0" * 24, "WIDTH '-2' is not a whole number"),
+        ({"SIZE": "0 4 4"}, b"\0" * 24, "field 'x' has TYPE F SIZE 0"),
+        ({"SIZE": "4 4"}, b"\0" * 24, "3 FIELDS but 2 SIZE"),
+        ({"TYPE": "F Q F"}, b"\0" * 24, "field 'y' has TYPE Q"),
+        ({"COUNT": "1 -1 1"}, b"\0" * 24, "COUNT -1"),
+        ({"FIELDS": "x y w"}, b"\0" * 24, "has no 'z'"),
+        ({"WIDTH": 0, "POINTS": 0}, b"", "announces no points"),
+        ({"POINTS": 3}, b"\0" * 36, "WIDTH x HEIGHT is 2 but POINTS is 3"),
+        ({"VIEWPOINT": "0 0 0 0 0 0 0"}, b"\0" * 24, "VIEWPOINT"),
+        ({"VIEWPOINT": "nan 0 0 1 0 0 0"}, b"\0" * 24, "VIEWPOINT"),
+        ({"DATA": "zip"}, b"\0" * 24, "DATA 'zip' is unknown"),
+        ({"DATA": None}, b"\0" * 24, "no DATA line"),
+        ({"DATA": "ascii"}, b"1 2 3\n4 5\n", "6 numbers|2 points of 3 numbers are announced, 5"),
+        ({"DATA": "ascii"}, b"1 2 3\n4 five 6\n", "five"),
+        ({"DATA": "binary_compressed"}, b"\1\0", "ends before the sizes"),
+        ({"DATA": "binary_compressed"}, struct.pack("<II", 9, 2**31), "announce 2147483648 bytes"),
+        ({"DATA": "binary_compressed"}, struct.pack("<II", 900, 24) + b"\0" * 20, "900 compressed bytes"),
+        ({"DATA": "binary_compressed"}, struct.pack("<II", 4, 24) + b"\x20\0\0\0", "damaged"),
+    ],
+)
+def test_a_lying_pcd_is_refused_in_one_line(changes, body, says, tmp_path: Path) -> None:
+    path = tmp_path / "liar.pcd"
+    path.write_bytes(pcd_header(**changes) + body)
+    with pytest.raises(CloudError, match=says) as caught:
+        read_cloud(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+@given(
+    COORDINATES, st.sampled_from(["ascii", "binary_little_endian", "binary_big_endian"]), st.sampled_from(["f4", "f8"])
+)
+def test_ply_round_trip(points, form, kind) -> None:
+    header = (
+        f"ply\nformat {form} 1.0\ncomment viewpoint 0.5 -0.25 1.5 1 0 0 0\nelement camera 1\nproperty uchar id\n"
+        f"element vertex {len(points)}\nproperty {'float' if kind == 'f4' else 'double'} y\nproperty uchar red\n"
+        f"property {'float' if kind == 'f4' else 'double'} x\nproperty {'float' if kind == 'f4' else 'double'} z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    ).encode()
+    order = ">" if form.endswith("big_endian") else "<"
+    if form == "ascii":
+        body = b"7\n" + "".join(f"{y!r} 9 {x!r} {z!r}\n" for x, y, z in points.tolist()).encode() + b"3 0 0 0\n"
+    else:
+        table = np.zeros(len(points), [("y", order + kind), ("r", "u1"), ("x", order + kind), ("z", order + kind)])
+        for axis, name in enumerate("xyz"):
+            table[name] = points[:, axis]
+        body = b"\7" + table.tobytes() + b"\3" + np.zeros(3, order + "i4").tobytes()
+    read, viewpoint = read_ply(header + body, "cloud.ply")
+    np.testing.assert_array_equal(read.astype(np.float32), points)
+    assert viewpoint == VIEWPOINT
+
+
+PLY = "ply\nformat {form} 1.0\nelement vertex {n}\nproperty float x\nproperty float y\nproperty {kind}\nend_header\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"ply\nformat ascii 1.0\n", "no end_header"),
+        (b"obj\n", "does not begin with 'ply'"),
+        (PLY.format(form="ascii", n=4_000_000_000, kind="float z").encode(), "at most 2000000"),
+        (PLY.format(form="ascii", n=-1, kind="float z").encode(), "not an element"),
+        (PLY.format(form="ascii", n=0, kind="float z").encode(), "announces no vertices"),
+        (PLY.format(form="ascii", n=2, kind="float z").encode() + b"1 2 3\n", "2 vertices are announced, 1 lines"),
+        (PLY.format(form="ascii", n=1, kind="float z").encode() + b"1 2\n", "vertex 0 has 2 numbers"),
+        (PLY.format(form="ascii", n=1, kind="float z").encode() + b"1 2 z\n", "numbers are needed"),
+        (PLY.format(form="binary_little_endian", n=9, kind="float z").encode() + b"\0" * 12, "only 12 bytes"),
+        (PLY.format(form="binary_middle_endian", n=1, kind="float z").encode(), "format 'binary_middle_endian'"),
+        (PLY.format(form="ascii", n=1, kind="quad z").encode(), "not a property of a known type"),
+        (PLY.format(form="ascii", n=1, kind="list uchar int z").encode(), "list properties"),
+        (PLY.format(form="ascii", n=1, kind="float w").encode(), "no property 'z'"),
+        (b"ply\nformat ascii 1.0\nelement face 1\nproperty int a\nend_header\n", "no element vertex"),
+    ],
+)
+def test_a_lying_ply_is_refused_in_one_line(content, says, tmp_path: Path) -> None:
+    path = tmp_path / "liar.ply"
+    path.write_bytes(content)
+    with pytest.raises(CloudError, match=says) as caught:
+        read_cloud(path)
+    assert "\n" not in str(caught.value)
+
+
+@given(
+    COORDINATES,
+    st.sampled_from([" ", ",", ";", "\t", " , "]),
+    st.sampled_from(["", "x{0}y{0}z\n", '"X"{0}"Y"{0}"Z"\n']),
+)
+def test_text_round_trip_with_any_separator_and_header(points, mark, header) -> None:
+    rows = "".join(mark.join(repr(v) for v in row) + "\n" for row in points.tolist())
+    read, viewpoint = read_text((header.format(mark) + rows).encode(), "cloud.csv")
+    np.testing.assert_array_equal(read.astype(np.float32), points)
+    assert viewpoint is None
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("# viewpoint 0 0 1\n1 2 3\n", [[1, 2, 3]]),
+        ("i,z,y,x\n7,3,2,1\n", [[1, 2, 3]]),
+        ('"rgb:0","z","Points:0","Points:1","Points:2"\n0,9,1,2,3\n', [[1, 2, 3]]),
+        ("//X Y Z\n1 2 3\n\n4 5 6\n", [[1, 2, 3], [4, 5, 6]]),
+        ("1,5;2,5;3\n", [[1.5, 2.5, 3]]),
+        ("1,2,3,\n", [[1, 2, 3]]),
+    ],
+)
+def test_text_of_the_field_is_understood(text: str, expected: list[list[float]]) -> None:
+    np.testing.assert_array_equal(read_text(text.encode(), "cloud.csv")[0], expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("x,y,z\n", "has a header but no points"),
+        ("# nothing\n", "holds no points"),
+        ("1 2\n3 4\n", "line 1 has 2 columns; at least 3"),
+        ("1 2 3\n4 5\n", "line 2 has 2 columns, the first has 3"),
+        ("1,2,3\n4,abc,6\n", "line 2: 'abc' is not a number"),
+        ("a,b,c\n1,2,3\n", "line 1: 'a' is not a number"),
+        ("# viewpoint a b\n1 2 3\n", "viewpoint 'a b'"),
+    ],
+)
+def test_a_wrong_table_is_refused_naming_the_line(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "cloud.csv"
+    path.write_text(text)
+    with pytest.raises(CloudError, match=says):
+        read_cloud(path)
+
+
+@given(COORDINATES, st.sampled_from(["points", "xyz", "arr_0"]), st.sampled_from([np.float32, np.float64]))
+def test_npz_round_trip(points, key, dtype) -> None:
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **{key: points.astype(dtype), "viewpoint": np.array(VIEWPOINT)})
+    read, viewpoint = read_npz(stream.getvalue(), "cloud.npz")
+    np.testing.assert_array_equal(read.astype(np.float32), points)
+    assert viewpoint == VIEWPOINT
+
+
+def npz(**arrays_by_name: object) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **arrays_by_name)  # type: ignore[arg-type]
+    return stream.getvalue()
+
+
+def boastful_npz() -> bytes:
+    """An archive whose array says it has 700 million doubles."""
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (240000000, 3), }".ljust(117) + b"\n"
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("points.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + b"\0" * 100)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (boastful_npz(), "claims 5760000000 bytes"),
+        (npz(points=np.array([{}], dtype=object)), "pickled objects"),
+        (npz(other=np.zeros((2, 3))), "holds other; an array 'points'"),
+        (npz(points=np.zeros(5)), r"shape \(5,\)"),
+        (npz(points=np.zeros((5, 3), dtype=complex)), "complex128"),
+        (b"PK\3\4 this is no archive", "not a readable npz"),
+        (npz(points=np.zeros((50, 3)))[:-40], "not a readable npz"),
+    ],
+)
+def test_a_hostile_npz_is_refused(content: bytes, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "cloud.npz"
+    path.write_bytes(content)
+    with pytest.raises(CloudError, match=says):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".ply", ".xyz", ".csv", ".npz"])
+@given(junk=st.binary(max_size=400))
+def test_junk_is_refused_and_never_crashes(tmp_path_factory, suffix: str, junk: bytes) -> None:
+    path = tmp_path_factory.mktemp("junk") / f"junk{suffix}"
+    path.write_bytes(junk)
+    try:
+        n_points = len(read_cloud(path).points)
+    except CloudError as error:
+        n_points, message = 1, str(error)
+    else:
+        message = ""
+    assert n_points
+    assert "\n" not in message
+
+
+def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty.pcd").touch()
+    (tmp_path / "folder.ply").mkdir()
+    (tmp_path / "cloud.las").write_bytes(b"LASF")
+    for name, says in [
+        ("empty.pcd", "is empty"),
+        ("folder.ply", "is a folder"),
+        ("cloud.las", "suffix '.las' is unknown; one of .pcd, .ply"),
+        ("absent.pcd", "No such file"),
+    ]:
+        with pytest.raises(CloudError, match=says):
+            read_cloud(tmp_path / name)
+
+
+def test_a_huge_file_is_refused_by_its_size_alone(tmp_path: Path) -> None:
+    path = tmp_path / "huge.pcd"
+    with path.open("wb") as file:
+        file.truncate(65 * 2**20)
+    with pytest.raises(CloudError, match="at most 67108864"):
+        read_cloud(path)
+
+
+def test_invalid_points_are_dropped_and_counted() -> None:
+    points = np.ones((10, 3))
+    points[:3, 1] = [np.nan, np.inf, -np.inf]
+    cloud = make_cloud(points, np.zeros(3))
+    assert len(cloud.points) == 7
+    assert "dropped 3 NaN or infinite points of 10" in cloud.notes[0]
+    with pytest.raises(CloudError, match="100 of 100 points are NaN"):
+        make_cloud(np.full((100, 3), np.nan), np.zeros(3))
+
+
+def test_a_cloud_cannot_be_made_of_nonsense() -> None:
+    for points, origin in [
+        (np.zeros((0, 3)), np.zeros(3)),
+        (np.zeros((4, 2)), np.zeros(3)),
+        (np.full((4, 3), np.nan), np.zeros(3)),
+        (np.zeros((4, 3)), np.array([np.nan, 0, 0])),
+    ]:
+        with pytest.raises(CloudError):
+            Cloud(points, origin)
+
+
+def test_unit_and_frame_oddities_earn_a_note() -> None:
+    rng = np.random.default_rng(0)
+    room = rng.uniform([-2, -2, 0], [2, 2, 2], (1000, 3))
+    origin = np.array([0.0, 0.0, 1.6])
+    assert make_cloud(room, origin).notes == ()
+    assert "millimetres" in make_cloud(1000 * room, 1000 * origin).notes[0]
+    assert "map coordinates" in make_cloud(room + np.array([4e5, 5e6, 0]), origin).notes[0]
+    assert "sensor-framed" in make_cloud(room - origin, np.zeros(3)).notes[0]
+    camera = rng.uniform(-0.5, 0.5, (1000, 3)) * [1, 1, 0] + [0, 0, 2.0]
+    assert "camera's own frame" in make_cloud(camera, np.zeros(3)).notes[0]
+
+
+def test_the_viewpoint_is_ray_origin_and_moves_points_only_when_asked(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    sensor = np.column_stack([rng.uniform(0.3, 2, 4000), rng.uniform(-1, 1, 4000), np.full(4000, -1.6)])
+    half = np.sqrt(0.5)
+    path = tmp_path / "sensor.pcd"
+    # The sensor looks along its own y, so a quarter turn about x brings its z to the world's -y.
+    turned = sensor[:, [0, 2, 1]] * [1, 1, -1]
+    write_pcd(path, turned, (0.1, 0.2, 1.6, half, half, 0.0, 0.0))
+    as_they_stand = read_cloud(path)
+    np.testing.assert_allclose(as_they_stand.points, turned, atol=1e-6)
+    np.testing.assert_allclose(as_they_stand.origin, [0.1, 0.2, 1.6], atol=1e-6)
+    assert any("sensor-framed" in note for note in as_they_stand.notes)
+    moved = read_cloud(path, apply_viewpoint=True)
+    np.testing.assert_allclose(moved.points, sensor + np.array([0.1, 0.2, 1.6]), atol=1e-6)
+    assert moved.notes == ()
+
+
+def test_a_viewpoint_that_is_missing_cannot_be_applied(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.xyz"
+    path.write_text("1 2 3\n4 5 6\n")
+    assert "no sensor position" in read_cloud(path).notes[0]
+    with pytest.raises(CloudError, match="no viewpoint to apply"):
+        read_cloud(path, apply_viewpoint=True)
+
+
+def test_the_same_scan_reads_the_same_in_every_format(shared_data: Path) -> None:
+    clouds = [read_cloud(shared_data / "scenes" / "valve_a" / f"scan0.{kind}") for kind in ("pcd", "ply", "xyz")]
+    for other in clouds[1:]:
+        np.testing.assert_allclose(other.points, clouds[0].points, atol=1e-4)
+        np.testing.assert_allclose(other.origin, clouds[0].origin, atol=1e-6)
+
+
+def test_third_party_clouds_are_read(shared_data: Path) -> None:
+    folder = shared_data / "clouds"
+    kinect = read_cloud(folder / "kinect_office_capture0001.pcd")
+    assert len(kinect.points) == 249_647
+    assert any("dropped 57553" in note for note in kinect.notes)
+    voxels = read_cloud(folder / "mit_octomap_scene1.csv")
+    np.testing.assert_allclose(voxels.points[0], [0.475, 0.845, -0.005])
+    assert len(read_cloud(folder / "eth_car_cloud400.csv").points) > 20_000
+    assert any("sensor-framed" in note for note in read_cloud(folder / "room_scan1.pcd").notes)
