@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Browser, find_chromium
-from viewer_results import TURN, make_result
+from viewer_results import TURN, VALVE, make_result
 
 from service.viewer import LinkPlacements, write_viewer
 
@@ -129,9 +129,21 @@ def test_a_click_on_a_check_jumps_to_its_time_and_marks_its_place(browser, pages
     moved = browser.run("window.__viewer.camera")
     assert not np.allclose(moved, camera)
     np.testing.assert_allclose(moved[3:], [0.4, -0.5, 0.6], atol=1e-6)
-    assert "clearance −12 mm" in browser.run("document.querySelector('.label.bad:not([hidden])').textContent")
+    assert "crate ↔ l_hand −12 mm" in browser.run("document.querySelector('.label.bad:not([hidden])').textContent")
     red = colour_at(browser, "crate")
     assert red[0] > red[1] + 60
+
+
+def test_a_check_of_a_moved_joint_leads_to_what_moves(browser, tmp_path):
+    result, placements = make_result()
+    result["checks"][0]["where"] = {"time_s": 5.0, "position": None, "names": ["valve_turn"]}
+    write_viewer(result, placements, tmp_path / "joint.html")
+    browser.open((tmp_path / "joint.html").as_uri())
+    browser.run("[...document.querySelectorAll('.check')].find((e) => e.innerText.includes('joint limits')).click()")
+    browser.settle()
+    assert browser.run("window.__viewer.time") == pytest.approx(5.0)
+    np.testing.assert_allclose(browser.run("window.__viewer.camera")[3:], VALVE, atol=1e-6)
+    assert browser.run("document.querySelector('.label.good:not([hidden])').textContent") == "joint limits 5.73°"
 
 
 def test_an_unsolved_result_says_what_stands_in_the_way(browser, pages):

@@ -117,7 +117,8 @@ def _summary(result: Mapping[str, Any]) -> dict[str, Any]:
 
 def _task_name(task: Mapping[str, Any]) -> str:
     """What is asked for, in one word: the first thing of the task or goal that is not empty."""
-    return next((str(name) for name, content in task.items() if content), "")
+    named = next((str(name) for name, content in task.items() if content), "")
+    return {"poses": "reach", "joints": "joint goal"}.get(named, named)
 
 
 def _placed_checks(result: Mapping[str, Any], proof: ClearanceTrack | None) -> list[Mapping[str, Any]]:
@@ -149,6 +150,7 @@ def _movable(movable: Mapping[str, Any], n_samples: int, kept: Int[np.ndarray, "
         angles = np.full(n_samples, angles[0] if len(angles) else 0.0)
     return {
         "name": movable["name"],
+        "joint": movable.get("joint", ""),
         "origin": list(movable["origin"]),
         "axis": list(movable["axis"]),
         "bodies": [_named_hull(body) for body in movable["bodies"]],

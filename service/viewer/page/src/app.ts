@@ -1,7 +1,7 @@
 // The page's state and what can be done to it; main.ts connects it to keys, pointer and URL.
 import { Box3, Mesh, Vector3 } from "three";
 import { Balance } from "./balance";
-import { Result, readPayload, spanAt } from "./data";
+import { Movable, Result, readPayload, spanAt } from "./data";
 import { el } from "./dom";
 import { Ghosts } from "./ghosts";
 import { Header, makeHeader, makeHelp, tone } from "./header";
@@ -66,7 +66,7 @@ export class App implements Player {
     this.pieces = new Pieces(result);
     this.movables = new Movables(result);
     const targets = new Targets(result);
-    this.marks = new Marks(result.checks, motion, this.labels, () => this.solids());
+    this.marks = new Marks(result.checks, motion.start, (name, t) => this.placeOf(name, t), this.labels, () => this.solids());
     const centre = subject.box.getCenter(new Vector3());
     const reach = Math.max(6, subject.box.getSize(new Vector3()).length() * 2.2);
     this.layers = [
@@ -99,6 +99,17 @@ export class App implements Player {
     return [
       ...this.robot.meshes.map((mesh) => ({ name: mesh.name, mesh })), ...this.pieces.solids, ...this.movables.solids,
     ];
+  }
+
+  // Where something a check names is: a link or joint, a body of it, something that is moved, a piece of the world.
+  private placeOf(name: string, t: number): Vector3 | undefined {
+    const link = this.motion.place(name, t) ?? this.motion.place(name.split("/")[0], t);
+    if (link) return link;
+    const isNamed = (movable: Movable): boolean => [movable.joint, movable.name, ...movable.bodies.map((body) => body.name)].includes(name);
+    const movable = this.result.movables.find(isNamed);
+    if (movable) return new Vector3().fromArray(movable.origin);
+    const sphere = this.pieces.solids.find((piece) => piece.name === name)?.mesh.geometry.boundingSphere;
+    return sphere?.center.clone();
   }
 
   // The link a target speaks of, else the hand that travels most, else the link that does.

@@ -7,7 +7,7 @@ interface PackedNamedHull { name: string; kind: string; hull: PackedHull }
 export interface Hull { vertices: Float32Array; triangles: Uint16Array; edges: Uint16Array; bends: Uint8Array }
 export interface NamedHull { name: string; kind: string; hull: Hull }
 export interface Body { name: string; link: string; hull: Hull }
-export interface Movable { name: string; origin: number[]; axis: number[]; bodies: NamedHull[]; angles: Float32Array }
+export interface Movable { name: string; joint: string; origin: number[]; axis: number[]; bodies: NamedHull[]; angles: Float32Array }
 export interface Contact { link: string; position?: number[]; quaternion_wxyz?: number[]; sole?: number[][] }
 export interface Allowance { link: string; other: string; depth: number }
 export interface Target {
@@ -31,7 +31,7 @@ interface Payload {
   times: Packed; links: string[]; positions: Quantized; rotations: Packed;
   bodies: { name: string; link: string; hull: PackedHull }[];
   pieces: PackedNamedHull[];
-  movables: { name: string; origin: number[]; axis: number[]; bodies: PackedNamedHull[]; angles: Packed }[];
+  movables: { name: string; joint: string; origin: number[]; axis: number[]; bodies: PackedNamedHull[]; angles: Packed }[];
   waypoints: number[]; phases: Phase[]; support: Support[]; com: Packed; zmp: Packed; clearance: Packed; cloud: Quantized;
 }
 

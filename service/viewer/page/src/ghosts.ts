@@ -63,9 +63,12 @@ export class Ghosts implements Layer {
   private focus = -1;
   private now = 0;
   private gain = 1;
+  private readonly share: number;
 
   constructor(bodies: Body[], private readonly motion: Motion, waypoints: number[]) {
     this.times = motion.nFrames > 0 ? waypoints.map((frame) => motion.timeOfFrame(frame)) : [];
+    // Many ghosts overlap: together they stay as light as a few.
+    this.share = Math.min(1, Math.max(14 / Math.max(this.times.length, 1), 0.2));
     if (this.times.length === 0) return;
     const span = Math.max(motion.end - motion.start, 1e-9);
     const tints = new Float32Array(this.times.flatMap((t) => (timeColour((t - motion.start) / span) as Color).toArray()));
@@ -112,7 +115,7 @@ export class Ghosts implements Layer {
         const away = displacement(pose, part.poses[i], part.radius);
         const apart = Math.min(Math.max((away - 0.015) / 0.06, 0), 1);  // hides what the robot itself stands in
         const near = Math.exp(-Math.abs(time - t) / (0.12 * span));
-        part.strength.setX(i, part.fresh[i] ? apart * (0.10 + 0.55 * near) : 0);
+        part.strength.setX(i, part.fresh[i] ? apart * this.share * (0.10 + 0.55 * near) : 0);
       });
       part.strength.needsUpdate = true;
     }

@@ -1,7 +1,7 @@
 // Text that stands at places of the scene, drawn as HTML over the canvas so that it stays sharp.
 import { PerspectiveCamera, Vector3 } from "three";
 
-export interface Label { at: Vector3; text: string; kind: "target" | "good" | "bad" | "spot"; isOn: boolean }
+export interface Label { at: Vector3; text: string; kind: "target" | "good" | "bad" | "spot"; isOn: boolean; isDim?: boolean }
 
 interface Shown { label: Label; element: HTMLElement; text: HTMLElement; width: number }
 interface Box { left: number; right: number; top: number; bottom: number }
@@ -34,6 +34,7 @@ export class Labels {
       p.copy(label.at).project(camera);
       const isSeen = label.isOn && p.z < 1 && Math.abs(p.x) < 1.02 && Math.abs(p.y) < 1.02;
       element.hidden = !isSeen;
+      element.classList.toggle("dim", label.isDim === true);
       if (!isSeen) continue;
       if (text.textContent !== label.text || entry.width === 0) {
         text.textContent = label.text;

@@ -4,7 +4,6 @@ import { Check } from "./data";
 import { figure, title } from "./dom";
 import { Label, Labels } from "./labels";
 import { Layer } from "./layer";
-import { Motion } from "./motion";
 import { Colours } from "./theme";
 
 export class Marks implements Layer {
@@ -19,18 +18,21 @@ export class Marks implements Layer {
   private selected = -1;
 
   constructor(
-    private readonly checks: Check[], motion: Motion, labels: Labels, private readonly solids: () => { name: string; mesh: Mesh }[],
+    private readonly checks: Check[], private readonly start: number, placeOf: (name: string, t: number) => Vector3 | undefined,
+    labels: Labels, private readonly solids: () => { name: string; mesh: Mesh }[],
   ) {
     this.places = checks.map((check) => {
       const where = check.where;
       if (where?.position && where.position.length === 3) return new Vector3().fromArray(where.position);
-      const found = (where?.names ?? []).map((name) => motion.place(name.split("/")[0], where?.time_s ?? motion.start));
+      const found = (where?.names ?? []).map((name) => placeOf(name, where?.time_s ?? this.start));
       return found.find((place) => place !== undefined);
     });
     this.own = checks.map((check, i) => {
       const at = this.places[i];
       if (!at) return undefined;
-      const text = `${title(check.name)} ${figure(check.value, check.unit)}`;
+      const names = check.where?.names ?? [];
+      const what = names.length === 2 ? names.join(" ↔ ") : title(check.name);
+      const text = `${what} ${figure(check.value, check.unit)}`;
       const label: Label = { at, text, kind: check.ok ? "good" : "bad", isOn: false };
       labels.add(label);
       return label;
@@ -62,7 +64,9 @@ export class Marks implements Layer {
 
   refresh(): void {
     this.own.forEach((label, i) => {
-      if (label) label.isOn = this.group.visible && (!this.checks[i].ok || i === this.selected);
+      if (!label) return;
+      label.isOn = this.group.visible && (!this.checks[i].ok || i === this.selected);
+      label.isDim = this.selected >= 0 && i !== this.selected;
     });
   }
 

@@ -32,7 +32,9 @@ export class Panel {
   private shown: Phase | undefined;
 
   constructor(result: Result, layers: Layer[], choose: (index: number) => void, toggle: (layer: Layer) => void) {
-    const order = result.checks.map((_, i) => i).sort((a, b) => Number(result.checks[a].ok) - Number(result.checks[b].ok));
+    // What failed first, then the clearance of the whole curve, then as the certificate has them.
+    const rank = (check: Check): number => (check.ok ? 2 : 0) - Number(check.name === "clearance");
+    const order = result.checks.map((_, i) => i).sort((a, b) => rank(result.checks[a]) - rank(result.checks[b]));
     const failed = result.checks.filter((check) => !check.ok).length;
     const scroll = el("div", "scroll");
     if (result.explanation.length > 0) {
@@ -40,7 +42,7 @@ export class Panel {
     }
     if (result.checks.length > 0) {
       const summary = failed > 0 ? `Checks · ${failed} of ${result.checks.length} failed` : `Checks · all ${result.checks.length} hold`;
-      scroll.append(section(summary, el("div", "checks", ...order.map((i) => this.check(result.checks[i], i, choose)))));
+      scroll.append(section(summary, el("div", result.checks.length > 12 ? "checks dense" : "checks", ...order.map((i) => this.check(result.checks[i], i, choose)))));
     }
     if (result.phases.length > 0) scroll.append(section("Now", this.phase));
     scroll.append(section("Layers", el("div", "layers", ...layers.map((layer) => this.layer(layer, toggle)))));
@@ -66,6 +68,7 @@ export class Panel {
     const time = typeof where.time_s === "number" ? `t ${seconds(where.time_s)}` : "";
     const detail = [place, time, check.basis === "samples" ? "at samples" : ""].filter(Boolean).join(" · ");
     row.append(el("span", "detail", detail));
+    if (check.text) row.title = check.text;
     if (check.text) row.append(el("span", "text", check.text));
     this.rows.set(index, row);
     return row;
