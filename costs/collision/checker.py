@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from costs.collision.contacts import Contacts
 from costs.collision.pairs import PairMargins
 from costs.collision.shapes import rewritable_convex, static_convex
-from costs.collision.sweep import BodyVertices, share_gradient
+from costs.collision.sweep import BodyVertices, extent, share_gradient
 from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
 from costs.scene import Scene
@@ -74,12 +74,15 @@ class SweptCollisionChecker:
     ) -> Contacts:
         if not self._pieces:
             return Contacts.none()
-        low, high = world.min(axis=2), world.max(axis=2)
+        low, high = extent(world)
         low, high = np.minimum(low[first], low[second]), np.maximum(high[first], high[second])
-        reach = (self.margins.world + self.buffer)[None, :, :, None]
-        near = np.all((low[:, :, None] <= self._upper + reach) & (self._lower - reach <= high[:, :, None]), axis=3)
+        reach = self.margins.world + self.buffer
+        near = np.ones((len(first), *reach.shape), dtype=bool)
+        for axis in range(3):
+            near &= low[:, :, axis, None] <= self._upper[:, axis] + reach
+            near &= self._lower[:, axis] - reach <= high[:, :, axis, None]
         interval, body, piece = np.nonzero(near)
-        query = (self.margins.world + self.buffer)[body, piece]
+        query = reach[body, piece]
         found = self._narrow(world[first], world[second], interval, body, piece, query, is_self=False)
         keep, distance, normal, witness = found
         interval, body, piece = interval[keep], body[keep], piece[keep]
@@ -113,10 +116,9 @@ class SweptCollisionChecker:
             rotation, position = kinematics.rotation[waypoint, joint], kinematics.position[waypoint, joint]
             ends.append(np.matmul(world[waypoint, moving] - position[:, None], rotation))
         reach = (self.margins.own[pair] + self.buffer)[:, None]
-        low = np.minimum(ends[0].min(axis=1), ends[1].min(axis=1)) - reach
-        high = np.maximum(ends[0].max(axis=1), ends[1].max(axis=1)) + reach
-        local = self._bodies.local
-        near = np.all((low <= local.max(axis=1)[still]) & (local.min(axis=1)[still] <= high), axis=1)
+        (low_first, high_first), (low_second, high_second) = extent(ends[0]), extent(ends[1])
+        low, high = np.minimum(low_first, low_second) - reach, np.maximum(high_first, high_second) + reach
+        near = np.all((low <= self._bodies.upper[still]) & (self._bodies.lower[still] <= high), axis=1)
         interval, pair, still, moving, joint = interval[near], pair[near], still[near], moving[near], joint[near]
         at_first, at_second = ends[0][near], ends[1][near]
 
@@ -166,8 +168,9 @@ class SweptCollisionChecker:
         length = np.einsum("tpk,tpk->tp", chord, chord)
         along = -np.einsum("tpk,tpk->tp", start, chord) / np.where(length < 1e-18, 1.0, length)
         nearest = start + np.clip(along, 0.0, 1.0)[:, :, None] * chord
-        gap = np.linalg.norm(nearest, axis=2) - bodies.radius[still] - bodies.radius[moving]
-        intervals, pairs = np.nonzero(gap <= self.margins.own + self.buffer)
+        reach = bodies.radius[still] + bodies.radius[moving] + self.margins.own + self.buffer
+        is_near = np.einsum("tpk,tpk->tp", nearest, nearest) <= np.maximum(reach, 0.0) ** 2
+        intervals, pairs = np.nonzero(is_near)
         return intervals, pairs
 
     def _narrow(

@@ -21,6 +21,7 @@ class BodyVertices:
         local: (B, V, 3) vertices in the joint's frame; the last vertex repeats up to V [m].
         count: (B,) how many are real.
         joint: (B,) joint that carries each body.
+        lower, upper: (B, 3) bounding box in the joint's frame [m].
         centre: (B, 3) centre of the bounding sphere in the joint's frame.
         radius: (B,) its radius [m].
     """
@@ -28,6 +29,8 @@ class BodyVertices:
     local: Float[np.ndarray, "B V 3"]
     count: Int[np.ndarray, "B"]
     joint: Int[np.ndarray, "B"]
+    lower: Float[np.ndarray, "B 3"]
+    upper: Float[np.ndarray, "B 3"]
     centre: Float[np.ndarray, "B 3"]
     radius: Float[np.ndarray, "B"]
 
@@ -39,9 +42,11 @@ class BodyVertices:
         local = np.empty((len(robot.bodies), longest, 3))
         for row, body in zip(local, robot.bodies, strict=True):
             row[: len(body.outer)], row[len(body.outer) :] = body.outer, body.outer[-1]
-        centre = 0.5 * (local.min(axis=1) + local.max(axis=1))
+        lower, upper = extent(local)
+        centre = 0.5 * (lower + upper)
         radius = np.linalg.norm(local - centre[:, None], axis=2).max(axis=1)
-        return BodyVertices(local, count, np.array([b.joint for b in robot.bodies], dtype=int), centre, radius)
+        joint = np.array([body.joint for body in robot.bodies], dtype=int)
+        return BodyVertices(local, count, joint, lower, upper, centre, radius)
 
     def in_world(self, kinematics: Kinematics) -> Float[np.ndarray, "T B V 3"]:
         """World coordinates of all vertices at all waypoints."""
@@ -56,16 +61,23 @@ class BodyVertices:
         return np.asarray(np.einsum("tbkl,bl->tbk", rotation, self.centre) + kinematics.position[:, self.joint])
 
 
+def extent(points: Float[np.ndarray, "*m V 3"]) -> tuple[Float[np.ndarray, "*m 3"], Float[np.ndarray, "*m 3"]]:
+    """Lower and upper corners of the bounding boxes of many point sets."""
+    first = np.ascontiguousarray(np.moveaxis(points, -2, 0))  # reduced over its first axis: eight times as fast
+    return first.min(axis=0), first.max(axis=0)
+
+
 def share_gradient(
     at_first: Float[np.ndarray, "m V 3"],
     at_second: Float[np.ndarray, "m V 3"],
     normal: Float[np.ndarray, "m 3"],
     witness: Float[np.ndarray, "m 3"],
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
-    """Where on the sweep a witness point lies: weight of the second pose, and the support point of each pose.
+    """Where on the sweep a witness point lies: weight of the second pose, and the point it is made of at each pose.
 
     The pose whose support along ``-normal`` is nearer the witness gets the larger share (Schulman et al., IJRR 2014,
-    sec. V.B); a pose that lies further off by more than the band has no share.
+    sec. V.B); a pose that lies further off by more than the band has no share.  The gradient is exact for a single
+    pose, where one pose alone supports and where one vertex does; elsewhere the share is an estimate.
 
     Args:
         at_first, at_second: the body's vertices at both poses, in one frame.
@@ -80,7 +92,10 @@ def share_gradient(
     share = np.where(total < SUPPORT_BAND, 0.5, to_first / np.where(total < SUPPORT_BAND, 1.0, total))
     apart = 10.0 * SUPPORT_BAND
     share = np.where(low_second - low_first > apart, 0.0, np.where(low_first - low_second > apart, 1.0, share))
-    return share, point_first, point_second
+    # Both points are moved alike so that they share out to the witness itself: the mean of a supporting edge or face
+    # lies far from it, and with it the rotations' lever arms.
+    offset = witness - (1.0 - share)[:, None] * point_first - share[:, None] * point_second
+    return share, point_first + offset, point_second + offset
 
 
 def _support(
