@@ -23,7 +23,7 @@ from costs.terms import (
     JointTarget,
     SweptClearance,
 )
-from scopt import Constraint, Cost, Problem, Sense
+from scopt import Constraint, Cost, Penalty, Problem, Sense
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]
@@ -31,6 +31,10 @@ SELF_SHARE = 0.5  # of the margin is asked of the robot's own links: their dista
 CLEARANCE_TOLERANCE = 2e-3  # of the margin that is aimed at [m]
 LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
 SOLE_BAND = 4e-3  # sole corners are the vertices this close to the lowest one [m]
+UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
+BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
+COMFORTABLE_BALANCE = 0.06  # a balance margin below this costs, so that a faster motion stays balanced too [m]
+BALANCE_WEIGHT = 10.0  # averaged over the waypoints [cost/m]
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
 
 
@@ -181,7 +185,7 @@ class WholeBody:
         return Problem(
             lower,
             upper,
-            (*self._smoothness(n_waypoints), *self._upright(everywhere), *costs),
+            (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere), *costs),
             (*standing, *constraints),
             state,
             self.step_scale(),
@@ -209,7 +213,7 @@ class WholeBody:
         """Joint displacement, scaled so that a finer trajectory of the same motion costs the same."""
         weights = np.ones(self.robot.n)
         if self.robot.is_floating:
-            weights[: len(BASE_NAMES)] = 2.0
+            weights[: len(BASE_NAMES)] = BASE_WEIGHTS
         everywhere = np.arange(n_waypoints)
         joints = np.arange(len(BASE_NAMES) if self.robot.is_floating else 0, self.robot.n)
         nominal = JointTarget(n_waypoints, self.robot.n, everywhere, joints, self.nominal[joints])
@@ -226,10 +230,18 @@ class WholeBody:
             Cost(
                 f"upright {link}",
                 AxisDirection(self.robot, link, everywhere, up, up),
-                weight=1.0 / len(everywhere),  # [cost/rad^2], averaged over the waypoints
+                weight=UPRIGHT_WEIGHT / len(everywhere),
             )
             for link in self.robot.link_groups.get("upright", ())
         )
+
+    def _comfort(self, everywhere: np.ndarray) -> tuple[Cost[MotionState], ...]:
+        """The centre of mass stays well inside the feet where it can."""
+        if self.polygon is None:
+            return ()
+        margin = max(COMFORTABLE_BALANCE, self.aims.balance_margin)
+        well_inside = CentreOfMassInPolygon(self.polygon, everywhere, margin)
+        return (Cost("comfortable balance", well_inside, BALANCE_WEIGHT / len(everywhere), Penalty.HINGE),)
 
 
 def _sole(

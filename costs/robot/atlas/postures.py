@@ -24,6 +24,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 LINK_GROUPS: Mapping[str, tuple[str, ...]] = {
     "feet": ("l_foot", "r_foot"),
     "hands": ("l_hand", "r_hand"),
+    "upright": ("pelvis", "utorso"),
 }
 
 # Angles of the left side [rad]; the right side mirrors them. Knees bent, soles level (hpy + kny + aky = 0 and
