@@ -92,12 +92,11 @@ def file_columns(robot: RobotModel) -> tuple[str, ...]:
 
 
 def file_positions(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "S k"]:
-    """Configurations in the columns of ``file_columns``; the quaternion's sign does not flip between samples."""
+    """Configurations in the columns of ``file_columns``."""
     if not robot.is_floating or not len(q):
         return q if len(q) else np.zeros((0, len(file_columns(robot))))
+    # Products of half-angle quaternions: their sign does not flip between samples, as long as the angles do not jump.
     quaternions = Rotation.from_euler("ZYX", q[:, 3:6]).as_quat(scalar_first=True)
-    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
-    quaternions[1:] *= np.cumprod(np.where(flips, -1.0, 1.0))[:, None]
     return np.hstack([q[:, :3], quaternions, q[:, 6:]])
 
 
