@@ -49,7 +49,7 @@ def clearance_track(result: Mapping[str, Any]) -> ClearanceTrack | None:
     )
     if len(first) == 0:
         return ClearanceTrack(times, clearance, None, float("nan"))
-    proven = np.where(_may_touch(result, first, last), np.inf, distance - bound)
+    proven = np.where(_may_touch(result, time_law, 0.5 * (first + last)), np.inf, distance - bound)
     covered = (first[:, None] <= path) & (path <= last[:, None])
     clearance = np.minimum(clearance, np.where(covered, proven[:, None], np.inf).min(axis=0))
     least = int(np.argmin(proven))
@@ -60,17 +60,13 @@ def clearance_track(result: Mapping[str, Any]) -> ClearanceTrack | None:
     return ClearanceTrack(times, clearance, (mover, holder), middle)
 
 
-def _may_touch(
-    result: Mapping[str, Any], first: Float[np.ndarray, "R"], last: Float[np.ndarray, "R"]
-) -> Bool[np.ndarray, "R"]:
-    """Which rows of the proof belong to a pair that may touch in the phase they lie in."""
-    certificate, curve = result["certificate"], result["curve"]
-    stretches, samples = certificate["stretches"], result["trajectory"]["times"]
-    law = TimeLaw(*(np.asarray(curve["law"][key], dtype=float) for key in ("times", "path", "speed")))
-    middle = 0.5 * (first + last)
+def _may_touch(result: Mapping[str, Any], law: TimeLaw, middle: Float[np.ndarray, "R"]) -> Bool[np.ndarray, "R"]:
+    """Which rows of the proof belong to a pair that may touch in the phase in which their middle lies."""
+    certificate, samples = result["certificate"], result["trajectory"]["times"]
+    stretches = certificate["stretches"]
     pairs = [tuple(sorted(pair)) for pair in stretches["pairs"]]
     row_pairs = [pairs[index] for index in stretches["pair"]]
-    exempt = np.zeros(len(first), dtype=bool)
+    exempt = np.zeros(len(middle), dtype=bool)
     for phase in result.get("phases") or []:
         names = {tuple(sorted(e["pair"])) for e in certificate.get("exempt") or [] if e.get("phase") == phase["name"]}
         ends = law.at(np.array([samples[phase["first"]], samples[phase["last"]]], dtype=float))[0]

@@ -38,7 +38,10 @@ export class Balance implements Layer {
   readonly key = "b";
   readonly group = new Group();
   private readonly polygons: { group: Group; support: Support }[] = [];
-  private readonly ball = new Mesh(comBall(0.035), new MeshStandardMaterial({ vertexColors: true, roughness: 0.5, transparent: true, opacity: 0.85, depthTest: false }));
+  // The centre of mass lies inside the robot: its mark shows through.
+  private readonly ball = new Mesh(comBall(0.035), new MeshStandardMaterial({
+    vertexColors: true, roughness: 0.5, transparent: true, opacity: 0.85, depthTest: false,
+  }));
   private readonly plumb = new Mesh(new CylinderGeometry(0.0035, 0.0035, 1, 6).rotateX(Math.PI / 2), this.overlay(0.7));
   private readonly dot = new Mesh(new SphereGeometry(0.014, 16, 8), this.overlay(1));
   private readonly fill = this.overlay(0.14);

@@ -38,15 +38,19 @@ void main() {
   #include <colorspace_fragment>
 }`;
 
-interface Part { mesh: InstancedMesh; strength: InstancedBufferAttribute; poses: Matrix4[]; link: number; radius: number; fresh: boolean[] }
+interface Part {
+  mesh: InstancedMesh; strength: InstancedBufferAttribute; poses: Matrix4[]; link: number; radius: number; fresh: boolean[];
+}
 
 // Largest displacement between two poses of points within radius of the link's origin [m].
 function displacement(a: Matrix4, b: Matrix4, radius: number): number {
   const p = a.elements;
   const q = b.elements;
   let turn = 0;
-  for (let i = 0; i < 3; i++) turn = Math.max(turn, Math.hypot(p[4 * i] - q[4 * i], p[4 * i + 1] - q[4 * i + 1], p[4 * i + 2] - q[4 * i + 2]));
-  return Math.hypot(p[12] - q[12], p[13] - q[13], p[14] - q[14]) + turn * radius;
+  const gap = (column: number): number =>
+    Math.hypot(p[column] - q[column], p[column + 1] - q[column + 1], p[column + 2] - q[column + 2]);
+  for (const axis of [0, 4, 8]) turn = Math.max(turn, gap(axis));
+  return gap(12) + turn * radius;
 }
 
 export class Ghosts implements Layer {

@@ -108,7 +108,9 @@ function start(): void {
       const place = app.motion.place(what, app.time);
       return place ? app.stage.pixel(place) : null;
     },
-    angle(index: number): number { const w = app.movables.group.children[index].quaternion.w; return 2 * Math.acos(Math.min(1, Math.abs(w))); },
+    angle(index: number): number {
+      return 2 * Math.acos(Math.min(1, Math.abs(app.movables.group.children[index].quaternion.w)));
+    },
   };
   Object.assign(window, { __viewer: hook });
 }

@@ -42,7 +42,8 @@ export class Panel {
     }
     if (result.checks.length > 0) {
       const summary = failed > 0 ? `Checks · ${failed} of ${result.checks.length} failed` : `Checks · all ${result.checks.length} hold`;
-      scroll.append(section(summary, el("div", result.checks.length > 12 ? "checks dense" : "checks", ...order.map((i) => this.check(result.checks[i], i, choose)))));
+      const rows = order.map((i) => this.check(result.checks[i], i, choose));
+      scroll.append(section(summary, el("div", rows.length > 12 ? "checks dense" : "checks", ...rows)));
     }
     if (result.phases.length > 0) scroll.append(section("Now", this.phase));
     scroll.append(section("Layers", el("div", "layers", ...layers.map((layer) => this.layer(layer, toggle)))));

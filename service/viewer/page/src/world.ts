@@ -59,10 +59,10 @@ function topOnly(hull: Hull): Hull {
   let top = -Infinity;
   for (let i = 2; i < hull.vertices.length; i += 3) top = Math.max(top, hull.vertices[i]);
   const isTop = (index: number): boolean => hull.vertices[3 * index + 2] > top - 0.002;
-  const kept = Array.from({ length: hull.edges.length / 2 }, (_, i) => i).filter((i) => isTop(hull.edges[2 * i]) && isTop(hull.edges[2 * i + 1]));
+  const ends = (i: number): number[] => [hull.edges[2 * i], hull.edges[2 * i + 1]];
+  const kept = Array.from(hull.bends.keys()).filter((i) => ends(i).every(isTop));
   return {
-    ...hull, edges: Uint16Array.from(kept.flatMap((i) => [hull.edges[2 * i], hull.edges[2 * i + 1]])),
-    bends: Uint8Array.from(kept.map((i) => hull.bends[i])),
+    ...hull, edges: Uint16Array.from(kept.flatMap(ends)), bends: Uint8Array.from(kept.map((i) => hull.bends[i])),
   };
 }
 
