@@ -17,6 +17,7 @@ _LAYER = 0.02
 _BAND = 0.025
 _MIN_AREA = 0.25
 _CELL = 0.1
+_MOST_UPRIGHT = 0.6
 _EXTENSION = 1.0
 _THICKNESS = 0.2
 
@@ -97,7 +98,22 @@ def _refined(points: Float[np.ndarray, "N 3"], normal: Float[np.ndarray, "3"], o
     area = len(np.unique(np.floor(members[:, :2] / _CELL), axis=0)) * _CELL**2
     if area < _MIN_AREA or normal[2] < np.cos(np.radians(_MAX_SLOPE_DEG)):
         return None
+    if _is_slice(points, np.abs(points @ normal - offset), members):
+        return None
     return FloorPlane(normal, offset, float(np.std(members @ normal - offset)), float(area))
+
+
+def _is_slice(
+    points: Float[np.ndarray, "N 3"], distance: Float[np.ndarray, "N"], members: Float[np.ndarray, "K 3"]
+) -> bool:
+    """Whether most places of the plane go on above or below it: then it cuts through walls and clutter."""
+
+    def places(of: Float[np.ndarray, "M 3"]) -> set[tuple[int, int]]:
+        return {(int(i), int(j)) for i, j in np.unique(np.floor(of[:, :2] / _CELL), axis=0)}
+
+    mine = places(members)
+    going_on = places(points[(distance > 2 * _BAND) & (distance < 10 * _BAND)])
+    return len(mine & going_on) > _MOST_UPRIGHT * len(mine)
 
 
 def on_floor(

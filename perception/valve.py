@@ -86,8 +86,6 @@ def detect_valves(
     """
     reach = reach or Reach()
     near = cloud.points[reach.contains(cloud.points)]
-    if hint is not None:
-        near = near[np.linalg.norm(near - hint, axis=1) < 2 * _HINT_RADIUS]
     floor = find_floor(near, seed)
     if floor is not None:
         near = near[~on_floor(near, floor)]

@@ -1,0 +1,209 @@
+"""Valve detection: accuracy on scenes whose truth is known, and silence where there is no valve."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from perception import (
+    CONFIDENT,
+    Reach,
+    ValveDetection,
+    detect_valves,
+    has_clear_spokes,
+    perceive,
+    read_cloud,
+    valve_bodies,
+    wheel_basis,
+    wheel_points,
+)
+from perception.clean import half_spaces
+from perception.simulate import Pose, Room, Scanner, Valve, box, cylinder, scan
+
+SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
+SCANNER = Scanner(n_lines=80)
+ROOM = Room(pipes=((0.8, 0.6, 0.045),), boxes=(((0.5, -0.9, 0.0), (0.8, -0.5, 0.5)),))
+SHIPPED = Path(__file__).parents[1] / "examples" / "data"
+
+
+def tilted(yaw_deg: float, pitch_deg: float) -> tuple[float, float, float]:
+    yaw, pitch = np.radians([yaw_deg, pitch_deg])
+    return (-np.cos(yaw) * np.cos(pitch), -np.sin(yaw) * np.cos(pitch), np.sin(pitch))
+
+
+VALVES = {
+    "small, three spokes": Valve((0.6, 0.1, 1.1), rim_radius=0.08, tube_radius=0.01, n_spokes=3, hub_radius=0.02),
+    "large, six spokes": Valve((0.7, -0.1, 1.2), rim_radius=0.25, tube_radius=0.016, n_spokes=6, spin=0.2),
+    "tilted up": Valve((0.6, 0.0, 0.9), tilted(0, 45), rim_radius=0.18, tube_radius=0.014, n_spokes=5),
+    "turned aside": Valve((0.7, 0.3, 1.0), tilted(40, 0), rim_radius=0.15, tube_radius=0.02),
+    "turned and tilted": Valve((0.65, -0.2, 1.2), tilted(-35, 20), n_spokes=3),
+    "lying flat": Valve((0.6, 0.0, 0.8), tilted(0, 85), rim_radius=0.2, stem_length=0.3),
+    "thin rim": Valve((0.65, 0.1, 1.1), tube_radius=0.006, spoke_radius=0.005),
+    "thick rim": Valve((0.65, 0.1, 1.0), rim_radius=0.15, tube_radius=0.028, n_spokes=5),
+    "beyond the hand's reach": Valve((1.2, 0.3, 1.1), rim_radius=0.15, stem_length=0.25),
+}
+
+
+def assert_matches(found: ValveDetection, centre: object, axis: object, outer_radius: float) -> None:
+    """The targets for dense scans."""
+    assert found.confidence >= CONFIDENT
+    assert np.linalg.norm(found.centre - np.asarray(centre)) <= 0.010
+    direction = np.asarray(axis) / np.linalg.norm(np.asarray(axis))
+    assert np.degrees(np.arccos(np.clip(found.axis @ direction, -1, 1))) <= 2.0
+    assert abs(found.outer_radius - outer_radius) <= 0.005
+
+
+def fake(**changes: object) -> ValveDetection:
+    figures: dict[str, object] = {
+        "centre": np.array([0.7, 0.1, 1.1]), "axis": np.array([-1.0, 0.0, 0.0]), "rim_radius": 0.12,
+        "outer_radius": 0.135, "tube_radius": 0.015, "half_depth": 0.015, "spoke_angles": (0.3, 1.9, 3.4, 5.0),
+        "hub_radius": 0.03, "inner_depth": (-0.02, 0.02), "confidence": 1.0, "rms": 0.01, "n_inliers": 500,
+        "spoke_half_width": 0.008, "spoke_share": 1.0,
+    }  # fmt: skip
+    return ValveDetection(**(figures | changes))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", VALVES)
+def test_simulated_valves_are_found_within_the_targets(name: str) -> None:
+    valve = VALVES[name]
+    room = Room(wall_x=1.5) if valve.centre[0] > 1.0 else ROOM
+    cloud = scan(room.meshes() + valve.meshes(), SENSOR, SCANNER, seed=len(name))
+    found = detect_valves(cloud)
+    assert_matches(found[0], valve.centre, valve.axis, valve.outer_radius)
+    assert abs(found[0].rim_radius - valve.rim_radius) <= 0.005
+    assert all(other.confidence < CONFIDENT for other in found[1:])
+
+
+EMPTY = {
+    "wall, pipe and box": ROOM.meshes(),
+    "pipes": Room(pipes=((0.6, 0.2, 0.1), (0.7, -0.1, 0.05), (0.75, 0.5, 0.2), (0.6, -0.5, 0.03))).meshes(),
+    "boxes": Room(boxes=(((0.5, -0.2, 0.6), (0.8, 0.2, 0.9)), ((0.6, 0.3, 1.0), (0.62, 0.5, 1.3)))).meshes(),
+    "a round plate": [*Room().meshes(), cylinder((0.7, 0.1, 1.1), (0.72, 0.1, 1.1), 0.13)],
+    "a square frame": [
+        *Room().meshes(),
+        *(box((0.7, y - a, z - b), (0.72, y + a, z + b)) for y, z, a, b in
+          [(0.0, 0.97, 0.15, 0.015), (0.0, 1.23, 0.15, 0.015), (-0.2, 1.1, 0.015, 0.15), (0.2, 1.1, 0.015, 0.15)]),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EMPTY)
+def test_nothing_is_found_with_confidence_where_there_is_no_wheel(name: str) -> None:
+    cloud = scan(EMPTY[name], SENSOR, SCANNER, seed=1)
+    assert all(found.confidence < CONFIDENT for found in detect_valves(cloud))
+
+
+def test_spokes_are_told_where_they_are_clearly_seen() -> None:
+    valve = Valve((0.68, 0.12, 1.1), spin=0.4)
+    found = detect_valves(scan(ROOM.meshes() + valve.meshes(), SENSOR, SCANNER, seed=7))[0]
+    assert has_clear_spokes(found)
+    true = np.sort(np.mod(valve.spoke_angles, 2 * np.pi))
+    np.testing.assert_allclose(found.spoke_angles, true, atol=np.radians(3))
+    assert 0.004 < found.spoke_half_width < 0.012
+    assert 0.02 < found.hub_radius < 0.045
+
+
+def test_a_hint_keeps_the_search_near_it() -> None:
+    one, two = Valve((0.7, 0.45, 1.1)), Valve((0.7, -0.35, 1.2), rim_radius=0.15)
+    cloud = scan(ROOM.meshes() + one.meshes() + two.meshes(), SENSOR, SCANNER, seed=3)
+    both = [found for found in detect_valves(cloud) if found.confidence >= CONFIDENT]
+    assert len(both) == 2
+    for valve in (one, two):
+        hinted = detect_valves(cloud, hint=np.array(valve.centre) + 0.05)
+        assert_matches(hinted[0], valve.centre, valve.axis, valve.outer_radius)
+
+
+def test_detection_is_the_same_for_the_same_seed() -> None:
+    cloud = scan(ROOM.meshes() + VALVES["tilted up"].meshes(), SENSOR, SCANNER, seed=3)
+    one, other = detect_valves(cloud, seed=5)[0], detect_valves(cloud, seed=5)[0]
+    np.testing.assert_array_equal(one.centre, other.centre)
+    assert one.rim_radius == other.rim_radius
+
+
+@pytest.mark.parametrize("scan_name", ["scan0.pcd", "scan0.ply", "scan0.xyz", "scan2.pcd"])
+def test_the_shared_valve_is_found_within_the_targets(shared_data: Path, scan_name: str) -> None:
+    folder = shared_data / "scenes" / "valve_a"
+    truth = json.loads((folder / "gt.json").read_text())["valves"][0]
+    found = detect_valves(read_cloud(folder / scan_name))
+    assert_matches(found[0], truth["centre"], truth["axis"], truth["outer_radius"])
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["scenes/door_a/scan0.pcd", "scenes/debris/scan0.pcd", "clouds/room_scan1.pcd", "clouds/mit_octomap_scene1.csv",
+     "clouds/eth_car_cloud400.csv", "clouds/kinect_office_capture0001.pcd"],
+)  # fmt: skip
+def test_shared_clouds_without_a_valve_show_none(shared_data: Path, name: str) -> None:
+    assert all(found.confidence < CONFIDENT for found in detect_valves(read_cloud(shared_data / name)))
+
+
+def test_the_cars_only_wheel_is_its_steering_wheel(shared_data: Path) -> None:
+    folder = shared_data / "scenes" / "car_ev"
+    truth = json.loads((folder / "gt.json").read_text())["car"]["steering_wheel"]
+    sure = [found for found in detect_valves(read_cloud(folder / "scan0.pcd")) if found.confidence >= CONFIDENT]
+    for found in sure:
+        assert np.linalg.norm(found.centre - truth["mean"]) < 0.03
+
+
+def test_the_shipped_scan_shows_its_valve() -> None:
+    truth = json.loads((SHIPPED / "valve_scan.json").read_text())["valve"]
+    perceived = perceive(read_cloud(SHIPPED / "valve_scan.pcd"), reach=Reach(radius=2.0), valve=True)
+    assert perceived.valve is not None
+    assert_matches(perceived.valve, truth["centre"], truth["axis"], truth["outer_radius"])
+    assert has_clear_spokes(perceived.valve)
+    np.testing.assert_allclose(perceived.valve.spoke_angles, np.mod(truth["spoke_angles"], 2 * np.pi), atol=0.06)
+    assert {"floor", "stem", "plane"} <= {piece.kind for piece in perceived.scene.pieces}
+    assert (SHIPPED / "valve_scan.pcd").stat().st_size <= 1_000_000
+
+
+@pytest.mark.parametrize("axis", [(-1, 0, 0), (0, 0, 1), (0.6, 0.0, 0.8), (0, -1, 0)])
+def test_angles_about_the_axis_are_right_handed(axis: tuple[float, ...]) -> None:
+    basis = wheel_basis(np.array(axis, dtype=float))
+    np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(basis) == pytest.approx(1.0)
+    assert abs(basis[0, 2]) < 1e-12
+
+
+def test_wheel_bodies_contain_the_wheel_and_leave_its_openings() -> None:
+    found = fake()
+    basis = wheel_basis(found.axis)
+    bodies = {name: half_spaces(vertices) for name, vertices in valve_bodies(found, margin=0.0).items()}
+
+    def covered(radius: np.ndarray, angle: np.ndarray, height: np.ndarray) -> np.ndarray:
+        local = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+        points = found.centre + local @ basis
+        return np.any([(points @ f[:, :3].T + f[:, 3] <= 1e-9).all(axis=1) for f in bodies.values()], axis=0)
+
+    rng = np.random.default_rng(0)
+    angle, around = rng.uniform(0, 2 * np.pi, (2, 3000))
+    section = 0.015 * np.sqrt(rng.random(3000))
+    assert covered(0.12 + section * np.cos(around), angle, section * np.sin(around)).all()
+    assert covered(rng.uniform(0, 0.03, 3000), angle, rng.uniform(-0.02, 0.02, 3000)).all()
+    spoke = rng.choice(found.spoke_angles, 3000)
+    assert covered(rng.uniform(0.03, 0.12, 3000), spoke, rng.uniform(-0.015, 0.015, 3000)).all()
+    middle = np.array(found.spoke_angles) + 0.8
+    assert not covered(np.full(4, 0.07), middle, np.zeros(4)).any()
+    # A little more than the torus, not much.
+    assert not covered(np.full(3000, 0.14), angle, np.zeros(3000)).any()
+
+
+def test_openings_not_clearly_seen_count_as_solid() -> None:
+    for changes in ({"spoke_angles": ()}, {"confidence": 0.4}, {"spoke_share": 0.6}, {"spoke_angles": (0.1,)}):
+        bodies = valve_bodies(fake(**changes), n_segments=16)
+        assert set(bodies) == {"hub"} | {f"rim/{i}" for i in range(16)}
+        distance = np.linalg.norm((bodies["hub"] - [0.7, 0.1, 1.1])[:, 1:], axis=1)
+        assert distance.min() >= 0.105
+
+
+def test_every_wheel_body_is_convex_with_few_vertices() -> None:
+    for vertices in valve_bodies(fake()).values():
+        assert len(ConvexHull(vertices).vertices) == len(vertices) <= 32
+
+
+def test_wheel_points_are_those_near_the_wheel_only() -> None:
+    points = np.array([[0.7, 0.22, 1.1], [0.7, 0.1, 1.1], [0.9, 0.1, 1.1], [0.7, 0.3, 1.1], [0.6, 0.1, 1.1]])
+    assert wheel_points(fake(), points).tolist() == [True, True, False, False, False]
