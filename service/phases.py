@@ -19,6 +19,7 @@ from service.verify import Motion, Target
 from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
 MOST_REASONS = 5
+POSE_EFFORT = {"max_iterations": 40, "max_penalty_raises": 3}  # a pose that can be had takes some ten steps
 
 Targets = Callable[[float], tuple[Target, ...]]
 """What a phase must reach or follow, given the path parameter of its end."""
@@ -183,7 +184,8 @@ class PhaseSolver:
             lower[0, index] = upper[0, index] = value
         checker = self.body.checker(allowances, [self.body.nominal], self.overrides)
         problem = self.body.problem(lower, upper, checker, constraints=constraints)
-        return self._first_feasible(name, problem, [guess[None] for guess in guesses])
+        brief = replace(self, settings=replace(self.settings, **POSE_EFFORT))
+        return brief._first_feasible(name, problem, [guess[None] for guess in guesses])
 
     def trajectory(
         self,

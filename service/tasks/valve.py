@@ -58,6 +58,7 @@ ANGLE_TOLERANCE = 1e-3  # of the hand about its axis in a grasp, and of the whee
 TOUCH_RESERVE = 0.015  # the hook may be this much deeper in the rim than its half thickness [m]
 HOOK_MARGIN = 5e-3  # asked of the hook and the wheel it reaches into [m]
 WRIST_RESERVE = 0.1  # kept from the wrist's limits in a grasp, for the lean of the hand axis [rad]
+MOST_GAPS = 3  # tried with each hand, the nearest first
 REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5
 TOOL_POSITION = (True,) * 3 + (False,) * 3
 
@@ -323,7 +324,7 @@ def plan_turn(solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], mode: Mo
     )
     best: TaskPlan | None = None
     for hand in hands:
-        for entry in wheel.gaps:
+        for entry in wheel.gaps[:MOST_GAPS]:
             plan = ValveTurn(solver, wheel, hand, mode, turn, entry).plan()
             if plan.is_feasible:
                 return plan
