@@ -36,7 +36,7 @@ class TimingSettings:
 
     Attributes:
         velocity_scale, acceleration_scale: shares of the limits to be used, in (0, 1].
-        cells_per_interval: grid cells of the time law per knot interval.
+        cells_per_interval: grid cells of the time law per knot interval, denser towards the knots.
         support_links: links planted on the ground; joints between them and the base carry contact forces that timing
             does not know, so their torques are left to the verifier (:func:`slow_until_zmp_inside`).
         use_torques: whether the other joints' torque limits count.
@@ -44,7 +44,7 @@ class TimingSettings:
 
     velocity_scale: float = 1.0
     acceleration_scale: float = 1.0
-    cells_per_interval: int = 4
+    cells_per_interval: int = 6
     support_links: tuple[str, ...] = ()
     use_torques: bool = True
 
@@ -69,10 +69,8 @@ def time_curve(
     )
     if not (np.all(limited.velocity > 0.0) and np.all(limited.acceleration > 0.0)):
         raise TimingError("speed and acceleration limits must be positive to time a curve")
-    fractions = np.arange(settings.cells_per_interval) / settings.cells_per_interval
-    starts, steps = curve.knots[:-1], np.diff(curve.knots)
     rests = [float(s) for s in rest_at if curve.knots[0] < s < curve.knots[-1]]
-    grid = np.unique(np.concatenate([(starts[:, None] + steps[:, None] * fractions).ravel(), curve.knots[-1:], rests]))
+    grid = _grid(curve, rests, settings.cells_per_interval)
     ends = np.concatenate([[0], np.searchsorted(grid, np.unique(rests)), [len(grid) - 1]]).astype(int)
     torque_rows = _unsupported(robot, settings) if settings.use_torques else np.zeros(robot.n, dtype=bool)
     speed = np.zeros(len(grid))
@@ -104,6 +102,17 @@ def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01) -> TimeLaw:
             break
         law = _stretched(law, factor)
     return law
+
+
+def _grid(curve: Curve, rests: Sequence[float], n_cells: int) -> Float[np.ndarray, "M"]:
+    """Knots, rests, and points between the knots: denser towards them, where q'' jumps and q' may vanish."""
+    fractions = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, n_cells) / n_cells)
+    steps = np.diff(curve.knots)[:, None]
+    inner = (curve.knots[:-1, None] + steps * fractions).ravel()
+    for rest in rests:
+        # A rest that falls on a point but for rounding would leave a cell without length.
+        inner = inner[np.abs(inner - rest) > 1e-6 * steps.min()]
+    return np.unique(np.concatenate([curve.knots, inner, rests]))
 
 
 def _unsupported(robot: RobotModel, settings: TimingSettings) -> Bool[np.ndarray, "n"]:
@@ -213,6 +222,8 @@ def _constraint_rows(
     scale = robot.acceleration[is_limited]
     parts = [_ends(near, bend_near, np.zeros_like(near), is_limited, scale, 0.0 * width)]
     parts.append(_ends(far, bend_far, np.zeros_like(far), is_limited, scale, width))
+    # Inside a cell the acceleration is a parabola in s; where q' nearly vanishes its vertex can stick out.
+    parts.append(_ends(curve(middle, 1), centre, np.zeros_like(far), is_limited, scale, 0.5 * width))
     if np.any(torque_rows):
         limit = robot.effort[torque_rows] * _TORQUE_SHARE
         for at, slope, bend, reach in (

@@ -87,6 +87,13 @@ def test_a_jump_of_the_second_derivative_is_respected_on_both_sides() -> None:
     assert np.abs(acceleration).max() <= 2.0 + 1e-6
 
 
+def test_a_coarse_grid_costs_little_time_where_the_second_derivative_jumps() -> None:
+    # Constraints at both ends of every cell leave almost nothing for the final slowing to make up for.
+    curve = Curve(np.arange(5.0), np.array([[0.0], [1.0], [0.0], [1.0], [0.0]]), np.zeros((5, 1)))
+    coarse, fine = (time_curve(_robot(1), curve, settings=TimingSettings(cells_per_interval=k)) for k in (6, 40))
+    assert coarse.times[-1] <= 1.1 * fine.times[-1]
+
+
 def test_a_motionless_stretch_takes_no_infinite_speed() -> None:
     curve = Curve(np.arange(4.0), np.zeros((4, 2)), np.zeros((4, 2)))
     law = time_curve(_robot(2), curve)

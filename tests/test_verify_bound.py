@@ -62,6 +62,64 @@ def test_no_point_leaves_its_chord_by_more_than_the_bound(seed: int, is_floating
     assert off <= chain.deviation(over, reach)[0] + 1e-12
 
 
+@settings(max_examples=100)
+@given(SEEDS, st.booleans())
+def test_reach_bounds_every_distance_from_a_joint_to_the_body(seed: int, in_joint: bool) -> None:
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, int(rng.integers(2, 8)), is_floating=False, branches=True)
+    curve = random_curve(rng, model.nq, 2, spread=1.0)
+    mover = int(rng.integers(1, model.njoints))
+    holder = int(rng.integers(1, model.njoints)) if in_joint else 0
+    if holder == mover:
+        return
+    points = rng.uniform(-0.1, 0.1, size=(4, 3))
+    chain = _tree(model, curve, is_floating=False).chain(holder, mover, points)
+    ends = np.sort(rng.uniform(curve.knots[0], curve.knots[-1], size=2))
+    s = np.linspace(ends[0], ends[1], 41)
+    placed = placements(model, curve(s))
+    world = np.einsum("sij,cj->sci", placed.rotation[:, mover], points) + placed.translation[:, None, mover]
+    distance = np.linalg.norm(placed.translation[:, chain.joints, None] - world[:, None], axis=3).max(axis=2)
+    local = chain.local_reach(distance[20][None], intervals(curve, ends[:1], ends[1:], None))[0]
+    turns = chain.is_revolute
+    assert np.all(distance[:, turns] <= chain.reach[turns] + 1e-12)
+    assert np.all(distance[:, turns] <= local[turns] + 1e-12)
+
+
+def test_the_bound_is_nearly_reached_by_a_stretched_arm() -> None:
+    # Both joints turn alike: p'' = L1 a^2 + L2 (2 a)^2, which is what the pair terms add up to.
+    model = pin.Model()
+    first = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "first")
+    model.addJoint(first, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0])), "second")
+    turn = 0.1
+    curve = Curve(np.array([0.0, 1.0]), np.array([[-turn / 2] * 2, [turn / 2] * 2]), np.full((2, 2), turn))
+    tip = np.array([[0.3, 0.0, 0.0]])
+    bound = (
+        _tree(model, curve, is_floating=False)
+        .chain(0, 2, tip)
+        .deviation(intervals(curve, np.zeros(1), np.ones(1), None))[0]
+    )
+    path = _relative_points(model, curve(np.array([0.0, 0.5, 1.0])), 0, 2, tip)[:, 0]
+    deviation = np.linalg.norm(path[1] - 0.5 * (path[0] + path[2]))
+    assert bound == pytest.approx((0.4 + 4 * 0.3) * turn**2 / 8.0)
+    assert 0.98 * bound < deviation <= bound
+
+
+def test_a_base_read_by_slerp_uses_up_part_of_its_slack() -> None:
+    rng = np.random.default_rng(1)
+    model = random_model(rng, 1, is_floating=True, branches=False)
+    turned = np.zeros((2, model.nq))
+    turned[1, 3:6] = [0.6, 0.5, -0.6]
+    curve = Curve(np.array([0.0, 1.0]), turned, np.tile(turned[1], (2, 1)))
+    point = np.array([[0.5, 0.0, 0.0]])
+    chain = _tree(model, curve, is_floating=True).chain(0, 1, point)
+    slack = chain.sampling_slack(intervals(curve, np.zeros(1), np.ones(1), np.array([0.0, 1.0])), 0.0)[0]
+    last = pin.rpy.rpyToMatrix(*turned[1, 5:2:-1])
+    halfway = pin.exp3(0.5 * pin.log3(last)) @ point[0]
+    straight = pin.rpy.rpyToMatrix(*(0.5 * turned[1, 5:2:-1])) @ point[0]
+    off = np.linalg.norm(halfway - straight)
+    assert 0.02 * slack < off <= slack
+
+
 @settings(max_examples=60)
 @given(SEEDS)
 def test_the_exported_samples_read_linearly_stay_within_the_slack(seed: int) -> None:

@@ -305,10 +305,12 @@ def test_the_ground_carries_the_robot_so_that_planted_legs_do_not_hold_up_the_ba
     model.addFrame(pin.Frame("foot", hip, 0, foot, pin.FrameType.OP_FRAME))
     robot = robot_of(model, [], is_floating=True)
     positions = np.zeros((2, 7))
-    positions[:, 2] = 1.0
+    positions[:, 0], positions[:, 2] = 0.3, 1.0
     curve = Curve(np.arange(2.0), positions, np.zeros((2, 7)))
     law = TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2))
-    contact = PlantedContact("foot", np.eye(4), SQUARE @ np.eye(2, 3))
-    phase = Phase("stand", 0.0, 1.0, contacts=(contact,), support=SupportPolygon(SQUARE * 2.0))
+    pose = np.eye(4)
+    pose[0, 3] = 0.3
+    contact = PlantedContact("foot", pose, SQUARE @ np.eye(2, 3))
+    phase = Phase("stand", 0.0, 1.0, contacts=(contact,), support=SupportPolygon(SQUARE * 5.0))
     check = _check(Motion(robot, Scene(), curve, law, phases=(phase,)), "torque.stand")
     assert check.value * 1e3 == pytest.approx(10.0 * 9.81 * 0.1, rel=1e-6)
