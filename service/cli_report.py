@@ -22,7 +22,7 @@ def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
     verdict = str(summary["verdict"])
     checks = summary.get("checks") or []
     if checks:
-        out.print(_checks(checks))
+        out.print(_checks(_tightest(checks)))
     out.print(Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}"))
     for sentence in summary.get("explanation") or []:
         out.print(Text(f"  {sentence}"), soft_wrap=True)
@@ -52,6 +52,38 @@ def print_table(out: Console, columns: Sequence[str], rows: Sequence[Sequence[st
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     out.print(table)
+
+
+def _tightest(checks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Every check that fails, and of those that hold the tightest of its kind; the result file has them all."""
+    kinds: dict[str, list[Mapping[str, Any]]] = {}
+    shown: list[dict[str, Any]] = []
+    for check in checks:
+        if check["ok"]:
+            kinds.setdefault(_kind(str(check["name"])), []).append(check)
+        else:
+            shown.append(dict(check))
+    for kind, held in kinds.items():
+        tightest = min(held, key=_slack)
+        count = "" if len(held) == 1 else f"  (tightest of {len(held)})"
+        shown.append({**tightest, "name": kind, "text": f"{tightest['text']}{count}"})
+    return shown
+
+
+def _kind(name: str) -> str:
+    """``planted.turn.l_foot.waypoints`` is of the kind ``planted.waypoints``; limits are kinds of their own."""
+    first, *rest = name.split(".")
+    if first == "limits":
+        return name
+    return f"{first}.waypoints" if rest[-1:] == ["waypoints"] else first
+
+
+def _slack(check: Mapping[str, Any]) -> float:
+    """How far a check that holds is from its limit, as a share of the limit where there is one."""
+    value, limit = check["value"], check["limit"]
+    if value is None or limit is None:
+        return float("inf")
+    return float(abs(value - limit) / abs(limit) if limit else abs(value))
 
 
 def _checks(checks: Sequence[Mapping[str, Any]]) -> Table:
