@@ -169,8 +169,8 @@ class Options(Section):
     feet: Annotated[tuple[Name, ...], Field(max_length=8)] | None = None
     starts: Annotated[StrictInt, Field(ge=1, le=64)] = 4
     qp: Literal["piqp", "clarabel", "cvxpy"] = "piqp"
-    velocity_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 1.0
-    acceleration_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 1.0
+    velocity_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.5
+    acceleration_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.3
 
 
 @dataclass(config=SECTION)
