@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import os
 import re
@@ -79,3 +80,23 @@ def test_licence_is_apache_2_of_the_scopt_authors() -> None:
 def test_page_and_models_are_package_data() -> None:
     for path in ("costs/robot/atlas/atlas.urdf", "service/viewer/page/dist/viewer.js"):
         assert (ROOT / path).is_file()
+
+
+def test_every_imported_library_is_a_declared_dependency() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    names = {re.split(r"[<>=;! ]", entry)[0].lower() for entry in project["dependencies"]}
+    imported_as = {"pin": "pinocchio", "open3d-cpu": "open3d", "pyyaml": "yaml"}
+    declared = {imported_as.get(name, name) for name in names}
+    imported = {module for package in PACKAGES for path in (ROOT / package).rglob("*.py") for module in _imports(path)}
+    imported -= {*sys.stdlib_module_names, *PACKAGES, "pydantic_core"}  # pydantic_core comes with pydantic
+    assert imported - declared == set()
+
+
+def _imports(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.split(".")[0])
+    return found
