@@ -95,7 +95,7 @@ class ClearanceProof:
     Attributes:
         couple, first, last, distance, bound: columns of the proven stretches; on each the pair's clearance is at least
             ``distance - bound`` [m].
-        refuted: poses at which a pair penetrates deeper than allowed, deepest per pair.
+        refuted: poses at which a pair penetrates deeper than allowed, the deepest found per pair and phase.
         unproven: stretches that resisted.
         nearest: smallest sampled distance of a pair that may not touch.
         deepest: per pair allowed to touch and phase, the smallest sampled distance and where.
@@ -107,7 +107,7 @@ class ClearanceProof:
     last: list[float] = field(default_factory=list)
     distance: list[float] = field(default_factory=list)
     bound: list[float] = field(default_factory=list)
-    refuted: dict[int, Meeting] = field(default_factory=dict)
+    refuted: dict[tuple[int, int], Meeting] = field(default_factory=dict)
     unproven: list[Unproven] = field(default_factory=list)
     nearest: float = np.inf
     deepest: dict[tuple[int, int], Meeting] = field(default_factory=dict)
@@ -177,7 +177,8 @@ class ClearanceSearch:
             # Poses are sampled only where they matter: to refute, to find the smallest clearance or the deepest touch.
             if not is_proven or (lower[row] < 0.0 if may_touch else lower[row] < enough - settings.resolution_m):
                 self._sample(look, stretches, row, allowed[row], ends=halving == 0 or is_proven)
-            if not is_proven and not self._is_refuted(int(stretches.couple[row]), stretches, row):
+            # Where a pair is refuted once, the rest of its phase need not be settled.
+            if not is_proven and (int(stretches.couple[row]), int(stretches.phase[row])) not in proof.refuted:
                 open_rows.append(row)
         reported = min(proof.nearest, settings.clearance_horizon_m) - settings.resolution_m
         is_blurred = (
@@ -223,13 +224,9 @@ class ClearanceSearch:
                 proof.deepest[key] = meeting
             need = 0.0 if np.isnan(allowed) else -allowed
             if meeting.distance < need - self._settings.contact_tolerance_m:
-                known = proof.refuted.get(couple)
+                known = proof.refuted.get(key)
                 if known is None or meeting.distance < known.distance:
-                    proof.refuted[couple] = meeting
-
-    def _is_refuted(self, couple: int, stretches: Stretches, row: int) -> bool:
-        meeting = self.proof.refuted.get(couple)
-        return meeting is not None and stretches.first[row] <= meeting.s <= stretches.last[row]
+                    proof.refuted[key] = meeting
 
 
 @dataclass(frozen=True)

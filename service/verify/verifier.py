@@ -118,17 +118,18 @@ def _min_clearance(
 def _clearance_checks(
     motion: Motion, couples: Couples, proof: ClearanceProof, smallest: float, pair: tuple[str, str] | None
 ) -> list[Check]:
-    """One check per refuted pair, one per unproven pair, and the summary when neither exists."""
+    """One check per refuted pair and phase, one per unproven pair, and the summary when neither exists."""
     checks = []
-    for couple, meeting in sorted(proof.refuted.items(), key=lambda item: item[1].distance):
-        names = couples.names(couple)
+    for meeting in sorted(proof.refuted.values(), key=lambda meeting: meeting.distance):
+        names = couples.names(meeting.couple)
         limit = 0.0 if np.isnan(meeting.allowed) else -meeting.allowed
         text = f"{names[0]} penetrates {names[1]} by {-1e3 * meeting.distance:.1f} mm"
         place = _place(motion, meeting, names)
         checks.append(Check("clearance", False, meeting.distance, limit, "m", text, place, Basis.SAMPLES))
+    refuted = {couple for couple, _ in proof.refuted}
     worst: dict[int, Unproven] = {}
     for row in proof.unproven:
-        if row.couple not in proof.refuted and (row.couple not in worst or row.lower < worst[row.couple].lower):
+        if row.couple not in refuted and (row.couple not in worst or row.lower < worst[row.couple].lower):
             worst[row.couple] = row
     for couple, row in worst.items():
         names = couples.names(couple)
