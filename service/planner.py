@@ -23,6 +23,7 @@ from service.verify import Certificate, Motion, Status, verify
 from service.whole_body import Aims, WholeBody
 
 MAX_REPAIRS = 3
+RANK = {Status.VIOLATED: 0, Status.FEASIBLE_AT_SAMPLES: 1, Status.CERTIFIED: 2}
 VERDICT_OF_STATUS = {
     Status.CERTIFIED: Verdict.CERTIFIED,
     Status.FEASIBLE_AT_SAMPLES: Verdict.FEASIBLE_AT_SAMPLES,
@@ -76,6 +77,15 @@ class _Attempt:
     motion: Motion | None = None
     certificate: Certificate | None = None
 
+    def keep_better(self, task: TaskPlan, motion: Motion, certificate: Certificate) -> None:
+        """Take a verified motion over unless an earlier one did better."""
+        if self.certificate is not None and RANK[certificate.status] <= RANK[self.certificate.status]:
+            return
+        self.task, self.motion, self.certificate = task, motion, certificate
+        if task.is_feasible:
+            self.verdict = VERDICT_OF_STATUS[certificate.status]
+            self.explanation = tuple(check.text for check in certificate.failed())
+
     def result(self, setup: PlanSetup, monitor: Monitor) -> PlanResult:
         task, perceived = self.task, setup.perceived
         return PlanResult(
@@ -108,26 +118,23 @@ def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt) -> None:
         attempt.verdict = Verdict.INFEASIBLE
     if not attempt.task.phases:
         return
-    _certify(attempt, attempt.task, options, monitor)
-    for _ in range(MAX_REPAIRS):
-        if attempt.verdict is Verdict.CERTIFIED or attempt.motion is None or attempt.certificate is None:
+    task: TaskPlan | None = attempt.task
+    for _ in range(MAX_REPAIRS + 1):
+        if task is None:
             return
-        task = repaired(attempt.task, attempt.motion, attempt.certificate, monitor)
-        if task is None or not task.is_feasible:
+        motion, certificate = _certified(task, options, monitor)
+        attempt.keep_better(task, motion, certificate)
+        if not task.is_feasible or attempt.verdict is Verdict.CERTIFIED:
             return
-        _certify(attempt, task, options, monitor)
+        task = repaired(task, motion, certificate, monitor)
 
 
-def _certify(attempt: _Attempt, task: TaskPlan, options: Options, monitor: Monitor) -> None:
-    """Make the motion of a task's phases and have it verified."""
-    attempt.task = task
+def _certified(task: TaskPlan, options: Options, monitor: Monitor) -> tuple[Motion, Certificate]:
+    """The motion of a task's phases, and what the verifier says of it."""
     with monitor.step("curve and timing", 0.75):
-        attempt.motion = make_motion(task, options.velocity_scale, options.acceleration_scale)
+        motion = make_motion(task, options.velocity_scale, options.acceleration_scale)
     with monitor.step("certificate", 0.85):
-        attempt.certificate = verify(attempt.motion)
-    if task.is_feasible:
-        attempt.verdict = VERDICT_OF_STATUS[attempt.certificate.status]
-        attempt.explanation = tuple(check.text for check in attempt.certificate.failed())
+        return motion, verify(motion)
 
 
 def detections_of(setup: PlanSetup) -> tuple[Mapping[str, Any], ...]:

@@ -152,3 +152,10 @@ def test_valves_of_other_scans_are_turned(shared_data, scan):
     result = plan(request({"turn_deg": 360}, shared_data / "scenes" / "valve_a" / scan))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     assert result.figures["turned_deg"] == pytest.approx(360.0, abs=0.5)
+
+
+def test_a_start_inside_the_wheel_is_told_with_link_and_depth():
+    result = plan(request(given(centre=(0.59, 0.1, 1.17), radius=0.2, turn_deg=-90)))
+    assert result.verdict is Verdict.INFEASIBLE
+    assert "the start is in collision: l_hook is" in result.explanation[0]
+    assert "valve/rim/" in result.explanation[0]

@@ -315,6 +315,20 @@ def _stopped(
     return (PlannedPhase(name, q, False),), result.shortcomings(step)
 
 
+def _touching_at_start(body: WholeBody) -> tuple[str, ...]:
+    """A sentence for each link that is in the wheel before anything has moved."""
+    contacts = body.checker()(body.engine(body.nominal[None]))
+    bodies = body.robot.bodies
+    lines = []
+    for row in np.flatnonzero(contacts.is_self & (contacts.distance < 0.0)):
+        pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
+        if any(one.link == VALVE_LINK for one in pair):
+            link, part = sorted((one.name for one in pair), key=lambda name: name.startswith(VALVE_LINK))
+            depth = -1e3 * float(contacts.distance[row])
+            lines.append(f"the start is in collision: {link} is {depth:.0f} mm inside {part}; start farther away")
+    return tuple(lines)
+
+
 def plan_turn(solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], mode: Mode, turn: float) -> TaskPlan:
     """Try hands and gaps in turn; the first that works, else the attempt that got furthest."""
     solver = replace(
@@ -322,6 +336,9 @@ def plan_turn(solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], mode: Mo
         body=with_wheel(solver.body, wheel),
         overrides=tuple((hand.hook, f"{VALVE_LINK}/*", HOOK_MARGIN) for hand in hands),
     )
+    touching = _touching_at_start(solver.body)
+    if touching:
+        return TaskPlan(solver.body, (), touching, is_impossible=True)
     best: TaskPlan | None = None
     for hand in hands:
         for entry in wheel.gaps[:MOST_GAPS]:
