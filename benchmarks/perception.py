@@ -3,6 +3,8 @@
 Coverage: share of true surface points (3 cm above the floor, within 3 m) within 1 cm of the pieces.
 False obstacle: share of samples along rays of another scan (or of a fifth of the rays, withheld) that lie inside a
 piece and more than 2 cm from any true surface.  True points: the ground-truth mesh hit by each measured ray.
+
+Run as ``python -m benchmarks.perception``: as a plain file its name would hide the package.
 """
 
 from __future__ import annotations
@@ -10,16 +12,20 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
 from costs.scene import ConvexPiece
+from perception import CONFIDENT, ValveDetection, detect_valves
 from perception.clean import half_spaces
 from perception.cloud import Cloud
 from perception.perceive import Perceived, perceive
 from perception.read import read_cloud
+from perception.simulate import Pose, Room, Valve, scan
 
 REACH = 3.0
 
@@ -39,23 +45,25 @@ def inside_pieces(
     return inside
 
 
-def true_points(mesh_file: Path, origin: Float[np.ndarray, "3"], points: Float[np.ndarray, "N 3"]):
-    """Where the true mesh stops the measured rays, and an oracle of distance to that mesh."""
+def true_points(
+    mesh_file: Path, origin: Float[np.ndarray, "3"], points: Float[np.ndarray, "N 3"]
+) -> tuple[Float[np.ndarray, "M 3"], Callable[[Float[np.ndarray, "K 3"]], Float[np.ndarray, "K"]]]:
+    """Where the true mesh stops the measured rays, and the distance of any place to that mesh."""
     import open3d as o3d
 
+    tensor = o3d.core.Tensor.from_numpy
     scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(o3d.io.read_triangle_mesh(str(mesh_file))))
+    scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(o3d.io.read_triangle_mesh(mesh_file)))
     length = np.linalg.norm(points - origin, axis=1)
     direction = (points - origin) / length[:, None]
     rays = np.column_stack([np.broadcast_to(origin, points.shape), direction]).astype(np.float32)
-    hit = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(float)
+    hit = scene.cast_rays(tensor(rays))["t_hit"].numpy().astype(float)
     true = np.abs(hit - length) <= 0.05
-    surface = origin + hit[true, None] * direction[true]
 
-    def distance(queries: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "M"]:
-        return scene.compute_distance(o3d.core.Tensor(queries.astype(np.float32))).numpy().astype(float)
+    def distance(queries: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K"]:
+        return np.asarray(scene.compute_distance(tensor(queries.astype(np.float32))).numpy(), dtype=float)
 
-    return surface, distance
+    return origin + hit[true, None] * direction[true], distance
 
 
 def ray_samples(cloud: Cloud, rng: np.random.Generator) -> Float[np.ndarray, "M 3"]:
@@ -65,7 +73,7 @@ def ray_samples(cloud: Cloud, rng: np.random.Generator) -> Float[np.ndarray, "M 
     fraction = rng.uniform(0.1, 1.0, size=(len(rays), 8))
     t = fraction * np.maximum(length - 0.05, 0.0) / length
     samples = (cloud.origin + t[:, :, None] * rays[:, None, :]).reshape(-1, 3)
-    return samples[(samples[:, 2] > 0.05) & (np.hypot(samples[:, 0], samples[:, 1]) < REACH)]
+    return np.asarray(samples[(samples[:, 2] > 0.05) & (np.hypot(samples[:, 0], samples[:, 1]) < REACH)])
 
 
 def figures(perceived: Perceived, seen: Cloud, judge: Cloud, mesh_file: Path) -> tuple[float, float, float]:
@@ -80,31 +88,71 @@ def figures(perceived: Perceived, seen: Cloud, judge: Cloud, mesh_file: Path) ->
     return covered[0], covered[1], 100.0 * n_false / len(samples)
 
 
-def main() -> None:
-    """Print one row per scene of the shared data."""
-    folder = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[1].parent / "shared" / "data"))
-    print(
-        f"{'scene':22} {'points':>7} {'cover 1cm':>9} {'2cm':>7} {'false %':>8} {'pieces':>6} {'verts':>5} {'wall s':>6} {'cpu s':>6}"
-    )
-    for scene in sorted((folder / "scenes").glob("*/scan*.pcd")):
-        cloud = read_cloud(scene)
-        others = [path for path in sorted(scene.parent.glob("scan*.pcd")) if path != scene]
-        judge = read_cloud(others[0]) if others else cloud
-        if not others:
+def pieces_table(folder: Path) -> None:
+    """One row per scan of the shared scenes."""
+    print("scan                    points  cover 1 cm   2 cm  false %  pieces  verts  wall s  cpu s")
+    for path in sorted((folder / "scenes").glob("*/scan*.pcd")):
+        cloud = read_cloud(path)
+        others = [other for other in sorted(path.parent.glob("scan*.pcd")) if other != path]
+        if others:
+            judge = read_cloud(others[0])
+        else:
             withheld = np.random.default_rng(3).random(len(cloud.points)) < 0.2
             judge = Cloud(cloud.points[withheld], cloud.origin)
             cloud = Cloud(cloud.points[~withheld], cloud.origin)
-        clock, cpu = time.perf_counter(), time.process_time()
+        wall, cpu = time.perf_counter(), time.process_time()
         perceived = perceive(cloud, valve=False)
-        wall, cpu = time.perf_counter() - clock, time.process_time() - cpu
-        one, two, false = figures(perceived, cloud, judge, scene.parent / "gt.ply")
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        one, two, false = figures(perceived, cloud, judge, path.parent / "gt.ply")
         pieces = perceived.scene.pieces
         most = max(len(piece.vertices) for piece in pieces)
         print(
-            f"{scene.parent.name + '/' + scene.stem:22} {len(cloud.points):7d} {one:9.2f} {two:7.2f} {false:8.3f} "
-            f"{len(pieces):6d} {most:5d} {wall:6.2f} {cpu:6.2f}"
+            f"{path.parent.name + '/' + path.stem:22} {len(cloud.points):7d} {one:11.2f} {two:6.2f} {false:8.3f} "
+            f"{len(pieces):7d} {most:6d} {wall:7.2f} {cpu:6.2f}"
         )
-        print("     ", {key: round(value, 2) for key, value in perceived.timings.items()})
+
+
+def error_text(found: ValveDetection, centre: ArrayLike, axis: ArrayLike, outer_radius: float) -> str:
+    """Errors of a detection against the truth."""
+    direction = np.asarray(axis, dtype=float) / np.linalg.norm(np.asarray(axis, dtype=float))
+    angle = np.degrees(np.arccos(np.clip(found.axis @ direction, -1.0, 1.0)))
+    return (
+        f"confidence {found.confidence:.2f}  centre {1e3 * np.linalg.norm(found.centre - np.asarray(centre)):4.1f} mm  "
+        f"axis {angle:4.2f} deg  outer radius {1e3 * (found.outer_radius - outer_radius):+5.1f} mm"
+    )
+
+
+def valve_table(folder: Path) -> None:
+    """Detection errors on the shared scans and on simulated ones, and false finds."""
+    for path in sorted((folder / "scenes").glob("*/scan*.pcd")) + sorted((folder / "clouds").glob("*")):
+        clock = time.perf_counter()
+        found = detect_valves(read_cloud(path))
+        seconds = time.perf_counter() - clock
+        text = f"{sum(one.confidence >= CONFIDENT for one in found)} confident"
+        truth = path.parent / "gt.json"
+        valves = json.loads(truth.read_text()).get("valves", []) if truth.exists() else []
+        if valves and found:
+            text = error_text(found[0], valves[0]["centre"], valves[0]["axis"], valves[0]["outer_radius"])
+        print(f"{path.parent.name + '/' + path.stem:40} {seconds:5.2f} s  {text}")
+    rng = np.random.default_rng(11)
+    for i in range(12):
+        radius, tube = rng.uniform(0.08, 0.25), rng.uniform(0.008, 0.02)
+        yaw, pitch = np.radians(rng.uniform([-35, -10], [35, 60]))
+        axis = (-np.cos(yaw) * np.cos(pitch), -np.sin(yaw) * np.cos(pitch), np.sin(pitch))
+        place = (rng.uniform(0.55, 0.8), rng.uniform(-0.4, 0.4), rng.uniform(0.8, 1.4))
+        valve = Valve(place, axis, radius, tube, int(rng.integers(3, 7)), rng.uniform(0, 6), stem_length=0.25)
+        room = Room(wall_x=1.1, pipes=((1.0, 0.7, 0.05),))
+        found = detect_valves(scan(room.meshes() + valve.meshes(), Pose(pitch=0.3), seed=i))
+        text = error_text(found[0], place, axis, valve.outer_radius) if found else "not found"
+        print(f"simulated {i:2d}: radius {100 * radius:4.1f} cm, tube {1e3 * tube:4.1f} mm   {text}")
+
+
+def main() -> None:
+    """Print both tables; the first needs the shared data."""
+    folder = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    pieces_table(folder)
+    print()
+    valve_table(folder)
 
 
 if __name__ == "__main__":

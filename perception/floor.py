@@ -18,6 +18,7 @@ _BAND = 0.025
 _MIN_AREA = 0.25
 _CELL = 0.1
 _MOST_UPRIGHT = 0.6
+_MOST_BELOW = 0.05
 _EXTENSION = 1.0
 _THICKNESS = 0.2
 
@@ -59,8 +60,12 @@ def find_floor(points: Float[np.ndarray, "N 3"], seed: int = 0) -> FloorPlane | 
     normals, offsets = _candidates(sample, np.random.default_rng(seed))
     if not len(normals):
         return None
-    near = np.abs(sample @ normals.T - offsets) < _BAND
-    counts = near.sum(axis=0)
+    above = sample @ normals.T - offsets
+    near = np.abs(above) < _BAND
+    # Nothing lies under a floor but noise; a table with things under it is none.
+    counts = near.sum(axis=0) * ((above < -2 * _BAND).mean(axis=0) < _MOST_BELOW)
+    if not counts.any():
+        return None
     # A table can hold more points than the floor: take the lowest of those that hold a good part of the most.
     strong = np.flatnonzero(counts >= 0.5 * counts.max())
     heights = np.array([np.median(sample[near[:, i], 2]) for i in strong])

@@ -49,7 +49,7 @@ def carve(
     surface: Float[np.ndarray, "M 3"],
     lower: Float[np.ndarray, "3"],
     upper: Float[np.ndarray, "3"],
-    size: float = 0.025,
+    size: float = 0.02,
 ) -> FreeSpace:
     """March all rays in step through the grid.
 

@@ -18,7 +18,7 @@ from perception.split import clusters, is_free_of, merge, split
 
 _VOXEL = 0.015
 _WITHIN = 0.01
-_BEHIND = 0.05
+_BEHIND = 0.02
 _SKIN = 0.005
 _GAP = 0.06
 
@@ -84,7 +84,7 @@ def _clutter(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], f
 
 
 def _covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Slab]]) -> Bool[np.ndarray, "N"]:
-    """Points that a slab stands for: within 1 cm of it, its noise, and what seems to lie up to 5 cm behind it."""
+    """Points that a slab stands for: within 1 cm of it, its noise, and what seems to lie up to 2 cm behind it."""
     covered = np.zeros(len(points), dtype=bool)
     for plane, slab in slabs:
         covered[plane.noise] = True

@@ -11,13 +11,13 @@ from scipy.spatial import ConvexHull, QhullError
 
 from perception.planes import Plane
 
-_CELL = 0.025
-_BEHIND = 0.05
+_CELL = 0.02
+_BEHIND = 0.035
 _PAD = 0.006
 FRONT = 0.017
 _BACK = 0.017
 _WORTHWHILE = 0.05
-_NOISE = 0.003
+_NOISE = 0.001
 
 
 @dataclass(frozen=True)

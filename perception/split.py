@@ -15,7 +15,7 @@ from perception.hulls import Hull, hull_of
 
 _SMALLEST = 0.03
 _NEIGHBOURS = 10
-_MOST_FREE_CELLS = 4
+_MOST_FREE_CELLS = 2
 
 
 def clusters(

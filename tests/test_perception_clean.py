@@ -84,6 +84,13 @@ def test_no_floor_is_claimed_where_there_is_none() -> None:
     assert find_floor(np.zeros((0, 3))) is None
 
 
+def test_a_table_with_things_under_it_is_no_floor() -> None:
+    rng = np.random.default_rng(6)
+    table = np.column_stack([rng.uniform(0.5, 1.5, 9000), rng.uniform(-0.5, 0.5, 9000), rng.normal(0.75, 0.008, 9000)])
+    legs = np.column_stack([rng.choice([0.5, 1.5], 800), rng.choice([-0.5, 0.5], 800), rng.uniform(0.0, 0.7, 800)])
+    assert find_floor(np.concatenate([table, legs])) is None
+
+
 def test_what_lies_three_centimetres_over_the_floor_under_a_sole_is_floor() -> None:
     floor = find_floor(floor_points(0.0, 0.0, np.random.default_rng(4)))
     assert floor is not None
