@@ -11,6 +11,7 @@ import pinocchio as pin
 from jaxtyping import Bool, Float, Int
 
 from costs.robot.model import RobotModel
+from costs.rotation import skew
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Kinematics:
     ) -> Float[np.ndarray, "m 3 n"]:
         """d point / dq of world points that move with a joint, at one waypoint each."""
         columns = self.jacobian[waypoint]
-        linear = columns[:, :3] + np.cross(columns[:, 3:], point[:, :, None], axis=1)
+        linear = columns[:, :3] - skew(point) @ columns[:, 3:]
         return np.asarray(linear * self.topology.supports[joint][:, None, :])
 
     def directional_jacobian(

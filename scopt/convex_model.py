@@ -135,8 +135,9 @@ def assemble(model: ConvexModel, is_free: Bool[np.ndarray, "N"]) -> Subproblem:
     stage_of_slack = [stage_of_waypoint[_last_waypoint(part.rows.jacobian, model.n)] for part, _ in l1]
 
     stages = np.concatenate([stage_of_step, *stage_of_slack])
-    is_slack = np.concatenate([np.zeros(len(stage_of_step)), np.ones(len(stages) - len(stage_of_step))])
-    order = np.lexsort((np.arange(len(stages)), is_slack, stages))
+    is_step = np.arange(len(stages)) < len(stage_of_step)
+    # Within a stage the slacks come first: eliminated early, they fill in less.
+    order = np.lexsort((np.arange(len(stages)), is_step, stages))
     position = np.empty(len(stages), dtype=np.int64)
     position[order] = np.arange(len(stages))
 

@@ -96,14 +96,14 @@ def test_recorded_programs_couple_neighbouring_stages_only(name, order):
     program = subproblem.within(lower, upper)
     position = np.full(len(lower), -1)
     position[subproblem.is_free] = subproblem.step_index
-    # the waypoints of a stage, `order` of them, stand together; its slacks follow
+    # the waypoints of a stage, `order` of them, stand together after its slacks
     stage = np.full(len(program.c), -1)
     for waypoint in range(N_WAYPOINTS):
         columns = position.reshape(N_WAYPOINTS, -1)[waypoint]
         stage[columns[columns >= 0]] = waypoint // order
-    for column in range(1, len(stage)):
+    for column in reversed(range(len(stage) - 1)):
         if stage[column] < 0:
-            stage[column] = stage[column - 1]  # a slack belongs to the stage before it
+            stage[column] = stage[column + 1]
     assert (np.diff(stage[stage >= 0]) >= 0).all()
     row, column = program.P.tocoo().coords
     assert np.abs(stage[row] - stage[column]).max() <= 1

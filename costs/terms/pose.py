@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from costs.kinematics import Kinematics, frame_of
 from costs.robot.model import RobotModel
-from costs.rotation import log_derivative, log_rotation, tangent_basis
+from costs.rotation import log_derivative, log_rotation, skew, tangent_basis
 from costs.state import MotionState
 from scopt import AffineRows, Residual
 
@@ -138,7 +138,7 @@ class AxisDirection(Residual[MotionState]):
         rotation, _ = self._reference.pose(kinematics, here, np.eye(4)[None])
         angular = kinematics.angular_jacobian(self._frame.joint)[here]
         angular = angular - kinematics.angular_jacobian(self._reference.joint)[here]
-        moved = np.cross(angular, world_axis[:, :, None], axis=1)  # d(axis) relative to the reference, in the world
+        moved = -skew(world_axis) @ angular  # d(axis) relative to the reference, in the world
         moved = rotation.transpose(0, 2, 1) @ moved
         d_along = np.einsum("k,skn->sn", self._direction, moved)
         d_tangential = np.einsum("ak,skn->san", self._tangents, moved)
