@@ -1,0 +1,32 @@
+"""Every benchmark, one after the other, each in a process of its own: `make bench`.
+
+One benchmark alone, from the checkout's root: ``python -m benchmarks.cycle``.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent
+NAMES = ("cycle", "planning", "perception", "attack_certificate")
+
+
+def main() -> int:
+    """Run them all; the number of those that failed."""
+    failed = []
+    for name in NAMES:
+        if not (FOLDER / f"{name}.py").is_file():
+            continue
+        print(f"\n== {name} ==", flush=True)
+        # As a module from the root: this folder must not stand first on the path, where it would hide packages.
+        if subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], cwd=FOLDER.parent).returncode:
+            failed.append(name)
+    if failed:
+        print(f"\nfailed: {', '.join(failed)}")
+    return len(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
