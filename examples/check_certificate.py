@@ -17,34 +17,53 @@ import pinocchio as pin
 from replayed_motion import Array, Replay, read_model
 
 
+def closest(a: Array, b: Array, wanted: float) -> tuple[float, Array]:
+    """Wolfe's algorithm: lower bound of the distance of two hulls and its direction; stops at what is wanted."""
+    best, top, corral, weight = -np.inf, np.eye(3)[2], b[:1] - a[:1], np.ones(1)
+    for _ in range(80):
+        norm = np.linalg.norm(weight @ corral)
+        if best >= wanted or norm < 1e-12:
+            break
+        n = weight @ corral / norm
+        w = b[(b @ n).argmin()] - a[(a @ n).argmax()]
+        best, top = (float(w @ n), n) if w @ n > best else (best, top)
+        if norm - w @ n < 1e-11:
+            break
+        corral, weight = np.vstack([corral, w]), np.append(weight, 0.0)
+        for _ in range(8):  # towards the affine minimum, dropping the points that leave the simplex
+            k = len(corral)
+            system = np.block([[np.zeros((1, 1)), np.ones((1, k))], [np.ones((k, 1)), corral @ corral.T]])
+            y = np.linalg.lstsq(system, np.eye(k + 1)[0], rcond=None)[0][1:]
+            out = y <= 1e-12
+            part = np.min(weight[out] / np.maximum(weight[out] - y[out], 1e-300), initial=1.0)
+            weight = weight + part * (y - weight)
+            keep = weight > 1e-12
+            corral, weight = corral[keep], weight[keep] / weight[keep].sum()
+            if not out.any():
+                break
+    return best, top
+
+
 def separation(a: Array, b: Array, wanted: float) -> float:
     """Proven lower bound of the signed distance of two hulls; stops as soon as it is as much as wanted."""
-    best = -np.inf
-    for scale in (1.0, 0.9, 0.6, 0.2):  # hulls that overlap are shrunk until a direction separates them
-        sa, sb = (p.mean(axis=0) + scale * (p - p.mean(axis=0)) for p in (a, b))
-        corral, weight = sb[:1] - sa[:1], np.ones(1)
-        for _ in range(80):
-            norm = np.linalg.norm(weight @ corral)
-            if best >= wanted or norm < 1e-12:
+    best, n = closest(a, b, wanted)
+    if best >= min(wanted, 0.0):
+        return best
+    # The hulls overlap: the least depth has many local optima, so start from the best of many directions.
+    starts = np.array([n, *(x for x in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(x))])
+    starts /= np.linalg.norm(starts, axis=1)[:, None]
+    values = (b @ starts.T).min(axis=0) - (a @ starts.T).max(axis=0)
+    for k in np.argsort(-values)[:8]:
+        value, n = float(values[k]), starts[k]
+        for _ in range(50):
+            best = max(best, value)
+            # Moved apart along n, the hulls' closest direction is never a worse one than n.
+            n = closest(a, b + (1e-3 - 1.2 * value) * n, np.inf)[1]
+            before, value = value, float((b @ n).min() - (a @ n).max())
+            if best >= wanted or value < before + 1e-9:
                 break
-            n = weight @ corral / norm
-            best = max(best, float((b @ n).min() - (a @ n).max()))
-            w = sb[(sb @ n).argmin()] - sa[(sa @ n).argmax()]
-            if norm - w @ n < 1e-11:
-                break
-            corral, weight = np.vstack([corral, w]), np.append(weight, 0.0)
-            for _ in range(8):  # towards the affine minimum, dropping the points that leave the simplex
-                system = np.block(
-                    [[np.zeros((1, 1)), np.ones((1, len(corral)))], [np.ones((len(corral), 1)), corral @ corral.T]]
-                )
-                y = np.linalg.lstsq(system, np.eye(len(system))[0], rcond=None)[0][1:]
-                out = y <= 1e-12
-                part = np.min(weight[out] / np.maximum(weight[out] - y[out], 1e-300), initial=1.0)
-                weight = weight + part * (y - weight)
-                keep = weight > 1e-12
-                corral, weight = corral[keep], weight[keep] / weight[keep].sum()
-                if not out.any():
-                    break
+        if best >= wanted:
+            break
     return best
 
 
@@ -66,21 +85,24 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
         if ja != jb and la != lb and sorted((la, lb)) not in data["ignored_pairs"] and not is_apart:
             pairs.append((n, m))
     solids |= pieces
-    proof, rows, failed, smallest, n_rows = data["certificate"]["stretches"], {}, [], np.inf, 0
+    proof, rows, sweeps, failed, smallest, n_rows = data["certificate"]["stretches"], {}, {}, [], np.inf, 0
     for p, *row in zip(*(proof[key] for key in ("pair", "first", "last", "distance")), strict=True):
         rows.setdefault(tuple(proof["pairs"][p]), []).append(row)
     for pair in pairs:
         pair = pair[::-1] if pair[::-1] in rows else pair
         (lm, jm, mover), (lh, jh, holder) = solids[pair[0]], solids[pair[1]]
         chain, own = replay.chain(jh, jm, mover), sorted(rows.get(pair, []))
+        seen = sweeps.setdefault((pair[0], jh), {})  # what all pairs of one mover and one frame share
         for a, b in itertools.pairwise(replay.edges.tolist()):
             phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
             depths = [w["depth"] for w in phase["allowances"] if covers(w, (pair[0], lm), (pair[1], lh))]
-            need, at = -max(depths, default=0.0), a
+            need, at = -max(depths) if depths else data["certificate"]["min_clearance_m"] - 1e-6, a
             for first, last, claimed in [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]:
                 is_whole, at = first <= at, last
-                swept = np.vstack([replay.points(s, jm, mover, jh) for s in (first, last)])
-                bound = replay.bound(first, last, chain, jm, mover)
+                if (first, last) not in seen:
+                    swept = np.vstack([replay.points(s, jm, mover, jh) for s in (first, last)])
+                    seen[first, last] = swept, replay.bound(first, last, chain, jm, mover)
+                swept, bound = seen[first, last]
                 gap = np.maximum(swept.min(axis=0) - holder.max(axis=0), holder.min(axis=0) - swept.max(axis=0))
                 low = float(np.linalg.norm(np.maximum(gap, 0.0)))
                 wanted = max(need + bound, -1.0 if claimed is None or depths else claimed - 1e-6)
