@@ -176,6 +176,26 @@ def test_robots_lists_atlas() -> None:
     assert json.loads(_scopt("robots", "--json").stdout)["robots"][0]["name"] == "atlas"
 
 
+def test_scene_turns_a_scan_into_pieces(tmp_path: Path) -> None:
+    scan, out, posture = ROOT / "examples" / "data" / "valve_scan.pcd", tmp_path / "scene.json", tmp_path / "start.yaml"
+    posture.write_text("posture: reach_ready\n")
+    robot = ("--robot", "atlas", "--posture", posture)
+    result = _scopt("scene", scan, "--out", out, "--reach", 1.5, *robot, "--json")
+    assert result.exit_code == 0, result.stderr
+    printed, written = json.loads(result.stdout), json.loads(out.read_text())
+    assert written["figures"] == printed["figures"]
+    assert len(written["pieces"]) == printed["figures"]["pieces"] > 3
+    for piece in written["pieces"]:
+        assert piece.keys() == {"name", "kind", "vertices"}
+        assert all(len(vertex) == 3 for vertex in piece["vertices"])
+    assert any("on the robot itself" in note for note in printed["notes"])
+    assert [path.name for path in tmp_path.iterdir() if path != posture] == ["scene.json"]
+    whole = _scopt("scene", scan, "--out", out)
+    assert whole.exit_code == 0, whole.stderr
+    assert "pieces           " in whole.stdout.splitlines()[-1]
+    assert not any("on the robot itself" in note for note in json.loads(out.read_text())["notes"])
+
+
 def test_posture_without_robot_is_a_usage_error(tmp_path: Path) -> None:
     result = _scopt("scene", "scan.pcd", "--out", tmp_path / "s.json", "--posture", "p.yaml")
     assert result.exit_code == 2
