@@ -96,7 +96,7 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
         for a, b in itertools.pairwise(replay.edges.tolist()):
             phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
             depths = [w["depth"] for w in phase["allowances"] if covers(w, (pair[0], lm), (pair[1], lh))]
-            need, at = -max(depths) if depths else data["certificate"]["min_clearance_m"] - 1e-6, a
+            need, at = -max(depths) if depths else (data["certificate"]["min_clearance_m"] or 0.0) - 1e-6, a
             for first, last, claimed in [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]:
                 is_whole, at = first <= at, last
                 if (first, last) not in seen:

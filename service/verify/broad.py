@@ -41,9 +41,14 @@ def clearance_floors(
         held = couples.holder[columns] - couples.n_bodies
         gap = np.maximum(piece_low[held] - high[:, None], low[:, None] - piece_high[held])
         floors[:, columns] = np.linalg.norm(np.maximum(gap, 0.0), axis=2) - bound[:, None]
+    bounds: dict[int, np.ndarray] = {}
     for couple in np.flatnonzero(~is_world).tolist():
         mover, holder = couples.solids[couples.mover[couple]], couples.solids[couples.holder[couple]]
-        bound = stretch_bounds(couples, np.full(n_stretches, couple), over, placed, n_stretches + 1 + rows, settings)
+        key = id(couples.chains[couple])
+        if key not in bounds:
+            same = np.full(n_stretches, couple)
+            bounds[key] = stretch_bounds(couples, same, over, placed, n_stretches + 1 + rows, settings)
+        bound = bounds[key]
         rotation, translation = placed.relative(holder.joint, mover.joint, slice(0, n_stretches + 1))
         floors[:, couple] = (
             _self_gap(mover, holder, rotation, translation, bound + settings.clearance_horizon_m) - bound

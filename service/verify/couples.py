@@ -45,13 +45,21 @@ def collect(motion: Motion, tree: JointTree) -> Couples:
     """
     solids = _solids(motion)
     n_bodies = len(motion.robot.bodies)
+    known: dict[tuple[int, int], Chain] = {}
+
+    def chain_of(holder_joint: int, mover: int) -> Chain:
+        """One chain for all pairs of a mover and a frame, so that its bounds are computed once."""
+        if (holder_joint, mover) not in known:
+            known[holder_joint, mover] = tree.chain(holder_joint, solids[mover].joint, solids[mover].vertices)
+        return known[holder_joint, mover]
+
     movers: list[int] = []
     holders: list[int] = []
     chains: list[Chain] = []
     for i in range(n_bodies):
         if solids[i].joint == 0 or solids[i].link in motion.mechanism_links:
             continue
-        world = tree.chain(0, solids[i].joint, solids[i].vertices)
+        world = chain_of(0, i)
         movers += [i] * (len(solids) - n_bodies)
         holders += range(n_bodies, len(solids))
         chains += [world] * (len(solids) - n_bodies)
@@ -59,8 +67,7 @@ def collect(motion: Motion, tree: JointTree) -> Couples:
         for j in range(i + 1, n_bodies):
             if not _is_checked(motion, solids[i], solids[j]):
                 continue
-            forward = tree.chain(solids[j].joint, solids[i].joint, solids[i].vertices)
-            backward = tree.chain(solids[i].joint, solids[j].joint, solids[j].vertices)
+            forward, backward = chain_of(solids[j].joint, i), chain_of(solids[i].joint, j)
             mover, holder, chain = (i, j, forward) if _weight(forward) <= _weight(backward) else (j, i, backward)
             movers.append(mover)
             holders.append(holder)
