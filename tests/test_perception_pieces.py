@@ -13,7 +13,7 @@ from perception import Cloud, CloudError, Perceived, perceive, read_cloud
 from perception.clean import half_spaces
 from perception.freespace import carve
 from perception.hulls import MAX_VERTICES, limited
-from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, joined, scan
+from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, cylinder, joined, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.3)
 ROOM = Room(
@@ -96,9 +96,20 @@ def test_a_window_in_a_wall_stays_open() -> None:
     meshes = [*frame, box((2.0, -2.0, 0.0), (2.1, 2.0, 2.5)), box((-3, -3, -0.1), (3, 3, 0))]
     cloud = scan(meshes, SENSOR, Scanner(n_lines=60), seed=2)
     pieces = perceive(cloud, valve=False).scene.pieces
-    grid = np.array([[1.05, y, z] for y in np.linspace(-0.22, 0.22, 12) for z in np.linspace(1.0, 1.3, 9)])
+    grid = np.array([[1.0, y, z] for y in np.linspace(-0.22, 0.22, 12) for z in np.linspace(1.0, 1.3, 9)])
     assert not inside(grid, pieces).any()
     assert inside(true_surface(meshes, cloud), pieces, 0.01).mean() > 0.99
+
+
+def test_thin_bars_do_not_fill_the_space_between_them() -> None:
+    bars = [cylinder((0.8, -0.4, 0.6), (0.8, 0.4, 0.6), 0.02), cylinder((0.8, 0.0, 0.6), (0.9, 0.3, 1.4), 0.02)]
+    bars.append(cylinder((0.8, 0.4, 0.6), (1.1, -0.2, 1.3), 0.02))
+    meshes = [*Room(wall_x=2.0).meshes(), *bars]
+    cloud = scan(meshes, SENSOR, Scanner(n_lines=60), seed=6)
+    perceived = perceive(cloud, valve=False)
+    other = scan(meshes, Pose((0.05, 0.1, 1.5), pitch=0.3), Scanner(n_lines=30), seed=8)
+    assert inside(free_samples(other, np.random.default_rng(1)), perceived.scene.pieces).mean() < 0.001
+    assert inside(true_surface(meshes, cloud), perceived.scene.pieces, 0.01).mean() > 0.99
 
 
 def test_rays_carve_what_they_pass_and_nothing_else() -> None:

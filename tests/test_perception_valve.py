@@ -22,7 +22,7 @@ from perception import (
     wheel_points,
 )
 from perception.clean import half_spaces
-from perception.simulate import Pose, Room, Scanner, Valve, box, cylinder, scan
+from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cylinder, scan, torus
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
 SCANNER = Scanner(n_lines=80)
@@ -78,11 +78,35 @@ def test_simulated_valves_are_found_within_the_targets(name: str) -> None:
     assert all(other.confidence < CONFIDENT for other in found[1:])
 
 
+def plate_with_hole() -> Mesh:
+    """A plate before the wall with a round hole in it."""
+    angle = 2 * np.pi * np.arange(60) / 60
+    rings = [
+        np.column_stack([np.full(60, 0.7), 0.1 + r * np.cos(angle), 1.1 + r * np.sin(angle)])
+        for r in (0.12, 0.17, 0.35)
+    ]
+    i = np.arange(60)
+    j = (i + 1) % 60
+    quads = [np.stack([i + k, j + k, j + k + 60, i + k, j + k + 60, i + k + 60], axis=-1) for k in (0, 60)]
+    return Mesh(np.concatenate(rings), np.concatenate(quads).reshape(-1, 3))
+
+
 EMPTY = {
     "wall, pipe and box": ROOM.meshes(),
     "pipes": Room(pipes=((0.6, 0.2, 0.1), (0.7, -0.1, 0.05), (0.75, 0.5, 0.2), (0.6, -0.5, 0.03))).meshes(),
     "boxes": Room(boxes=(((0.5, -0.2, 0.6), (0.8, 0.2, 0.9)), ((0.6, 0.3, 1.0), (0.62, 0.5, 1.3)))).meshes(),
     "a round plate": [*Room().meshes(), cylinder((0.7, 0.1, 1.1), (0.72, 0.1, 1.1), 0.13)],
+    "a dish": [
+        *Room().meshes(), torus((0.7, 0.1, 1.1), (-1, 0, 0), 0.13, 0.015),
+        cylinder((0.7, 0.1, 1.1), (0.71, 0.1, 1.1), 0.13),
+    ],
+    "a hole in a plate": [*Room(wall_x=1.2).meshes(), plate_with_hole()],
+    "a porthole": [*Room().meshes(), torus((0.89, 0.1, 1.3), (-1, 0, 0), 0.13, 0.02)],
+    "a ring in a frame": [
+        *Room().meshes(), torus((0.7, 0.0, 1.1), (-1, 0, 0), 0.13, 0.015),
+        *(box((0.7, y - a, z - b), (0.72, y + a, z + b)) for y, z, a, b in
+          [(0.0, 0.85, 0.4, 0.12), (0.0, 1.35, 0.4, 0.12), (-0.26, 1.1, 0.13, 0.2), (0.26, 1.1, 0.13, 0.2)]),
+    ],
     "a square frame": [
         *Room().meshes(),
         *(box((0.7, y - a, z - b), (0.72, y + a, z + b)) for y, z, a, b in
