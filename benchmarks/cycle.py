@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.tables import Samples, print_table
-from costs.collision import Contacts, PairMargins, SweptCollisionChecker
+from costs.collision import PairMargins, SweptCollisionChecker
 from costs.kinematics import KinematicsEngine
 from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
@@ -70,23 +70,14 @@ def reaching_problem() -> tuple[Problem[MotionState], WholeBody, SweptCollisionC
 def main() -> None:
     """Print the median wall and processor time of every part."""
     problem, body, checker, x = reaching_problem()
-    margins = checker.margins
-    no_self = PairMargins(margins.world, margins.self_pairs[:0], margins.own[:0])
-    world_only = SweptCollisionChecker(body.robot, body.scene, no_self)
-    self_only = SweptCollisionChecker(
-        body.robot, Scene(), PairMargins(margins.world[:, :0], margins.self_pairs, margins.own)
-    )
     solve = backend("piqp")
     is_free = (problem.upper > problem.lower).ravel()
     box = np.tile(TRUST_RADIUS * body.step_scale(), N_WAYPOINTS)
-    parts = {
-        name: Samples() for name in ("kinematics", "collision, world", "collision, self", "linearise", "assemble", "QP")
-    }
+    parts = {name: Samples() for name in ("kinematics", "collision", "linearise", "assemble", "QP")}
     for _ in range(N_RUNS):
         kinematics = parts["kinematics"].measure(body.engine, x)
-        world = parts["collision, world"].measure(world_only, kinematics)
-        own = parts["collision, self"].measure(self_only, kinematics)
-        state = MotionState(kinematics, Contacts.join([world, own]))
+        contacts = parts["collision"].measure(checker, kinematics)
+        state = MotionState(kinematics, contacts)
         model = parts["linearise"].measure(convexify, problem, state, PENALTY)
         subproblem = parts["assemble"].measure(assemble, model, is_free)
         lower, upper = (problem.lower - x).ravel(), (problem.upper - x).ravel()
@@ -100,9 +91,13 @@ def main() -> None:
         )
     wall, cpu = (sum(float(row[k]) for row in rows) for k in (1, 2))
     rows.append((f"cycle (target {TARGET_MS:g})", f"{wall:.2f}", f"{cpu:.2f}"))
-    size = f"{len(program.c)} variables, {len(program.h)} rows, {len(world)} world and {len(own)} self contacts"
-    print_table(f"Atlas subproblem cycle, {N_WAYPOINTS} waypoints, {N_PIECES} pieces [ms, median of {N_RUNS}]: {size}",
-                ("part", "wall", "cpu"), rows)  # fmt: skip
+    n_self = int(contacts.is_self.sum())
+    print_table(
+        f"Atlas subproblem cycle, {N_WAYPOINTS} waypoints, {N_PIECES} pieces [ms, median of {N_RUNS}]: "
+        f"{len(program.c)} variables, {len(program.h)} rows, {len(contacts) - n_self} world and {n_self} self contacts",
+        ("part", "wall", "cpu"),
+        rows,
+    )
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ def test_kinematics_keep_their_values_when_the_engine_moves_on(robot):
     first = engine(q[:2])
     kept = [array.copy() for array in (first.q, first.rotation, first.position, first.jacobian)]
     engine(q[2:])
+    q[:2] = 0.0
     for array, copy in zip((first.q, first.rotation, first.position, first.jacobian), kept, strict=True):
         np.testing.assert_array_equal(array, copy)
 

@@ -101,9 +101,13 @@ def test_recorded_programs_couple_neighbouring_stages_only(name, order):
     for waypoint in range(N_WAYPOINTS):
         columns = position.reshape(N_WAYPOINTS, -1)[waypoint]
         stage[columns[columns >= 0]] = waypoint // order
+    is_step = stage >= 0
     for column in reversed(range(len(stage) - 1)):
         if stage[column] < 0:
             stage[column] = stage[column + 1]
+    for group in range(N_WAYPOINTS // order):
+        steps = np.flatnonzero(is_step & (stage == group))
+        assert not len(steps) or np.ptp(steps) == len(steps) - 1
     assert (np.diff(stage[stage >= 0]) >= 0).all()
     row, column = program.P.tocoo().coords
     assert np.abs(stage[row] - stage[column]).max() <= 1

@@ -58,6 +58,12 @@ def test_log_derivative_by_hand():
     np.testing.assert_allclose(derivative[:2, :2], [[np.pi / 4, np.pi / 4], [-np.pi / 4, np.pi / 4]], atol=1e-15)
 
 
+@pytest.mark.parametrize("angle", [9.9e-5, 1.01e-4, 1e-3])
+def test_log_derivative_bends_by_a_twelfth_of_the_squared_angle_near_zero(angle):
+    derivative = log_derivative(angle * np.array([[0.0, 0.0, 1.0]]))[0]
+    np.testing.assert_allclose((1.0 - np.diag(derivative)) / angle**2, [1.0 / 12.0, 1.0 / 12.0, 0.0], rtol=1e-5)
+
+
 def test_log_derivative_is_finite_at_pi():
     derivative = log_derivative(np.pi * np.eye(3))
     np.testing.assert_allclose(derivative[0] @ [1.0, 0.0, 0.0], [1.0, 0.0, 0.0], atol=1e-15)
