@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +20,10 @@ from service.verify import Motion, Target
 from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
 MOST_REASONS = 5
-POSE_EFFORT = {"max_iterations": 40, "max_penalty_raises": 3}  # a pose that can be had takes some ten steps
+POSE_EFFORT: dict[str, Any] = {
+    "max_iterations": 40,
+    "max_penalty_raises": 3,
+}  # a pose that can be had takes some ten steps
 
 Targets = Callable[[float], tuple[Target, ...]]
 """What a phase must reach or follow, given the path parameter of its end."""

@@ -68,7 +68,7 @@ def test_the_tool_follows_the_true_rim_within_5_mm_of_the_seen_one(shipped):
 
 
 def test_the_wheel_turns_with_the_tool_and_the_hook_touches_only_the_rim(shipped):
-    result, stranger = shipped
+    _, stranger = shipped
     movable = stranger.data["movables"][0]
     assert movable["angles"][0] == pytest.approx(0.0, abs=1e-9)
     assert movable["angles"][-1] == pytest.approx(2.0 * np.pi, abs=2e-3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +17,7 @@ from service.tasks.wheel import HAND_AXIS, Hand, Wheel
 
 SHIFTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # [m]
 ANGLES = np.deg2rad([0.0, 120.0, 240.0])
-QUICK = {"max_iterations": 20, "max_penalty_raises": 2}  # a yes takes few steps; a no is worth no more
+QUICK: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}  # a yes takes few steps; a no is worth no more
 AXIS_AIM = np.deg2rad(1.5)
 
 
