@@ -20,10 +20,8 @@ from service.verify import Motion, Target
 from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
 MOST_REASONS = 5
-POSE_EFFORT: dict[str, Any] = {
-    "max_iterations": 40,
-    "max_penalty_raises": 3,
-}  # a pose that can be had takes some ten steps
+# A pose that can be had takes some ten steps.
+POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
 
 Targets = Callable[[float], tuple[Target, ...]]
 """What a phase must reach or follow, given the path parameter of its end."""
