@@ -20,6 +20,7 @@ from service.verify.timeline import time_of
 from service.whole_body import PlantedLink, WholeBody
 
 SAMPLE_PERIOD_S = 0.01
+ZMP_RESERVE = 0.015  # how far inside the feet the motion is slowed to keep the ZMP [m]
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 
 
@@ -48,7 +49,7 @@ def make_motion(plan: TaskPlan, velocity_scale: float, acceleration_scale: float
         phases=phases,
         mechanism_links=body.robot.mechanism_links,
     )
-    law = slow_until_zmp_inside(motion)
+    law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
     return replace(motion, law=law, samples=_samples(knots, law))
 
 

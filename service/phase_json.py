@@ -110,6 +110,7 @@ def _target(target: Target, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
                 "frame_axis": target.frame_axis.tolist(),
                 "axis": target.axis.tolist(),
                 "axis_tolerance_deg": float(np.degrees(target.tolerance_rad)),
+                "at": None if target.at is None else sample_index(s, target.at),
             }
         case JointTarget():
             return {
@@ -145,7 +146,8 @@ def _read_target(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Target:
             )
         case "axis":
             frame_axis, axis = (np.array(data[key], dtype=float) for key in ("frame_axis", "axis"))
-            return AxisTarget(data["frame"], frame_axis, axis, float(np.radians(data["axis_tolerance_deg"])))
+            tolerance, at = float(np.radians(data["axis_tolerance_deg"])), data["at"]
+            return AxisTarget(data["frame"], frame_axis, axis, tolerance, None if at is None else float(s[at]))
         case "joint":
             return JointTarget(data["joint"], float(data["value"]), float(data["tolerance"]), float(s[data["at"]]))
         case kind:

@@ -80,12 +80,17 @@ def time_curve(
     return _slow_to_limits(limited, curve, law)
 
 
-def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01) -> TimeLaw:
+def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: float = 0.0) -> TimeLaw:
     """The motion's law, slowed between rests until ZMP (and torques) hold at all samples, if slowness can do that.
 
     With all speeds divided by c the ZMP moves towards where it is for the resting robot as 1/c^2 (the vertical
     acceleration's part aside), so one solve per pass suffices; a robot that would fall or overload a joint even at
     rest is left as it is, for the verifier to say so.
+
+    Args:
+        motion: timed.
+        time_step_s: between samples.
+        reserve_m: how far inside the polygon the ZMP shall be, where the robot at rest is that far inside.
 
     Raises:
         TimingError: when the motion has no time law.
@@ -97,7 +102,7 @@ def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01) -> TimeLaw:
     for _ in range(4):
         factor = np.ones(len(law.times) - 1)
         for a, b in pairwise(rests):
-            factor[a:b] = _needed_slowness(motion, law, float(law.path[a]), float(law.path[b]), time_step_s)
+            factor[a:b] = _needed_slowness(motion, law, float(law.path[a]), float(law.path[b]), time_step_s, reserve_m)
         if np.all(factor <= 1.0):
             break
         law = _stretched(law, factor)
@@ -285,7 +290,9 @@ def _slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw) -> TimeLaw:
     return _stretched(law, factor)
 
 
-def _needed_slowness(motion: Motion, law: TimeLaw, first: float, last: float, time_step_s: float) -> float:
+def _needed_slowness(
+    motion: Motion, law: TimeLaw, first: float, last: float, time_step_s: float, reserve_m: float
+) -> float:
     """By how much the stretch between two rests must be slowed for balance and torque."""
     needed = 1.0
     timed = replace(motion, law=law)
@@ -293,7 +300,7 @@ def _needed_slowness(motion: Motion, law: TimeLaw, first: float, last: float, ti
         start, end = max(first, phase.first), min(last, phase.last)
         if end <= start:
             continue
-        moving, resting = _loads(timed, law, phase, start, end, time_step_s)
+        moving, resting = _loads(timed, law, phase, start, end, time_step_s, reserve_m)
         curable = (moving > 0.0) & (resting < -1e-6)
         if np.any(curable):
             needed = max(needed, float(np.max((moving[curable] - resting[curable]) / -resting[curable])))
@@ -302,7 +309,7 @@ def _needed_slowness(motion: Motion, law: TimeLaw, first: float, last: float, ti
 
 
 def _loads(
-    motion: Motion, law: TimeLaw, phase: Phase, first: float, last: float, time_step_s: float
+    motion: Motion, law: TimeLaw, phase: Phase, first: float, last: float, time_step_s: float, reserve_m: float
 ) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k"]]:
     """How far ZMP and torques are beyond their limits (negative: within), moving and at rest in the same poses."""
     times = sample_times(motion, law, first, last, time_step_s)
@@ -315,7 +322,7 @@ def _loads(
         rows = np.isfinite(robot.effort) & (robot.effort > 0.0)
         load = np.abs(found.torque[:, rows]) / robot.effort[rows] - 1.0
         if phase.support is not None:
-            outside = outside_polygon(phase.support.polygon, found.zmp(phase.support.height))
+            outside = outside_polygon(phase.support.polygon, found.zmp(phase.support.height)) + reserve_m
             load = np.column_stack([load, np.nan_to_num(outside, nan=1e3)])
         columns.append(load)
     return columns[0], columns[1]

@@ -10,12 +10,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
+MIN_POINTS = 4
 EXHAUSTIVE_LIMIT = 32  # up to here coal scans all points of a convex, above it climbs along the triangles' edges
 
 
 def static_convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
     """The hull of fixed vertices."""
     vertices = np.unique(np.asarray(vertices, dtype=float), axis=0)
+    if len(vertices) < MIN_POINTS:  # coal corrupts memory when a triangle names a vertex twice
+        vertices = vertices[np.arange(MIN_POINTS) % len(vertices)]
     try:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError):  # flat or a line or a point: no triangulation, every point knows every other
@@ -40,8 +43,6 @@ def _rewritable_topology(n_points: int) -> coal.StdVec_Triangle:
 
 
 def _complete_graph(n_points: int) -> Int[np.ndarray, "K 3"]:
-    if n_points < 3:
-        return np.zeros((1, 3), dtype=int)
     return np.array([(i, j, (j + 1) % n_points if (j + 1) % n_points != i else (j + 2) % n_points)
                      for i, j in combinations(range(n_points), 2)])  # fmt: skip
 

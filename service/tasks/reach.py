@@ -15,7 +15,7 @@ from scopt import Constraint
 from service.phases import PhaseSolver, PlannedPhase, Solved, TaskPlan, guesses, straight, via
 from service.reachability import beyond_reach
 from service.request import GoalRequest, PoseGoalRequest
-from service.verify import JointTarget, PoseTarget, Target
+from service.verify import AxisTarget, JointTarget, PoseTarget, Target
 from service.whole_body import WholeBody
 
 WAYPOINTS = 16
@@ -67,7 +67,7 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
         named = body.robot.joint_names
         return (
             *(JointTarget(named[index], value, JOINT_TOLERANCE, s_last) for index, value in joints.items()),
-            *(_pose_target(pose, s_last) for pose in goal.poses),
+            *(target for pose in goal.poses for target in _pose_targets(pose, s_last)),
         )
 
     def resolve(q: Float[np.ndarray, "T n"]) -> Solved:
@@ -120,8 +120,16 @@ def _within(name: str, residual: FramePose | AxisDirection, tolerance: float, un
     return Constraint(name, WithinTolerance(residual, AIM * tolerance), tolerance=reserve, unit=unit)
 
 
-def _pose_target(pose: PoseGoalRequest, at: float) -> PoseTarget:
-    rotation = None if pose.free_axis != "none" else _rotation(pose)
-    turn = np.inf if rotation is None else max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
+def _pose_targets(pose: PoseGoalRequest, at: float) -> tuple[Target, ...]:
+    """What the verifier holds the end to: a pose, or a place and the direction of the axis that is not free."""
+    rotation = _rotation(pose)
+    turn = max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
     place = np.full(3, max(pose.position_tolerance_m, SMALLEST_SHIFT))
-    return PoseTarget(pose.link, np.asarray(pose.position, dtype=float), rotation, place, np.full(3, turn), at)
+    position = np.asarray(pose.position, dtype=float)
+    if rotation is None or pose.free_axis == "none":
+        return (PoseTarget(pose.link, position, rotation, place, np.full(3, turn), at),)
+    axis = np.eye(3)[AXES[pose.free_axis]]
+    return (
+        PoseTarget(pose.link, position, None, place, np.full(3, np.inf), at),
+        AxisTarget(pose.link, axis, rotation @ axis, turn, at),
+    )

@@ -95,19 +95,21 @@ class CircleTarget:
 
 @dataclass(frozen=True)
 class AxisTarget:
-    """A frame's axis stays parallel to a direction of the world during the whole phase.
+    """A frame's axis is parallel to a direction of the world: during the whole phase, or at path parameter ``at``.
 
     Attributes:
         frame: frame of the robot's model.
         frame_axis: (3,) unit axis in the frame.
         axis: (3,) unit direction in the world.
         tolerance_rad: greatest angle between the two.
+        at: path parameter, or None.
     """
 
     frame: str
     frame_axis: Float[np.ndarray, "3"]
     axis: Float[np.ndarray, "3"]
     tolerance_rad: float
+    at: float | None = None
 
 
 @dataclass(frozen=True)

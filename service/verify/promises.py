@@ -205,7 +205,12 @@ class PhaseChecks:
             upper = np.arctan2(np.maximum(p0, p1) + deviation, np.minimum(a0, a1) - deviation)
             return upper, np.arctan2(p0, a0), np.arctan2(p1, a1)
 
-        extreme = self._largest(edges, evaluate, target.tolerance_rad, target.tolerance_rad / 20.0)
+        if target.at is None:
+            extreme = self._largest(edges, evaluate, target.tolerance_rad, target.tolerance_rad / 20.0)
+        else:
+            along, across = split(np.array([target.at]))
+            value = float(np.arctan2(across, along)[0])
+            extreme = Extreme(value, value, target.at, bool(value <= target.tolerance_rad), 0)
         at = path.at(np.array([extreme.s]))[0][0, 0]
         text = f"the axis of {target.frame} leans at most {np.rad2deg(extreme.bound):.2f} deg during {phase.name}"
         name = f"axis.{phase.name}.{target.frame}"
