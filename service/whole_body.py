@@ -17,13 +17,14 @@ from costs.state import MotionState
 from costs.support import SupportPolygon
 from costs.terms import (
     AxisDirection,
+    CentreOfMassAt,
     CentreOfMassInPolygon,
     FramePose,
     JointDifference,
     JointTarget,
     SweptClearance,
 )
-from scopt import Constraint, Cost, Penalty, Problem, Sense
+from scopt import Constraint, Cost, Problem, Sense
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]
@@ -33,8 +34,7 @@ LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the cu
 SOLE_BAND = 4e-3  # sole corners are the vertices this close to the lowest one [m]
 UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
-COMFORTABLE_BALANCE = 0.06  # a balance margin below this costs, so that a faster motion stays balanced too [m]
-BALANCE_WEIGHT = 10.0  # averaged over the waypoints [cost/m]
+BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
 
 
@@ -236,12 +236,11 @@ class WholeBody:
         )
 
     def _comfort(self, everywhere: np.ndarray) -> tuple[Cost[MotionState], ...]:
-        """The centre of mass stays well inside the feet where it can."""
+        """The centre of mass stays near the middle of the feet where it can: a faster motion is then balanced too."""
         if self.polygon is None:
             return ()
-        margin = max(COMFORTABLE_BALANCE, self.aims.balance_margin)
-        well_inside = CentreOfMassInPolygon(self.polygon, everywhere, margin)
-        return (Cost("comfortable balance", well_inside, BALANCE_WEIGHT / len(everywhere), Penalty.HINGE),)
+        middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
+        return (Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere)),)
 
 
 def _sole(

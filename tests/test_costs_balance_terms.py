@@ -6,7 +6,7 @@ from jacobian import check_jacobian
 from tiny_robots import SPATIAL, Segment, atlas, chain, contact_free_state, random_configurations
 
 from costs.support import SupportPolygon
-from costs.terms import CartTableZmpInPolygon, CentreOfMassInPolygon
+from costs.terms import CartTableZmpInPolygon, CentreOfMassAt, CentreOfMassInPolygon
 
 ROBOTS = {"atlas": atlas, "chain": lambda: chain(SPATIAL)}
 SQUARE = SupportPolygon.of_points(np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]))
@@ -24,6 +24,18 @@ def test_centre_of_mass_jacobian(robot):
     x = random_configurations(robot, np.random.default_rng(1), 4)
     term = CentreOfMassInPolygon(PENTAGON, [3, 1], margin=0.02)
     assert check_jacobian(term, contact_free_state(robot), x).shape[0] == 10
+
+
+def test_centre_of_mass_offset_jacobian(robot):
+    x = random_configurations(robot, np.random.default_rng(3), 4)
+    assert check_jacobian(CentreOfMassAt([0.1, -0.2], [0, 2]), contact_free_state(robot), x).shape[0] == 4
+
+
+def test_centre_of_mass_offset_by_hand():
+    state = contact_free_state(chain(CART))(np.array([[0.0], [0.06]]))
+    np.testing.assert_allclose(
+        CentreOfMassAt([0.05, 0.01], [0, 1]).value(state), [-0.05, -0.01, 0.01, -0.01], atol=1e-12
+    )
 
 
 def test_cart_table_jacobian(robot):

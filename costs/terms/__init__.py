@@ -1,6 +1,6 @@
 """The terms a motion is judged by, one file per idea."""
 
-from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassInPolygon
+from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassAt, CentreOfMassInPolygon
 from costs.terms.collision import SweptClearance
 from costs.terms.joint import JointDifference, JointTarget
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
@@ -9,6 +9,7 @@ from costs.terms.tolerance import WithinTolerance
 __all__ = [
     "AxisDirection",
     "CartTableZmpInPolygon",
+    "CentreOfMassAt",
     "CentreOfMassInPolygon",
     "FramePose",
     "JointDifference",

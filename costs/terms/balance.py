@@ -44,6 +44,22 @@ class CentreOfMassInPolygon(Residual[MotionState]):
         )
 
 
+class CentreOfMassAt(Residual[MotionState]):
+    """Offset of the COM's ground projection from a point, two rows (x, y) per waypoint [m]."""
+
+    def __init__(self, point: Float[np.ndarray, "2"], waypoints: Int[np.ndarray, "S"] | Sequence[int]) -> None:
+        self._point = np.asarray(point, dtype=float)
+        self._waypoints = np.asarray(waypoints)
+
+    def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
+        return np.asarray((state.kinematics.com[self._waypoints, :2] - self._point).ravel())
+
+    def linearize(self, state: MotionState) -> AffineRows:
+        kinematics = state.kinematics
+        rows = kinematics.com_jacobian[self._waypoints, :2].reshape(-1, 1, kinematics.q.shape[1])
+        return AffineRows.from_blocks(self.value(state), np.repeat(self._waypoints, 2), rows, kinematics.n_waypoints)
+
+
 class CartTableZmpInPolygon(Residual[MotionState]):
     """Distance of the cart-table ZMP outside a support polygon, one row per inner waypoint and edge [m].
 
