@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from threadpoolctl import threadpool_limits
 
 from perception.circles import Circle, find_circles
 from perception.clean import Reach, inliers, voxel_downsample, voxel_index
@@ -103,9 +104,11 @@ def detect_in(
     if hint is not None:
         candidates = candidates[np.linalg.norm(candidates - hint, axis=1) < _HINT_RADIUS]
     rays = rays_of(cloud.origin, cloud.points)
-    circles = find_circles(candidates, cloud.origin, rng)
-    circles.sort(key=lambda circle: -circle.score * _promise(circle, rays))
-    detections = [_examine(circle, rays) for circle in circles[:_EXAMINED]]
+    # The fits are many and small: with several threads BLAS spends seven times as long on handing them out.
+    with threadpool_limits(limits=1, user_api="blas"):
+        circles = find_circles(candidates, cloud.origin, rng)
+        circles.sort(key=lambda circle: -circle.score * _promise(circle, rays))
+        detections = [_examine(circle, rays) for circle in circles[:_EXAMINED]]
     detections = [d for d in detections if d.confidence >= _REPORTED]
     detections.sort(key=lambda d: -d.confidence)
     return _apart(detections)

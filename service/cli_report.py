@@ -23,6 +23,9 @@ def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
     checks = summary.get("checks") or []
     if checks:
         out.print(_checks(_tightest(checks)))
+    touching = _deepest(summary.get("exempt") or [])
+    if touching:
+        print_table(out, ("pair that may touch", "deepest", "allowed", "phase"), touching)
     out.print(Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}"))
     for sentence in summary.get("explanation") or []:
         out.print(Text(f"  {sentence}"), soft_wrap=True)
@@ -52,6 +55,17 @@ def print_table(out: Console, columns: Sequence[str], rows: Sequence[Sequence[st
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     out.print(table)
+
+
+def _deepest(exempt: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, str]]:
+    """Each pair that touched, in the phase in which it was deepest; the deepest pairs first."""
+    rows: dict[str, tuple[str, str, str, str]] = {}
+    for entry in sorted(exempt, key=lambda entry: -entry["deepest_m"]):
+        pair = " and ".join(entry["pair"])
+        if entry["deepest_m"] > 0.0:
+            depths = _millimetres(entry["deepest_m"]), _millimetres(entry["allowed_m"])
+            rows.setdefault(pair, (pair, *depths, str(entry["phase"])))
+    return list(rows.values())
 
 
 def _tightest(checks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

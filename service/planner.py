@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from scopt import Settings
 from scopt import Status as SolveStatus
@@ -53,6 +54,12 @@ def plan(
     Raises:
         RequestError: one line per problem of the request or of a file it names.
     """
+    # Small matrices all through: BLAS threads cost more than they bring, and another plan can use the core.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _plan(request, on_progress, should_stop)
+
+
+def _plan(request: PlanRequest, on_progress: OnProgress | None, should_stop: Callable[[], bool] | None) -> PlanResult:
     monitor = Monitor(request.options.time_limit_s, should_stop, on_progress)
     setup = prepare(request, lambda step: monitor.report(step, 0.02))
     monitor.timings.update(setup.timings)

@@ -61,13 +61,14 @@ def piece_json(piece: ConvexPiece) -> dict[str, Any]:
 
 
 def proof_summary(certificate: Certificate | None) -> dict[str, Any]:
-    """The figures and checks of a certificate; absent ones are null."""
+    """The figures, checks and exempt pairs of a certificate; absent figures are null."""
     proof = {} if certificate is None else certificate.to_dict()
     return {
         "min_clearance_m": proof.get("min_clearance_m"),
         "min_clearance_pair": proof.get("min_clearance_pair"),
         "min_balance_margin_m": proof.get("min_balance_margin_m"),
         "checks": proof.get("checks", []),
+        "exempt": proof.get("exempt", []),
     }
 
 
