@@ -43,7 +43,7 @@ def plan_command(
     out: Annotated[Path | None, typer.Option(help="Result folder; by default out/NAME of the request.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Plan what REQUEST asks for, certify it, and write result, trajectory and viewer."""
+    """Plan a request, certify the motion, write the result."""
     folder = out if out is not None else Path("out") / request.stem
     raise typer.Exit(run(lambda: _plan(request, cloud, folder, as_json), as_json))
 
@@ -53,7 +53,7 @@ def verify_command(
     result: Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")],
     as_json: Json = False,
 ) -> None:
-    """Check a result anew, with nothing taken from the planner but the motion and the scene."""
+    """Check a result anew, without the planner."""
     raise typer.Exit(run(lambda: _verify(result, as_json), as_json))
 
 
@@ -61,7 +61,7 @@ def verify_command(
 def view_command(
     result: Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")],
 ) -> None:
-    """Open a result's viewer where there is a display, and print its path."""
+    """Open a result's viewer, or print its path."""
     raise typer.Exit(run(lambda: _view(result)))
 
 
