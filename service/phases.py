@@ -157,12 +157,14 @@ class PhaseSolver:
         monitor: of the plan.
         settings: of the optimiser.
         overrides: ``(link, other, margin)`` for pairs that are asked for another clearance [m].
+        most_starts: starts of a problem that are tried at most.
     """
 
     body: WholeBody
     monitor: Monitor
     settings: Settings
     overrides: tuple[tuple[str, str, float], ...] = ()
+    most_starts: int = 4
 
     def pose(
         self,
@@ -222,7 +224,7 @@ class PhaseSolver:
         self, name: str, problem: Problem[MotionState], starts: Sequence[Float[np.ndarray, "T n"]]
     ) -> Solved:
         best: Result | None = None
-        for start in starts:
+        for start in starts[: self.most_starts]:
             self.monitor.check()
             solver = TrustRegionSQP(self.monitor.settings(self.settings))
             result = solver.solve(problem, start, should_stop=self.monitor.should_stop)

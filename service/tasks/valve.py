@@ -88,6 +88,7 @@ class ValveTurn:
         mode: ``hook`` or ``grasp``.
         turn: angle to turn by, right-handed about the wheel's axis [rad].
         entry: angle of the gap at which the hook is inserted [rad].
+        reach_waypoints: of the phases that reach for the wheel.
     """
 
     solver: PhaseSolver
@@ -96,6 +97,7 @@ class ValveTurn:
     mode: Mode
     turn: float
     entry: float
+    reach_waypoints: int = REACH_WAYPOINTS
 
     @property
     def body(self) -> WholeBody:
@@ -263,13 +265,12 @@ class ValveTurn:
         )
 
     def _reach(self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"]) -> Solved:
-        starts = [straight(start, end, REACH_WAYPOINTS)]
+        count = self.reach_waypoints
+        starts = [straight(start, end, count)]
         for guess in guesses(self.body)[1:]:
             guess[-1] = start[-1]
-            starts.append(via(start, guess, end, REACH_WAYPOINTS))
-        return self.solver.trajectory(
-            "reach", starts, {0: start, REACH_WAYPOINTS - 1: end}, bounds=_wheel_still(start[-1])
-        )
+            starts.append(via(start, guess, end, count))
+        return self.solver.trajectory("reach", starts, {0: start, count - 1: end}, bounds=_wheel_still(start[-1]))
 
     def _reach_again(self, q: Float[np.ndarray, "T n"]) -> Solved:
         return self.solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]}, bounds=_wheel_still(q[0, -1]))
@@ -329,7 +330,14 @@ def _touching_at_start(body: WholeBody) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def plan_turn(solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], mode: Mode, turn: float) -> TaskPlan:
+def plan_turn(
+    solver: PhaseSolver,
+    wheel: Wheel,
+    hands: Sequence[Hand],
+    mode: Mode,
+    turn: float,
+    reach_waypoints: int = REACH_WAYPOINTS,
+) -> TaskPlan:
     """Try hands and gaps in turn; the first that works, else the attempt that got furthest."""
     solver = replace(
         solver,
@@ -342,7 +350,7 @@ def plan_turn(solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], mode: Mo
     best: TaskPlan | None = None
     for hand in hands:
         for entry in wheel.gaps[:MOST_GAPS]:
-            plan = ValveTurn(solver, wheel, hand, mode, turn, entry).plan()
+            plan = ValveTurn(solver, wheel, hand, mode, turn, entry, reach_waypoints).plan()
             if plan.is_feasible:
                 return plan
             if best is None or len(plan.phases) > len(best.phases):

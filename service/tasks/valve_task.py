@@ -36,7 +36,9 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
     if all(reasons):
         return TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)
     wheel = _wheel(solver.body, found, hands[0])
-    plan = plan_turn(solver, wheel, hands, request.mode, np.deg2rad(request.turn_deg))
+    count = setup.request.options.waypoints
+    effort = {} if count is None else {"reach_waypoints": count}
+    plan = plan_turn(solver, wheel, hands, request.mode, np.deg2rad(request.turn_deg), **effort)
     note = (
         f"valve at {np.round(found.centre, 3).tolist()}, axis {np.round(found.axis, 3).tolist()}, "
         f"rim radius {found.rim_radius:.3f} m, confidence {found.confidence:.2f}"
