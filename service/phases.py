@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,10 @@ from scopt import Constraint, Cost, Problem, Result, Settings, TrustRegionSQP
 from service.monitor import Monitor
 from service.spline import Hold
 from service.verify import Motion, Target
-from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
+from service.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 
 MOST_REASONS = 5
+LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
 # A pose that can be had takes some ten steps.
 POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
 
@@ -106,10 +108,19 @@ class Solved:
         """The best waypoints."""
         return self.result.x
 
-    @property
+    @cached_property
     def is_feasible(self) -> bool:
-        """Whether every constraint is kept."""
-        return self.result.is_feasible
+        """Whether every constraint is kept; of the clearance margin, which is an aim, only what keeps links apart."""
+        if self.result.is_feasible:
+            return True
+        state = self.problem.state(self.x)
+        contacts = state.contacts
+        asked = np.minimum(contacts.margin - CLEARANCE_TOLERANCE, LEAST_CLEARANCE)
+        return bool(np.all(contacts.distance >= asked)) and all(
+            float(constraint.violation(constraint.residual.value(state)).max(initial=0.0)) <= constraint.tolerance
+            for constraint in self.problem.constraints
+            if constraint.name not in CLEARANCE_TERMS
+        )
 
     def shortcomings(self, name: str) -> tuple[str, ...]:
         """What stands in the way at the best waypoints, the worst first, in words."""
@@ -120,7 +131,7 @@ class Solved:
             worst = float(short.max(initial=0.0))
             if worst <= constraint.tolerance:
                 continue
-            if constraint.name not in ("collision", "self-collision"):
+            if constraint.name not in CLEARANCE_TERMS:
                 text = f"{name}: '{constraint.name}' is off by {worst:.3g} {constraint.unit}".rstrip()
                 lines.append((worst / constraint.tolerance, text))
         lines += [(depth / CLEARANCE_TOLERANCE, f"{name}: {text}") for depth, text in self._near_misses(state.contacts)]
@@ -223,19 +234,20 @@ class PhaseSolver:
     def _first_feasible(
         self, name: str, problem: Problem[MotionState], starts: Sequence[Float[np.ndarray, "T n"]]
     ) -> Solved:
-        best: Result | None = None
+        best: Solved | None = None
         for start in starts[: self.most_starts]:
             self.monitor.check()
             solver = TrustRegionSQP(self.monitor.settings(self.settings))
             result = solver.solve(problem, start, should_stop=self.monitor.should_stop)
             self.monitor.note(name, result)
-            if best is None or _shortfall(result, problem) < _shortfall(best, problem):
-                best = result
-            if result.is_feasible:
-                break
+            solved = Solved(result, problem, self.body)
+            if solved.is_feasible:
+                return solved
+            if best is None or _shortfall(result, problem) < _shortfall(best.result, problem):
+                best = solved
         if best is None:
             raise ValueError("at least one start is needed")
-        return Solved(best, problem, self.body)
+        return best
 
 
 def _shortfall(result: Result, problem: Problem[MotionState]) -> float:

@@ -28,6 +28,7 @@ from scopt import Constraint, Cost, Problem, Sense
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]
+CLEARANCE_TERMS = ("collision", "self-collision")
 SELF_SHARE = 0.5  # of the margin is asked of the robot's own links: their distance is known better than the world's
 CLEARANCE_TOLERANCE = 2e-3  # of the margin that is aimed at [m]
 LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
@@ -174,7 +175,7 @@ class WholeBody:
                 self.aims.balance_margin + BALANCE_RESERVE,
             )
             standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m"))
-        for name, is_self in (("collision", False), ("self-collision", True)):
+        for name, is_self in zip(CLEARANCE_TERMS, (False, True), strict=True):
             clearance = SweptClearance(self.robot, is_self=is_self)
             standing.append(Constraint(name, clearance, tolerance=CLEARANCE_TOLERANCE, unit="m"))
 

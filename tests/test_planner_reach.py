@@ -197,3 +197,47 @@ def test_the_drcsim_atlas_of_others_reaches_over_a_table(shared_data):
         )
     )
     assert result.verdict is Verdict.CERTIFIED, result.explanation
+
+
+def small_arm(folder, goal: dict[str, float], obstacles: list[dict]) -> PlanRequest:
+    """An arm of three joints, 0.6 m long, that turns in a horizontal plane."""
+    links = "".join(
+        f'<link name="l{k}"><collision><origin xyz="0.1 0 0"/><geometry><box size="0.2 0.04 0.04"/></geometry></collision>'
+        "</link>"
+        for k in range(3)
+    )
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="{"base" if k == 0 else f"l{k - 1}"}"/><child link="l{k}"/>'
+        f'<origin xyz="{0.0 if k == 0 else 0.2} 0 0"/><axis xyz="0 0 1"/>'
+        '<limit lower="-3" upper="3" velocity="2" effort="20"/></joint>'
+        for k in range(3)
+    )
+    urdf = folder / "arm.urdf"
+    urdf.write_text(f'<robot name="arm"><link name="base"/>{links}{joints}</robot>')
+    return parse_request(
+        {
+            "robot": {"urdf": str(urdf)},
+            "scene": {"obstacles": obstacles, "floor": False},
+            "start": {"joints": {"j0": -1.0}},
+            "goal": {"joints": goal},
+        }
+    )
+
+
+def block(name: str, position: list[float]) -> dict:
+    return {"name": name, "type": "box", "size": [0.1, 0.1, 0.1], "position": position}
+
+
+def test_a_goal_nearer_than_the_margin_is_still_reached(tmp_path):
+    # the arm ends along +x; the block's near face is 8 mm beside its outer link, the margin aimed at is 20 mm
+    goal = {"j0": 0.0, "j1": 0.0, "j2": 0.0}
+    result = plan(small_arm(tmp_path, goal, [block("block", [0.5, 0.02 + 0.008 + 0.05, 0.0])]))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert 0.0 < result.certificate.min_clearance_m <= 0.008 + 1e-6
+
+
+def test_a_goal_in_collision_is_infeasible_and_names_pair_and_depth(tmp_path):
+    goal = {"j0": 0.0, "j1": 0.0, "j2": 0.0}
+    result = plan(small_arm(tmp_path, goal, [block("block", [0.5, 0.06, 0.0])]))
+    assert result.verdict is Verdict.INFEASIBLE
+    assert result.explanation == ("the goal is in collision: l2 is 0.010 m inside block (obstacle)",)

@@ -15,6 +15,7 @@ from scopt import Constraint
 from service.phases import PhaseSolver, PlannedPhase, Solved, TaskPlan, guesses, straight, via
 from service.reachability import beyond_reach
 from service.request import GoalRequest, PoseGoalRequest
+from service.start import collisions
 from service.verify import AxisTarget, JointTarget, PoseTarget, Target
 from service.whole_body import WholeBody
 
@@ -31,34 +32,33 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
     count = WAYPOINTS if n_waypoints is None else n_waypoints
     start = body.nominal
     joints = _joint_goal(body, goal)
-    reasons = [
-        reason
-        for pose in goal.poses
-        if (reason := beyond_reach(body, pose.link, np.array(pose.position), pose.position_tolerance_m)) is not None
-    ]
-    if reasons:
-        return TaskPlan(body, (), tuple(reasons), is_impossible=True)
-    tasks = [constraint for pose in goal.poses for constraint in _pose_constraints(body, pose, 0)]
-    with monitor.step("goal pose", 0.1):
-        candidates = guesses(body)
-        for guess in candidates:
-            guess[list(joints)] = list(joints.values())
-        end = solver.pose("goal pose", candidates, tasks, fixed=joints)
-    if not end.is_feasible:
-        attempt = PlannedPhase("reach", np.stack([start, end.x[0]]), False)
-        return TaskPlan(body, (attempt,), end.shortcomings("goal pose"))
+    is_complete = len(joints) == body.robot.n
+    impossible = _impossible(body, goal, joints)
+    if impossible:
+        return TaskPlan(body, (), impossible, is_impossible=True)
+    end = _with_joints(start, joints)
+    if not is_complete:
+        with monitor.step("goal pose", 0.1):
+            tasks = [constraint for pose in goal.poses for constraint in _pose_constraints(body, pose, 0)]
+            candidates = [_with_joints(guess, joints) for guess in guesses(body)]
+            found = solver.pose("goal pose", candidates, tasks, fixed=joints)
+        end = found.x[0]
+        if not found.is_feasible:
+            attempt = PlannedPhase("reach", np.stack([start, end]), False)
+            return TaskPlan(body, (attempt,), found.shortcomings("goal pose"))
 
     def at_goal(lower: np.ndarray, upper: np.ndarray) -> None:
         for index, value in joints.items():
             lower[-1, index] = upper[-1, index] = value
 
-    starts = [straight(start, end.x[0], count)]
-    starts += [via(start, guess, end.x[0], count) for guess in candidates[1:]]
+    starts = [straight(start, end, count)]
+    starts += [via(start, guess, end, count) for guess in guesses(body)[1:]]
+    fixed = {0: start, count - 1: end} if is_complete else {0: start}
     with monitor.step("reach", 0.4):
         reach = solver.trajectory(
             "reach",
             starts,
-            {0: start},
+            fixed,
             constraints=[c for pose in goal.poses for c in _pose_constraints(body, pose, count - 1)],
             bounds=at_goal,
         )
@@ -75,6 +75,24 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
 
     phase = PlannedPhase("reach", reach.x, reach.is_feasible, targets=targets, resolve=resolve)
     return TaskPlan(body, (phase,), () if reach.is_feasible else reach.shortcomings("reach"))
+
+
+def _impossible(body: WholeBody, goal: GoalRequest, joints: Mapping[int, float]) -> tuple[str, ...]:
+    """Reasons that hold for every motion: a target beyond the chain, a complete goal in collision."""
+    reasons = [beyond_reach(body, pose.link, np.array(pose.position), pose.position_tolerance_m) for pose in goal.poses]
+    lines = [reason for reason in reasons if reason is not None]
+    if len(joints) == body.robot.n:
+        end = _with_joints(body.nominal, joints)
+        inside = collisions(body.robot, end, body.scene, [foot.link for foot in body.planted])
+        lines += [f"the goal is in collision: {line}" for line in inside]
+    return tuple(lines)
+
+
+def _with_joints(q: Float[np.ndarray, "n"], joints: Mapping[int, float]) -> Float[np.ndarray, "n"]:
+    """A configuration with some coordinates replaced."""
+    out = q.copy()
+    out[list(joints)] = list(joints.values())
+    return out
 
 
 def _joint_goal(body: WholeBody, goal: GoalRequest) -> Mapping[int, float]:
