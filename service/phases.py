@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,11 +16,14 @@ from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem, Result, Settings, TrustRegionSQP
 from service.monitor import Monitor
+from service.sampling import SamplingProblem, along, free_coordinates, sampled_path
 from service.spline import Hold
 from service.verify import Motion, Target
 from service.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 
 MOST_REASONS = 5
+SAMPLING_TRIES = 4  # how long a tree takes to grow through is a matter of luck: several short tries beat a long one
+SAMPLING_TIME_S = 3.0  # wall time of a try
 LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
 # A pose that can be had takes some ten steps.
 POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
@@ -169,6 +172,7 @@ class PhaseSolver:
         settings: of the optimiser.
         overrides: ``(link, other, margin)`` for pairs that are asked for another clearance [m].
         most_starts: starts of a problem that are tried at most.
+        seed: of random draws.
     """
 
     body: WholeBody
@@ -176,6 +180,7 @@ class PhaseSolver:
     settings: Settings
     overrides: tuple[tuple[str, str, float], ...] = ()
     most_starts: int = 4
+    seed: int = 0
 
     def pose(
         self,
@@ -230,6 +235,26 @@ class PhaseSolver:
         checker = self.body.checker(allowances, list(fixed.values()), self.overrides)
         problem = self.body.problem(lower, upper, checker, costs, constraints, balanced)
         return self._first_feasible(name, problem, starts)
+
+    def sampled_starts(
+        self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], n_waypoints: int
+    ) -> Iterator[Float[np.ndarray, "T n"]]:
+        """Starts around the obstacles from a sampling planner; none where base or standing legs must move."""
+        free = free_coordinates(self.body)
+        others = np.setdiff1d(np.arange(len(start)), free)
+        if not len(free) or np.abs(end - start)[others].max(initial=0.0) > 1e-6:
+            return
+        problem = SamplingProblem(self.body, self.body.sampling_checker([start, end]), start, end, free)
+        for attempt in range(SAMPLING_TRIES):
+            self.monitor.check()
+            limit = min(SAMPLING_TIME_S, self.monitor.remaining_s())
+            corners = sampled_path(problem, self.seed + attempt, limit, self.monitor.should_stop)
+            if corners is not None:
+                yield along(corners, 2 * max(n_waypoints, len(corners)))
+
+    def as_it_is(self) -> PhaseSolver:
+        """A solver that only measures its starts."""
+        return replace(self, settings=replace(self.settings, max_iterations=0))
 
     def _first_feasible(
         self, name: str, problem: Problem[MotionState], starts: Sequence[Float[np.ndarray, "T n"]]

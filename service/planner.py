@@ -118,7 +118,7 @@ def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt) -> None:
     options = setup.request.options
     aims = Aims(options.margin_m, options.balance_margin_m)
     body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
-    solver = PhaseSolver(body, monitor, Settings(qp=options.qp), most_starts=options.starts)
+    solver = PhaseSolver(body, monitor, Settings(qp=options.qp), most_starts=options.starts, seed=options.seed)
     attempt.task = plan_task(setup, solver)
     attempt.explanation = attempt.task.obstacle
     if attempt.task.is_impossible:

@@ -36,6 +36,7 @@ SOLE_BAND = 4e-3  # sole corners are the vertices this close to the lowest one [
 UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
 BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
+SAMPLING_CLEARANCE = 5e-3  # kept by a sampled start; the optimiser finds the margin [m]
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
 
 
@@ -132,6 +133,15 @@ class WholeBody:
         checker = SweptCollisionChecker(self.robot, self.scene, margins)
         for q in ends:
             margins = margins.relaxed_to(checker(self.engine(q[None])), reserve=CLEARANCE_TOLERANCE)
+        return checker.with_margins(margins)
+
+    def sampling_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> SweptCollisionChecker:
+        """A checker that reports what comes nearer than a few millimetres, or than it already is at the ends."""
+        allowances = self.standing_allowances()
+        margins = PairMargins.of(self.robot, self.scene, SAMPLING_CLEARANCE, allowances)
+        checker = SweptCollisionChecker(self.robot, self.scene, margins, buffer=0.0)
+        for q in ends:
+            margins = margins.relaxed_to(checker(self.engine(q[None])), reserve=0.5 * CLEARANCE_TOLERANCE)
         return checker.with_margins(margins)
 
     def standing_allowances(self) -> tuple[Allowance, ...]:

@@ -7,6 +7,8 @@ body.  A last scaling about the centre makes the containment exact.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linprog
@@ -35,6 +37,13 @@ def outer_hull(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
     """
     if len(vertices) <= EXACT_VERTICES:
         return vertices
+    return _reduced(np.ascontiguousarray(vertices, dtype=float).tobytes()).copy()
+
+
+@lru_cache(maxsize=256)
+def _reduced(corners: bytes) -> Float[np.ndarray, "W 3"]:
+    """Outer hull of (V, 3) corners given as bytes; remembered, since the same robot is loaded again and again."""
+    vertices = np.frombuffer(corners).reshape(-1, 3)
     target = min(_TARGET_EXCESS, _RELATIVE_TARGET * float(np.ptp(vertices, axis=0).max()))
     planes = ConvexHull(vertices).equations
     points = _inner_points(vertices, target)

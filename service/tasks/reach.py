@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -53,15 +53,29 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
 
     starts = [straight(start, end, count)]
     starts += [via(start, guess, end, count) for guess in guesses(body)[1:]]
-    fixed = {0: start, count - 1: end} if is_complete else {0: start}
-    with monitor.step("reach", 0.4):
-        reach = solver.trajectory(
+
+    def solve(by: PhaseSolver, from_starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
+        last = len(from_starts[0]) - 1
+        return by.trajectory(
             "reach",
-            starts,
-            fixed,
-            constraints=[c for pose in goal.poses for c in _pose_constraints(body, pose, count - 1)],
+            from_starts,
+            {0: start, last: end} if is_complete else {0: start},
+            constraints=[c for pose in goal.poses for c in _pose_constraints(body, pose, last)],
             bounds=at_goal,
         )
+
+    notes: tuple[str, ...] = ()
+    with monitor.step("reach", 0.4):
+        reach = solve(solver, starts)
+    if not reach.is_feasible:
+        with monitor.step("reach around", 0.5):
+            for sampled in solver.sampled_starts(start, end, count):
+                around = solve(solver, [sampled])
+                if not around.is_feasible:  # a path that cannot be made smoother or clearer is still a way
+                    around = solve(solver.as_it_is(), [sampled])
+                if around.is_feasible:
+                    reach, notes = around, ("found from the start of a sampling planner",)
+                    break
 
     def targets(s_last: float) -> tuple[Target, ...]:
         named = body.robot.joint_names
@@ -74,7 +88,7 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
         return solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]})
 
     phase = PlannedPhase("reach", reach.x, reach.is_feasible, targets=targets, resolve=resolve)
-    return TaskPlan(body, (phase,), () if reach.is_feasible else reach.shortcomings("reach"))
+    return TaskPlan(body, (phase,), () if reach.is_feasible else reach.shortcomings("reach"), notes=notes)
 
 
 def _impossible(body: WholeBody, goal: GoalRequest, joints: Mapping[int, float]) -> tuple[str, ...]:

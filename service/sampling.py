@@ -1,0 +1,148 @@
+"""A start from a sampling planner: RRT-Connect among the obstacles, for what no straight start leads around."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.collision import SweptCollisionChecker
+from costs.robot import BASE_NAMES
+from service.whole_body import WholeBody
+
+EDGE_STEP = 0.1  # between the poses of an edge that are swept together [rad, m]
+RANGE = 0.8  # longest extension of a tree [rad, m]
+
+
+@dataclass(frozen=True)
+class SamplingProblem:
+    """Joints that may move between two configurations while all others stay.
+
+    Attributes:
+        body: the robot in its scene.
+        checker: swept collision; any contact it reports makes an edge invalid.
+        start, end: (n,) configurations that differ in ``free`` only.
+        free: indices of the coordinates that move.
+    """
+
+    body: WholeBody
+    checker: SweptCollisionChecker
+    start: Float[np.ndarray, "n"]
+    end: Float[np.ndarray, "n"]
+    free: Int[np.ndarray, "k"]
+
+    def is_clear(self, corners: Float[np.ndarray, "K k"]) -> bool:
+        """Whether the polyline through the corners is free of contacts and balanced."""
+        steps = np.maximum(np.ceil(np.abs(np.diff(corners, axis=0)).max(axis=1) / EDGE_STEP).astype(int), 1)
+        parts = [corners[:1]]
+        for first, last, count in zip(corners[:-1], corners[1:], steps, strict=True):
+            parts.append(first + (last - first) * np.linspace(0.0, 1.0, count + 1)[1:, None])
+        q = np.tile(self.start, (int(steps.sum()) + 1, 1))
+        q[:, self.free] = np.concatenate(parts)
+        kinematics = self.body.engine(q)
+        polygon = self.body.polygon
+        if polygon is not None and polygon.margin(kinematics.com[:, :2]).min() < self.body.aims.balance_margin:
+            return False
+        return len(self.checker(kinematics)) == 0
+
+
+def free_coordinates(body: WholeBody) -> Int[np.ndarray, "k"]:
+    """Coordinates that move no planted link: neither base nor legs that stand."""
+    robot = body.robot
+    fixed = set(range(len(BASE_NAMES))) if robot.is_floating else set()
+    supports = body.engine.topology.supports
+    for foot in body.planted:
+        joint = int(robot.model.frames[robot.model.getFrameId(foot.link)].parentJoint)
+        fixed |= set(np.flatnonzero(supports[joint]).tolist())
+    return np.array([i for i in range(robot.n) if i not in fixed], dtype=int)
+
+
+def sampled_path(
+    problem: SamplingProblem,
+    seed: int,
+    time_limit_s: float,
+    should_stop: Callable[[], bool] | None = None,
+) -> Float[np.ndarray, "K n"] | None:
+    """Corners of a collision-free polyline from start to end, shortened; None if none was found in time.
+
+    RRT-Connect (Kuffner and LaValle, ICRA 2000) of the Open Motion Planning Library, its edges swept in batches.
+    """
+    from ompl import base, geometric, util  # takes a while to import and is the last resort
+
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(seed + 1)
+    robot, free = problem.body.robot, problem.free
+    space = base.RealVectorStateSpace(len(free))
+    bounds = base.RealVectorBounds(len(free))
+    for k, index in enumerate(free.tolist()):
+        bounds.setLow(k, float(max(robot.lower[index], -np.pi)))
+        bounds.setHigh(k, float(min(robot.upper[index], np.pi)))
+    space.setBounds(bounds)
+    information = base.SpaceInformation(space)
+
+    def corner(state: object) -> Float[np.ndarray, "k"]:
+        return np.array([state[k] for k in range(len(free))])  # type: ignore[index]
+
+    class Sweep(base.MotionValidator):  # type: ignore[misc]
+        def checkMotion(self, first: object, last: object, *_: object) -> bool:
+            return problem.is_clear(np.stack([corner(first), corner(last)]))
+
+    information.setStateValidityChecker(lambda state: problem.is_clear(corner(state)[None]))
+    information.setMotionValidator(Sweep(information))
+    information.setup()
+    definition = base.ProblemDefinition(information)
+    ends = []
+    for q in (problem.start, problem.end):
+        state = space.allocState()
+        for k, index in enumerate(free.tolist()):
+            state[k] = float(q[index])
+        ends.append(state)
+    definition.setStartAndGoalStates(*ends)
+    planner = geometric.RRTConnect(information)
+    planner.setProblemDefinition(definition)
+    planner.setRange(RANGE)
+    planner.setup()
+    until = time.perf_counter() + time_limit_s
+
+    def is_over() -> bool:
+        return time.perf_counter() > until or (should_stop is not None and should_stop())
+
+    if not planner.solve(base.PlannerTerminationCondition(is_over)) or not definition.hasExactSolution():
+        return None
+    path = definition.getSolutionPath()
+    corners = np.array([corner(path.getState(k)) for k in range(path.getStateCount())])
+    corners = _shortened(problem, corners, np.random.default_rng(seed), is_over)
+    q = np.tile(problem.start, (len(corners), 1))
+    q[:, free] = corners
+    return q
+
+
+def _shortened(
+    problem: SamplingProblem,
+    corners: Float[np.ndarray, "K k"],
+    rng: np.random.Generator,
+    is_over: Callable[[], bool],
+    tries: int = 40,
+) -> Float[np.ndarray, "K k"]:
+    """The polyline with random pairs of its corners joined directly where that is clear."""
+    for _ in range(tries):
+        if len(corners) < 3 or is_over():
+            break
+        first, last = np.sort(rng.choice(len(corners), 2, replace=False))
+        if last - first > 1 and problem.is_clear(corners[[first, last]]):
+            corners = np.delete(corners, np.arange(first + 1, last), axis=0)
+    return corners
+
+
+def along(corners: Float[np.ndarray, "K n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:
+    """Waypoints on a polyline, evenly spread and with every corner among them as far as they suffice."""
+    lengths = np.abs(np.diff(corners, axis=0)).max(axis=1)
+    ends = np.concatenate([[0.0], np.cumsum(np.maximum(lengths, 1e-9))])
+    at = np.linspace(0.0, ends[-1], n_waypoints)
+    for end in ends[1:-1]:
+        at[1 + int(np.argmin(np.abs(at[1:-1] - end)))] = end
+    at.sort()
+    return np.stack([np.interp(at, ends, corners[:, i]) for i in range(corners.shape[1])], axis=1)

@@ -1,0 +1,126 @@
+"""The sampling planner's starts, and what they are good for: problems that no straight start leads around."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+
+from costs.robot import load_robot
+from costs.scene import ConvexPiece, Scene
+from service.planner import plan
+from service.request_file import parse_request
+from service.result import Verdict
+from service.sampling import SamplingProblem, along, free_coordinates, sampled_path
+from service.whole_body import Aims, WholeBody
+
+CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+
+
+def arm(tmp_path) -> WholeBody:
+    """Two links of 0.3 m that turn in a horizontal plane, with a post between their start and their end."""
+    links = "".join(
+        f'<link name="l{k}"><collision><origin xyz="0.15 0 0"/>'
+        '<geometry><box size="0.3 0.03 0.03"/></geometry></collision></link>'
+        for k in range(2)
+    )
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="{"base" if k == 0 else "l0"}"/><child link="l{k}"/>'
+        f'<origin xyz="{0.3 * k} 0 0"/><axis xyz="0 0 1"/>'
+        '<limit lower="-2.9" upper="2.9" velocity="2" effort="20"/></joint>'
+        for k in range(2)
+    )
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/>{links}{joints}</robot>')
+    robot = load_robot(urdf=tmp_path / "arm.urdf")
+    post = ConvexPiece("post", 0.1 * CORNERS + [0.5, 0.0, 0.0])
+    return WholeBody.standing(robot, Scene((post,)), np.array([-0.9, 0.0]), (), Aims())
+
+
+def problem_of(body: WholeBody) -> SamplingProblem:
+    end = np.array([0.9, 0.0])
+    checker = body.sampling_checker([body.nominal, end])
+    return SamplingProblem(body, checker, body.nominal, end, free_coordinates(body))
+
+
+def test_a_sampled_path_goes_around_and_keeps_clear_when_sampled_densely(tmp_path):
+    body = arm(tmp_path)
+    problem = problem_of(body)
+    path = sampled_path(problem, seed=0, time_limit_s=20.0)
+    np.testing.assert_array_equal(path[0], problem.start)
+    np.testing.assert_array_equal(path[-1], problem.end)
+    checker = body.checker()
+    dense = np.concatenate([a + (b - a) * np.linspace(0.0, 1.0, 60)[:, None] for a, b in pairwise(path)])
+    for q in dense:
+        contacts = checker(body.engine(q[None]))
+        assert contacts.distance.min(initial=1.0) > 0.0
+    straight = np.linspace(problem.start, problem.end, 30)
+    assert any((checker(body.engine(q[None])).distance < 0.0).any() for q in straight)
+
+
+def test_equal_seeds_give_equal_paths(tmp_path):
+    problem = problem_of(arm(tmp_path))
+    first, second = (sampled_path(problem, seed=3, time_limit_s=20.0) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_a_way_that_is_closed_is_not_found_within_its_time(tmp_path):
+    body = arm(tmp_path)
+    # the upper link can pass neither the post ahead nor the one behind
+    ring = [ConvexPiece(name, 0.1 * CORNERS + [x, 0.0, 0.0]) for name, x in (("ahead", 0.2), ("behind", -0.2))]
+    closed = WholeBody.standing(body.robot, Scene(tuple(ring)), body.nominal, (), Aims())
+    assert sampled_path(problem_of(closed), seed=0, time_limit_s=0.3) is None
+
+
+def test_waypoints_along_a_polyline_hold_its_corners():
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.3], [0.2, 2.0]])
+    waypoints = along(corners, 12)
+    assert len(waypoints) == 12
+    for corner in corners:
+        assert np.abs(waypoints - corner).max(axis=1).min() < 1e-12
+
+
+def test_legs_and_base_of_a_standing_robot_are_not_free():
+    robot = load_robot("atlas")
+    body = WholeBody.standing(robot, Scene(), robot.postures["stand"], robot.link_groups["feet"], Aims())
+    free = [robot.joint_names[i] for i in free_coordinates(body)]
+    assert not any(name.startswith("base_") or "_leg_" in name for name in free)
+    assert "back_bkz" in free
+    assert "l_arm_shz" in free
+
+
+def motion_bench_maker(folder):
+    """Requests of all problems in the folder."""
+    for file in sorted(folder.glob("*.json")):
+        data = json.loads(file.read_text())
+        for problem in data["problems"]:
+            obstacles = []
+            for index, obstacle in enumerate(problem["obstacles"]):
+                x, y, z, w = obstacle["quat_xyzw"]
+                sizes = {key: obstacle[key] for key in ("size", "radius") if key in obstacle}
+                if obstacle["type"] == "cylinder":
+                    sizes["height"] = obstacle["length"] if "length" in obstacle else obstacle["height"]
+                obstacles.append(
+                    {
+                        "name": f"{obstacle['name']}#{index}",
+                        "type": obstacle["type"],
+                        "position": obstacle["position"],
+                        "quaternion_wxyz": [w, x, y, z],
+                        **sizes,
+                    }
+                )
+            robot = folder / "panda_bench" / "panda"
+            yield {
+                "robot": {
+                    "urdf": str(robot.with_suffix(".urdf")),
+                    "srdf": str(robot.with_suffix(".srdf")),
+                    "package_dirs": [str(folder)],
+                },
+                "start": {"joints": dict(zip(data["joints"], problem["start"], strict=True))},
+                "scene": {"obstacles": obstacles},
+                "goal": {"joints": dict(zip(data["joints"], problem["goal"], strict=True))},
+            }
+
+
+def test_every_motion_bench_maker_problem_at_hand_is_certified(shared_data):
+    verdicts = [plan(parse_request(request)).verdict for request in motion_bench_maker(shared_data / "mbm_panda")]
+    assert len(verdicts) == 42
+    assert verdicts.count(Verdict.CERTIFIED) == 42
