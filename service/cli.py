@@ -81,6 +81,21 @@ def scene_command(
     raise typer.Exit(run(lambda: _scene(cloud, out, reach, robot, posture, apply_viewpoint, as_json), as_json))
 
 
+@app.command("bench")
+def bench_command(
+    problems: Annotated[Path, typer.Argument(help="Problem file or folder of problem files.", metavar="PROBLEMS")],
+    urdf: Annotated[Path, typer.Option(help="The robot that the problems are judged with.")],
+    out: Annotated[Path, typer.Option(help="Result file; an earlier one is continued.")],
+    srdf: Annotated[Path | None, typer.Option(help="Its SRDF.")] = None,
+    package_root: Annotated[Path | None, typer.Option(help="Folder that package:// paths start at.")] = None,
+    limit: Annotated[int | None, typer.Option(help="Most problems of a scene.", min=1)] = None,
+    time_limit: Annotated[float, typer.Option(help="Seconds a problem may take.", min=0.01, max=3600.0)] = 2.0,
+    as_json: Json = False,
+) -> None:
+    """Plan every problem of a set and print a table per scene."""
+    raise typer.Exit(run(lambda: _bench(problems, urdf, srdf, package_root, limit, time_limit, out, as_json), as_json))
+
+
 @app.command("robots")
 def robots_command(as_json: Json = False) -> None:
     """List the robots that ship with scopt."""
@@ -171,6 +186,36 @@ def _scene(
     for note in seen["notes"]:
         screen.print(f"note: {note}", markup=False, soft_wrap=True)
     screen.print(f"pieces           {out}", markup=False, soft_wrap=True)
+
+
+def _bench(
+    path: Path,
+    urdf: Path,
+    srdf: Path | None,
+    package_root: Path | None,
+    limit: int | None,
+    time_limit: float,
+    out: Path,
+    as_json: bool,
+) -> None:
+    screen, err = consoles()
+    with progress(err, "read problems") as report:
+        report("read problems", 0.0)
+        from service.bench import COLUMNS, run_bench, table
+        from service.errors import RequestError
+        from service.problem_set import BenchRobot, read_problems
+        from service.setup import load_requested_robot
+
+        problems = read_problems(path, BenchRobot(urdf, srdf, package_root), {"time_limit_s": time_limit}, limit)
+        if not problems:
+            raise RequestError(f"{path} holds no problems")
+        rows = run_bench(problems, load_requested_robot(problems[0].request), out, report)
+    summary = table(rows)
+    if as_json:
+        print_json({"results": str(out), "table": [dict(zip(COLUMNS, line, strict=True)) for line in summary]})
+    else:
+        print_table(screen, COLUMNS, summary)
+        screen.print(f"results          {out}", markup=False, soft_wrap=True)
 
 
 def _robots(as_json: bool) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from costs.robot import RobotModel
 from scopt import Settings
 from scopt import Status as SolveStatus
 from service.execute import make_motion
@@ -40,6 +41,7 @@ def plan(
     request: PlanRequest,
     on_progress: OnProgress | None = None,
     should_stop: Callable[[], bool] | None = None,
+    robot: RobotModel | None = None,
 ) -> PlanResult:
     """Plan, time and certify what a request asks for.
 
@@ -47,6 +49,7 @@ def plan(
         request: what is asked.
         on_progress: told the step at work and the fraction done.
         should_stop: asked often; True ends the plan as CANCELLED.
+        robot: the request's robot where it is at hand already (a server's, a benchmark's); else it is loaded.
 
     Returns:
         The verdict with the best motion found; only a request that cannot be used is an error.
@@ -56,12 +59,17 @@ def plan(
     """
     # Small matrices all through: BLAS threads cost more than they bring, and another plan can use the core.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _plan(request, on_progress, should_stop)
+        return _plan(request, on_progress, should_stop, robot)
 
 
-def _plan(request: PlanRequest, on_progress: OnProgress | None, should_stop: Callable[[], bool] | None) -> PlanResult:
+def _plan(
+    request: PlanRequest,
+    on_progress: OnProgress | None,
+    should_stop: Callable[[], bool] | None,
+    robot: RobotModel | None,
+) -> PlanResult:
     monitor = Monitor(request.options.time_limit_s, should_stop, on_progress)
-    setup = prepare(request, lambda step: monitor.report(step, 0.02))
+    setup = prepare(request, lambda step: monitor.report(step, 0.02), robot)
     monitor.timings.update(setup.timings)
     attempt = _Attempt()
     try:

@@ -62,12 +62,15 @@ class PlanSetup:
         return tuple(self.soles)
 
 
-def prepare(request: PlanRequest, on_step: Callable[[str], None] | None = None) -> PlanSetup:
+def prepare(
+    request: PlanRequest, on_step: Callable[[str], None] | None = None, robot: RobotModel | None = None
+) -> PlanSetup:
     """Load the robot, read the scan, and check the request against both.
 
     Args:
         request: the request.
         on_step: told the name of each step before it begins.
+        robot: the request's robot where it is at hand already; else it is loaded.
 
     Raises:
         RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
@@ -75,7 +78,14 @@ def prepare(request: PlanRequest, on_step: Callable[[str], None] | None = None) 
     say = on_step or (lambda step: None)
     timings: dict[str, float] = {}
     say("load robot")
-    robot = _timed(timings, "load_robot", lambda: _load(request))
+    if robot is None:
+        robot = _timed(timings, "load_robot", lambda: load_requested_robot(request))
+    return _prepare(request, robot, say, timings)
+
+
+def _prepare(
+    request: PlanRequest, robot: RobotModel, say: Callable[[str], None], timings: dict[str, float]
+) -> PlanSetup:
     start, notes = start_configuration(robot, request.start)
     _check_goal(robot, request)
     soles = _soles(robot, start, request)
@@ -96,7 +106,12 @@ def _timed(timings: dict[str, float], step: str, run: Callable[[], T]) -> T:
     return value
 
 
-def _load(request: PlanRequest) -> RobotModel:
+def load_requested_robot(request: PlanRequest) -> RobotModel:
+    """The robot that a request names or points to.
+
+    Raises:
+        RequestError: its files are missing or cannot be used.
+    """
     robot = request.robot
     try:
         if robot.urdf is None:

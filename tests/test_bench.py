@@ -1,0 +1,96 @@
+"""Problem sets: read, run, summed up, resumed; and what a wrong file earns."""
+
+import json
+
+import numpy as np
+import pytest
+
+from service.bench import run_bench, table
+from service.errors import RequestError
+from service.problem_set import BenchRobot, read_problems
+from service.setup import load_requested_robot
+
+
+@pytest.fixture
+def arm(tmp_path) -> BenchRobot:
+    """Two links of 0.3 m that turn in a horizontal plane."""
+    links = "".join(
+        f'<link name="l{k}"><collision><origin xyz="0.15 0 0"/><geometry><box size="0.3 0.03 0.03"/></geometry>'
+        "</collision></link>"
+        for k in range(2)
+    )
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="{"base" if k == 0 else "l0"}"/><child link="l{k}"/>'
+        f'<origin xyz="{0.3 * k} 0 0"/><axis xyz="0 0 1"/>'
+        '<limit lower="-2.9" upper="2.9" velocity="2" effort="20"/></joint>'
+        for k in range(2)
+    )
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/>{links}{joints}</robot>')
+    return BenchRobot(tmp_path / "arm.urdf")
+
+
+def problem(number: int, scene: str, goal: list[float]) -> dict:
+    post = {"name": "post", "type": "box", "position": [0.5, 0, 0], "quat_xyzw": [0, 0, 0, 1], "size": [0.1, 0.1, 0.1]}
+    can = {"name": "post", "type": "cylinder", "position": [0, -2, 0], "quat_xyzw": [0, 0, 0, 1]}
+    obstacles = [post, can | {"radius": 0.1, "length": 0.3}]
+    return {"id": f"{scene}/{number}", "scene": scene, "start": [0.0, -0.9], "goal": goal, "obstacles": obstacles}
+
+
+def write(folder, problems: list[dict]):
+    file = folder / "set.json"
+    # the file names the joints in another order than the robot has them
+    file.write_text(json.dumps({"joints": ["j1", "j0"], "problems": problems}))
+    return file
+
+
+def test_rows_say_what_was_certified_and_hold_the_path_in_the_files_joint_order(arm, tmp_path):
+    file = write(tmp_path, [problem(1, "post", [0.2, 0.9]), problem(2, "post", [0.0, 0.0])])
+    problems = read_problems(file, arm, {"time_limit_s": 20.0})
+    rows = run_bench(
+        problems, load_requested_robot(problems[0].request), tmp_path / "out.json", lambda name, done: None
+    )
+    first, second = rows
+    assert first["success_claimed"]
+    assert first["verdict"] == "CERTIFIED"
+    np.testing.assert_allclose(first["path"][0], [0.0, -0.9], atol=1e-12)
+    np.testing.assert_allclose(first["path"][-1], [0.2, 0.9], atol=1e-9)
+    assert first["cpu_s"] > 0.0
+    assert not second["success_claimed"]
+    assert "the goal is in collision: l1 is" in second["reason"]
+    assert [line[:3] for line in table(rows)] == [("post", "2", "1"), ("all", "2", "1")]
+    assert table(rows)[-1][-1] == "1 INFEASIBLE"
+
+
+def test_an_interrupted_run_goes_on_where_it_stopped(arm, tmp_path):
+    file = write(tmp_path, [problem(1, "post", [0.2, 0.9])])
+    problems = read_problems(file, arm, {})
+    out = tmp_path / "out.json"
+    out.write_text(json.dumps({"peer": "scopt", "results": [{"problem": "post/1", "scene": "post", "time_s": 7.0}]}))
+    rows = run_bench(problems, load_requested_robot(problems[0].request), out, lambda name, done: None)
+    assert rows == [{"problem": "post/1", "scene": "post", "time_s": 7.0}]
+
+
+def test_the_limit_counts_per_scene(arm, tmp_path):
+    file = write(tmp_path, [problem(k, scene, [0.2, 0.9]) for scene in ("a", "b") for k in range(3)])
+    assert [p.name for p in read_problems(file, arm, {}, limit=2)] == ["a/0", "a/1", "b/0", "b/1"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "cannot be read as JSON"),
+        ("{}", "not a problem file: KeyError"),
+        ('{"joints": ["j0"], "problems": [{"id": 1}]}', "not a problem file: KeyError"),
+    ],
+)
+def test_files_of_another_form_are_refused_by_name(arm, tmp_path, text, message):
+    file = tmp_path / "set.json"
+    file.write_text(text)
+    with pytest.raises(RequestError, match=message) as caught:
+        read_problems(file, arm, {})
+    assert str(file) in str(caught.value)
+
+
+def test_a_folder_without_problems_is_refused(arm, tmp_path):
+    with pytest.raises(RequestError, match="holds no problem files"):
+        read_problems(tmp_path / "nowhere", arm, {})
