@@ -59,8 +59,9 @@ def read_cloud(path: Path | str, apply_viewpoint: bool = False) -> Cloud:
 def _content(path: Path) -> bytes:
     try:
         size = path.stat().st_size
-        if path.is_dir():
-            raise CloudError(f"{path}: is a folder; a cloud file is needed")
+        if not path.is_file():  # a pipe or a device would never end
+            kind = "a folder" if path.is_dir() else "no regular file"
+            raise CloudError(f"{path}: is {kind}; a cloud file is needed")
         if size > MAX_FILE_BYTES:
             raise CloudError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are read, downsample it first")
         data = path.read_bytes()

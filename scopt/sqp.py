@@ -290,6 +290,8 @@ class TrustRegionSQP:
         lower = np.maximum(problem.lower - x, -box).ravel()
         upper = np.minimum(problem.upper - x, box).ravel()
         program = subproblem.within(lower, upper)
+        if not program.c.size:  # every variable is fixed; back ends crash on a program without variables
+            return np.asarray(np.clip(subproblem.step(program.c), lower, upper))
         solution = self._solve_qp(program)
         if not solution.is_usable:
             solution = self._solve_qp_fallback(program)

@@ -26,7 +26,10 @@ TRAJECTORY_NAME = "trajectory.csv"
 VIEWER_NAME = "viewer.html"
 GLB_NAME = "scene.glb"
 OPENRAVE_NAME = "openrave"
+ROBOT_NAME = "robot"
+WRITTEN = {RESULT_NAME, TRAJECTORY_NAME, VIEWER_NAME, GLB_NAME, OPENRAVE_NAME, ROBOT_NAME}
 MAX_RESULT_BYTES = 512 * 2**20
+BEGINNING = b'{"format": "' + FORMAT.rsplit("/", 1)[0].encode()
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,14 @@ def check_folder(folder: Path) -> None:
         return
     if not folder.is_dir():
         raise ResultError(f"{folder} is a file; name a folder for the result")
-    if any(folder.iterdir()) and not (folder / RESULT_NAME).is_file():
+    found = {path.name for path in folder.iterdir()}
+    if found and not (folder / RESULT_NAME).is_file():
         raise ResultError(f"{folder} holds other files and no {RESULT_NAME}; name a new or empty folder")
+    if found and not _is_ours(folder / RESULT_NAME):
+        raise ResultError(f"{folder} holds a {RESULT_NAME} of something else; name a new or empty folder")
+    if found - WRITTEN:
+        first = min(found - WRITTEN)
+        raise ResultError(f"{folder} holds {first}, which is of no result; move it or name a new or empty folder")
 
 
 def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
@@ -78,7 +87,7 @@ def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
         with _replaced(folder) as fresh:
             (fresh / RESULT_NAME).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
             _write_trajectory(data["trajectory"], fresh / TRAJECTORY_NAME)
-            _write_robot(result.robot, fresh / "robot")
+            _write_robot(result.robot, fresh / ROBOT_NAME)
             _write_views(result, data, fresh)
     except OSError as error:
         raise ResultError(f"{folder} cannot be written: {error.strerror or error}") from None
@@ -113,6 +122,12 @@ def result_path(path: str | Path) -> Path:
     return path / RESULT_NAME if path.is_dir() else path
 
 
+def _is_ours(path: Path) -> bool:
+    """Whether a ``result.json`` begins as ours do, of whatever version."""
+    with path.open("rb") as file:
+        return file.read(len(BEGINNING)) == BEGINNING
+
+
 @contextmanager
 def _replaced(folder: Path) -> Iterator[Path]:
     """A fresh folder beside ``folder`` that takes its place when the body succeeds, and vanishes when it does not."""
@@ -121,12 +136,12 @@ def _replaced(folder: Path) -> Iterator[Path]:
         fresh, earlier = Path(scratch) / "fresh", Path(scratch) / "earlier"
         fresh.mkdir()
         yield fresh
-        if folder.exists():
-            os.rename(folder, earlier)
         try:
+            if folder.exists():
+                os.rename(folder, earlier)
             os.rename(fresh, folder)
         except BaseException:
-            if earlier.exists():
+            if earlier.exists() and not folder.exists():
                 os.rename(earlier, folder)
             raise
 

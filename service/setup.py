@@ -164,6 +164,8 @@ def _soles(robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanReques
         if feet:
             raise RequestError("options.feet: this robot's base is fixed and plants no feet; leave it out")
         return {}
+    if feet == ():
+        raise RequestError("options.feet: lists no link; name the planted links, or leave it out for the robot's own")
     if feet is None:
         feet = robot.link_groups.get(FEET_GROUP, ())
     if not feet:

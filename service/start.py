@@ -88,7 +88,7 @@ def sole(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.nd
 def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[str]:
     """One line for each pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
     placed = [(body, vertices, static_convex(vertices)) for body, vertices in placed_bodies(robot, q)]
-    found: list[tuple[float, str]] = []
+    found: list[tuple[float, str, str]] = []
     for piece in scene.pieces:
         shape = static_convex(piece.vertices)
         for body, vertices, convex in placed:
@@ -97,7 +97,7 @@ def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, plant
             allowed = FLOOR_CONTACT_M if body.link in planted and piece.kind == FLOOR_KIND else TOUCH_M
             depth = _depth(convex, shape)
             if depth > allowed:
-                found.append((depth, f"{body.link} is {depth:.3f} m inside {_described(piece)}"))
+                found.append((depth, body.link, _described(piece)))
     for a, (first, first_vertices, first_convex) in enumerate(placed):
         for second, second_vertices, second_convex in placed[a + 1 :]:
             pair = tuple(sorted((first.link, second.link)))
@@ -106,8 +106,12 @@ def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, plant
             if _boxes_meet(first_vertices, second_vertices):
                 depth = _depth(first_convex, second_convex)
                 if depth > TOUCH_M:
-                    found.append((depth, f"{first.link} is {depth:.3f} m inside {second.link}"))
-    return [line for _, line in sorted(found, key=lambda entry: -entry[0])]
+                    found.append((depth, first.link, second.link))
+    deepest: dict[tuple[str, str], float] = {}
+    for depth, link, other in found:
+        deepest[link, other] = max(depth, deepest.get((link, other), 0.0))
+    ordered = sorted(deepest.items(), key=lambda entry: -entry[1])
+    return [f"{link} is {depth:.3f} m inside {other}" for (link, other), depth in ordered]
 
 
 def standing_problems(

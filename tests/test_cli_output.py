@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -171,7 +173,70 @@ def test_a_piece_moved_into_the_robot_is_found_when_verified_anew(folder: Path, 
     again = verify_result(forged)
     assert again["verdict"] == "NOT_FOUND"
     assert any("crate" in sentence for sentence in again["explanation"])
-    assert "scene_sha256 of the recorded certificate does not fit these files" in again["notes"]
+    assert "scene_sha256 of the recorded certificate does not fit these files" in again["explanation"]
+
+
+def _shift_sample(data: dict[str, Any]) -> None:
+    data["trajectory"]["positions"][3][20] += 1e-4
+
+
+def _shift_knot(data: dict[str, Any]) -> None:
+    data["curve"]["positions"][1][20] += 5e-6
+
+
+def _forget_targets(data: dict[str, Any]) -> None:
+    for phase in data["phases"]:
+        phase["targets"] = []
+
+
+def _loosen_feet(data: dict[str, Any]) -> None:
+    for phase in data["phases"]:
+        for contact in phase["contacts"]:
+            contact["tolerance_m"] = 0.1
+
+
+FORGERIES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "a sample": (_shift_sample, "trajectory.positions are not on the curve"),
+    "the times": (lambda data: data["trajectory"]["times"].append(99.0), "trajectory.times are not"),
+    "the curve": (_shift_knot, "trajectory.positions are not on the curve"),
+    "a piece": (lambda data: data["pieces"].pop(0), "scene_sha256"),
+    "the wheel": (lambda data: data["movables"][0]["angles"].reverse(), "the angles of wheel are not on the curve"),
+    "a body": (lambda data: data["bodies"].pop(), "bodies are not those"),
+    "an ignored pair": (lambda data: data["ignored_pairs"].append(["l_hand", "r_hand"]), "ignored_pairs are not those"),
+    "the request": (lambda data: data["request"]["goal"].clear(), "request_hash"),
+    "the targets": (_forget_targets, "is no longer asked for"),
+    "a tolerance": (_loosen_feet, "has the limit 0.1"),
+    "a claim": (lambda data: data.update(min_clearance_m=0.5), "min_clearance_m of result.json is 0.5"),
+    "a number": (lambda data: data["curve"]["positions"][0].__setitem__(0, None), "not finite"),
+    "a phase": (lambda data: data["phases"][1].update(first=1), "must begin at"),
+}
+
+
+@pytest.mark.parametrize("forged", FORGERIES)
+def test_a_changed_result_is_noticed_though_its_motion_may_hold(folder: Path, tmp_path: Path, forged: str) -> None:
+    forge, problem = FORGERIES[forged]
+    _copy_tree(folder, tmp_path)
+    data = read_result(tmp_path)
+    forge(data)
+    (tmp_path / "result.json").write_text(json.dumps(data))
+    with pytest.raises(ResultError, match=problem):
+        verify_result(tmp_path)
+
+
+def test_a_changed_table_of_samples_is_noticed(folder: Path, tmp_path: Path) -> None:
+    _copy_tree(folder, tmp_path)
+    table = tmp_path / "trajectory.csv"
+    header, first, *rows = table.read_text().splitlines()
+    table.write_text("\n".join([header, first, first, *rows[1:]]))
+    with pytest.raises(ResultError, match=r"trajectory\.csv does not hold samples of the curve"):
+        verify_result(tmp_path)
+
+
+def test_a_motion_that_holds_but_does_not_do_what_was_asked_is_not_certified(plan: PlanResult, tmp_path: Path) -> None:
+    files = write_result(replace(plan, verdict=Verdict.NOT_FOUND), tmp_path / "plan")
+    again = verify_result(files.folder)
+    assert again["verdict"] == "NOT_FOUND"
+    assert again["explanation"] == ["the motion holds, but its plan is NOT_FOUND: it does not do all that was asked"]
 
 
 def _copy_tree(source: Path, target: Path) -> None:
@@ -196,10 +261,40 @@ def test_without_a_motion_the_start_can_be_looked_at(plan: PlanResult, tmp_path:
 
 def test_an_earlier_result_is_replaced_as_a_whole(plan: PlanResult, tmp_path: Path) -> None:
     first = write_result(plan, tmp_path / "plan")
-    (first.folder / "left-over").write_text("old")
+    (first.folder / "robot" / "left-over").write_text("old")
     write_result(replace(plan, notes=("second",)), tmp_path / "plan")
     assert read_result(first.folder)["notes"] == ["second"]
-    assert not (first.folder / "left-over").exists()
+    assert not (first.folder / "robot" / "left-over").exists()
+
+
+def test_what_is_not_of_a_result_is_never_replaced(plan: PlanResult, tmp_path: Path) -> None:
+    files = write_result(plan, tmp_path / "plan")
+    (files.folder / "thesis.tex").write_text("years of work")
+    with pytest.raises(ResultError, match=r"holds thesis\.tex, which is of no result"):
+        write_result(plan, files.folder)
+    assert (files.folder / "thesis.tex").read_text() == "years of work"
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "result.json").write_text('{"score": 1}')
+    with pytest.raises(ResultError, match=r"holds a result\.json of something else"):
+        check_folder(other)
+
+
+def test_an_interruption_between_the_two_renames_brings_the_earlier_result_back(
+    plan: PlanResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_result(plan, tmp_path / "plan")
+    rename = os.rename
+
+    def interrupted(source: Path, target: Path) -> None:
+        rename(source, target)
+        if target.name == "earlier":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(output.os, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_result(replace(plan, notes=("second",)), tmp_path / "plan")
+    assert read_result(tmp_path / "plan")["notes"] == ["made by hand"]
 
 
 @pytest.mark.parametrize("interruption", [KeyboardInterrupt, OSError(28, "No space left on device")])

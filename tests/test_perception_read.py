@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
 import zipfile
 from pathlib import Path
@@ -297,6 +298,13 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     ]:
         with pytest.raises(CloudError, match=says):
             read_cloud(tmp_path / name)
+
+
+def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "pipe.xyz"
+    os.mkfifo(path)
+    with pytest.raises(CloudError, match="is no regular file"):
+        read_cloud(path)
 
 
 def test_a_huge_file_is_refused_by_its_size_alone(tmp_path: Path) -> None:

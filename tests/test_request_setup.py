@@ -90,6 +90,7 @@ def test_a_pitch_near_90_degrees_is_refused(atlas: RobotModel) -> None:
             {"goal": {"poses": [{"link": "l_hnad", "position": [0, 0, 0]}]}},
             "unknown link 'l_hnad' in goal.poses[0].link; atlas has l_hand, ",
         ),
+        ({"options": {"feet": []}}, "options.feet: lists no link"),
         ({"options": {"feet": ["l_fot"]}}, "unknown link 'l_fot' in options.feet; atlas has l_foot, "),
         ({"robot": {"name": "atlsa"}}, "robot: unknown robot 'atlsa'; "),
         (
@@ -129,6 +130,8 @@ def test_a_start_in_collision_names_pair_and_depth() -> None:
     # The pelvis of the standing Atlas is at (0, 0, 0.9); a box in it.
     lines = _problems(scene={"obstacles": [{"name": "crate", "position": [0.0, 0.0, 0.9], **BOX}]})
     assert any(line.startswith("start is in collision: pelvis is 0.") and "m inside crate" in line for line in lines)
+    links = [line.split()[4] for line in lines]
+    assert len(set(links)) == len(links)  # a link of several bodies is named once
 
 
 def test_depth_of_a_start_in_collision_is_the_penetration(atlas: RobotModel) -> None:

@@ -136,6 +136,17 @@ def test_bounds_that_fix_variables_are_kept_exactly():
     np.testing.assert_allclose(result.x[1:], [[2.0, 3.0], [3.0, 4.0]], atol=1e-3)
 
 
+@pytest.mark.parametrize("qp", ["piqp", "clarabel", "cvxpy"])
+def test_a_problem_without_a_free_variable_is_judged_not_solved(qp):
+    # A goal that names every joint leaves nothing to choose; PIQP's multistage factorisation crashes on nothing.
+    fixed = np.ones((1, 2))
+    cost, wrong = Cost("x", Affine([[1.0, 0.0]], 3.0)), Constraint("limit", Affine([[1.0, 0.0]], 0.0))
+    result = solve([cost], [], fixed, lower=fixed, upper=fixed, qp=qp)
+    assert result.status is Status.CONVERGED
+    assert not solve([cost], [wrong], fixed, lower=fixed, upper=fixed, qp=qp).is_feasible
+    np.testing.assert_array_equal(result.x, fixed)
+
+
 @pytest.mark.parametrize(
     ("lower", "upper", "message"),
     [
