@@ -202,8 +202,8 @@ def test_the_drcsim_atlas_of_others_reaches_over_a_table(shared_data):
 def small_arm(folder, goal: dict[str, float], obstacles: list[dict]) -> PlanRequest:
     """An arm of three joints, 0.6 m long, that turns in a horizontal plane."""
     links = "".join(
-        f'<link name="l{k}"><collision><origin xyz="0.1 0 0"/><geometry><box size="0.2 0.04 0.04"/></geometry></collision>'
-        "</link>"
+        f'<link name="l{k}"><collision><origin xyz="0.1 0 0"/>'
+        '<geometry><box size="0.2 0.04 0.04"/></geometry></collision></link>'
         for k in range(3)
     )
     joints = "".join(
