@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from replayed_motion import Array, Replay, read_model
+from replayed_motion import Array, Replay, covers, read_model
 
 
 def closest(a: Array, b: Array, wanted: float) -> tuple[float, Array]:
@@ -97,8 +97,9 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
             phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
             depths = [w["depth"] for w in phase["allowances"] if covers(w, (pair[0], lm), (pair[1], lh))]
             need, at = -max(depths) if depths else (data["certificate"]["min_clearance_m"] or 0.0) - 1e-6, a
-            for first, last, claimed in [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]:
-                is_whole, at = first <= at, last
+            todo = [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]
+            while todo:
+                first, last, claimed = todo.pop(0)
                 if (first, last) not in seen:
                     swept = np.vstack([replay.points(s, jm, mover, jh) for s in (first, last)])
                     seen[first, last] = swept, replay.bound(first, last, chain, jm, mover)
@@ -108,18 +109,16 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
                 wanted = max(need + bound, -1.0 if claimed is None or depths else claimed - 1e-6)
                 if low < wanted or low == 0.0:
                     low, n_rows = separation(swept, holder, wanted), n_rows + 1
+                if claimed is None and low < wanted and last - first > (b - a) / 100:
+                    middle = 0.5 * (first + last)
+                    todo[:0] = [(first, middle, None), (middle, last, None)]
+                    continue
+                is_whole, at = first <= at, last
                 failed += [] if is_whole and low >= wanted - 1e-9 else [pair]
                 smallest = smallest if depths else min(smallest, low - bound)
             failed += [] if at >= b else [pair]
     shown = f"not shown for {failed[0]}" if failed else f"at least {1e3 * smallest:.1f} mm"
     return not failed, f"{shown} ({len(pairs)} pairs, {n_rows} separating directions)"
-
-
-def covers(allowance: dict[str, Any], one: tuple[str, str], other: tuple[str, str]) -> bool:
-    def fits(pattern: str, names: tuple[str, str]) -> bool:
-        return any(n and (n == pattern or (pattern[-1] == "*" and n.startswith(pattern[:-1]))) for n in names)
-
-    return any(fits(allowance["link"], x) and fits(allowance["other"], y) for x, y in ((one, other), (other, one)))
 
 
 def feet(replay: Replay, phase: dict[str, Any], contact: dict[str, Any]) -> tuple[bool, str]:
@@ -133,6 +132,7 @@ def feet(replay: Replay, phase: dict[str, Any], contact: dict[str, Any]) -> tupl
         phase,
         lambda s: np.linalg.norm(replay.points(s, joint, points) - sole, axis=1).max(),
         lambda a, b: replay.bound(a, b, chain, joint, points),
+        contact["tolerance_m"],
     )
     return drift <= contact["tolerance_m"], f"drifts at most {1e3 * drift:.3f} mm"
 
@@ -158,7 +158,7 @@ def balance(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
         rows = zip(masses, chains, strict=True)
         return float(sum(mass * replay.bound(a, b, chain, j, lever) for (j, mass, lever), chain in rows) / total)
 
-    margin = -replay.highest(phase, outside, leaving)
+    margin = -replay.highest(phase, outside, leaving, -phase["support"]["margin_m"])
     return margin >= phase["support"]["margin_m"], f"centre of mass {1e3 * margin:.1f} mm inside the feet"
 
 
@@ -171,7 +171,10 @@ def limits(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
         piece = int(np.searchsorted(replay.knots, 0.5 * (a + b)) - 1)
         return float((b - a) ** 2 / 8 * replay.rates(a, b, piece)[1][own].max())
 
-    excess = replay.highest(phase, lambda s: np.maximum(low - replay.q(s)[own], replay.q(s)[own] - high).max(), leaving)
+    def beyond(s: float) -> float:
+        return float(np.maximum(low - replay.q(s)[own], replay.q(s)[own] - high).max())
+
+    excess = replay.highest(phase, beyond, leaving, 1e-6)
     return excess <= 1e-6, f"{-excess:.4f} rad left to the nearest limit"
 
 

@@ -37,6 +37,13 @@ def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
     return model
 
 
+def covers(allowance: dict[str, Any], one: tuple[str, str], other: tuple[str, str]) -> bool:
+    def fits(pattern: str, names: tuple[str, str]) -> bool:
+        return any(n and (n == pattern or (pattern[-1] == "*" and n.startswith(pattern[:-1]))) for n in names)
+
+    return any(fits(allowance["link"], x) and fits(allowance["other"], y) for x, y in ((one, other), (other, one)))
+
+
 class Replay:
     """Placements along the curve, and how far a point can leave the chord between two of them."""
 
@@ -122,9 +129,23 @@ class Replay:
         slerp = (step * fast[base].sum()) ** 2 / 4 * reach[base].max(initial=0.0)
         return float((b - a) ** 2 / 8 * (speed @ weight @ speed + near @ bend) + line + slerp) + 1e-9
 
-    def highest(self, phase: dict, value: Callable[[float], float], leaving: Callable[[float, float], float]) -> float:
-        """Largest convex value on a phase: that of the chords' ends plus how far the path leaves the chords."""
+    def highest(
+        self, phase: dict, value: Callable[[float], float], leaving: Callable[[float, float], float], allowed: float
+    ) -> float:
+        """Bound of a convex value on a phase: at its chords' ends, plus how far the path leaves the chords.
+
+        Chords are halved as long as only the second part is more than what is allowed.
+        """
         first, last = self.samples[phase["first"]], self.samples[phase["last"]]
         edges = self.edges[(self.edges >= first) & (self.edges <= last)]
         parts = np.concatenate([np.linspace(a, b, 9)[:-1] for a, b in itertools.pairwise(edges)] + [edges[-1:]])
-        return max(max(value(a), value(b)) + leaving(a, b) for a, b in itertools.pairwise(parts.tolist()))
+        chords, most, least = list(itertools.pairwise(parts.tolist())), -np.inf, 1e-4 * (last - first)
+        while chords:
+            a, b = chords.pop()
+            at_ends, middle = max(value(a), value(b)), 0.5 * (a + b)
+            top = at_ends + leaving(a, b)
+            if at_ends <= allowed < top and b - a > least:
+                chords += [(a, middle), (middle, b)]
+            else:
+                most = max(most, top)
+        return most

@@ -93,6 +93,19 @@ def test_every_imported_library_is_a_declared_dependency() -> None:
     assert imported - declared == set()
 
 
+def test_every_library_of_tests_and_examples_is_declared_for_developers() -> None:
+    # What another package happens to bring today is gone when that package goes.
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    entries = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    names = {re.split(r"[<>=;! ]", entry)[0].lower() for entry in entries}
+    imported_as = {"pin": "pinocchio", "open3d-cpu": "open3d", "pyyaml": "yaml", "pillow": "PIL"}
+    declared = {imported_as.get(name, name) for name in names}
+    paths = [path for folder in ("tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
+    imported = {module for path in paths for module in _imports(path)} - {path.stem for path in paths}
+    imported -= {*sys.stdlib_module_names, *PACKAGES, "benchmarks", "click", "pydantic_core"}  # click comes with typer
+    assert imported - declared == set()
+
+
 def _imports(path: Path) -> set[str]:
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
