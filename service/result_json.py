@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -16,7 +15,7 @@ from service.motion_json import file_columns, file_positions, motion_json, sampl
 from service.request_file import request_hash, to_json
 from service.result import PlanResult
 from service.verify import Certificate
-from service.verify.certificate import link_vertices
+from service.verify.certificate import link_vertices, robot_hash
 
 FORMAT = "scopt-result/1"
 MAX_CLOUD_POINTS = 60_000
@@ -129,14 +128,13 @@ def _at_rest(result: PlanResult) -> dict[str, Any]:
 
 def _robot(robot: RobotModel) -> dict[str, Any]:
     """Paths are relative to the result's folder, where ``service.output`` writes the files."""
-    digest = hashlib.sha256(robot.source.urdf.encode() + b"\0" + robot.source.srdf.encode())
     return {
         "name": robot.name,
         "urdf": "robot/robot.urdf",
         "srdf": "robot/robot.srdf" if robot.source.srdf else None,
         "package_dirs": ["robot"],
         "root": "floating" if robot.is_floating else "fixed",
-        "sha256": digest.hexdigest(),
+        "sha256": robot_hash(robot),
     }
 
 
