@@ -56,7 +56,7 @@ def largest(
         if samples[best] > sampled:
             sampled = float(samples[best])
             where = float(first[best] if at_first[best] >= at_last[best] else last[best])
-        is_high = upper > limit
+        is_high = ~(upper <= limit)  # a bound that is NaN proves nothing
         is_blurred = ~is_high & (upper > sampled + resolution) & (halving < max_sharpenings)
         is_split = (is_high & (samples <= limit)) | is_blurred
         if halving == max_halvings:

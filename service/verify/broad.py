@@ -65,7 +65,8 @@ def open_stretches(
 ) -> Stretches:
     """Pairs and stretches that the broad phase leaves open: nearer than the horizon, or perhaps touching if allowed."""
     may_touch = ~np.isnan(couples.allowed[:, phase].T)
-    stretch, couple = np.nonzero(floors < np.where(may_touch, ROUNDING_M, horizon))
+    # Negated, so that a floor that is NaN leaves its pair open.
+    stretch, couple = np.nonzero(~(floors >= np.where(may_touch, ROUNDING_M, horizon)))
     return Stretches(couple, edges[:-1][stretch], edges[1:][stretch], phase[stretch], floors[stretch, couple])
 
 

@@ -146,7 +146,7 @@ class ClearanceSearch:
         """Where the floor leaves something to know: a pair may touch, or may be nearer than the nearest known."""
         nearest = min(self.proof.nearest, self._settings.clearance_horizon_m)
         enough = np.where(np.isnan(self._allowed(stretches)), max(nearest, ROUNDING_M), ROUNDING_M)
-        return np.asarray(stretches.floor < enough)
+        return ~np.asarray(stretches.floor >= enough)  # NaN is wanted
 
     def _allowed(self, stretches: Stretches) -> Float[np.ndarray, "E"]:
         return np.asarray(self._couples.allowed[stretches.couple, stretches.phase])

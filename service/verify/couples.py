@@ -41,7 +41,7 @@ class Couples:
 def collect(motion: Motion, tree: JointTree) -> Couples:
     """Every pair whose two members can move against each other, less the ignored ones.
 
-    The links of ``motion.mechanism_links`` are checked against the robot's moving links only.
+    The links of ``motion.mechanism_links`` are checked against the robot's links only, those that stand still included.
     """
     solids = _solids(motion)
     n_bodies = len(motion.robot.bodies)
@@ -98,8 +98,7 @@ def _is_checked(motion: Motion, a: Solid, b: Solid) -> bool:
         or (min(a.link, b.link), max(a.link, b.link)) in motion.robot.ignored_pairs
     ):
         return False
-    is_mechanism = (a.link in motion.mechanism_links, b.link in motion.mechanism_links)
-    return not (all(is_mechanism) or (any(is_mechanism) and 0 in (a.joint, b.joint)))
+    return not (a.link in motion.mechanism_links and b.link in motion.mechanism_links)
 
 
 def _weight(chain: Chain) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
 
 from service.verify.bisect import Evaluate, Extreme, largest
 from service.verify.certificate import Basis, Check, Where
@@ -25,7 +26,8 @@ from service.verify.paths import FramePath, MassPath
 from service.verify.settings import VerifySettings
 from service.verify.timeline import phase_edges, time_of
 
-Paths = Callable[[str, np.ndarray], FramePath]
+# How far a support polygon may reach beyond the planted soles, which may themselves drift by about as much [m].
+_SUPPORT_TOLERANCE_M = 1e-3
 
 
 class PhaseChecks:
@@ -42,6 +44,8 @@ class PhaseChecks:
         edges = phase_edges(self._edges, phase)
         if phase.support is not None:
             yield self._balance(phase, phase.support, edges)
+            if phase.contacts:
+                yield _support_check(phase, phase.support)
         for contact in phase.contacts:
             yield from self._planted(phase, contact, edges)
         for target in phase.targets:
@@ -248,6 +252,19 @@ class PhaseChecks:
         if not extreme.is_proven:
             text = f"not shown that {text}" if is_ok else f"not so: {text}"
         return Check(name, is_ok, value, sign * float(limit), unit, text, where, basis)
+
+
+def _support_check(phase: Phase, support: SupportPolygon) -> Check:
+    """Whether the polygon is no wider than the hull of what is planted: a wider one would promise no balance."""
+    corners = [c.sole @ c.pose_world_link[:3, :3].T + c.pose_world_link[:3, 3] for c in phase.contacts]
+    ground = np.concatenate(corners)[:, :2]
+    try:
+        value = float(outside_polygon(ground[ConvexHull(ground).vertices], support.polygon).max())
+    except QhullError:  # soles on one line hold up nothing
+        value = np.inf
+    is_ok = value <= _SUPPORT_TOLERANCE_M
+    text = f"the support polygon of {phase.name} reaches {1e3 * value:.1f} mm beyond the planted soles"
+    return Check(f"support.{phase.name}", is_ok, value, _SUPPORT_TOLERANCE_M, "m", text, None, Basis.PROOF)
 
 
 def outside_polygon(polygon: Float[np.ndarray, "E 2"], points: Float[np.ndarray, "S 2"]) -> Float[np.ndarray, "S"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
+from service.verify.admission import admit
 from service.verify.broad import clearance_floors, open_stretches
 from service.verify.certificate import (
     Basis,
@@ -22,7 +23,6 @@ from service.verify.chain import JointTree
 from service.verify.clearance import ClearanceProof, ClearanceSearch, Meeting, Unproven
 from service.verify.couples import Couples, collect
 from service.verify.dynamics import dynamics_checks
-from service.verify.errors import VerifyError
 from service.verify.limits import position_check, timed_checks
 from service.verify.motion import Motion, Phase
 from service.verify.promises import PhaseChecks
@@ -41,7 +41,7 @@ def verify(motion: Motion, settings: VerifySettings | None = None) -> Certificat
         VerifyError: when the motion is malformed (phases that leave a gap, an unknown frame, an inconsistent law).
     """
     settings = settings or VerifySettings()
-    _check_shapes(motion)
+    admit(motion)
     phases = phases_of(motion)
     edges, phase_rows = edges_of(motion, phases)
     tree = joint_tree(motion)
@@ -71,7 +71,7 @@ def verify(motion: Motion, settings: VerifySettings | None = None) -> Certificat
         scene_hash(motion.scene),
         bodies_hash(motion.robot),
         robot_hash(motion.robot),
-        _notes(motion),
+        _notes(motion, phases),
     )
 
 
@@ -80,17 +80,6 @@ def joint_tree(motion: Motion) -> JointTree:
     low, high = position_range(motion.curve)
     travel = np.maximum(np.abs(low).max(axis=0), np.abs(high).max(axis=0))
     return JointTree(motion.robot.model, travel, 6 if motion.robot.is_floating else 0)
-
-
-def _check_shapes(motion: Motion) -> None:
-    n = motion.robot.n
-    if motion.curve.positions.shape[1] != n or motion.robot.model.nq != n or motion.robot.model.nv != n:
-        raise VerifyError(
-            f"curve, robot and model must have the same number of coordinates, got {motion.curve.positions.shape[1]}, "
-            f"{n} and {motion.robot.model.nq}"
-        )
-    if not (np.all(np.isfinite(motion.curve.positions)) and np.all(np.isfinite(motion.curve.tangents))):
-        raise VerifyError("the curve has values that are not finite")
 
 
 def _min_clearance(
@@ -199,10 +188,19 @@ def _status(checks: list[Check]) -> Status:
     return Status.CERTIFIED if is_proven else Status.FEASIBLE_AT_SAMPLES
 
 
-def _notes(motion: Motion) -> tuple[str, ...]:
+def _notes(motion: Motion, phases: tuple[Phase, ...]) -> tuple[str, ...]:
     notes = ["ZMP and joint torques are checked at samples of the timed curve, not proven between them"]
     if motion.law is None:
         notes = ["the motion is untimed: speeds, accelerations and forces were not checked"]
     if motion.samples is None:
         notes.append("the curve itself is certified; no exported samples were given")
+    if motion.robot.ignored_pairs:
+        notes.append(
+            f"{len(motion.robot.ignored_pairs)} pairs of links are not checked against each other: ignored_pairs"
+        )
+    if motion.robot.is_floating:
+        without = [phase.name for phase in phases if phase.support is None]
+        notes += [f"balance was not checked in {', '.join(without)}"] if without else []
+        given = [phase.name for phase in phases if phase.support is not None and not phase.contacts]
+        notes += [f"the support polygon was taken as given in {', '.join(given)}"] if given else []
     return tuple(notes)

@@ -1,0 +1,118 @@
+"""What a motion must be before anything is proven of it: finite, rigid, in order; a NaN would pass a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from service.verify.errors import VerifyError
+from service.verify.motion import AxisTarget, CircleTarget, JointTarget, Motion, Phase, PoseTarget, Target
+
+# Errors of directions and rotations written as decimal numbers.
+_UNIT_TOLERANCE = 1e-6
+# How far a target's path parameter may lie outside its phase, relative to the parameter.
+_BORDER_TOLERANCE = 1e-9
+
+
+def admit(motion: Motion) -> None:
+    """Refuse a motion of which nothing could be proven.
+
+    Raises:
+        VerifyError: for wrong shapes, values that are not finite, samples out of order, rotations that are none, axes
+            that are not of unit length, targets outside their phase.
+    """
+    _admit_curve(motion)
+    for body in motion.robot.bodies:
+        _points(f"vertices of body '{body.name}'", body.vertices, 3)
+        _points(f"outer vertices of body '{body.name}'", body.outer, 3)
+    for piece in motion.scene.pieces:
+        _points(f"vertices of piece '{piece.name}'", piece.vertices, 3)
+    for phase in motion.phases:
+        _admit_phase(phase)
+
+
+def _admit_curve(motion: Motion) -> None:
+    n, model, curve = motion.robot.n, motion.robot.model, motion.curve
+    if not curve.positions.shape[1] == curve.tangents.shape[1] == model.nq == model.nv == n:
+        raise VerifyError(
+            f"curve, robot and model must have the same number of coordinates, got {curve.positions.shape[1]}, "
+            f"{n} and {model.nq}"
+        )
+    _finite("curve", curve.knots, curve.positions, curve.tangents)
+    if motion.law is not None:
+        _finite("time law", motion.law.times, motion.law.path, motion.law.speed)
+    if motion.samples is not None:
+        _finite("samples", motion.samples)
+        if np.any(np.diff(motion.samples) <= 0.0):
+            raise VerifyError("samples must increase strictly")
+
+
+def _admit_phase(phase: Phase) -> None:
+    if phase.support is not None:
+        _points(f"support polygon of phase '{phase.name}'", phase.support.polygon, 2)
+        _finite(f"support of phase '{phase.name}'", phase.support.margin_m, phase.support.height)
+    for contact in phase.contacts:
+        what = f"contact of '{contact.link}' in phase '{phase.name}'"
+        _points(f"sole of the {what}", contact.sole, 3)
+        _finite(what, contact.pose_world_link, contact.tolerance_m, contact.knot_tolerance_m)
+        _rigid(what, contact.pose_world_link[:3, :3])
+    for target in phase.targets:
+        of = target.joint if isinstance(target, JointTarget) else target.frame
+        what = f"target of '{of}' in phase '{phase.name}'"
+        at = None if isinstance(target, CircleTarget) else target.at
+        slack = _BORDER_TOLERANCE * max(1.0, abs(phase.last))
+        if at is not None and not phase.first - slack <= at <= phase.last + slack:
+            raise VerifyError(f"the {what} is at {at}, outside the phase ({phase.first} to {phase.last})")
+        _finite(what, *_places(target))
+        for tolerance in _tolerances(target):
+            # An infinite tolerance frees; NaN must not.
+            if not np.all(np.asarray(tolerance) >= 0.0):
+                raise VerifyError(f"the {what} needs tolerances that are not negative, got {tolerance}")
+        if isinstance(target, PoseTarget) and target.rotation is not None:
+            _rigid(what, target.rotation)
+
+
+def _places(target: Target) -> Iterator[np.ndarray | float]:
+    """The numbers of a target that must be finite; axes of unit length are asked for on the way."""
+    if isinstance(target, JointTarget):
+        yield target.value
+        return
+    if isinstance(target, PoseTarget):
+        yield target.position
+        return
+    if isinstance(target, CircleTarget):
+        yield target.centre
+        yield target.radius
+    for axis in (target.axis, target.frame_axis):
+        if axis is not None:
+            if not abs(np.linalg.norm(axis) - 1.0) <= _UNIT_TOLERANCE:
+                raise VerifyError(f"axes of the target of '{target.frame}' must be unit vectors, got {axis}")
+            yield axis
+
+
+def _tolerances(target: Target) -> tuple[np.ndarray | float, ...]:
+    if isinstance(target, JointTarget):
+        return (target.tolerance,)
+    if isinstance(target, PoseTarget):
+        return target.position_tolerance_m, target.rotation_tolerance
+    if isinstance(target, AxisTarget):
+        return (target.tolerance_rad,)
+    return target.tolerance_m, target.axis_tolerance_rad
+
+
+def _points(what: str, points: np.ndarray, columns: int) -> None:
+    if points.ndim != 2 or points.shape[1] != columns or len(points) == 0:
+        raise VerifyError(f"{what} must be at least one row of {columns} numbers, got shape {points.shape}")
+    _finite(what, points)
+
+
+def _finite(what: str, *values: np.ndarray | float) -> None:
+    if not all(np.all(np.isfinite(value)) for value in values):
+        raise VerifyError(f"the {what} has values that are not finite")
+
+
+def _rigid(what: str, rotation: np.ndarray) -> None:
+    is_orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=_UNIT_TOLERANCE)
+    if not is_orthonormal or np.linalg.det(rotation) < 0.0:
+        raise VerifyError(f"the {what} needs a rotation matrix, got {rotation.tolist()}")
