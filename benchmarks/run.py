@@ -10,17 +10,15 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
-NAMES = ("cycle", "planning", "perception", "attack_certificate")
+NAMES = ("cycle", "planning", "clouds", "attack_certificate")
 
 
 def main() -> int:
     """Run them all; the number of those that failed."""
     failed = []
     for name in NAMES:
-        if not (FOLDER / f"{name}.py").is_file():
-            continue
         print(f"\n== {name} ==", flush=True)
-        # As a module from the root: this folder must not stand first on the path, where it would hide packages.
+        # As a module from the root: the benchmarks import each other as ``benchmarks.<name>``.
         if subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], cwd=FOLDER.parent).returncode:
             failed.append(name)
     if failed:

@@ -4,13 +4,16 @@ Coverage: share of true surface points (3 cm above the floor, within 3 m) within
 False obstacle: share of samples along rays of another scan (or of a fifth of the rays, withheld) that lie inside a
 piece and more than 2 cm from any true surface.  True points: the ground-truth mesh hit by each measured ray.
 
-Run as ``python -m benchmarks.perception``: as a plain file its name would hide the package.
+From the checkout's root: ``python -m benchmarks.clouds``.  Real scenes come from the folder ``SCOPT_DATA`` (default:
+``../shared/data``); without it only simulated scans are measured.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import resource
+import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -27,7 +30,8 @@ from perception.perceive import Perceived, perceive
 from perception.read import read_cloud
 from perception.simulate import Pose, Room, Valve, scan
 
-REACH = 3.0
+REACH = 3.0  # [m]
+TARGET_CPU_S = 2.0  # of one scan, cloud to pieces
 
 
 def inside_pieces(
@@ -89,8 +93,9 @@ def figures(perceived: Perceived, seen: Cloud, judge: Cloud, mesh_file: Path) ->
 
 
 def pieces_table(folder: Path) -> None:
-    """One row per scan of the shared scenes."""
+    """One row per scan of the scenes in ``folder``, and the targets."""
     print("scan                    points  cover 1 cm   2 cm  false %  pieces  verts  wall s  cpu s")
+    spent = []
     for path in sorted((folder / "scenes").glob("*/scan*.pcd")):
         cloud = read_cloud(path)
         others = [other for other in sorted(path.parent.glob("scan*.pcd")) if other != path]
@@ -110,6 +115,10 @@ def pieces_table(folder: Path) -> None:
             f"{path.parent.name + '/' + path.stem:22} {len(cloud.points):7d} {one:11.2f} {two:6.2f} {false:8.3f} "
             f"{len(pieces):7d} {most:6d} {wall:7.2f} {cpu:6.2f}"
         )
+        spent.append(cpu)
+    if spent:
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        print(f"median {statistics.median(spent):.2f} s cpu (target {TARGET_CPU_S:g} s), peak memory {memory:.0f} MB")
 
 
 def error_text(found: ValveDetection, centre: ArrayLike, axis: ArrayLike, outer_radius: float) -> str:
@@ -123,7 +132,7 @@ def error_text(found: ValveDetection, centre: ArrayLike, axis: ArrayLike, outer_
 
 
 def valve_table(folder: Path) -> None:
-    """Detection errors on the shared scans and on simulated ones, and false finds."""
+    """Detection errors on the data folder's scans and on simulated ones, and false finds."""
     for path in sorted((folder / "scenes").glob("*/scan*.pcd")) + sorted((folder / "clouds").glob("*")):
         clock = time.perf_counter()
         found = detect_valves(read_cloud(path))
@@ -148,7 +157,7 @@ def valve_table(folder: Path) -> None:
 
 
 def main() -> None:
-    """Print both tables; the first needs the shared data."""
+    """Print both tables; real scans need the data folder."""
     folder = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[2] / "shared" / "data"))
     pieces_table(folder)
     print()
