@@ -25,7 +25,7 @@ class SweptCollisionChecker:
     Keeps coal's objects and work space between queries; what it answers depends on the query alone.
     """
 
-    def __init__(self, robot: RobotModel, scene: Scene, margins: PairMargins, buffer: float = 0.04) -> None:
+    def __init__(self, robot: RobotModel, scene: Scene, margins: PairMargins, buffer: float = 0.03) -> None:
         """
         Args:
             robot: whose bodies sweep.
