@@ -109,7 +109,7 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
                 wanted = max(need + bound, -1.0 if claimed is None or depths else claimed - 1e-6)
                 if low < wanted or low == 0.0:
                     low, n_rows = separation(swept, holder, wanted), n_rows + 1
-                if claimed is None and low < wanted and last - first > (b - a) / 100:
+                if claimed is None and low < wanted and last - first > (b - a) / 100 and pair not in failed:
                     middle = 0.5 * (first + last)
                     todo[:0] = [(first, middle, None), (middle, last, None)]
                     continue

@@ -144,6 +144,8 @@ class Replay:
             a, b = chords.pop()
             at_ends, middle = max(value(a), value(b)), 0.5 * (a + b)
             top = at_ends + leaving(a, b)
+            if at_ends > allowed:
+                return top  # refuted: how far it goes elsewhere does not matter
             if at_ends <= allowed < top and b - a > least:
                 chords += [(a, middle), (middle, b)]
             else:

@@ -182,7 +182,7 @@ def _ascii_points(body: bytes, header: PcdHeader, columns: list[int], name: str)
     try:
         return table[:, offsets[columns]].astype(np.float64)
     except ValueError as error:
-        raise CloudError(f"{name}: {error}; numbers are needed") from None
+        raise CloudError(f"{name}: {str(error).replace('np.bytes_(b', '').rstrip(')')}; numbers are needed") from None
 
 
 def _binary_points(body: bytes, header: PcdHeader, columns: list[int], name: str) -> Float[np.ndarray, "N 3"]:

@@ -44,7 +44,7 @@ def contradictions(
 
 
 def _hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], certificate: Certificate) -> Iterator[str]:
-    for name in ("scene_sha256", "bodies_sha256", "robot_sha256"):
+    for name in ("scene_sha256", "bodies_sha256", "robot_sha256", "promises_sha256"):
         if recorded.get(name) not in (None, getattr(certificate, name)):
             yield f"{name} of the recorded certificate does not fit these files"
     canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))

@@ -33,7 +33,7 @@ class RobotRequest(Section):
     srdf: FilePath | None = None
     package_dirs: tuple[FilePath, ...] = ()
     root: Literal["floating", "fixed"] | None = None
-    tool_distance_m: Annotated[Number, Field(ge=0.0, le=0.5)] | None = None
+    tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
 
     def __post_init__(self) -> None:
         exactly_one(self, ("name", "urdf"))

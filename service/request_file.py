@@ -151,9 +151,16 @@ def _read_yaml(text: str) -> object:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}: " if mark else ""
-        raise RequestError(f"{where}{error.problem or 'no valid YAML'}") from None
+        raise RequestError(f"{where}{_in_plain_words(error)}") from None
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         raise RequestError(f"no valid YAML: {shown(str(error))}") from None
+
+
+def _in_plain_words(error: yaml.MarkedYAMLError) -> str:
+    problem = str(error.problem or "no valid YAML")
+    if isinstance(error, yaml.constructor.ConstructorError) and "tag" in problem:
+        return f"{problem.split(' for ')[-1]} is not read; plain values would do"
+    return problem
 
 
 def _refuse_bombs(text: str) -> None:

@@ -195,6 +195,11 @@ def _loosen_feet(data: dict[str, Any]) -> None:
             contact["tolerance_m"] = 0.1
 
 
+def _allow_more(data: dict[str, Any]) -> None:
+    for phase in data["phases"]:
+        phase["allowances"].append({"link": "l_larm", "other": "valve/*", "depth": 0.5})
+
+
 FORGERIES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "a sample": (_shift_sample, "trajectory.positions are not on the curve"),
     "the times": (lambda data: data["trajectory"]["times"].append(99.0), "trajectory.times are not"),
@@ -207,6 +212,7 @@ FORGERIES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "the targets": (_forget_targets, "is no longer asked for"),
     "a tolerance": (_loosen_feet, "has the limit 0.1"),
     "a claim": (lambda data: data.update(min_clearance_m=0.5), "min_clearance_m of result.json is 0.5"),
+    "an allowance": (_allow_more, "promises_sha256"),
     "a number": (lambda data: data["curve"]["positions"][0].__setitem__(0, None), "not finite"),
     "a phase": (lambda data: data["phases"][1].update(first=1), "must begin at"),
 }

@@ -117,7 +117,7 @@ def test_entities_in_attributes_are_refused_before_they_expand(tmp_path: Path) -
 
 def test_deep_and_large_xml_are_refused(tmp_path: Path) -> None:
     deep = '<robot name="a">' + "<b>" * 200_000 + "</b>" * 200_000 + "</robot>"
-    assert "not well-formed XML" in _refusal(write_urdf(tmp_path, deep))
+    assert "nested too deeply" in _refusal(write_urdf(tmp_path, deep))
     large = two_links().replace("</robot>", " " * 4_200_000 + "</robot>")
     assert "larger than 4 MB" in _refusal(write_urdf(tmp_path, large))
 

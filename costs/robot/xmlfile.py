@@ -49,7 +49,10 @@ def parse_xml(text: str, where: str, root_tag: str) -> etree._Element:
     try:
         root = etree.fromstring(text.encode("utf-8"), parser)
     except (etree.XMLSyntaxError, UnicodeEncodeError) as error:
-        raise RobotError(f"{where}: not well-formed XML ({str(error).splitlines()[0]})") from None
+        reason = str(error).splitlines()[0]
+        if "depth" in reason:
+            raise RobotError(f"{where}: elements are nested too deeply; a robot's file needs a few levels") from None
+        raise RobotError(f"{where}: not well-formed XML ({reason})") from None
     if root.getroottree().docinfo.doctype:
         # One hidden by the declared encoding.
         raise refused

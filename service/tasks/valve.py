@@ -20,6 +20,7 @@ from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint, Sense
+from service.errors import RequestError
 from service.phases import (
     Bounds,
     PhaseSolver,
@@ -325,8 +326,8 @@ def _touching_at_start(body: WholeBody) -> tuple[str, ...]:
         pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
         if any(one.link == VALVE_LINK for one in pair):
             link, part = sorted((one.name for one in pair), key=lambda name: name.startswith(VALVE_LINK))
-            depth = -1e3 * float(contacts.distance[row])
-            lines.append(f"the start is in collision: {link} is {depth:.0f} mm inside {part}; start farther away")
+            depth = -float(contacts.distance[row])
+            lines.append(f"start is in collision: {link} is {depth:.3f} m inside {part}; start farther away")
     return tuple(lines)
 
 
@@ -338,7 +339,11 @@ def plan_turn(
     turn: float,
     reach_waypoints: int = REACH_WAYPOINTS,
 ) -> TaskPlan:
-    """Try hands and gaps in turn; the first that works, else the attempt that got furthest."""
+    """Try hands and gaps in turn; the first that works, else the attempt that got furthest.
+
+    Raises:
+        RequestError: a link of the robot is in the wheel before anything has moved.
+    """
     solver = replace(
         solver,
         body=with_wheel(solver.body, wheel),
@@ -346,7 +351,7 @@ def plan_turn(
     )
     touching = _touching_at_start(solver.body)
     if touching:
-        return TaskPlan(solver.body, (), touching, is_impossible=True)
+        raise RequestError(touching)
     best: TaskPlan | None = None
     for hand in hands:
         for entry in wheel.gaps[:MOST_GAPS]:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify.errors import VerifyError
+from service.verify.motion import Phase
 
 FORMAT = "scopt-certificate/1"
 
@@ -116,6 +117,7 @@ class Certificate:
         exempt: pairs allowed to touch that came near enough to matter.
         stretches: the clearance proof.
         scene_sha256, bodies_sha256, robot_sha256: of the pieces, the bodies with the ignored pairs, and the URDF text.
+        promises_sha256: of what the phases allow and keep: allowances, planted links, support polygons.
         notes: what the verdict rests on besides proof.
     """
 
@@ -129,6 +131,7 @@ class Certificate:
     scene_sha256: str
     bodies_sha256: str
     robot_sha256: str
+    promises_sha256: str
     notes: tuple[str, ...] = field(default=())
 
     def failed(self) -> tuple[Check, ...]:
@@ -167,6 +170,7 @@ class Certificate:
             data["scene_sha256"],
             data["bodies_sha256"],
             data["robot_sha256"],
+            data["promises_sha256"],
             tuple(data["notes"]),
         )
 
@@ -188,6 +192,18 @@ def robot_hash(robot: RobotModel) -> str:
     return "sha256:" + hashlib.sha256(robot.source.urdf.encode()).hexdigest()
 
 
+def promises_hash(phases: Iterable[Phase]) -> str:
+    """``sha256:`` of each phase's name, allowances, planted links with their tolerances, and support polygon."""
+    named: list[tuple[str, np.ndarray]] = []
+    for phase in phases:
+        named.append((f"phase {phase.name}", np.empty((0, 1))))
+        named += [(f"allowance {a.link}|{a.other}", np.array([[a.depth]])) for a in phase.allowances]
+        named += [(f"planted {c.link}", np.array([[c.tolerance_m, c.knot_tolerance_m]])) for c in phase.contacts]
+        if phase.support is not None:
+            named.append((f"support {phase.support.margin_m:.6f}", phase.support.polygon))
+    return _hash(named)
+
+
 def link_vertices(robot: RobotModel, link: str, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
     """A body's vertices, given in the frame of its joint, in the frame of its link [m]."""
     if not robot.model.existFrame(link):
@@ -199,7 +215,7 @@ def link_vertices(robot: RobotModel, link: str, vertices: Float[np.ndarray, "V 3
 def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
     digest = hashlib.sha256()
     for name, vertices in named:
-        digest.update(name.encode() + b"\0")
+        digest.update(name.encode() + b"\0" + len(vertices).to_bytes(8, "little"))
         digest.update(np.rint(vertices * 1e6).astype("<i8").tobytes())
     return "sha256:" + digest.hexdigest()
 

@@ -13,7 +13,7 @@ from costs.curve import TimeLaw
 from service.verify.certificate import Basis, Check, Where
 from service.verify.motion import Motion, Phase
 from service.verify.paths import mechanism_joints
-from service.verify.promises import outside_polygon
+from service.verify.promises import in_or_out, outside_polygon
 from service.verify.settings import VerifySettings
 from service.verify.timeline import time_of
 
@@ -97,7 +97,8 @@ def dynamics_checks(motion: Motion, law: TimeLaw, phase: Phase, settings: Verify
         value = -float(outside[worst])
         point = (float(zmp[worst, 0]), float(zmp[worst, 1]), phase.support.height)
         where = Where(float(found.path[worst]), float(times[worst]), point)
-        text = f"the ZMP stays {1e3 * value:.1f} mm inside the feet during {phase.name} ({len(times)} samples)"
+        verb = "stays" if value >= 0.0 else "is"
+        text = f"the ZMP {verb} {in_or_out(value)} the feet during {phase.name} ({len(times)} samples)"
         yield Check(f"zmp.{phase.name}", value >= 0.0, value, 0.0, "m", text, where, Basis.SAMPLES)
     limited = np.flatnonzero(np.isfinite(motion.robot.effort) & (motion.robot.effort > 0.0))
     if len(limited):

@@ -63,7 +63,8 @@ class PhaseChecks:
         point = path.at(np.array([extreme.s]))[0]
         name = f"balance.{phase.name}"
         text = f"the centre of mass stays {-1e3 * extreme.bound:.1f} mm inside the support polygon during {phase.name}"
-        return self._check(name, extreme, -support.margin_m, "m", text, point, negate=True)
+        failure = f"the centre of mass is {in_or_out(-extreme.sampled)} the support polygon during {phase.name}"
+        return self._check(name, extreme, -support.margin_m, "m", text, point, negate=True, failure=failure)
 
     def _planted(self, phase: Phase, contact: PlantedContact, edges: Float[np.ndarray, "E"]) -> Iterator[Check]:
         path = FramePath.of(self._motion, self._tree, contact.link, contact.sole, self._settings.rounding)
@@ -241,8 +242,9 @@ class PhaseChecks:
         *,
         names: tuple[str, ...] = (),
         negate: bool = False,
+        failure: str = "",
     ) -> Check:
-        """``negate`` turns "at most -limit" into "at least limit" for the reader."""
+        """``negate`` turns "at most -limit" into "at least limit"; ``failure`` is the text where a sample refutes."""
         sign = -1.0 if negate else 1.0
         point = None if position is None else (float(position[0]), float(position[1]), float(position[2]))
         where = Where(extreme.s, time_of(self._motion.law, extreme.s), point, names)
@@ -250,7 +252,7 @@ class PhaseChecks:
         value = sign * float(extreme.bound if extreme.is_proven else extreme.sampled)
         basis = Basis.PROOF if extreme.is_proven else Basis.UNPROVEN if is_ok else Basis.SAMPLES
         if not extreme.is_proven:
-            text = f"not shown that {text}" if is_ok else f"not so: {text}"
+            text = f"not shown that {text}" if is_ok else failure or f"not so: {text}"
         return Check(name, is_ok, value, sign * float(limit), unit, text, where, basis)
 
 
@@ -265,6 +267,11 @@ def _support_check(phase: Phase, support: SupportPolygon) -> Check:
     is_ok = value <= _SUPPORT_TOLERANCE_M
     text = f"the support polygon of {phase.name} reaches {1e3 * value:.1f} mm beyond the planted soles"
     return Check(f"support.{phase.name}", is_ok, value, _SUPPORT_TOLERANCE_M, "m", text, None, Basis.PROOF)
+
+
+def in_or_out(inside_m: float) -> str:
+    """How far inside or outside, in words, ready for what it is inside of."""
+    return f"{1e3 * inside_m:.1f} mm inside" if inside_m >= 0.0 else f"{-1e3 * inside_m:.1f} mm outside"
 
 
 def outside_polygon(polygon: Float[np.ndarray, "E 2"], points: Float[np.ndarray, "S 2"]) -> Float[np.ndarray, "S"]:

@@ -16,6 +16,7 @@ from service.verify.certificate import (
     Stretches,
     Where,
     bodies_hash,
+    promises_hash,
     robot_hash,
     scene_hash,
 )
@@ -71,6 +72,7 @@ def verify(motion: Motion, settings: VerifySettings | None = None) -> Certificat
         scene_hash(motion.scene),
         bodies_hash(motion.robot),
         robot_hash(motion.robot),
+        promises_hash(phases),
         _notes(motion, phases),
     )
 
