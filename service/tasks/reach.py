@@ -12,7 +12,7 @@ from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
-from service.phases import PhaseSolver, PlannedPhase, Solved, TaskPlan, guesses, straight, via
+from service.phases import PhaseSolver, PlannedPhase, Solved, Targets, TaskPlan, guesses, straight, via
 from service.reachability import beyond_reach
 from service.request import GoalRequest, PoseGoalRequest
 from service.start import collisions
@@ -77,6 +77,16 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
                     reach, notes = around, ("found from the start of a sampling planner",)
                     break
 
+    def resolve(q: Float[np.ndarray, "T n"]) -> Solved:
+        return solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]})
+
+    phase = PlannedPhase("reach", reach.x, reach.is_feasible, targets=_targets(body, goal, joints), resolve=resolve)
+    return TaskPlan(body, (phase,), () if reach.is_feasible else reach.shortcomings("reach"), notes=notes)
+
+
+def _targets(body: WholeBody, goal: GoalRequest, joints: Mapping[int, float]) -> Targets:
+    """What the verifier holds the end of the reach to."""
+
     def targets(s_last: float) -> tuple[Target, ...]:
         named = body.robot.joint_names
         return (
@@ -84,11 +94,7 @@ def plan_reach(solver: PhaseSolver, goal: GoalRequest, n_waypoints: int | None) 
             *(target for pose in goal.poses for target in _pose_targets(pose, s_last)),
         )
 
-    def resolve(q: Float[np.ndarray, "T n"]) -> Solved:
-        return solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]})
-
-    phase = PlannedPhase("reach", reach.x, reach.is_feasible, targets=targets, resolve=resolve)
-    return TaskPlan(body, (phase,), () if reach.is_feasible else reach.shortcomings("reach"), notes=notes)
+    return targets
 
 
 def _impossible(body: WholeBody, goal: GoalRequest, joints: Mapping[int, float]) -> tuple[str, ...]:
