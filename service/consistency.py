@@ -47,6 +47,8 @@ def _hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], certificate: C
     for name in ("scene_sha256", "bodies_sha256", "robot_sha256", "promises_sha256"):
         if recorded.get(name) not in (None, getattr(certificate, name)):
             yield f"{name} of the recorded certificate does not fit these files"
+    if data["robot"]["sha256"] != certificate.robot_sha256:
+        yield "robot.sha256 does not fit the robot's file"
     canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))
     if data["request_hash"] != "sha256:" + hashlib.sha256(canonical.encode()).hexdigest():
         yield "request_hash does not fit the request"

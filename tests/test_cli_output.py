@@ -209,6 +209,7 @@ FORGERIES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "a body": (lambda data: data["bodies"].pop(), "bodies are not those"),
     "an ignored pair": (lambda data: data["ignored_pairs"].append(["l_hand", "r_hand"]), "ignored_pairs are not those"),
     "the request": (lambda data: data["request"]["goal"].clear(), "request_hash"),
+    "the robot's hash": (lambda data: data["robot"].update(sha256="sha256:0"), "robot.sha256"),
     "the targets": (_forget_targets, "is no longer asked for"),
     "a tolerance": (_loosen_feet, "has the limit 0.1"),
     "a claim": (lambda data: data.update(min_clearance_m=0.5), "min_clearance_m of result.json is 0.5"),
