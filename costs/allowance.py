@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -39,14 +38,6 @@ class Allowance:
     def names_other(self, name: str, link: str) -> bool:
         """Whether ``other`` names this body (or piece, with an empty ``link``)."""
         return _matches(self.other, (name, link))
-
-
-def allowed_depth(
-    allowances: Iterable[Allowance], body_name: str, body_link: str, other_name: str, other_link: str = ""
-) -> float | None:
-    """Greatest penetration allowed to a pair [m], ``None`` if it may not touch at all."""
-    depths = [a.depth for a in allowances if a.covers(body_name, body_link, other_name, other_link)]
-    return max(depths, default=None)
 
 
 def _matches(pattern: str, names: tuple[str, ...]) -> bool:

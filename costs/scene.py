@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +44,3 @@ class Scene:
         if len(set(names)) != len(names):
             repeated = sorted({name for name in names if names.count(name) > 1})
             raise ValueError(f"piece names must be unique; repeated: {', '.join(repeated)}")
-
-    def plus(self, pieces: Iterable[ConvexPiece]) -> Scene:
-        """This scene with further pieces."""
-        return Scene((*self.pieces, *pieces))

@@ -130,18 +130,22 @@ class WholeBody:
             overrides,
             SELF_SHARE * self.aims.margin,
         )
-        checker = SweptCollisionChecker(self.robot, self.scene, margins)
-        for q in ends:
-            margins = margins.relaxed_to(checker(self.engine(q[None])), reserve=CLEARANCE_TOLERANCE)
-        return checker.with_margins(margins)
+        return self._fitting(SweptCollisionChecker(self.robot, self.scene, margins), ends, CLEARANCE_TOLERANCE)
 
     def sampling_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> SweptCollisionChecker:
         """A checker that reports what comes nearer than a few millimetres, or than it already is at the ends."""
         allowances = self.standing_allowances()
         margins = PairMargins.of(self.robot, self.scene, SAMPLING_CLEARANCE, allowances)
         checker = SweptCollisionChecker(self.robot, self.scene, margins, buffer=0.0)
+        return self._fitting(checker, ends, 0.5 * CLEARANCE_TOLERANCE)
+
+    def _fitting(
+        self, checker: SweptCollisionChecker, ends: Sequence[Float[np.ndarray, "n"]], reserve: float
+    ) -> SweptCollisionChecker:
+        """The checker with no pair asked for more than it has at the given ends, less a reserve [m]."""
+        margins = checker.margins
         for q in ends:
-            margins = margins.relaxed_to(checker(self.engine(q[None])), reserve=0.5 * CLEARANCE_TOLERANCE)
+            margins = margins.relaxed_to(checker(self.engine(q[None])), reserve)
         return checker.with_margins(margins)
 
     def standing_allowances(self) -> tuple[Allowance, ...]:

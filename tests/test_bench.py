@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from planar_arm import write_planar_arm
 
 from service.bench import run_bench, table
 from service.errors import RequestError
@@ -14,19 +15,7 @@ from service.setup import load_requested_robot
 @pytest.fixture
 def arm(tmp_path) -> BenchRobot:
     """Two links of 0.3 m that turn in a horizontal plane."""
-    links = "".join(
-        f'<link name="l{k}"><collision><origin xyz="0.15 0 0"/><geometry><box size="0.3 0.03 0.03"/></geometry>'
-        "</collision></link>"
-        for k in range(2)
-    )
-    joints = "".join(
-        f'<joint name="j{k}" type="revolute"><parent link="{"base" if k == 0 else "l0"}"/><child link="l{k}"/>'
-        f'<origin xyz="{0.3 * k} 0 0"/><axis xyz="0 0 1"/>'
-        '<limit lower="-2.9" upper="2.9" velocity="2" effort="20"/></joint>'
-        for k in range(2)
-    )
-    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/>{links}{joints}</robot>')
-    return BenchRobot(tmp_path / "arm.urdf")
+    return BenchRobot(write_planar_arm(tmp_path, 2, 0.3, 0.03, limit=2.9))
 
 
 def problem(number: int, scene: str, goal: list[float]) -> dict:

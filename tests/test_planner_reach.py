@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from planar_arm import write_planar_arm
 from stranger import Stranger
 
 from service.output import write_result
@@ -201,19 +202,7 @@ def test_the_drcsim_atlas_of_others_reaches_over_a_table(shared_data):
 
 def small_arm(folder, goal: dict[str, float], obstacles: list[dict]) -> PlanRequest:
     """An arm of three joints, 0.6 m long, that turns in a horizontal plane."""
-    links = "".join(
-        f'<link name="l{k}"><collision><origin xyz="0.1 0 0"/>'
-        '<geometry><box size="0.2 0.04 0.04"/></geometry></collision></link>'
-        for k in range(3)
-    )
-    joints = "".join(
-        f'<joint name="j{k}" type="revolute"><parent link="{"base" if k == 0 else f"l{k - 1}"}"/><child link="l{k}"/>'
-        f'<origin xyz="{0.0 if k == 0 else 0.2} 0 0"/><axis xyz="0 0 1"/>'
-        '<limit lower="-3" upper="3" velocity="2" effort="20"/></joint>'
-        for k in range(3)
-    )
-    urdf = folder / "arm.urdf"
-    urdf.write_text(f'<robot name="arm"><link name="base"/>{links}{joints}</robot>')
+    urdf = write_planar_arm(folder, 3, 0.2, 0.04, limit=3.0)
     return parse_request(
         {
             "robot": {"urdf": str(urdf)},

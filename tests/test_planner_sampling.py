@@ -4,6 +4,7 @@ import json
 from itertools import pairwise
 
 import numpy as np
+from planar_arm import write_planar_arm
 
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
@@ -18,19 +19,7 @@ CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in
 
 def arm(tmp_path) -> WholeBody:
     """Two links of 0.3 m that turn in a horizontal plane, with a post between their start and their end."""
-    links = "".join(
-        f'<link name="l{k}"><collision><origin xyz="0.15 0 0"/>'
-        '<geometry><box size="0.3 0.03 0.03"/></geometry></collision></link>'
-        for k in range(2)
-    )
-    joints = "".join(
-        f'<joint name="j{k}" type="revolute"><parent link="{"base" if k == 0 else "l0"}"/><child link="l{k}"/>'
-        f'<origin xyz="{0.3 * k} 0 0"/><axis xyz="0 0 1"/>'
-        '<limit lower="-2.9" upper="2.9" velocity="2" effort="20"/></joint>'
-        for k in range(2)
-    )
-    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/>{links}{joints}</robot>')
-    robot = load_robot(urdf=tmp_path / "arm.urdf")
+    robot = load_robot(urdf=write_planar_arm(tmp_path, 2, 0.3, 0.03, limit=2.9))
     post = ConvexPiece("post", 0.1 * CORNERS + [0.5, 0.0, 0.0])
     return WholeBody.standing(robot, Scene((post,)), np.array([-0.9, 0.0]), (), Aims())
 

@@ -224,14 +224,13 @@ class ValveTurn:
         angles = np.linspace(stroke.first, stroke.last, n_waypoints)
         start = np.tile(pose, (n_waypoints, 1))
         start[:, -1] = angles
+        column, sense = self.hand.wrist(self.robot)
         if self.mode == "grasp":
-            column, sense = self.hand.wrist(self.robot)
             start[:, column] -= sense * (angles - stroke.first)
 
         def at_angles(lower: np.ndarray, upper: np.ndarray) -> None:
             lower[:, -1] = upper[:, -1] = angles
             if self.mode == "grasp":
-                column, _ = self.hand.wrist(self.robot)
                 lower[0, column] = upper[0, column] = pose[column]
 
         return self.solver.trajectory(
