@@ -159,7 +159,7 @@ def test_distances_are_exact_beyond_the_points_coal_scans_one_by_one(n_swept, n_
     rng = np.random.default_rng(n_swept)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.enable_signed_distance = True
-    swept = rewritable_convex(n_swept)
+    swept, written = rewritable_convex(n_swept)
     here = coal.Transform3s()
     worst = 0.0
     for trial in range(40):
@@ -171,8 +171,8 @@ def test_distances_are_exact_beyond_the_points_coal_scans_one_by_one(n_swept, n_
         shift = rng.normal(size=3) * (1.5 if trial % 2 else 0.3)
         points = np.concatenate([half, half @ turn.T + 0.2 * rng.normal(size=3)])
         points = np.concatenate([points, points[:1]])[:n_swept] + shift
-        swept.points()[: len(points)] = points
-        swept.points()[len(points) :] = points[-1]
+        written[: len(points)] = points
+        written[len(points) :] = points[-1]
         result.clear()
         distance = coal.ComputeDistance(swept, fixed)(here, here, request, result)
         worst = max(worst, abs(distance - signed_distance(points, still)))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from functools import lru_cache
-from itertools import combinations
+from weakref import WeakKeyDictionary
 
 import coal
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
+
+from costs.robot.model import LinkBody
 
 MIN_POINTS = 4
 EXHAUSTIVE_LIMIT = 32  # up to here coal scans all points of a convex, above it climbs along the triangles' edges
@@ -16,6 +19,8 @@ EXHAUSTIVE_LIMIT = 32  # up to here coal scans all points of a convex, above it 
 
 def static_convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
     """The hull of fixed vertices."""
+    if MIN_POINTS <= len(vertices) <= EXHAUSTIVE_LIMIT:
+        return coal.Convex(_points(vertices), _rewritable_topology(len(vertices)))
     vertices = np.unique(np.asarray(vertices, dtype=float), axis=0)
     if len(vertices) < MIN_POINTS:  # coal corrupts memory when a triangle names a vertex twice
         vertices = vertices[np.arange(MIN_POINTS) % len(vertices)]
@@ -29,22 +34,46 @@ def static_convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
     return _convex(vertices[used], index[hull.simplices])
 
 
-def rewritable_convex(n_points: int) -> coal.Convex:
-    """A convex whose ``points()`` may be overwritten with any point set of that size.
+def outer_convex(body: LinkBody) -> coal.Convex:
+    """The hull of a body's outer vertices, made once while the body lives."""
+    known = _OUTER.get(body)
+    if known is None:
+        known = _OUTER[body] = static_convex(body.outer)
+    return known
+
+
+_OUTER: WeakKeyDictionary[LinkBody, coal.Convex] = WeakKeyDictionary()
+
+
+def rewritable_convex(n_points: int) -> tuple[coal.Convex, Float[np.ndarray, "V 3"]]:
+    """A convex and its points, which may be overwritten with any point set of that size.
 
     Every point is a neighbour of every other, so no stale topology can mislead coal's climb to the support point.
+    Each thread has one of a size, made once: who asks for it writes the points anew before a query.
     """
-    return coal.Convex(_points(np.zeros((n_points, 3))), _rewritable_topology(n_points))
+    made: dict[int, tuple[coal.Convex, np.ndarray]] = _WORK_SPACE.__dict__
+    if n_points not in made:
+        convex = coal.Convex(_points(np.zeros((n_points, 3))), _rewritable_topology(n_points))
+        made[n_points] = convex, convex.points()
+    return made[n_points]
 
 
-@lru_cache(maxsize=64)
+_WORK_SPACE = threading.local()
+
+
+@lru_cache(maxsize=128)
 def _rewritable_topology(n_points: int) -> coal.StdVec_Triangle:
     return _triangles(_complete_graph(n_points) if n_points > EXHAUSTIVE_LIMIT else np.array([[0, 1, 2]]))
 
 
 def _complete_graph(n_points: int) -> Int[np.ndarray, "K 3"]:
-    return np.array([(i, j, (j + 1) % n_points if (j + 1) % n_points != i else (j + 2) % n_points)
-                     for i, j in combinations(range(n_points), 2)])  # fmt: skip
+    """Triangles that make every point a neighbour of every other: i, j and minus their sum leave few pairs out."""
+    i, j = np.triu_indices(n_points, 1)
+    third = -(i + j) % n_points
+    apart = (third != i) & (third != j)
+    third = np.where(apart, third, np.where(np.minimum(i, j) != 0, 0, np.where(np.maximum(i, j) != 1, 1, 2)))
+    triangles = np.unique(np.sort(np.stack([i, j, third], axis=1), axis=1), axis=0)
+    return np.asarray(triangles)
 
 
 def _convex(points: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "K 3"]) -> coal.Convex:

@@ -13,9 +13,9 @@ from jaxtyping import Float
 BASE_NAMES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinkBody:
-    """A convex body of a link.
+    """A convex body of a link; equal to itself only, so that what is made of it can be kept by it.
 
     Attributes:
         name: the link's name, with ``/1``, ``/2`` ... for its further bodies.
