@@ -51,7 +51,7 @@ def rewritable_convex(n_points: int) -> tuple[coal.Convex, Float[np.ndarray, "V 
     Every point is a neighbour of every other, so no stale topology can mislead coal's climb to the support point.
     Each thread has one of a size, made once: who asks for it writes the points anew before a query.
     """
-    made: dict[int, tuple[coal.Convex, np.ndarray]] = _WORK_SPACE.__dict__
+    made: dict[int, tuple[coal.Convex, np.ndarray]] = _WORK_SPACE.__dict__.setdefault("convexes", {})
     if n_points not in made:
         convex = coal.Convex(_points(np.zeros((n_points, 3))), _rewritable_topology(n_points))
         made[n_points] = convex, convex.points()
