@@ -17,6 +17,7 @@ from service.verify import (
     Phase,
     PlantedContact,
     PoseTarget,
+    RelativePoseTarget,
     SupportPolygon,
     Target,
 )
@@ -112,6 +113,17 @@ def _target(target: Target, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
                 "axis_tolerance_deg": float(np.degrees(target.tolerance_rad)),
                 "at": None if target.at is None else sample_index(s, target.at),
             }
+        case RelativePoseTarget():
+            return {
+                "kind": "relative_pose",
+                "frame": target.frame,
+                "reference": target.reference,
+                "position": target.position.tolist(),
+                "quaternion_wxyz": _quaternion(target.rotation),
+                "position_tolerance_m": target.position_tolerance_m,
+                "rotation_tolerance_deg": float(np.degrees(target.rotation_tolerance_rad)),
+                "free_axis": None if target.free_axis is None else target.free_axis.tolist(),
+            }
         case JointTarget():
             return {
                 "kind": "joint",
@@ -148,10 +160,21 @@ def _read_target(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Target:
             frame_axis, axis = (np.array(data[key], dtype=float) for key in ("frame_axis", "axis"))
             tolerance, at = float(np.radians(data["axis_tolerance_deg"])), data["at"]
             return AxisTarget(data["frame"], frame_axis, axis, tolerance, None if at is None else float(s[at]))
+        case "relative_pose":
+            free = data["free_axis"]
+            return RelativePoseTarget(
+                data["frame"],
+                data["reference"],
+                np.array(data["position"], dtype=float),
+                _rotation(data["quaternion_wxyz"]),
+                float(data["position_tolerance_m"]),
+                float(np.radians(data["rotation_tolerance_deg"])),
+                None if free is None else np.array(free, dtype=float),
+            )
         case "joint":
             return JointTarget(data["joint"], float(data["value"]), float(data["tolerance"]), float(s[data["at"]]))
         case kind:
-            raise ValueError(f"unknown target kind {kind!r}; pose, circle, axis or joint would do")
+            raise ValueError(f"unknown target kind {kind!r}; pose, circle, axis, relative_pose or joint would do")
 
 
 def _support(support: SupportPolygon) -> dict[str, Any]:

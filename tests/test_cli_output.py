@@ -200,6 +200,11 @@ def _allow_more(data: dict[str, Any]) -> None:
         phase["allowances"].append({"link": "l_larm", "other": "valve/*", "depth": 0.5})
 
 
+def _move_kept(data: dict[str, Any]) -> None:
+    (kept,) = [target for target in data["phases"][0]["targets"] if target["kind"] == "relative_pose"]
+    kept["position"][0] += 1e-4
+
+
 FORGERIES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "a sample": (_shift_sample, "trajectory.positions are not on the curve"),
     "the times": (lambda data: data["trajectory"]["times"].append(99.0), "trajectory.times are not"),
@@ -211,6 +216,7 @@ FORGERIES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "the request": (lambda data: data["request"]["goal"].clear(), "request_hash"),
     "the robot's hash": (lambda data: data["robot"].update(sha256="sha256:0"), "robot.sha256"),
     "the targets": (_forget_targets, "is no longer asked for"),
+    "a kept pose": (_move_kept, "promises_sha256"),
     "a tolerance": (_loosen_feet, "has the limit 0.1"),
     "a claim": (lambda data: data.update(min_clearance_m=0.5), "min_clearance_m of result.json is 0.5"),
     "an allowance": (_allow_more, "promises_sha256"),

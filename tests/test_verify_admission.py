@@ -21,6 +21,7 @@ from service.verify import (
     Phase,
     PlantedContact,
     PoseTarget,
+    RelativePoseTarget,
     Status,
     SupportPolygon,
     VerifyError,
@@ -89,6 +90,11 @@ HOSTILE: dict[str, Callable[[], Motion]] = {
     "circle with NaN": _target(CircleTarget("tip", np.full(3, NAN), Z, 1.0, 0.1)),
     "circle without axis": _target(CircleTarget("tip", np.zeros(3), np.zeros(3), 0.01, 0.1)),
     "axis that is NaN": _target(AxisTarget("tip", X, np.full(3, NAN), 0.1)),
+    "kept pose with NaN": _target(RelativePoseTarget("tip", None, np.full(3, NAN), np.eye(3), 0.1, 0.1)),
+    "kept pose with a mirror": _target(RelativePoseTarget("tip", None, X, -np.eye(3), 9.0, 4.0)),
+    "kept pose without limit": _target(RelativePoseTarget("tip", None, X, np.eye(3), np.inf, 0.1)),
+    "kept pose with a negative limit": _target(RelativePoseTarget("tip", None, X, np.eye(3), 0.1, -0.1)),
+    "kept pose with a long axis": _target(RelativePoseTarget("tip", None, X, np.eye(3), 9.0, 4.0, 2.0 * X)),
     "joint at NaN": _target(JointTarget("q0", 0.0, 0.1, NAN)),
 }
 

@@ -10,6 +10,7 @@ from service.verify.motion import (
     Phase,
     PlantedContact,
     PoseTarget,
+    RelativePoseTarget,
     SupportPolygon,
     Target,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "Phase",
     "PlantedContact",
     "PoseTarget",
+    "RelativePoseTarget",
     "Status",
     "Stretches",
     "SupportPolygon",

@@ -7,7 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from service.verify.errors import VerifyError
-from service.verify.motion import AxisTarget, CircleTarget, JointTarget, Motion, Phase, PoseTarget, Target
+from service.verify.motion import (
+    AxisTarget,
+    CircleTarget,
+    JointTarget,
+    Motion,
+    Phase,
+    PoseTarget,
+    RelativePoseTarget,
+    Target,
+)
 
 # Errors of directions and rotations written as decimal numbers.
 _UNIT_TOLERANCE = 1e-6
@@ -60,7 +69,7 @@ def _admit_phase(phase: Phase) -> None:
     for target in phase.targets:
         of = target.joint if isinstance(target, JointTarget) else target.frame
         what = f"target of '{of}' in phase '{phase.name}'"
-        at = None if isinstance(target, CircleTarget) else target.at
+        at = None if isinstance(target, CircleTarget | RelativePoseTarget) else target.at
         slack = _BORDER_TOLERANCE * max(1.0, abs(phase.last))
         if at is not None and not phase.first - slack <= at <= phase.last + slack:
             raise VerifyError(f"the {what} is at {at}, outside the phase ({phase.first} to {phase.last})")
@@ -69,7 +78,7 @@ def _admit_phase(phase: Phase) -> None:
             # An infinite tolerance frees; NaN must not.
             if not np.all(np.asarray(tolerance) >= 0.0):
                 raise VerifyError(f"the {what} needs tolerances that are not negative, got {tolerance}")
-        if isinstance(target, PoseTarget) and target.rotation is not None:
+        if isinstance(target, PoseTarget | RelativePoseTarget) and target.rotation is not None:
             _rigid(what, target.rotation)
 
 
@@ -84,7 +93,11 @@ def _places(target: Target) -> Iterator[np.ndarray | float]:
     if isinstance(target, CircleTarget):
         yield target.centre
         yield target.radius
-    for axis in (target.axis, target.frame_axis):
+    if isinstance(target, RelativePoseTarget):
+        yield target.position
+        yield target.position_tolerance_m  # what is kept is not free
+        yield target.rotation_tolerance_rad
+    for axis in (target.free_axis,) if isinstance(target, RelativePoseTarget) else (target.axis, target.frame_axis):
         if axis is not None:
             if not abs(np.linalg.norm(axis) - 1.0) <= _UNIT_TOLERANCE:
                 raise VerifyError(f"axes of the target of '{target.frame}' must be unit vectors, got {axis}")
@@ -96,6 +109,8 @@ def _tolerances(target: Target) -> tuple[np.ndarray | float, ...]:
         return (target.tolerance,)
     if isinstance(target, PoseTarget):
         return target.position_tolerance_m, target.rotation_tolerance
+    if isinstance(target, RelativePoseTarget):
+        return target.position_tolerance_m, target.rotation_tolerance_rad
     if isinstance(target, AxisTarget):
         return (target.tolerance_rad,)
     return target.tolerance_m, target.axis_tolerance_rad

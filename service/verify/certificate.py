@@ -15,7 +15,7 @@ from jaxtyping import Float
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify.errors import VerifyError
-from service.verify.motion import Phase
+from service.verify.motion import Phase, RelativePoseTarget
 
 FORMAT = "scopt-certificate/1"
 
@@ -117,7 +117,7 @@ class Certificate:
         exempt: pairs allowed to touch that came near enough to matter.
         stretches: the clearance proof.
         scene_sha256, bodies_sha256, robot_sha256: of the pieces, the bodies with the ignored pairs, and the URDF text.
-        promises_sha256: of what the phases allow and keep: allowances, planted links, support polygons.
+        promises_sha256: of what the phases allow and keep: allowances, planted links, support polygons, relative poses.
         notes: what the verdict rests on besides proof.
     """
 
@@ -193,7 +193,7 @@ def robot_hash(robot: RobotModel) -> str:
 
 
 def promises_hash(phases: Iterable[Phase]) -> str:
-    """``sha256:`` of each phase's name, allowances, planted links with their tolerances, and support polygon."""
+    """``sha256:`` of each phase's name, allowances, planted links, support polygon and kept relative poses."""
     named: list[tuple[str, np.ndarray]] = []
     for phase in phases:
         named.append((f"phase {phase.name}", np.empty((0, 1))))
@@ -201,6 +201,11 @@ def promises_hash(phases: Iterable[Phase]) -> str:
         named += [(f"planted {c.link}", np.array([[c.tolerance_m, c.knot_tolerance_m]])) for c in phase.contacts]
         if phase.support is not None:
             named.append((f"support {phase.support.margin_m:.6f}", phase.support.polygon))
+        for kept in (target for target in phase.targets if isinstance(target, RelativePoseTarget)):
+            free = np.zeros(3) if kept.free_axis is None else kept.free_axis
+            tolerances = np.array([kept.position_tolerance_m, kept.rotation_tolerance_rad, 0.0])
+            rows = np.stack([kept.position, *kept.rotation, free, tolerances])
+            named.append((f"keep {kept.frame}|{kept.reference or ''}", rows))
     return _hash(named)
 
 

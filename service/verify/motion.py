@@ -113,6 +113,29 @@ class AxisTarget:
 
 
 @dataclass(frozen=True)
+class RelativePoseTarget:
+    """A frame keeps its pose relative to another frame of the robot, or to the world, during the whole phase.
+
+    Attributes:
+        frame: frame of the robot's model.
+        reference: the other frame; None for the world.
+        position: (3,) of the frame's origin in the reference [m].
+        rotation: (3, 3) rotation_reference_frame.
+        position_tolerance_m: greatest distance of the origin from its place.
+        rotation_tolerance_rad: greatest angle off the rotation, or of the free axis off its direction.
+        free_axis: (3,) unit axis in the frame about which it may turn, or None.
+    """
+
+    frame: str
+    reference: str | None
+    position: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "3 3"]
+    position_tolerance_m: float
+    rotation_tolerance_rad: float
+    free_axis: Float[np.ndarray, "3"] | None = None
+
+
+@dataclass(frozen=True)
 class JointTarget:
     """A joint reaches a value at path parameter ``at`` [rad, m]."""
 
@@ -122,7 +145,7 @@ class JointTarget:
     at: float
 
 
-Target = PoseTarget | CircleTarget | AxisTarget | JointTarget
+Target = PoseTarget | CircleTarget | AxisTarget | RelativePoseTarget | JointTarget
 
 
 @dataclass(frozen=True)

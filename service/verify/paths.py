@@ -17,14 +17,16 @@ from service.verify.rates import Intervals, intervals
 
 @dataclass(frozen=True)
 class FramePath:
-    """Points (in a frame) and that frame's axes along the motion.
+    """Points (in a frame) and that frame's axes along the motion, as seen from the world or from another frame.
 
     Attributes:
         motion: the motion.
         joint: pinocchio joint that carries the frame.
         points: (C, 3) in the frame of that joint [m].
         rotation: (3, 3) rotation_joint_frame.
-        chain: joints that move the points.
+        holder: pinocchio joint that carries the frame they are seen from (0: the world).
+        pose_holder_reference: that frame in its joint's.
+        chain: joints that move the points as seen from there.
         turning: the same chain with unit reach, for directions fixed in the frame.
         rounding: error of a written coordinate.
     """
@@ -33,34 +35,45 @@ class FramePath:
     joint: int
     points: Float[np.ndarray, "C 3"]
     rotation: Float[np.ndarray, "3 3"]
+    holder: int
+    pose_holder_reference: pin.SE3
     chain: Chain
     turning: Chain
     rounding: float
 
     @staticmethod
-    def of(motion: Motion, tree: JointTree, frame: str, points: Float[np.ndarray, "C 3"], rounding: float) -> FramePath:
-        """Path of points given in the named frame.
+    def of(
+        motion: Motion,
+        tree: JointTree,
+        frame: str,
+        points: Float[np.ndarray, "C 3"],
+        rounding: float,
+        reference: str | None = None,
+    ) -> FramePath:
+        """Path of points given in the named frame, as seen from the frame ``reference`` (None: from the world).
 
         Raises:
             VerifyError: when the model has no such frame.
         """
-        model = motion.robot.model
-        if not model.existFrame(frame):
-            raise VerifyError(f"unknown frame '{frame}'; the robot has {', '.join(f.name for f in model.frames)}")
-        known = model.frames[model.getFrameId(frame)]
-        joint = int(known.parentJoint)
-        placed = points @ known.placement.rotation.T + known.placement.translation
-        chain = tree.chain(0, joint, placed)
+        joint, pose_joint_frame = _carried(motion.robot.model, frame)
+        holder, pose_holder_reference = (0, pin.SE3.Identity())
+        if reference is not None:
+            holder, pose_holder_reference = _carried(motion.robot.model, reference)
+        placed = points @ pose_joint_frame.rotation.T + pose_joint_frame.translation
+        chain = tree.chain(holder, joint, placed)
         reach = np.where(chain.is_revolute, 1.0, 0.0)
         turning = Chain(chain.coordinates, chain.joints, chain.is_revolute, reach, chain.base_rotations)
-        return FramePath(motion, joint, placed, np.array(known.placement.rotation), chain, turning, rounding)
+        rotation = np.array(pose_joint_frame.rotation)
+        return FramePath(motion, joint, placed, rotation, holder, pose_holder_reference, chain, turning, rounding)
 
     def at(self, s: Float[np.ndarray, "S"]) -> tuple[Float[np.ndarray, "S C 3"], Float[np.ndarray, "S 3 3"]]:
-        """Points in the world and rotation_world_frame."""
+        """Points and the frame's axes as seen from the reference (rotation_reference_frame)."""
         placed = placements(self.motion.robot.model, self.motion.curve(s))
-        rotation = placed.rotation[:, self.joint]
-        points = self.points @ np.swapaxes(rotation, -1, -2) + placed.translation[:, None, self.joint]
-        return points, rotation @ self.rotation
+        rotation, translation = placed.relative(self.holder, self.joint)
+        points = self.points @ np.swapaxes(rotation, -1, -2) + translation[:, None]
+        reference = self.pose_holder_reference
+        points = (points - reference.translation) @ reference.rotation
+        return points, reference.rotation.T @ rotation @ self.rotation
 
     def stretches(self, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]) -> Intervals:
         """Derivative bounds of the curve on these stretches."""
@@ -73,6 +86,18 @@ class FramePath:
     def direction_deviation(self, over: Intervals) -> Float[np.ndarray, "I"]:
         """How far the tip of a unit vector fixed in the frame may leave its chord [-]."""
         return np.asarray(self.turning.deviation(over) + self.turning.sampling_slack(over, self.rounding))
+
+
+def _carried(model: pin.Model, frame: str) -> tuple[int, pin.SE3]:
+    """The joint that carries a frame, and pose_joint_frame.
+
+    Raises:
+        VerifyError: when the model has no such frame.
+    """
+    if not model.existFrame(frame):
+        raise VerifyError(f"unknown frame '{frame}'; the robot has {', '.join(f.name for f in model.frames)}")
+    known = model.frames[model.getFrameId(frame)]
+    return int(known.parentJoint), known.placement.copy()
 
 
 class MassPath:

@@ -19,6 +19,7 @@ from service.verify.motion import (
     Phase,
     PlantedContact,
     PoseTarget,
+    RelativePoseTarget,
     SupportPolygon,
     Target,
 )
@@ -98,6 +99,8 @@ class PhaseChecks:
             yield self._joint(phase, target)
         elif isinstance(target, PoseTarget):
             yield from self._pose(phase, target, edges)
+        elif isinstance(target, RelativePoseTarget):
+            yield from self._kept(phase, target, edges)
         elif isinstance(target, CircleTarget):
             yield self._circle(phase, target, edges)
             if target.frame_axis is not None:
@@ -195,6 +198,50 @@ class PhaseChecks:
         name = f"circle.{phase.name}.{target.frame}"
         return self._check(name, extreme, target.tolerance_m, "m", text, at, names=(target.frame,))
 
+    def _kept(self, phase: Phase, target: RelativePoseTarget, edges: Float[np.ndarray, "E"]) -> Iterator[Check]:
+        """How far a frame leaves its place relative to another, and how far it turns there."""
+        path = self._origin(target.frame, target.reference)
+        to = "the world" if target.reference is None else target.reference
+        during = f"relative to {to} during {phase.name}"
+        name = f"keep.{phase.name}.{target.frame}.{target.reference or 'world'}"
+        names = (target.frame,) if target.reference is None else (target.frame, target.reference)
+        kept = target.rotation if target.free_axis is None else target.rotation @ target.free_axis[:, None]
+
+        def shift(s: np.ndarray) -> np.ndarray:
+            return np.asarray(np.linalg.norm(path.at(s)[0][:, 0] - target.position, axis=1))
+
+        def chord(s: np.ndarray) -> np.ndarray:
+            """Largest distance of the tip of a kept unit vector from its place: 2 sin(half the angle) [-]."""
+            rotation = path.at(s)[1]
+            if target.free_axis is None:
+                return np.asarray(np.linalg.norm(rotation - kept, axis=(1, 2)) / np.sqrt(2.0))
+            return np.asarray(np.linalg.norm(rotation @ target.free_axis[:, None] - kept, axis=(1, 2)))
+
+        def shifts(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            # The distance from a fixed place is convex along the chord, so its largest value is at an end.
+            ends = shift(first), shift(last)
+            return np.maximum(*ends) + path.point_deviation(path.stretches(first, last)), *ends
+
+        def turns(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            # So is the distance of every unit vector's tip.
+            ends = chord(first), chord(last)
+            largest_chord = np.maximum(*ends) + path.direction_deviation(path.stretches(first, last))
+            return _angle(largest_chord), _angle(ends[0]), _angle(ends[1])
+
+        limit, angle = target.position_tolerance_m, target.rotation_tolerance_rad
+        off = self._largest(edges, shifts, limit, limit / 20.0)
+        turned = self._largest(edges, turns, angle, angle / 20.0)
+        origin = self._origin(target.frame)
+        text = f"{target.frame} stays within {1e3 * off.bound:.2f} mm of its place {during}"
+        failure = f"{target.frame} is {1e3 * off.sampled:.2f} mm off its place {during}"
+        at = origin.at(np.array([off.s]))[0][0, 0]
+        yield self._check(name, off, limit, "m", text, at, names=names, failure=failure)
+        what = target.frame if target.free_axis is None else f"the axis of {target.frame}"
+        text = f"{what} turns at most {np.rad2deg(turned.bound):.3f} deg {during}"
+        failure = f"{what} turns by {np.rad2deg(turned.sampled):.3f} deg {during}"
+        at = origin.at(np.array([turned.s]))[0][0, 0]
+        yield self._check(f"{name}.rotation", turned, angle, "rad", text, at, names=names, failure=failure)
+
     def _axis(self, phase: Phase, target: AxisTarget, edges: Float[np.ndarray, "E"]) -> Check:
         path = self._origin(target.frame)
 
@@ -221,8 +268,8 @@ class PhaseChecks:
         name = f"axis.{phase.name}.{target.frame}"
         return self._check(name, extreme, target.tolerance_rad, "rad", text, at, names=(target.frame,))
 
-    def _origin(self, frame: str) -> FramePath:
-        return FramePath.of(self._motion, self._tree, frame, np.zeros((1, 3)), self._settings.rounding)
+    def _origin(self, frame: str, reference: str | None = None) -> FramePath:
+        return FramePath.of(self._motion, self._tree, frame, np.zeros((1, 3)), self._settings.rounding, reference)
 
     def _largest(
         self, edges: Float[np.ndarray, "E"], evaluate: Evaluate, limit: float, resolution: float | None = None
@@ -295,6 +342,11 @@ def _sine_vector(rotation: Float[np.ndarray, "S 3 3"]) -> Float[np.ndarray, "S 3
     )
     is_far = np.trace(rotation, axis1=1, axis2=2) <= 1.0
     return np.where(is_far[:, None], 2.0, sine)
+
+
+def _angle(chord: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
+    """The angle between two unit vectors whose tips are ``chord`` apart [rad]; half a turn beyond the diameter."""
+    return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
 
 
 def _segment_distance(a: Float[np.ndarray, "I 3"], b: Float[np.ndarray, "I 3"]) -> Float[np.ndarray, "I"]:

@@ -20,6 +20,7 @@ from service.verify import (
     Phase,
     PlantedContact,
     PoseTarget,
+    RelativePoseTarget,
     SupportPolygon,
     verify,
 )
@@ -85,20 +86,29 @@ def _motion(setup: PlanSetup) -> Motion:
     support = SupportPolygon(FeetHull.of_soles(list(setup.soles.values())).vertices, 0.02)
     allowances = tuple(Allowance(link, "floor", 0.01) for link in poses)
     up, far = np.array([0.0, 0.0, 1.0]), np.full(3, np.inf)
-    chest = planted_poses(KinematicsEngine(setup.robot), setup.start, ["utorso"])["utorso"]
+    poses_of = planted_poses(KinematicsEngine(setup.robot), setup.start, ["utorso", "r_hand"])
+    chest = poses_of["utorso"]
     rim = ORIGIN + np.array([0.0, 0.0, 0.3])
-    bend = Phase("bend", 0.0, 1.0, contacts, allowances, (_held(chest, far),), support)
+    held = (_held(chest, far), _kept("r_hand", "utorso", poses_of))
+    bend = Phase("bend", 0.0, 1.0, contacts, allowances, held, support)
     targets = (
         JointTarget("wheel_turn", 0.1, 1e-3, 2.0),
         AxisTarget("utorso", up, up, 0.1),
         CircleTarget("wheel", ORIGIN, np.array([1.0, 0.0, 0.0]), 0.3, 0.5, np.array([1.0, 0.0, 0.0])),
         PoseTarget("wheel", rim, None, np.full(3, 0.5), far, 2.0),
+        RelativePoseTarget("utorso", None, chest[:3, 3], chest[:3, :3], 1e-3, 0.01, up),
     )
     turn = Phase("turn", 1.0, 2.0, contacts, allowances, targets, support)
     samples = np.linspace(0.0, 2.0, 81)
     return Motion(
         robot, setup.scene, Curve(knots, q, np.zeros_like(q)), law, (bend, turn), samples, robot.mechanism_links
     )
+
+
+def _kept(frame: str, reference: str, poses: dict[str, np.ndarray]) -> RelativePoseTarget:
+    """The frame keeps the pose it has relative to the other."""
+    pose = np.linalg.inv(poses[reference]) @ poses[frame]
+    return RelativePoseTarget(frame, reference, pose[:3, 3], pose[:3, :3], 2e-3, 0.02)
 
 
 def _held(pose: np.ndarray, free: np.ndarray) -> PoseTarget:
