@@ -119,6 +119,7 @@ class KinematicsEngine:
         self.robot = robot
         self.topology = Topology.of(robot.model)
         self._data = robot.model.createData()
+        self._placements = _placement_block(self._data, robot.model.njoints)
 
     def __call__(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
         """Kinematics of all waypoints."""
@@ -127,7 +128,7 @@ class KinematicsEngine:
         rotation = np.empty((n_waypoints, model.njoints, 3, 3))
         position = np.empty((n_waypoints, model.njoints, 3))
         jacobian = np.empty((n_waypoints, 6, model.nv))
-        placements = _placement_block(data, model.njoints)
+        placements = self._placements
         for t in range(n_waypoints):
             # pinocchio hands out the Jacobian of a single coordinate as a vector
             jacobian[t] = pin.computeJointJacobians(model, data, q[t]).reshape(6, model.nv)

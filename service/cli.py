@@ -206,7 +206,9 @@ def _bench(
         from service.problem_set import BenchRobot, read_problems
         from service.setup import load_requested_robot
 
-        problems = read_problems(path, BenchRobot(urdf, srdf, package_root), {"time_limit_s": time_limit}, limit)
+        problems = read_problems(
+            path, BenchRobot(urdf, srdf, package_root), {"time_limit_s": time_limit, "timed": False}, limit
+        )
         if not problems:
             raise RequestError(f"{path} holds no problems")
         rows = run_bench(problems, load_requested_robot(problems[0].request), out, report)

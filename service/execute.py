@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.curve import TimeLaw
+from costs.curve import Curve, TimeLaw
 from costs.state import MotionState
 from costs.terms import FramePose
 from scopt import Residual
@@ -21,22 +21,21 @@ from service.whole_body import PlantedLink, WholeBody
 
 SAMPLE_PERIOD_S = 0.01
 ZMP_RESERVE = 0.015  # how far inside the feet the motion is slowed to keep the ZMP [m]
+CHORD_TOLERANCE = 1e-3  # of an untimed path's samples, read linearly [rad, m]
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 
 
-def make_motion(plan: TaskPlan, velocity_scale: float, acceleration_scale: float) -> Motion:
-    """The timed and sampled motion of a task's phases.
+def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
+    """The sampled motion of a task's phases.
 
     Args:
         plan: at least one phase.
-        velocity_scale, acceleration_scale: share of the robot's limits that is used.
+        timing: how it is timed; None for a path without a time law.
     """
     body = plan.body
     spline = _spline(body, plan.phases)
     knots = spline.curve.knots
     borders = [float(knots[end]) for end in spline.ends]
-    timing = TimingSettings(velocity_scale, acceleration_scale, support_links=tuple(foot.link for foot in body.planted))
-    law = time_curve(body.robot, spline.curve, borders, timing)
     phases = tuple(
         _phase(body, phase, first, last)
         for phase, first, last in zip(plan.phases, borders[:-1], borders[1:], strict=True)
@@ -45,10 +44,13 @@ def make_motion(plan: TaskPlan, velocity_scale: float, acceleration_scale: float
         robot=body.robot,
         scene=body.scene,
         curve=spline.curve,
-        law=law,
         phases=phases,
         mechanism_links=body.robot.mechanism_links,
     )
+    if timing is None:
+        return replace(motion, samples=_path_samples(spline.curve))
+    timing = replace(timing, support_links=tuple(foot.link for foot in body.planted))
+    motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing))
     law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
     return replace(motion, law=law, samples=_samples(knots, law))
 
@@ -83,6 +85,16 @@ def _phase(body: WholeBody, phase: PlannedPhase, first: float, last: float) -> P
         targets=phase.targets(last),
         support=support,
     )
+
+
+def _path_samples(curve: Curve) -> Float[np.ndarray, "M"]:
+    """Path parameters of an untimed path's samples: all knots, and as many between as the bend asks for."""
+    _, _, c2, c3 = curve.coefficients()
+    steps = np.diff(curve.knots)
+    bend = np.maximum(np.abs(2.0 * c2), np.abs(2.0 * c2 + 6.0 * c3 * steps[:, None])).max(axis=1)
+    counts = np.maximum(np.ceil(steps * np.sqrt(bend / (8.0 * CHORD_TOLERANCE))), 1.0).astype(int)
+    parts = [s + step * np.arange(count) / count for s, step, count in zip(curve.knots, steps, counts, strict=False)]
+    return np.concatenate([*parts, curve.knots[-1:]])
 
 
 def _samples(knots: Float[np.ndarray, "K"], law: TimeLaw) -> Float[np.ndarray, "M"]:

@@ -244,7 +244,7 @@ class PhaseSolver:
         others = np.setdiff1d(np.arange(len(start)), free)
         if not len(free) or np.abs(end - start)[others].max(initial=0.0) > 1e-6:
             return
-        problem = SamplingProblem(self.body, self.body.sampling_checker([start, end]), start, end, free)
+        problem = SamplingProblem(self.body, self.body.pose_checker([start, end]), start, end, free)
         for attempt in range(SAMPLING_TRIES):
             self.monitor.check()
             limit = min(SAMPLING_TIME_S, self.monitor.remaining_s())

@@ -21,6 +21,7 @@ from service.request import Options, PlanRequest
 from service.result import PlanResult, Verdict
 from service.setup import PlanSetup, prepare
 from service.tasks import plan_task
+from service.timing import TimingSettings
 from service.verify import Certificate, Motion, Status, verify
 from service.whole_body import Aims, WholeBody
 
@@ -147,7 +148,8 @@ def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt) -> None:
 def _certified(task: TaskPlan, options: Options, monitor: Monitor) -> tuple[Motion, Certificate]:
     """The motion of a task's phases, and what the verifier says of it."""
     with monitor.step("curve and timing", 0.75):
-        motion = make_motion(task, options.velocity_scale, options.acceleration_scale)
+        timing = TimingSettings(options.velocity_scale, options.acceleration_scale) if options.timed else None
+        motion = make_motion(task, timing)
     with monitor.step("certificate", 0.85):
         return motion, verify(motion)
 

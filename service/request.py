@@ -159,6 +159,7 @@ class Options(Section):
         starts: how many starting trajectories are tried at most.
         qp: solver of the convex subproblems.
         velocity_scale, acceleration_scale: share of the robot's limits that is used.
+        timed: whether the motion gets a time law; without one the path alone is planned and certified.
     """
 
     waypoints: Annotated[StrictInt, Field(ge=3, le=500)] | None = None
@@ -171,6 +172,7 @@ class Options(Section):
     qp: Literal["piqp", "clarabel", "cvxpy"] = "piqp"
     velocity_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.5
     acceleration_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.3
+    timed: bool = True
 
 
 @dataclass(config=SECTION)

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.collision import SweptCollisionChecker
+from costs.collision import PoseChecker
 from costs.robot import BASE_NAMES
 from service.whole_body import WholeBody
 
-EDGE_STEP = 0.1  # between the poses of an edge that are swept together [rad, m]
+EDGE_STEP = 0.1  # largest joint step between the poses at which an edge is checked [rad, m]
 RANGE = 0.8  # longest extension of a tree [rad, m]
 
 
@@ -23,19 +23,19 @@ class SamplingProblem:
 
     Attributes:
         body: the robot in its scene.
-        checker: swept collision; any contact it reports makes an edge invalid.
+        checker: of the poses along an edge.
         start, end: (n,) configurations that differ in ``free`` only.
         free: indices of the coordinates that move.
     """
 
     body: WholeBody
-    checker: SweptCollisionChecker
+    checker: PoseChecker
     start: Float[np.ndarray, "n"]
     end: Float[np.ndarray, "n"]
     free: Int[np.ndarray, "k"]
 
     def is_clear(self, corners: Float[np.ndarray, "K k"]) -> bool:
-        """Whether the polyline through the corners is free of contacts and balanced."""
+        """Whether the polyline through the corners is clear and balanced at poses close to each other."""
         steps = np.maximum(np.ceil(np.abs(np.diff(corners, axis=0)).max(axis=1) / EDGE_STEP).astype(int), 1)
         parts = [corners[:1]]
         for first, last, count in zip(corners[:-1], corners[1:], steps, strict=True):
@@ -46,7 +46,7 @@ class SamplingProblem:
         polygon = self.body.polygon
         if polygon is not None and polygon.margin(kinematics.com[:, :2]).min() < self.body.aims.balance_margin:
             return False
-        return len(self.checker(kinematics)) == 0
+        return self.checker.are_clear(kinematics)
 
 
 def free_coordinates(body: WholeBody) -> Int[np.ndarray, "k"]:
@@ -78,8 +78,9 @@ def sampled_path(
     space = base.RealVectorStateSpace(len(free))
     bounds = base.RealVectorBounds(len(free))
     for k, index in enumerate(free.tolist()):
-        bounds.setLow(k, float(max(robot.lower[index], -np.pi)))
-        bounds.setHigh(k, float(min(robot.upper[index], np.pi)))
+        ends = float(problem.start[index]), float(problem.end[index])
+        bounds.setLow(k, max(float(robot.lower[index]), min(ends) - np.pi))
+        bounds.setHigh(k, min(float(robot.upper[index]), max(ends) + np.pi))
     space.setBounds(bounds)
     information = base.SpaceInformation(space)
 
@@ -94,13 +95,13 @@ def sampled_path(
     information.setMotionValidator(Sweep(information))
     information.setup()
     definition = base.ProblemDefinition(information)
-    ends = []
+    states = []
     for q in (problem.start, problem.end):
         state = space.allocState()
         for k, index in enumerate(free.tolist()):
             state[k] = float(q[index])
-        ends.append(state)
-    definition.setStartAndGoalStates(*ends)
+        states.append(state)
+    definition.setStartAndGoalStates(*states)
     planner = geometric.RRTConnect(information)
     planner.setProblemDefinition(definition)
     planner.setRange(RANGE)

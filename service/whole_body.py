@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
-from costs.collision import PairMargins, SweptCollisionChecker
+from costs.collision import PairMargins, PoseChecker, SweptCollisionChecker
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
@@ -132,12 +132,13 @@ class WholeBody:
         )
         return self._fitting(SweptCollisionChecker(self.robot, self.scene, margins), ends, CLEARANCE_TOLERANCE)
 
-    def sampling_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> SweptCollisionChecker:
-        """A checker that reports what comes nearer than a few millimetres, or than it already is at the ends."""
+    def pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
+        """A checker that asks for a few millimetres, or for what a pair has at the ends where that is less."""
         allowances = self.standing_allowances()
         margins = PairMargins.of(self.robot, self.scene, SAMPLING_CLEARANCE, allowances)
         checker = SweptCollisionChecker(self.robot, self.scene, margins, buffer=0.0)
-        return self._fitting(checker, ends, 0.5 * CLEARANCE_TOLERANCE)
+        fitting = self._fitting(checker, ends, 0.5 * CLEARANCE_TOLERANCE)
+        return PoseChecker(self.robot, self.scene, fitting.margins)
 
     def _fitting(
         self, checker: SweptCollisionChecker, ends: Sequence[Float[np.ndarray, "n"]], reserve: float

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from swept_scenes import body_in_body, body_in_world, checker_of, keys, random_motion, random_scene, state_of
 from tiny_robots import PLANAR, SPATIAL, atlas, chain
 
+from costs.collision import PoseChecker
+from costs.kinematics import KinematicsEngine
 from costs.scene import Scene
 
 ROBOTS = {
@@ -115,3 +117,22 @@ def test_a_robot_without_bodies_has_no_contacts(tmp_path):
     robot = load_robot(urdf=urdf)
     scene = random_scene(np.random.default_rng(1), 3, 0.5)
     assert len(state_of(robot, checker_of(robot, scene, 0.02))(np.zeros((2, 1))).contacts) == 0
+
+
+@pytest.mark.parametrize("name", ["four joints", "atlas"])
+def test_poses_are_clear_exactly_where_no_pair_is_nearer_than_its_margin(name):
+    robot = ROBOTS[name][0]()
+    answers = []
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        centre = (0.7, 0.0, 0.0) if seed % 2 else (2.0, 0.0, 0.0)
+        checker = checker_of(robot, random_scene(rng, 4, 0.6, centre), 0.02, buffer=0.0)
+        poses = PoseChecker(robot, checker.scene, checker.margins)
+        q = random_motion(robot, rng, 3, 0.1)
+        state = state_of(robot, checker)
+        clear = [len(state(row[None]).contacts) == 0 for row in q]
+        engine = KinematicsEngine(robot)
+        assert [poses.are_clear(engine(row[None])) for row in q] == clear
+        assert poses.are_clear(engine(q)) == all(clear)
+        answers += clear
+    assert 5 < sum(answers) < len(answers) - 5

@@ -26,7 +26,7 @@ def arm(tmp_path) -> WholeBody:
 
 def problem_of(body: WholeBody) -> SamplingProblem:
     end = np.array([0.9, 0.0])
-    checker = body.sampling_checker([body.nominal, end])
+    checker = body.pose_checker([body.nominal, end])
     return SamplingProblem(body, checker, body.nominal, end, free_coordinates(body))
 
 

@@ -1,0 +1,87 @@
+"""Whether single poses are clear: bounding spheres in numpy for all of them, coal for what is near, nearest first."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+
+from costs.collision.pairs import PairMargins
+from costs.collision.shapes import outer_convex, static_convex
+from costs.collision.sweep import BodyVertices
+from costs.kinematics import Kinematics
+from costs.robot.model import RobotModel
+from costs.scene import Scene
+
+_IDENTITY = coal.Transform3s()
+
+
+class PoseChecker:
+    """Answers for many poses at once whether every pair keeps its margin; what lies between poses is not looked at."""
+
+    def __init__(self, robot: RobotModel, scene: Scene, margins: PairMargins) -> None:
+        """
+        Args:
+            robot: whose bodies are placed.
+            scene: what they may hit.
+            margins: distances asked of the pairs.
+        """
+        self._bodies = BodyVertices.of(robot)
+        self._shapes = [outer_convex(body) for body in robot.bodies]
+        self._pieces = [static_convex(piece.vertices) for piece in scene.pieces]
+        self._lower = np.array([piece.lower for piece in scene.pieces]).reshape(-1, 3)
+        self._upper = np.array([piece.upper for piece in scene.pieces]).reshape(-1, 3)
+        self._margins = margins
+        self._reach = np.maximum(self._bodies.radius[:, None] + margins.world, 0.0)
+        first, second = margins.self_pairs.T
+        self._own_reach = np.maximum(self._bodies.radius[first] + self._bodies.radius[second] + margins.own, 0.0)
+        self._functors: dict[tuple[bool, int, int], coal.ComputeDistance] = {}
+        self._request = coal.DistanceRequest()
+        self._request.enable_signed_distance = False
+        self._result = coal.DistanceResult()
+
+    def are_clear(self, kinematics: Kinematics) -> bool:
+        """Whether no pair at any pose is nearer than its margin."""
+        centres = self._bodies.centres_in_world(kinematics)
+        at_pieces = centres[:, :, None]
+        gap = np.maximum(np.maximum(self._lower - at_pieces, at_pieces - self._upper), 0.0)
+        excess = np.sqrt(np.einsum("tbpk,tbpk->tbp", gap, gap)) - self._reach
+        first, second = self._margins.self_pairs.T
+        apart = centres[:, first] - centres[:, second]
+        own_excess = np.sqrt(np.einsum("tpk,tpk->tp", apart, apart)) - self._own_reach
+        pose, body, piece = np.nonzero(excess < 0.0)
+        own_pose, pair = np.nonzero(own_excess < 0.0)
+        size = len(pose)
+        # What lies deepest by its spheres is asked first: most bad poses end with the first answers.
+        order = np.argsort(np.concatenate([excess[pose, body, piece], own_excess[own_pose, pair]]), kind="stable")
+        placed: dict[tuple[int, int], coal.Transform3s] = {}
+
+        def at(t: int, b: int) -> coal.Transform3s:
+            known = placed.get((t, b))
+            if known is None:
+                joint = self._bodies.joint[b]
+                known = coal.Transform3s(kinematics.rotation[t, joint], kinematics.position[t, joint])
+                placed[t, b] = known
+            return known
+
+        poses, bodies, pieces = pose.tolist(), body.tolist(), piece.tolist()
+        own_poses, pairs = own_pose.tolist(), pair.tolist()
+        for row in order.tolist():
+            if row < size:
+                t, b, other = poses[row], bodies[row], pieces[row]
+                there, margin, is_self = _IDENTITY, self._margins.world[b, other], False
+            else:
+                t, k = own_poses[row - size], pairs[row - size]
+                b, other = self._margins.self_pairs[k].tolist()
+                there, margin, is_self = at(t, other), self._margins.own[k], True
+            self._result.clear()
+            if self._functor(is_self, b, other)(at(t, b), there, self._request, self._result) < margin:
+                return False
+        return True
+
+    def _functor(self, is_self: bool, body: int, other: int) -> coal.ComputeDistance:
+        key = (is_self, body, other)
+        functor = self._functors.get(key)
+        if functor is None:
+            target = self._shapes[other] if is_self else self._pieces[other]
+            functor = self._functors[key] = coal.ComputeDistance(self._shapes[body], target)
+        return functor
