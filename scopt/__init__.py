@@ -1,8 +1,9 @@
 """Sequential convex optimisation over waypoints: residuals, problems and the trust-region solver."""
 
-from scopt.errors import ProblemError, ScoptError, SolverError
+from scopt.affine import AffineRows
+from scopt.errors import DerivativeError, DerivativeWarning, ProblemError, ScoptError, SolverError
 from scopt.problem import Constraint, Cost, Penalty, Problem, Sense
-from scopt.residual import AffineRows, Residual
+from scopt.residual import Residual
 from scopt.result import Iteration, Result, Status
 from scopt.sqp import Settings, TrustRegionSQP
 
@@ -10,6 +11,8 @@ __all__ = [
     "AffineRows",
     "Constraint",
     "Cost",
+    "DerivativeError",
+    "DerivativeWarning",
     "Iteration",
     "Penalty",
     "Problem",

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
+from scopt.affine import AffineRows
 from scopt.problem import Penalty, Problem, Sense
 from scopt.qp import QuadraticProgram
-from scopt.residual import AffineRows
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ def convexify(problem: Problem[Any], state: Any, penalty: float) -> ConvexModel:
     n_waypoints, n = problem.lower.shape
     parts: Mapping[Penalty, list[WeightedRows]] = {kind: [] for kind in Penalty}
     for cost in problem.costs:
-        rows = cost.residual.linearize(state)
+        rows = cost.linearize(state)
         parts[cost.penalty].append(WeightedRows(rows, np.full(len(rows.value), cost.weight)))
     placed: dict[str, tuple[Penalty, slice]] = {}
     for constraint in problem.constraints:
-        rows = constraint.residual.linearize(state)
+        rows = constraint.linearize(state)
         kind = Penalty.ABS if constraint.sense is Sense.EQUAL_ZERO else Penalty.HINGE
         start = sum(len(part.weight) for part in parts[kind])
         placed[constraint.name] = (kind, slice(start, start + len(rows.value)))

@@ -10,8 +10,9 @@ from typing import Generic
 import numpy as np
 from jaxtyping import Float
 
+from scopt.affine import AffineRows
 from scopt.errors import ProblemError
-from scopt.residual import Residual, StateT
+from scopt.residual import Residual, StateT, linearized
 
 
 class Penalty(Enum):
@@ -53,6 +54,10 @@ class Cost(Generic[StateT]):
             return float(self.weight * np.abs(value).sum())
         return float(self.weight * np.maximum(value, 0.0).sum())
 
+    def linearize(self, state: StateT) -> AffineRows:
+        """The residual's affine model at the state."""
+        return linearized(self.residual, state, self.name)
+
 
 @dataclass(frozen=True)
 class Constraint(Generic[StateT]):
@@ -77,6 +82,10 @@ class Constraint(Generic[StateT]):
     def violation(self, value: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
         """How far each row is from what is asked, >= 0."""
         return np.asarray(np.abs(value) if self.sense is Sense.EQUAL_ZERO else np.maximum(value, 0.0))
+
+    def linearize(self, state: StateT) -> AffineRows:
+        """The residual's affine model at the state."""
+        return linearized(self.residual, state, self.name)
 
 
 @dataclass(frozen=True)

@@ -1,71 +1,17 @@
-"""Residuals, the building blocks of costs and constraints, and their linearisation over all waypoints."""
+"""Residuals, the building blocks of costs and constraints."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy import sparse
+from jaxtyping import Float
+
+from scopt.affine import AffineRows
+from scopt.finite_difference import finite_differences
 
 StateT = TypeVar("StateT")
-
-
-@dataclass(frozen=True)
-class AffineRows:
-    """``value + jacobian @ dx``, the first-order model of a residual around one iterate.
-
-    Attributes:
-        value: (m,) residual at the iterate.
-        jacobian: (m, N) sparse, ``N = T * n`` variables in waypoint order.
-    """
-
-    value: Float[np.ndarray, "m"]
-    jacobian: sparse.csr_array
-
-    def at(self, dx: Float[np.ndarray, "N"]) -> Float[np.ndarray, "m"]:
-        """The model's value after a step ``dx``."""
-        return np.asarray(self.value + self.jacobian @ dx)
-
-    @staticmethod
-    def empty(n_variables: int) -> AffineRows:
-        """No rows."""
-        return AffineRows(np.zeros(0), sparse.csr_array((0, n_variables)))
-
-    @staticmethod
-    def stack(parts: Sequence[AffineRows]) -> AffineRows:
-        """The rows of all parts, one after the other."""
-        return AffineRows(
-            np.concatenate([part.value for part in parts]),
-            sparse.csr_array(sparse.vstack([part.jacobian for part in parts], format="csr")),
-        )
-
-    @staticmethod
-    def from_blocks(
-        value: Float[np.ndarray, "m"],
-        first: Int[np.ndarray, "m"],
-        blocks: Float[np.ndarray, "m k n"],
-        n_waypoints: int,
-    ) -> AffineRows:
-        """Rows that each touch ``k`` consecutive waypoints; exact zeros are not stored.
-
-        Args:
-            value: (m,) residual.
-            first: (m,) index of the first waypoint a row touches.
-            blocks: (m, k, n) derivative with respect to those waypoints.
-            n_waypoints: T.
-        """
-        m, k, n = blocks.shape
-        dense = blocks.reshape(m, k * n)
-        rows, columns = np.nonzero(dense)
-        indptr = np.zeros(m + 1, dtype=np.int32)
-        np.cumsum(np.bincount(rows, minlength=m), out=indptr[1:])
-        indices = (columns + n * np.asarray(first)[rows]).astype(np.int32)
-        jacobian = sparse.csr_array((dense[rows, columns], indices, indptr), shape=(m, n_waypoints * n))
-        return AffineRows(np.asarray(value, dtype=float), jacobian)
 
 
 class Residual(ABC, Generic[StateT]):
@@ -80,6 +26,17 @@ class Residual(ABC, Generic[StateT]):
     def value(self, state: StateT) -> Float[np.ndarray, "m"]:
         """Residual at the state."""
 
-    @abstractmethod
     def linearize(self, state: StateT) -> AffineRows:
-        """Residual and derivative at the state."""
+        """Residual and derivative at the state; checked finite differences unless a subclass knows better.
+
+        Raises:
+            DerivativeError: the differences cannot be made (see ``scopt.finite_difference``).
+        """
+        return finite_differences(self.value, state, type(self).__name__)
+
+
+def linearized(residual: Residual[StateT], state: StateT, term: str) -> AffineRows:
+    """The residual's affine model; finite differences speak of it by the term's name."""
+    if type(residual).linearize is Residual.linearize:
+        return finite_differences(residual.value, state, term)
+    return residual.linearize(state)

@@ -131,12 +131,15 @@ class TrustRegionSQP:
             should_stop: asked before every trial step; True ends the solve as CANCELLED.
 
         Raises:
-            ProblemError: ``x0`` has the wrong shape or holds NaN.
+            ProblemError: ``x0`` has the wrong shape or holds NaN, or a term has no finite value there.
         """
         if x0.shape != problem.lower.shape or not np.isfinite(x0).all():
             raise ProblemError(f"x0 must be finite with shape {problem.lower.shape}, got shape {x0.shape}")
         started = time.perf_counter()
         first = _evaluate(problem, np.clip(x0, problem.lower, problem.upper))
+        without_value = [name for name, size in (first.cost | first.violation).items() if not np.isfinite(size)]
+        if without_value:
+            raise ProblemError(f"'{without_value[0]}' has no finite value at x0")
         run = _Run(first, first, self.settings.trust_radius, self.settings.penalty, started)
         try:
             status = self._raise_penalty(problem, run, on_iteration, should_stop)
@@ -325,7 +328,10 @@ def _evaluate(problem: Problem[StateT], x: Float[np.ndarray, "T n"]) -> _Iterate
         violation[constraint.name] = largest
         total_violation += constraint.scale * float(rows.sum())
         excess = max(excess, largest / constraint.tolerance)
-    return _Iterate(x, state, cost, violation, sum(cost.values()), total_violation, excess)
+    total_cost = sum(cost.values())
+    if not np.isfinite(total_cost + total_violation):
+        excess = np.inf  # max() above lets NaN pass: a step into where a term has no value is never the best
+    return _Iterate(x, state, cost, violation, total_cost, total_violation, excess)
 
 
 def _result(run: _Run[Any], status: Status) -> Result:

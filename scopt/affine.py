@@ -1,0 +1,64 @@
+"""Affine rows over all waypoints, the first-order model of a residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import sparse
+
+
+@dataclass(frozen=True)
+class AffineRows:
+    """``value + jacobian @ dx``, the first-order model of a residual around one iterate.
+
+    Attributes:
+        value: (m,) residual at the iterate.
+        jacobian: (m, N) sparse, ``N = T * n`` variables in waypoint order.
+    """
+
+    value: Float[np.ndarray, "m"]
+    jacobian: sparse.csr_array
+
+    def at(self, dx: Float[np.ndarray, "N"]) -> Float[np.ndarray, "m"]:
+        """The model's value after a step ``dx``."""
+        return np.asarray(self.value + self.jacobian @ dx)
+
+    @staticmethod
+    def empty(n_variables: int) -> AffineRows:
+        """No rows."""
+        return AffineRows(np.zeros(0), sparse.csr_array((0, n_variables)))
+
+    @staticmethod
+    def stack(parts: Sequence[AffineRows]) -> AffineRows:
+        """The rows of all parts, one after the other."""
+        return AffineRows(
+            np.concatenate([part.value for part in parts]),
+            sparse.csr_array(sparse.vstack([part.jacobian for part in parts], format="csr")),
+        )
+
+    @staticmethod
+    def from_blocks(
+        value: Float[np.ndarray, "m"],
+        first: Int[np.ndarray, "m"],
+        blocks: Float[np.ndarray, "m k n"],
+        n_waypoints: int,
+    ) -> AffineRows:
+        """Rows that each touch ``k`` consecutive waypoints; exact zeros are not stored.
+
+        Args:
+            value: (m,) residual.
+            first: (m,) index of the first waypoint a row touches.
+            blocks: (m, k, n) derivative with respect to those waypoints.
+            n_waypoints: T.
+        """
+        m, k, n = blocks.shape
+        dense = blocks.reshape(m, k * n)
+        rows, columns = np.nonzero(dense)
+        indptr = np.zeros(m + 1, dtype=np.int32)
+        np.cumsum(np.bincount(rows, minlength=m), out=indptr[1:])
+        indices = (columns + n * np.asarray(first)[rows]).astype(np.int32)
+        jacobian = sparse.csr_array((dense[rows, columns], indices, indptr), shape=(m, n_waypoints * n))
+        return AffineRows(np.asarray(value, dtype=float), jacobian)
