@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -53,6 +53,7 @@ class Kinematics:
         position: (T, J, 3) joint origins in the world [m].
         jacobian: (T, 6, n) spatial columns at the world's origin (linear, angular); column ``i`` acts on the joints
             that coordinate ``i`` supports.
+        engine: computed them.
     """
 
     robot: RobotModel
@@ -61,6 +62,11 @@ class Kinematics:
     rotation: Float[np.ndarray, "T J 3 3"]
     position: Float[np.ndarray, "T J 3"]
     jacobian: Float[np.ndarray, "T 6 n"]
+    engine: KinematicsEngine = field(repr=False)
+
+    def at(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
+        """The robot's kinematics at other waypoints."""
+        return self.engine(q)
 
     @property
     def n_waypoints(self) -> int:
@@ -134,7 +140,7 @@ class KinematicsEngine:
             jacobian[t] = pin.computeJointJacobians(model, data, q[t]).reshape(6, model.nv)
             rotation[t] = placements[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)  # stored column by column
             position[t] = placements[:, 9:12]
-        return Kinematics(self.robot, self.topology, np.array(q), rotation, position, jacobian)
+        return Kinematics(self.robot, self.topology, np.array(q), rotation, position, jacobian, self)
 
 
 def _placement_block(data: pin.Data, n_joints: int) -> Float[np.ndarray, "J 12"]:

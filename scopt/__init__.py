@@ -1,6 +1,7 @@
 """Sequential convex optimisation over waypoints: residuals, problems and the trust-region solver."""
 
 from scopt.affine import AffineRows
+from scopt.derivative_check import DerivativeCheck, check_derivative
 from scopt.errors import DerivativeError, DerivativeWarning, ProblemError, ScoptError, SolverError
 from scopt.problem import Constraint, Cost, Penalty, Problem, Sense
 from scopt.residual import Residual
@@ -11,6 +12,7 @@ __all__ = [
     "AffineRows",
     "Constraint",
     "Cost",
+    "DerivativeCheck",
     "DerivativeError",
     "DerivativeWarning",
     "Iteration",
@@ -25,4 +27,5 @@ __all__ = [
     "SolverError",
     "Status",
     "TrustRegionSQP",
+    "check_derivative",
 ]

@@ -7,7 +7,18 @@ import pytest
 from jacobian import check_jacobian
 from quadratic_terms import identity_state
 
-from scopt import Cost, DerivativeError, DerivativeWarning, Problem, ProblemError, Residual, Settings, TrustRegionSQP
+from scopt import (
+    AffineRows,
+    Cost,
+    DerivativeError,
+    DerivativeWarning,
+    Problem,
+    ProblemError,
+    Residual,
+    Settings,
+    TrustRegionSQP,
+    check_derivative,
+)
 from scopt.finite_difference import finite_differences, independent
 
 X = np.random.default_rng(3).normal(size=(6, 3))
@@ -98,7 +109,10 @@ def test_a_slope_that_depends_on_the_step_is_told(function):
     [
         (lambda x: np.where(np.arange(6) == 3, np.nan, x[:, 0]), "row 3 of 'term' is nan at the iterate"),
         (lambda x: np.where(x > X, np.inf, x)[:, 1], "row 0 of 'term' is inf beside the iterate at waypoint 0"),
-        (lambda x: np.where(x < X, np.inf, x)[:, 1], "is inf beside the iterate at waypoint 0, variable 1"),
+        (
+            lambda x: np.where((x[:, 1] != X[:, 1]) & (x[:, 0] == X[:, 0]), np.inf, x.sum(axis=1)),
+            "row 0 of 'term' is inf beside the iterate at waypoint 0, variable 1",
+        ),
         (lambda x: x[x[:, 0] > X[3, 0], 1], "rows come and go"),
         (lambda x: x, r"must be a vector \(m,\), got shape \(6, 3\)"),
     ],
@@ -158,3 +172,51 @@ def test_a_step_into_where_a_term_has_no_value_is_not_taken():
         result = TrustRegionSQP(settings).solve(problem_of(log), np.full((4, 2), 4.0))
     assert any(not np.isfinite(step.trial_merit) for step in result.history)
     np.testing.assert_allclose(result.x[:, 0], 1.0, atol=1e-4)
+
+
+class Product(Residual[np.ndarray]):
+    """Product of the first two variables, its derivative spoilt at will."""
+
+    def __init__(self, spoil=lambda blocks: blocks, offset=0.0):
+        self.spoil, self.offset = spoil, offset
+
+    def value(self, state):
+        return state[:, 0] * state[:, 1]
+
+    def linearize(self, state):
+        blocks = np.zeros((len(state), 1, 3))
+        blocks[:, 0, 0], blocks[:, 0, 1] = state[:, 1], state[:, 0]
+        rows = np.arange(len(state))
+        return AffineRows.from_blocks(self.value(state) + self.offset, rows, self.spoil(blocks), len(state))
+
+
+def test_a_right_derivative_passes_its_check():
+    check = check_derivative(Product(), identity_state, X)
+    assert check.is_right
+    assert check.error < 1e-8
+    assert "agree" in str(check)
+
+
+def test_a_wrong_derivative_is_named_by_row_waypoint_and_variable():
+    def spoil(blocks):
+        blocks[4, 0, 2] += 0.5
+        blocks[1, 0, 0] += 0.1
+        return blocks
+
+    check = check_derivative(Product(spoil), identity_state, X)
+    assert not check.is_right
+    assert (check.row, check.waypoint, check.variable, check.given) == (4, 4, 2, 0.5)
+    assert abs(check.measured) < 1e-9
+    assert "row 4 along waypoint 4, variable 2 is 0.5" in str(check)
+
+
+@pytest.mark.parametrize(
+    ("residual", "message"),
+    [
+        (Product(offset=0.5), "row 0 of 'Product' is"),
+        (Product(lambda blocks: blocks[:, :, :2]), r"must have shape \(6, 18\).*got \(6, 12\)"),
+    ],
+)
+def test_rows_that_contradict_their_value_or_shape_are_refused(residual, message):
+    with pytest.raises(DerivativeError, match=message):
+        check_derivative(residual, identity_state, X)
