@@ -6,18 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from costs.curve import Curve, TimeLaw
-from costs.state import MotionState
-from costs.terms import FramePose
-from scopt import Residual
 from service.phases import PlannedPhase, TaskPlan
-from service.spline import Hold, Path, Spline, make_spline
+from service.spline import Path, Spline, make_spline
 from service.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Motion, Phase, PlantedContact, SupportPolygon
 from service.verify.timeline import time_of
-from service.whole_body import PlantedLink, WholeBody
+from service.whole_body import WholeBody
 
 SAMPLE_PERIOD_S = 0.01
 ZMP_RESERVE = 0.015  # how far inside the feet the motion is slowed to keep the ZMP [m]
@@ -57,17 +54,10 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
 
 def _spline(body: WholeBody, phases: Sequence[PlannedPhase]) -> Spline:
     robot = body.robot
-    planted = tuple(_planted(body, foot) for foot in body.planted)
-    paths = [Path(phase.name, phase.q, (*planted, *phase.holds)) for phase in phases]
+    standing, drift = body.holds(), body.drift()
+    paths = [Path(phase.name, phase.q, (*standing, *phase.holds), drift) for phase in phases]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
     return make_spline(body.engine, paths, robot.lower, robot.upper, speed)
-
-
-def _planted(body: WholeBody, foot: PlantedLink) -> Hold:
-    def hold(waypoints: Int[np.ndarray, "S"]) -> Residual[MotionState]:
-        return FramePose(body.robot, foot.link, waypoints, foot.pose_world_link)
-
-    return hold
 
 
 def _phase(body: WholeBody, phase: PlannedPhase, first: float, last: float) -> Phase:
@@ -82,7 +72,7 @@ def _phase(body: WholeBody, phase: PlannedPhase, first: float, last: float) -> P
         last=last,
         contacts=tuple(PlantedContact(foot.link, foot.pose_world_link, foot.sole) for foot in body.planted),
         allowances=(*body.standing_allowances(), *phase.allowances),
-        targets=phase.targets(last),
+        targets=(*phase.targets(last), *(kept.target() for kept in body.kept)),
         support=support,
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -126,7 +126,7 @@ def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt) -> None:
     """Solve the task, make the motion, certify it."""
     options = setup.request.options
     aims = Aims(options.margin_m, options.balance_margin_m)
-    body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
+    body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
     solver = PhaseSolver(body, monitor, Settings(qp=options.qp), most_starts=options.starts, seed=options.seed)
     attempt.task = plan_task(setup, solver)
     attempt.explanation = attempt.task.obstacle

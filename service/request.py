@@ -17,6 +17,7 @@ from pydantic_core import PydanticCustomError
 
 from service.errors import shown
 from service.request_fields import SECTION, FilePath, Label, Name, Number, Point, Quaternion, Section, exactly_one
+from service.request_keep import KeepRequest
 from service.request_scene import SceneRequest
 
 
@@ -107,6 +108,11 @@ class GoalRequest(Section):
 
     def __post_init__(self) -> None:
         exactly_one(self, ("joints", "poses", "posture"))
+        links = [pose.link for pose in self.poses]
+        twice = sorted({link for link in links if links.count(link) > 1})
+        if twice:
+            words = "link {link} has two poses; one for each link would do"
+            raise PydanticCustomError("goal", words, {"link": shown(twice[0])})
 
 
 @dataclass(config=SECTION)
@@ -179,6 +185,7 @@ class Options(Section):
 class PlanRequest(Section):
     """What a user asks: a robot, where it stands, what surrounds it, and where it shall go or what it shall do.
 
+    ``keep`` lists relative poses that hold along the whole motion to a goal.
     ``folder`` is where relative paths start; it is no part of the request's meaning, of its JSON or of its hash.
     """
 
@@ -187,11 +194,14 @@ class PlanRequest(Section):
     scene: SceneRequest = field(default_factory=SceneRequest)
     goal: GoalRequest | None = None
     task: TaskRequest | None = None
+    keep: Annotated[tuple[KeepRequest, ...], Field(max_length=8)] = ()
     options: Options = field(default_factory=Options)
     folder: Annotated[Path, Field(exclude=True)] = field(default=Path(), compare=False)
 
     def __post_init__(self) -> None:
         exactly_one(self, ("goal", "task"))
+        if self.task is not None and self.keep:
+            raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
 
     def resolve(self, path: str) -> Path:
         """The file or folder that ``path`` of this request means."""

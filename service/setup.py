@@ -15,6 +15,7 @@ from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
 from perception import Perceived, PerceptionError, Reach, perceive, read_cloud
 from service.errors import RequestError, would_do
+from service.keep import KeptPose, kept_poses
 from service.obstacles import flat_floor, obstacle_pieces
 from service.request import PlanRequest
 from service.start import (
@@ -43,6 +44,7 @@ class PlanSetup:
         scene: all pieces, the floor's included.
         perceived: what the scan showed; None without a scan.
         soles: for each planted link, the corners of its sole in the world at the start [m].
+        kept: relative poses that hold along the whole motion.
         notes: what was assumed, snapped or noticed.
         timings: seconds by step.
     """
@@ -53,6 +55,7 @@ class PlanSetup:
     scene: Scene
     perceived: Perceived | None
     soles: Mapping[str, Float[np.ndarray, "C 3"]]
+    kept: tuple[KeptPose, ...]
     notes: tuple[str, ...]
     timings: Mapping[str, float]
 
@@ -88,6 +91,7 @@ def _prepare(
 ) -> PlanSetup:
     start, notes = start_configuration(robot, request.start)
     _check_goal(robot, request)
+    kept = _kept(robot, start, request)
     soles = _soles(robot, start, request)
     say("perceive scene")
     perceived = _timed(timings, "perceive", lambda: _perceive(request, robot, start, soles))
@@ -96,7 +100,7 @@ def _prepare(
     _timed(timings, "check_start", lambda: _check_start(robot, start, scene, soles))
     if perceived is not None:
         notes += perceived.notes
-    return PlanSetup(request, robot, start, scene, perceived, soles, notes, timings)
+    return PlanSetup(request, robot, start, scene, perceived, soles, kept, notes, timings)
 
 
 def _timed(timings: dict[str, float], step: str, run: Callable[[], T]) -> T:
@@ -147,6 +151,17 @@ def _check_goal(robot: RobotModel, request: PlanRequest) -> None:
         problems += _unknown_links(robot, (pose.link,), f"goal.poses[{index}].link")
     if problems:
         raise RequestError(problems)
+
+
+def _kept(robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanRequest) -> tuple[KeptPose, ...]:
+    problems: list[str] = []
+    for index, keep in enumerate(request.keep):
+        problems += _unknown_links(robot, (keep.link,), f"keep[{index}].link")
+        if keep.relative_to is not None:
+            problems += _unknown_links(robot, (keep.relative_to,), f"keep[{index}].relative_to")
+    if problems:
+        raise RequestError(problems)
+    return kept_poses(robot, start, request.keep)
 
 
 def _unknown_links(robot: RobotModel, links: tuple[str, ...], field: str) -> list[str]:

@@ -17,6 +17,7 @@ from scopt import Residual
 Hold = Callable[[Int[np.ndarray, "S"]], Residual[MotionState]]
 """Makes the residual that a hold keeps at zero at the given waypoints."""
 
+DRIFT = 5e-4  # between waypoints, of what is held [m, rad]
 PROJECTION_STEPS = 8
 PROJECTION_TOLERANCE = 1e-9  # [m, rad]
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
@@ -39,7 +40,7 @@ class Path:
     name: str
     q: Float[np.ndarray, "T n"]
     holds: tuple[Hold, ...]
-    drift: float = 5e-4
+    drift: float = DRIFT
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,8 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Sense
+from service.keep import KeptPose
+from service.spline import DRIFT, Hold
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]
@@ -86,6 +88,7 @@ class WholeBody:
         polygon: support polygon of the planted links; None for a fixed base.
         nominal: (n,) the posture to stay near.
         aims: margins.
+        kept: relative poses that hold in every phase.
     """
 
     robot: RobotModel
@@ -95,6 +98,7 @@ class WholeBody:
     polygon: SupportPolygon | None
     nominal: Float[np.ndarray, "n"]
     aims: Aims
+    kept: tuple[KeptPose, ...] = ()
 
     @staticmethod
     def standing(
@@ -149,6 +153,18 @@ class WholeBody:
             margins = margins.relaxed_to(checker(self.engine(q[None])), reserve)
         return checker.with_margins(margins)
 
+    def holds(self) -> tuple[Hold, ...]:
+        """What stays put along every phase: planted links and kept poses."""
+        planted: list[Hold] = [
+            lambda waypoints, foot=foot: FramePose(self.robot, foot.link, waypoints, foot.pose_world_link)  # type: ignore[misc]
+            for foot in self.planted
+        ]
+        return (*planted, *(hold for kept in self.kept for hold in kept.holds(self.robot)))
+
+    def drift(self) -> float:
+        """How far a row of the holds may be off between waypoints [m, rad]."""
+        return min([DRIFT, *(kept.drift for kept in self.kept)])
+
     def standing_allowances(self) -> tuple[Allowance, ...]:
         """Planted links rest on the floor."""
         floors = [piece.name for piece in self.scene.pieces if piece.kind == "floor"]
@@ -183,6 +199,7 @@ class WholeBody:
             )
             for foot in self.planted
         ]
+        standing += [constraint for kept in self.kept for constraint in kept.constraints(self.robot, everywhere)]
         if self.polygon is not None:
             inside = CentreOfMassInPolygon(
                 self.polygon,

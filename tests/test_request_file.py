@@ -147,8 +147,16 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
             "scene: {obstacles: [{name: a, type: sphere, radius: 1}, {name: a, type: sphere, radius: 1}]}",
             "scene: obstacle name 'a' is given twice",
         ),
+        ("keep: [{link: a, relative_to: a}]", "keep[0]: link and relative_to are both 'a'; two links are needed"),
+        ("keep: [{link: a, relativ_to: b}]", "keep[0]: unknown key 'relativ_to'; relative_to, … would do"),
+        ("keep: [{relative_to: b}]", "keep[0].link: is missing"),
+        ("keep: [{link: a, position: [0, 1]}]", "keep[0].position: entry 3 is missing, got [0, 1]"),
+        ("keep: [{link: a, position_tolerance_m: 0}]", "keep[0].position_tolerance_m: at least 0.0005 is needed"),
+        ("keep: [{link: a, rotation_tolerance_deg: 0.01}]", "keep[0].rotation_tolerance_deg: at least 0.05 is needed"),
+        ("keep: [{link: a, free_axis: w}]", "keep[0].free_axis: 'none', 'x', 'y' or 'z' would do, got 'w'"),
+        ("keep: {link: a}", "keep: a list is needed"),
         ("task: {valve: {}}", "exactly one of goal, task is needed, not goal and task"),
-        ("folder: /etc", "unknown key 'folder'; robot, start, scene, goal, task, options would do"),
+        ("folder: /etc", "unknown key 'folder'; robot, start, scene, goal, task, keep, … would do"),
         ("robot: {name: x}", "line 3: key 'robot' is given twice"),
         ("start: !!python/object/apply:os.system ['true']", "line 3: the tag"),
         ("start: &a {posture: x}\nscene: *a", "line 4: alias '*a' is not read; write the value out"),
@@ -174,6 +182,14 @@ def test_a_wrong_field_earns_one_line(tmp_path: Path, extra: str, problem: str) 
         (
             "robot: {name: a, srdf: b}\ngoal: {posture: s}",
             "robot: srdf and package_dirs belong to a robot given by urdf",
+        ),
+        (
+            "robot: {name: a}\ntask: {valve: {}}\nkeep: [{link: a}]",
+            "keep belongs to a goal; a task knows itself what it holds",
+        ),
+        (
+            "robot: {name: a}\ngoal: {poses: [{link: l, position: [0, 0, 0]}, {link: l, position: [0, 0, 1]}]}",
+            "goal: link 'l' has two poses; one for each link would do",
         ),
         ("robot: {name: a}\ntask: {valv: {}}", "task: unknown key 'valv'; valve would do"),
         (

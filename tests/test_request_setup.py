@@ -90,6 +90,12 @@ def test_a_pitch_near_90_degrees_is_refused(atlas: RobotModel) -> None:
             {"goal": {"poses": [{"link": "l_hnad", "position": [0, 0, 0]}]}},
             "unknown link 'l_hnad' in goal.poses[0].link; atlas has l_hand, ",
         ),
+        ({"keep": [{"link": "l_hnad"}]}, "unknown link 'l_hnad' in keep[0].link; atlas has l_hand, "),
+        (
+            {"keep": [{"link": "l_hand", "relative_to": "r_hnad"}]},
+            "unknown link 'r_hnad' in keep[0].relative_to; atlas has r_hand, ",
+        ),
+        ({"keep": [{"link": "l_hand", "relative_to": "l_hook"}]}, "keep[0]: no joint moves l_hand relative to l_hook"),
         ({"options": {"feet": []}}, "options.feet: lists no link"),
         ({"options": {"feet": ["l_fot"]}}, "unknown link 'l_fot' in options.feet; atlas has l_foot, "),
         ({"robot": {"name": "atlsa"}}, "robot: unknown robot 'atlsa'; "),

@@ -1,0 +1,148 @@
+"""Two hands that keep their relative pose, and two that each reach a place, from request to replayed certificate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from stranger import Stranger
+
+from service.output import write_result
+from service.planner import plan
+from service.replay import verify_result
+from service.request import PlanRequest
+from service.request_file import parse_request
+from service.result import PlanResult, Verdict
+from service.verify import RelativePoseTarget, Status, verify
+
+LEFT = np.array([0.473, 0.321, 1.096])  # of the hand in the posture reach_ready
+SHIFT = np.array([0.05, 0.1, -0.2])
+SHELF = {"name": "shelf", "type": "box", "size": [0.3, 0.5, 0.02], "position": [0.62, 0.35, 1.22]}
+POST = {"name": "post", "type": "box", "size": [0.05, 0.05, 2.0], "position": [0.75, -0.2, 1.0]}
+
+
+def carry(shift: np.ndarray, *keep: dict[str, Any], **more: Any) -> PlanRequest:
+    """Atlas with both hands before it moves the left one by ``shift``."""
+    goal = {"link": "l_hand", "position": (LEFT + shift).tolist(), "position_tolerance_m": 0.005}
+    return parse_request(
+        {
+            "robot": {"name": "atlas"},
+            "start": {"posture": "reach_ready"},
+            "scene": {"obstacles": [SHELF, POST]},
+            "goal": {"poses": [goal]},
+            "keep": list(keep),
+            **more,
+        }
+    )
+
+
+def both(left: list[float], right: list[float]) -> PlanRequest:
+    """Atlas brings both hooks to a place."""
+    poses = [
+        {"link": f"{side}_tool", "position": position, "position_tolerance_m": 0.005}
+        for side, position in (("l", left), ("r", right))
+    ]
+    return parse_request({"robot": {"name": "atlas"}, "scene": {"obstacles": [SHELF, POST]}, "goal": {"poses": poses}})
+
+
+def keep_checks(result: PlanResult) -> dict[str, Any]:
+    return {check.name: check for check in result.certificate.checks if check.name.startswith("keep.")}
+
+
+def apart(stranger: Stranger, row: np.ndarray) -> pin.SE3:
+    """Pose of the right hand in the left one."""
+    places = stranger.placements(row)
+    return places["l_hand"].actInv(places["r_hand"])
+
+
+@pytest.fixture(scope="module", name="carried")
+def _carried(tmp_path_factory):
+    """A certified motion in which the right hand follows the left one, and its folder."""
+    result = plan(carry(SHIFT, {"link": "r_hand", "relative_to": "l_hand"}))
+    folder = tmp_path_factory.mktemp("carry") / "out"
+    write_result(result, folder)
+    return result, folder, Stranger(folder)
+
+
+def test_a_hand_follows_the_other_and_is_certified_to(carried):
+    result, _, stranger = carried
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    left = stranger.placements(stranger.positions[-1])["l_hand"].translation
+    assert np.linalg.norm(left - LEFT - SHIFT) < 0.01
+    checks = keep_checks(result)
+    assert set(checks) == {"keep.reach.r_hand.l_hand", "keep.reach.r_hand.l_hand.rotation"}
+    for check, limit in zip(checks.values(), (0.005, np.deg2rad(1.0)), strict=True):
+        assert check.basis.value == "proof"
+        assert 0.0 < check.value <= check.limit == pytest.approx(limit)
+
+
+def test_dense_samples_keep_the_relative_pose_as_certified(carried):
+    result, _, stranger = carried
+    first = apart(stranger, stranger.positions[0])
+    off = [first.actInv(apart(stranger, row)) for row in stranger.rows(2)]
+    place, rotation = keep_checks(result).values()
+    assert max(np.linalg.norm(pose.translation) for pose in off) <= place.value
+    assert max(np.linalg.norm(pin.log3(pose.rotation)) for pose in off) <= rotation.value
+
+
+def test_the_replayed_result_is_certified_with_the_same_checks(carried):
+    result, folder, _ = carried
+    again = verify_result(folder)
+    assert again["verdict"] == "CERTIFIED"
+    replayed = {check["name"]: check["limit"] for check in again["checks"] if check["name"].startswith("keep.")}
+    assert replayed == pytest.approx({name: check.limit for name, check in keep_checks(result).items()})
+
+
+def test_a_motion_that_lets_go_is_refuted_by_the_same_promise(carried):
+    result, _, _ = carried
+    (promise,) = [t for t in result.motion.phases[0].targets if isinstance(t, RelativePoseTarget)]
+    loose = plan(carry(SHIFT))
+    assert loose.verdict is Verdict.CERTIFIED, loose.explanation
+    (phase,) = loose.motion.phases
+    certificate = verify(replace(loose.motion, phases=(replace(phase, targets=(promise,)),)))
+    assert certificate.status is Status.VIOLATED
+    assert all(check.name.startswith("keep.reach.r_hand.l_hand") for check in certificate.failed())
+
+
+def test_a_hand_may_turn_about_its_free_axis():
+    result = plan(carry(SHIFT, {"link": "r_hand", "relative_to": "l_hand", "free_axis": "y"}))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert result.certificate.checks
+
+
+def test_a_hand_kept_in_the_world_stays_while_the_other_reaches():
+    result = plan(carry(SHIFT, {"link": "r_hand", "position_tolerance_m": 0.002}))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert keep_checks(result)["keep.reach.r_hand.world"].limit == 0.002
+
+
+def test_a_start_that_must_settle_settles_without_letting_go():
+    keep = {"link": "r_hand", "relative_to": "l_hand"}
+    result = plan(carry(np.array([0.0, 0.0, -0.1]), keep, options={"balance_margin_m": 0.128}))
+    assert [phase.name for phase in result.motion.phases] == ["settle", "reach"]
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert "keep.settle.r_hand.l_hand" in keep_checks(result)
+
+
+def test_a_pose_that_both_hands_cannot_keep_names_what_fights():
+    keep = {"link": "r_hand", "relative_to": "l_hand"}
+    goal = {"link": "r_hand", "position": [0.5, 0.1, 1.1]}
+    left = {"link": "l_hand", "position": [0.5, 0.3, 1.1]}
+    result = plan(carry(np.zeros(3), keep, goal={"poses": [left, goal]}))
+    assert result.verdict is Verdict.NOT_FOUND
+    assert any("r_hand relative to l_hand" in line or "position of" in line for line in result.explanation)
+
+
+def test_both_hands_reach_their_places_at_once(tmp_path):
+    places = [0.55, 0.3, 1.0], [0.6, -0.35, 1.25]
+    result = plan(both(*places))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    write_result(result, tmp_path / "out")
+    stranger = Stranger(tmp_path / "out")
+    last = stranger.placements(stranger.positions[-1])
+    for side, place in zip("lr", places, strict=True):
+        assert np.linalg.norm(last[f"{side}_tool"].translation - place) < 0.01
+        assert f"target.reach.{side}_tool" in {check.name for check in result.certificate.checks}
