@@ -36,7 +36,7 @@ def run_problem(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
         "path": _path(result, problem.joints),
         "verdict": result.verdict.value,
         "clearance_m": None if certificate is None else _number(certificate.min_clearance_m),
-        "start": next((note for note in result.notes if note.startswith("found from")), "straight or via a posture"),
+        "start": result.found_from,
         "reason": next(iter(result.explanation), ""),
     }
 

@@ -46,6 +46,10 @@ class Monitor:
         """Seconds left."""
         return self.time_limit_s - (time.perf_counter() - self.started)
 
+    def is_over(self) -> bool:
+        """Whether the plan shall end."""
+        return self.remaining_s() <= 0.0 or (self.should_stop is not None and self.should_stop())
+
     def check(self) -> None:
         """
         Raises:

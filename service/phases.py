@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,14 +16,13 @@ from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem, Result, Settings, TrustRegionSQP
 from service.monitor import Monitor
-from service.sampling import SamplingProblem, along, free_coordinates, sampled_path
+from service.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
 from service.spline import Hold
 from service.verify import Motion, Target
 from service.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 
 MOST_REASONS = 5
-SAMPLING_TRIES = 4  # how long a tree takes to grow through is a matter of luck: several short tries beat a long one
-SAMPLING_TIME_S = 3.0  # wall time of a try
+MOST_STARTS = 4
 LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
 # A pose that can be had takes some ten steps.
 POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
@@ -74,6 +73,7 @@ class TaskPlan:
         body: the robot (perhaps with a mechanism) in its scene.
         phases: in order; the last one may be infeasible, then ``obstacle`` says what stands in the way.
         obstacle: sentences; empty when every phase is feasible.
+        found_from: the start that led to it, in words; empty where a task has but one.
         measure: numbers the task reports, measured on the finished motion.
         notes: what was chosen.
         is_impossible: whether ``obstacle`` holds for every motion, not only for those that were tried.
@@ -82,6 +82,7 @@ class TaskPlan:
     body: WholeBody
     phases: tuple[PlannedPhase, ...]
     obstacle: tuple[str, ...] = ()
+    found_from: str = ""
     measure: Callable[[Motion], Mapping[str, float]] = lambda motion: {}
     notes: tuple[str, ...] = ()
     is_impossible: bool = False
@@ -124,6 +125,12 @@ class Solved:
             for constraint in self.problem.constraints
             if constraint.name not in CLEARANCE_TERMS
         )
+
+    @property
+    def shortfall(self) -> float:
+        """Largest violation relative to its tolerance."""
+        violation = self.result.violation
+        return max((violation[c.name] / c.tolerance for c in self.problem.constraints), default=0.0)
 
     def shortcomings(self, name: str) -> tuple[str, ...]:
         """What stands in the way at the best waypoints, the worst first, in words."""
@@ -171,7 +178,7 @@ class PhaseSolver:
         monitor: of the plan.
         settings: of the optimiser.
         overrides: ``(link, other, margin)`` for pairs that are asked for another clearance [m].
-        most_starts: starts of a problem that are tried at most.
+        most_starts: starts of a reach that are tried at most.
         seed: of random draws.
     """
 
@@ -179,7 +186,7 @@ class PhaseSolver:
     monitor: Monitor
     settings: Settings
     overrides: tuple[tuple[str, str, float], ...] = ()
-    most_starts: int = 4
+    most_starts: int = MOST_STARTS
     seed: int = 0
 
     def pose(
@@ -204,8 +211,7 @@ class PhaseSolver:
             lower[0, index] = upper[0, index] = value
         checker = self.body.checker(allowances, [self.body.nominal], self.overrides)
         problem = self.body.problem(lower, upper, checker, constraints=constraints)
-        brief = replace(self, settings=replace(self.settings, **POSE_EFFORT))
-        return brief._first_feasible(name, problem, [guess[None] for guess in guesses])
+        return self.with_settings(**POSE_EFFORT)._first_feasible(name, problem, [guess[None] for guess in guesses])
 
     def trajectory(
         self,
@@ -236,31 +242,28 @@ class PhaseSolver:
         problem = self.body.problem(lower, upper, checker, costs, constraints, balanced)
         return self._first_feasible(name, problem, starts)
 
-    def sampled_starts(
-        self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], n_waypoints: int
-    ) -> Iterator[Float[np.ndarray, "T n"]]:
-        """Starts around the obstacles from a sampling planner; none where base or standing legs must move."""
+    def sampled_start(
+        self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], n_waypoints: int, tree: Tree
+    ) -> Float[np.ndarray, "T n"] | None:
+        """A start around the obstacles from a sampling planner; None where base or standing legs must move."""
         free = free_coordinates(self.body)
         others = np.setdiff1d(np.arange(len(start)), free)
         if not len(free) or np.abs(end - start)[others].max(initial=0.0) > 1e-6:
-            return
+            return None
         problem = SamplingProblem(self.body, self.body.pose_checker([start, end]), start, end, free)
-        for attempt in range(SAMPLING_TRIES):
-            self.monitor.check()
-            limit = min(SAMPLING_TIME_S, self.monitor.remaining_s())
-            corners = sampled_path(problem, self.seed + attempt, limit, self.monitor.should_stop)
-            if corners is not None:
-                yield along(corners, 2 * max(n_waypoints, len(corners)))
+        corners = sampled_path(problem, tree, self.monitor.is_over)
+        self.monitor.check()
+        return None if corners is None else along(corners, max(n_waypoints, 2 * len(corners)))
 
-    def as_it_is(self) -> PhaseSolver:
-        """A solver that only measures its starts."""
-        return replace(self, settings=replace(self.settings, max_iterations=0))
+    def with_settings(self, **changes: Any) -> PhaseSolver:
+        """The same solver with other settings of the optimiser."""
+        return replace(self, settings=replace(self.settings, **changes))
 
     def _first_feasible(
         self, name: str, problem: Problem[MotionState], starts: Sequence[Float[np.ndarray, "T n"]]
     ) -> Solved:
         best: Solved | None = None
-        for start in starts[: self.most_starts]:
+        for start in starts[:MOST_STARTS]:
             self.monitor.check()
             solver = TrustRegionSQP(self.monitor.settings(self.settings))
             result = solver.solve(problem, start, should_stop=self.monitor.should_stop)
@@ -268,26 +271,21 @@ class PhaseSolver:
             solved = Solved(result, problem, self.body)
             if solved.is_feasible:
                 return solved
-            if best is None or _shortfall(result, problem) < _shortfall(best.result, problem):
+            if best is None or solved.shortfall < best.shortfall:
                 best = solved
         if best is None:
             raise ValueError("at least one start is needed")
         return best
 
 
-def _shortfall(result: Result, problem: Problem[MotionState]) -> float:
-    """Largest violation relative to its tolerance."""
-    return max((result.violation[c.name] / c.tolerance for c in problem.constraints), default=0.0)
-
-
-def guesses(body: WholeBody) -> list[Float[np.ndarray, "n"]]:
-    """Configurations worth starting from: the nominal one, then the robot's postures standing where it stands."""
-    found = [body.nominal.copy()]
-    for _, posture in sorted(body.robot.postures.items()):
+def guesses(body: WholeBody) -> list[tuple[str, Float[np.ndarray, "n"]]]:
+    """Configurations worth starting from by name: the nominal one, then the robot's postures where it stands."""
+    found = [("nominal", body.nominal.copy())]
+    for name, posture in sorted(body.robot.postures.items()):
         guess = posture.copy()
         if body.robot.is_floating:
             guess[: len(BASE_NAMES)] = body.nominal[: len(BASE_NAMES)]
-        found.append(guess)
+        found.append((name, guess))
     return found
 
 

@@ -93,6 +93,12 @@ class _Attempt:
     motion: Motion | None = None
     certificate: Certificate | None = None
 
+    def begin(self, task: TaskPlan) -> None:
+        """Turn to another plan of the task; until something is verified it is the one to be handed over."""
+        if self.certificate is None:
+            self.task, self.explanation = task, task.obstacle
+            self.verdict = Verdict.INFEASIBLE if task.is_impossible else Verdict.NOT_FOUND
+
     def keep_better(self, task: TaskPlan, motion: Motion, certificate: Certificate) -> None:
         """Take a verified motion over unless an earlier one did better."""
         if self.certificate is not None and RANK[certificate.status] <= RANK[self.certificate.status]:
@@ -113,6 +119,7 @@ class _Attempt:
             motion=self.motion,
             certificate=self.certificate,
             explanation=self.explanation,
+            found_from="" if task is None else task.found_from,
             notes=(*setup.notes, *(() if task is None else task.notes)),
             planning_time_s=time.perf_counter() - monitor.started,
             timings=monitor.timings,
@@ -128,21 +135,25 @@ def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt) -> None:
     aims = Aims(options.margin_m, options.balance_margin_m)
     body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
     solver = PhaseSolver(body, monitor, Settings(qp=options.qp), most_starts=options.starts, seed=options.seed)
-    attempt.task = plan_task(setup, solver)
-    attempt.explanation = attempt.task.obstacle
-    if attempt.task.is_impossible:
-        attempt.verdict = Verdict.INFEASIBLE
-    if not attempt.task.phases:
-        return
-    task: TaskPlan | None = attempt.task
+    for task in plan_task(setup, solver):
+        attempt.begin(task)
+        if task.phases:
+            _certify(task, options, monitor, attempt)
+        if attempt.verdict is Verdict.CERTIFIED:
+            return
+
+
+def _certify(task: TaskPlan, options: Options, monitor: Monitor, attempt: _Attempt) -> None:
+    """Make the task's motion, certify it, and mend it where that fails."""
+    mended: TaskPlan | None = task
     for _ in range(MAX_REPAIRS + 1):
-        if task is None:
+        if mended is None:
             return
-        motion, certificate = _certified(task, options, monitor)
-        attempt.keep_better(task, motion, certificate)
-        if not task.is_feasible or attempt.verdict is Verdict.CERTIFIED:
+        motion, certificate = _certified(mended, options, monitor)
+        attempt.keep_better(mended, motion, certificate)
+        if not mended.is_feasible or certificate.status is Status.CERTIFIED:
             return
-        task = repaired(task, motion, certificate, monitor)
+        mended = repaired(mended, motion, certificate, monitor)
 
 
 def _certified(task: TaskPlan, options: Options, monitor: Monitor) -> tuple[Motion, Certificate]:

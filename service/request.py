@@ -174,7 +174,7 @@ class Options(Section):
     seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
     balance_margin_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.02
     feet: Annotated[tuple[Name, ...], Field(max_length=8)] | None = None
-    starts: Annotated[StrictInt, Field(ge=1, le=64)] = 4
+    starts: Annotated[StrictInt, Field(ge=1, le=64)] = 16
     qp: Literal["piqp", "clarabel", "cvxpy"] = "piqp"
     velocity_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.5
     acceleration_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.3

@@ -42,6 +42,7 @@ class PlanResult:
         motion: what is executed, timed and sampled, with its phases; its robot may have the joints of a mechanism as
             its last coordinates. None when there is nothing to execute.
         certificate: what the verifier says of ``motion``.
+        found_from: the start of the optimiser that led to the motion, in words; empty where there was but one.
         notes: what was snapped, assumed or detected.
         planning_time_s: wall time of it all; ``timings`` maps its steps to seconds.
         figures: numbers the task reports (JSON-ready); detections: what perception found (JSON-ready).
@@ -56,6 +57,7 @@ class PlanResult:
     motion: Motion | None = None
     certificate: Certificate | None = None
     explanation: tuple[str, ...] = ()
+    found_from: str = ""
     notes: tuple[str, ...] = ()
     planning_time_s: float = 0.0
     timings: Mapping[str, float] = field(default_factory=dict)

@@ -90,6 +90,7 @@ def _summary(result: PlanResult) -> dict[str, Any]:
     return {
         "verdict": result.verdict.value,
         "explanation": list(result.explanation),
+        "found_from": result.found_from,
         "notes": list(result.notes),
         "planning_time_s": result.planning_time_s,
         "timings": plain(result.timings),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -60,20 +59,35 @@ def free_coordinates(body: WholeBody) -> Int[np.ndarray, "k"]:
     return np.array([i for i in range(robot.n) if i not in fixed], dtype=int)
 
 
-def sampled_path(
-    problem: SamplingProblem,
-    seed: int,
-    time_limit_s: float,
-    should_stop: Callable[[], bool] | None = None,
-) -> Float[np.ndarray, "K n"] | None:
-    """Corners of a collision-free polyline from start to end, shortened; None if none was found in time.
+@dataclass(frozen=True)
+class Tree:
+    """How long trees may grow before they are given up; counted, so that equal seeds give equal paths.
 
-    RRT-Connect (Kuffner and LaValle, ICRA 2000) of the Open Motion Planning Library, its edges swept in batches.
+    Attributes:
+        seed: of the draws.
+        most_checks: edges and states that are looked at.
+    """
+
+    seed: int
+    most_checks: int
+
+
+def sampled_path(
+    problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool] = lambda: False
+) -> Float[np.ndarray, "K n"] | None:
+    """Corners of a collision-free polyline from start to end, shortened; None if none was found.
+
+    RRT-Connect (Kuffner and LaValle, ICRA 2000) of the Open Motion Planning Library.
+
+    Args:
+        problem: what to connect.
+        tree: seed and effort.
+        is_over: asked often; True ends the search.
     """
     from ompl import base, geometric, util  # takes a while to import and is the last resort
 
     util.setLogLevel(util.LOG_NONE)
-    util.RNG.setSeed(seed + 1)
+    util.RNG.setSeed(tree.seed + 1)
     robot, free = problem.body.robot, problem.free
     space = base.RealVectorStateSpace(len(free))
     bounds = base.RealVectorBounds(len(free))
@@ -87,12 +101,19 @@ def sampled_path(
     def corner(state: object) -> Float[np.ndarray, "k"]:
         return np.array([state[k] for k in range(len(free))])  # type: ignore[index]
 
-    class Sweep(base.MotionValidator):  # type: ignore[misc]
-        def checkMotion(self, first: object, last: object, *_: object) -> bool:
-            return problem.is_clear(np.stack([corner(first), corner(last)]))
+    n_checks = 0
 
-    information.setStateValidityChecker(lambda state: problem.is_clear(corner(state)[None]))
-    information.setMotionValidator(Sweep(information))
+    def is_clear(*states: object) -> bool:
+        nonlocal n_checks
+        n_checks += 1
+        return problem.is_clear(np.stack([corner(state) for state in states]))
+
+    class Edge(base.MotionValidator):  # type: ignore[misc]
+        def checkMotion(self, first: object, last: object, *_: object) -> bool:
+            return is_clear(first, last)
+
+    information.setStateValidityChecker(is_clear)
+    information.setMotionValidator(Edge(information))
     information.setup()
     definition = base.ProblemDefinition(information)
     states = []
@@ -106,16 +127,12 @@ def sampled_path(
     planner.setProblemDefinition(definition)
     planner.setRange(RANGE)
     planner.setup()
-    until = time.perf_counter() + time_limit_s
-
-    def is_over() -> bool:
-        return time.perf_counter() > until or (should_stop is not None and should_stop())
-
-    if not planner.solve(base.PlannerTerminationCondition(is_over)) or not definition.hasExactSolution():
+    until = base.PlannerTerminationCondition(lambda: n_checks >= tree.most_checks or is_over())
+    if not planner.solve(until) or not definition.hasExactSolution():
         return None
     path = definition.getSolutionPath()
     corners = np.array([corner(path.getState(k)) for k in range(path.getStateCount())])
-    corners = _shortened(problem, corners, np.random.default_rng(seed), is_over)
+    corners = _shortened(problem, corners, np.random.default_rng(tree.seed))
     q = np.tile(problem.start, (len(corners), 1))
     q[:, free] = corners
     return q
@@ -125,12 +142,11 @@ def _shortened(
     problem: SamplingProblem,
     corners: Float[np.ndarray, "K k"],
     rng: np.random.Generator,
-    is_over: Callable[[], bool],
     tries: int = 40,
 ) -> Float[np.ndarray, "K k"]:
     """The polyline with random pairs of its corners joined directly where that is clear."""
     for _ in range(tries):
-        if len(corners) < 3 or is_over():
+        if len(corners) < 3:
             break
         first, last = np.sort(rng.choice(len(corners), 2, replace=False))
         if last - first > 1 and problem.is_clear(corners[[first, last]]):

@@ -11,7 +11,7 @@ from costs.scene import ConvexPiece, Scene
 from service.planner import plan
 from service.request_file import parse_request
 from service.result import Verdict
-from service.sampling import SamplingProblem, along, free_coordinates, sampled_path
+from service.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
 from service.whole_body import Aims, WholeBody
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -33,7 +33,7 @@ def problem_of(body: WholeBody) -> SamplingProblem:
 def test_a_sampled_path_goes_around_and_keeps_clear_when_sampled_densely(tmp_path):
     body = arm(tmp_path)
     problem = problem_of(body)
-    path = sampled_path(problem, seed=0, time_limit_s=20.0)
+    path = sampled_path(problem, Tree(seed=0, most_checks=3000))
     np.testing.assert_array_equal(path[0], problem.start)
     np.testing.assert_array_equal(path[-1], problem.end)
     checker = body.checker()
@@ -47,16 +47,16 @@ def test_a_sampled_path_goes_around_and_keeps_clear_when_sampled_densely(tmp_pat
 
 def test_equal_seeds_give_equal_paths(tmp_path):
     problem = problem_of(arm(tmp_path))
-    first, second = (sampled_path(problem, seed=3, time_limit_s=20.0) for _ in range(2))
+    first, second = (sampled_path(problem, Tree(seed=3, most_checks=3000)) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
-def test_a_way_that_is_closed_is_not_found_within_its_time(tmp_path):
+def test_a_way_that_is_closed_is_not_found_within_its_checks(tmp_path):
     body = arm(tmp_path)
     # the upper link can pass neither the post ahead nor the one behind
     ring = [ConvexPiece(name, 0.1 * CORNERS + [x, 0.0, 0.0]) for name, x in (("ahead", 0.2), ("behind", -0.2))]
     closed = WholeBody.standing(body.robot, Scene(tuple(ring)), body.nominal, (), Aims())
-    assert sampled_path(problem_of(closed), seed=0, time_limit_s=0.3) is None
+    assert sampled_path(problem_of(closed), Tree(seed=0, most_checks=1000)) is None
 
 
 def test_waypoints_along_a_polyline_hold_its_corners():
@@ -113,3 +113,18 @@ def test_every_motion_bench_maker_problem_at_hand_is_certified(shared_data):
     verdicts = [plan(parse_request(request)).verdict for request in motion_bench_maker(shared_data / "mbm_panda")]
     assert len(verdicts) == 42
     assert verdicts.count(Verdict.CERTIFIED) == 42
+
+
+def test_a_result_names_the_start_it_was_found_from(tmp_path):
+    request = {
+        "robot": {"urdf": str(write_planar_arm(tmp_path, 2, 0.3, 0.03, limit=2.9))},
+        "start": {"joints": {"j0": -0.9, "j1": 0.0}},
+        "scene": {"obstacles": [{"name": "post", "type": "box", "size": [0.1] * 3, "position": [0.5, 0.0, 0.0]}]},
+        "goal": {"joints": {"j0": 0.9, "j1": 0.0}},
+    }
+    around = plan(parse_request(request))
+    assert around.verdict is Verdict.CERTIFIED
+    free = plan(parse_request({**request, "scene": {}}))
+    assert free.found_from == "straight line"
+    assert plan(parse_request({**request, "options": {"starts": 1}})).found_from == "straight line"
+    assert around.found_from

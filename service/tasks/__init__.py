@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 from service.errors import RequestError
@@ -12,26 +13,30 @@ from service.tasks.settle import needs_settling, settle
 from service.tasks.valve_task import plan_valve
 
 
-def plan_task(setup: PlanSetup, solver: PhaseSolver) -> TaskPlan:
+def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     """Plan what the request asks for, settling first where the start is not balanced enough.
+
+    Every plan is another way to do the whole task; the next is worked out when it is asked for.
 
     Raises:
         RequestError: the request asks for nothing that is known here.
     """
     if not needs_settling(solver.body):
-        return _plan(setup, solver)
+        yield from _plan(setup, solver)
+        return
     settled = settle(solver)
     if not settled.is_feasible:
-        return settled
-    rest = _plan(setup, replace(solver, body=settled.body))
-    first = settled.phases[0].for_robot(rest.body.robot)
-    return replace(rest, phases=(first, *rest.phases))
+        yield settled
+        return
+    for rest in _plan(setup, replace(solver, body=settled.body)):
+        first = settled.phases[0].for_robot(rest.body.robot)
+        yield replace(rest, phases=(first, *rest.phases))
 
 
-def _plan(setup: PlanSetup, solver: PhaseSolver) -> TaskPlan:
+def _plan(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     request = setup.request
     if request.goal is not None:
         return plan_reach(solver, request.goal, request.options.waypoints)
     if request.task is not None and request.task.valve is not None:
-        return plan_valve(setup, solver, request.task.valve)
+        return iter([plan_valve(setup, solver, request.task.valve)])
     raise RequestError("request: goal or task.valve is needed")

@@ -180,7 +180,7 @@ class ValveTurn:
             reserve = max(WRIST_RESERVE, LIMIT_RESERVE)
             lower, upper = self.robot.lower[column] + reserve, self.robot.upper[column] - reserve
             fixed[column] = float(lower if rises else upper)
-        candidates = [at, *guesses(self.body)[1:]]
+        candidates = [at, *(guess for _, guess in guesses(self.body)[1:])]
         on_rim = Constraint(
             "tool on the rim",
             FramePose(self.robot, self.hand.tool, [0], self._rim_target(), TOOL_POSITION, VALVE_LINK),
@@ -267,7 +267,7 @@ class ValveTurn:
     def _reach(self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"]) -> Solved:
         count = self.reach_waypoints
         starts = [straight(start, end, count)]
-        for guess in guesses(self.body)[1:]:
+        for _, guess in guesses(self.body)[1:]:
             guess[-1] = start[-1]
             starts.append(via(start, guess, end, count))
         return self.solver.trajectory("reach", starts, {0: start, count - 1: end}, bounds=_wheel_still(start[-1]))

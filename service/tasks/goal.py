@@ -1,0 +1,138 @@
+"""Where a reach ends: joint positions, a posture or poses of links, as bounds, constraints and promises."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.robot import BASE_NAMES
+from costs.state import MotionState
+from costs.terms import AxisDirection, FramePose, WithinTolerance
+from scopt import Constraint
+from service.reachability import beyond_reach
+from service.request import GoalRequest, PoseGoalRequest
+from service.start import collisions
+from service.verify import AxisTarget, JointTarget, PoseTarget, Target
+from service.whole_body import WholeBody
+
+JOINT_TOLERANCE = 1e-3  # promised at the goal [rad, m]
+SMALLEST_SHIFT, SMALLEST_TURN = 1e-4, 1e-3  # tolerances below these are beyond the optimiser's [m, rad]
+AIM = 0.5  # the optimiser keeps to this share of a pose's tolerance, the rest is for the curve and the certificate
+AXES = {"x": 0, "y": 1, "z": 2}
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What holds at the end of a reach.
+
+    Attributes:
+        body: the robot in its scene.
+        joints: value by coordinate index.
+        poses: of links.
+    """
+
+    body: WholeBody
+    joints: Mapping[int, float]
+    poses: tuple[PoseGoalRequest, ...]
+
+    @staticmethod
+    def of(body: WholeBody, request: GoalRequest) -> Goal:
+        """The goal of a request; a posture's base stays free, since the feet stand where they stand."""
+        robot = body.robot
+        if request.posture is None:
+            joints = {robot.joint_names.index(name): value for name, value in request.joints.items()}
+            return Goal(body, joints, request.poses)
+        posture = robot.postures[request.posture]
+        first = len(BASE_NAMES) if robot.is_floating else 0
+        return Goal(body, {index: float(posture[index]) for index in range(first, robot.n)}, request.poses)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it names a single configuration."""
+        return len(self.joints) == self.body.robot.n
+
+    def applied_to(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """A configuration with the goal's joint positions."""
+        out = q.copy()
+        out[list(self.joints)] = list(self.joints.values())
+        return out
+
+    def constraints(self, waypoint: int) -> list[Constraint[MotionState]]:
+        """The poses at a waypoint."""
+        return [constraint for pose in self.poses for constraint in _pose_constraints(self.body, pose, waypoint)]
+
+    def bound(self, lower: np.ndarray, upper: np.ndarray) -> None:
+        """Fix the joints of the last waypoint, in place."""
+        for index, value in self.joints.items():
+            lower[-1, index] = upper[-1, index] = value
+
+    def targets(self, s_last: float) -> tuple[Target, ...]:
+        """What the verifier holds the end of the reach to."""
+        named = self.body.robot.joint_names
+        return (
+            *(JointTarget(named[index], value, JOINT_TOLERANCE, s_last) for index, value in self.joints.items()),
+            *(target for pose in self.poses for target in _pose_targets(pose, s_last)),
+        )
+
+    def impossible(self) -> tuple[str, ...]:
+        """Reasons that hold for every motion: a target beyond the chain, a complete goal in collision."""
+        body = self.body
+        reasons = [beyond_reach(body, p.link, np.array(p.position), p.position_tolerance_m) for p in self.poses]
+        lines = [reason for reason in reasons if reason is not None]
+        if self.is_complete:
+            end = self.applied_to(body.nominal)
+            inside = collisions(body.robot, end, body.scene, [foot.link for foot in body.planted])
+            lines += [f"the goal is in collision: {line}" for line in inside]
+        return tuple(lines)
+
+
+def _rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
+    if pose.quaternion_wxyz is None:
+        return None
+    return np.asarray(Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix())
+
+
+def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
+    """Position within its tolerance, orientation within its own, one axis of the frame perhaps free."""
+    rotation = _rotation(pose)
+    target = np.eye(4)
+    target[:3, 3] = pose.position
+    if rotation is not None:
+        target[:3, :3] = rotation
+    where = [waypoint]
+    robot = body.robot
+    place = FramePose(robot, pose.link, where, target, (True,) * 3 + (False,) * 3)
+    constraints = [_within(f"position of {pose.link}", place, pose.position_tolerance_m, "m")]
+    tolerance = np.deg2rad(pose.rotation_tolerance_deg)
+    if rotation is not None and pose.free_axis == "none":
+        turn = FramePose(robot, pose.link, where, target, (False,) * 3 + (True,) * 3)
+        constraints.append(_within(f"orientation of {pose.link}", turn, tolerance, "rad"))
+    elif rotation is not None:
+        axis = np.eye(3)[AXES[pose.free_axis]]
+        along = AxisDirection(robot, pose.link, where, axis, rotation @ axis)
+        constraints.append(_within(f"axis of {pose.link}", along, tolerance, "rad"))
+    return constraints
+
+
+def _within(name: str, residual: FramePose | AxisDirection, tolerance: float, unit: str) -> Constraint[MotionState]:
+    reserve = max((1.0 - AIM) * tolerance, 1e-5)
+    return Constraint(name, WithinTolerance(residual, AIM * tolerance), tolerance=reserve, unit=unit)
+
+
+def _pose_targets(pose: PoseGoalRequest, at: float) -> tuple[Target, ...]:
+    """What the verifier holds the end to: a pose, or a place and the direction of the axis that is not free."""
+    rotation = _rotation(pose)
+    turn = max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
+    place = np.full(3, max(pose.position_tolerance_m, SMALLEST_SHIFT))
+    position = np.asarray(pose.position, dtype=float)
+    if rotation is None or pose.free_axis == "none":
+        return (PoseTarget(pose.link, position, rotation, place, np.full(3, turn), at),)
+    axis = np.eye(3)[AXES[pose.free_axis]]
+    return (
+        PoseTarget(pose.link, position, None, place, np.full(3, np.inf), at),
+        AxisTarget(pose.link, axis, rotation @ axis, turn, at),
+    )
