@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 
@@ -17,9 +17,16 @@ from service.sampling import Tree
 from service.tasks.goal import Goal
 
 WAYPOINTS = 16
-QUICK_STEPS = 25  # of a first try: what needs more is found sooner from another start
-FIRST_CHECKS = 500  # of the first trees: most problems that trees can solve need fewer
-FURTHER_CHECKS = (1000, 2000, 4000, 8000)
+QUICK_STEPS = 20  # of a first try: what needs more is found sooner from another start
+# How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
+TREES = (
+    Tree(0, 1000, "LBKPIECE1"),
+    Tree(1, 1500, "RRTConnect"),
+    Tree(2, 2000, "LBKPIECE1"),
+    Tree(3, 4000, "RRTConnect"),
+    Tree(4, 4000, "LBKPIECE1"),
+    Tree(5, 8000, "RRTConnect"),
+)
 SAME_END = 0.05  # ends that differ by less are one [rad, m]
 
 
@@ -62,17 +69,18 @@ class _Search:
             return
         quick = self._solve(straight(start, end, count), max_iterations=QUICK_STEPS)
         yield "straight line", quick
-        yield from self._around(end, FIRST_CHECKS, 0)
+        yield from self._around(end, TREES[0])
         for other, shortfall in ends:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight(start, other, count), max_iterations=QUICK_STEPS)
+        yield from self._around(end, TREES[1])
         if quick.result.status is Status.ITERATION_LIMIT:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
         for name, posture in guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self._solve(via(start, posture, end, count), max_iterations=QUICK_STEPS)
-        for attempt, checks in enumerate(FURTHER_CHECKS, start=1):
-            yield from self._around(end, checks, attempt)
+        for tree in TREES[2:]:
+            yield from self._around(end, tree)
 
     def plan(self, name: str, solved: Solved) -> TaskPlan:
         """A solution as a task's plan."""
@@ -103,14 +111,14 @@ class _Search:
         if not found and worst is not None:
             yield worst.x[0], worst
 
-    def _around(self, end: Float[np.ndarray, "n"], checks: int, attempt: int) -> Iterator[tuple[str, Solved]]:
+    def _around(self, end: Float[np.ndarray, "n"], tree: Tree) -> Iterator[tuple[str, Solved]]:
         """From the path of a sampling planner: optimised, and as it is where that fails."""
         with self.solver.monitor.step("sampling", 0.5):
-            tree = Tree(self.solver.seed + attempt, checks)
-            path = self.solver.sampled_start(self.solver.body.nominal, end, self.n_waypoints, tree)
+            seeded = replace(tree, seed=tree.seed + self.solver.seed)
+            path = self.solver.sampled_start(self.solver.body.nominal, end, self.n_waypoints, seeded)
         if path is None:
             return
-        name = f"path of a sampling planner, try {attempt + 1}"
+        name = f"path of {tree.planner}, tree {tree.seed + 1}"
         solved = self._solve(path)
         if not solved.is_feasible:  # a path that cannot be made smoother or clearer is still a way
             as_it_is = self._solve(path, max_iterations=0)
