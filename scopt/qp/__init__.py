@@ -7,7 +7,7 @@ from scopt.qp.clarabel_backend import solve_clarabel
 from scopt.qp.cones import ConicProgram
 from scopt.qp.cvxpy_backend import solve_cvxpy
 from scopt.qp.piqp_backend import solve_piqp
-from scopt.qp.program import QPBackend, QPSolution, QPStatus, QuadraticProgram
+from scopt.qp.program import QPBackend, QPMultipliers, QPSolution, QPStatus, QuadraticProgram
 
 BACKENDS: dict[str, QPBackend] = {"piqp": solve_piqp, "clarabel": solve_clarabel, "cvxpy": solve_cvxpy}
 
@@ -27,6 +27,7 @@ __all__ = [
     "BACKENDS",
     "ConicProgram",
     "QPBackend",
+    "QPMultipliers",
     "QPSolution",
     "QPStatus",
     "QuadraticProgram",

@@ -8,7 +8,7 @@ from scipy import sparse
 
 from scopt.errors import SolverError
 from scopt.qp.cones import Cone, ConicProgram
-from scopt.qp.program import QPSolution, QPStatus, QuadraticProgram
+from scopt.qp.program import QPMultipliers, QPSolution, QPStatus, QuadraticProgram
 
 _STATUS = {
     "Solved": QPStatus.SOLVED,
@@ -55,7 +55,10 @@ def solve_clarabel(program: QuadraticProgram) -> QPSolution:
     status = str(solution.status)
     if status not in _STATUS:
         raise SolverError(f"Clarabel answered with an unknown status {status!r}")
-    return QPSolution(np.asarray(solution.x), _STATUS[status])
+    parts = np.cumsum([len(program.h), has_upper.sum(), has_lower.sum()])
+    of_rows, of_upper, of_lower, _ = np.split(np.asarray(solution.z), parts)
+    multipliers = QPMultipliers.of_parts(of_rows, of_lower, of_upper, has_lower, has_upper)
+    return QPSolution(np.asarray(solution.x), _STATUS[status], multipliers)
 
 
 def _cone(cone: Cone) -> object:
