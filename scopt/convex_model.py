@@ -71,20 +71,23 @@ class ConvexModel:
         return replace(self, absolute=absolute, hinge=hinge)
 
 
-def convexify(problem: Problem[Any], state: Any, penalty: float) -> ConvexModel:
-    """Linearise every term of the problem at ``state``; constraints enter as l1 penalties, ``mu = penalty``."""
+def convexify(problem: Problem[Any], state: Any, penalty: float, *, is_affine: bool = False) -> ConvexModel:
+    """Linearise every term of the problem at ``state``; constraints enter as l1 penalties, ``mu = penalty``.
+
+    Convex expressions stay as they are unless ``is_affine`` asks for rows of them too.
+    """
     n_waypoints, n = problem.lower.shape
     parts: Mapping[Penalty, list[WeightedRows]] = {kind: [] for kind in Penalty}
     exact: list[ExactTerm] = []
     for cost in problem.costs:
-        if _is_exact(cost.residual):
+        if _is_exact(cost.residual) and not is_affine:
             exact.append(ExactTerm(cost.residual, cost.penalty, cost.weight, iterate_of(state)))
             continue
         rows = cost.linearize(state)
         parts[cost.penalty].append(WeightedRows(rows, np.full(len(rows.value), cost.weight)))
     placed: dict[str, tuple[Penalty, slice]] = {}
     for constraint in problem.constraints:
-        if _is_exact(constraint.residual):
+        if _is_exact(constraint.residual) and not is_affine:
             weight = penalty * constraint.scale
             exact.append(ExactTerm(constraint.residual, Penalty.HINGE, weight, iterate_of(state)))
             continue

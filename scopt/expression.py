@@ -13,7 +13,7 @@ from scipy import sparse
 
 from scopt.affine import AffineRows
 from scopt.errors import ProblemError
-from scopt.finite_difference import finite_differences
+from scopt.finite_difference import Differences
 from scopt.qp.cones import Cone, cones_of
 from scopt.residual import Residual, StateT
 
@@ -97,9 +97,9 @@ class ConvexExpression(Residual[StateT]):
         return self.measure(iterate_of(state))
 
     def linearize(self, state: StateT) -> AffineRows:
-        if not self.is_affine:
-            return finite_differences(self.value, state, type(self).__name__)
         x = iterate_of(state)
+        if not self.is_affine:  # convex: at a kink the mean of both sides is as good a slope as any
+            return Differences(self.measure, x, type(self).__name__).rows(tells=False)
         waypoints = self.at(len(x))
         blocks = np.tile(self._slope, (len(waypoints), 1))[:, None]
         return AffineRows.from_blocks(self.measure(x), np.repeat(waypoints, len(self._slope)), blocks, len(x))

@@ -50,7 +50,7 @@ def multipliers(
     Raises:
         SolverError: the back end fails, or hands over no multipliers.
     """
-    model = convexify(problem, problem.state(x), penalty)
+    model = convexify(problem, problem.state(x), penalty, is_affine=True)
     is_free = (problem.upper > problem.lower).ravel()
     subproblem = assemble(model, is_free)
     scale = np.ones(x.shape[1]) if problem.step_scale is None else problem.step_scale

@@ -9,6 +9,7 @@ import pytest
 from quadratic_terms import Affine, Function, identity_state
 
 from scopt import Constraint, ConvexExpression, Cost, Penalty, Problem, ProblemError, Sense, Settings, TrustRegionSQP
+from scopt.multipliers import multipliers
 
 T, N = 4, 3
 RNG = np.random.default_rng(7)
@@ -178,3 +179,19 @@ def test_cvxpy_is_not_loaded_by_those_who_write_no_expression():
         "sys.exit('cvxpy' in sys.modules)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_an_expression_that_holds_an_iterate_has_its_multiplier():
+    # |q - TARGET|^2 with |q_1| <= 0.5: at the minimum the multiplier balances the cost's slope
+    disc = Constraint("disc", ConvexExpression(N, lambda q: cvxpy.norm(q) - 0.5, waypoints=[1]))
+    cost = near_target()
+    problem = Problem(np.full((T, N), -5.0), np.full((T, N), 5.0), (cost,), (disc,), identity_state)
+    x = solve([cost], [disc]).x
+    found = multipliers(problem, x, penalty=10.0)
+    expected = 2.0 * np.linalg.norm(TARGET[1] - x[1])
+    np.testing.assert_allclose(found.constraints["disc"], [expected], rtol=1e-3)
+
+
+def test_the_linearisation_of_a_curved_expression_at_its_kink_is_a_subgradient():
+    rows = ConvexExpression(N, cvxpy.norm1, [1]).linearize(np.zeros((T, N)))
+    assert np.abs(rows.jacobian.toarray()).max() <= 1.0
