@@ -33,6 +33,9 @@ Targets = Callable[[float], tuple[Target, ...]]
 Terms = Callable[[str, RobotModel, int], Sequence[Cost[MotionState] | Constraint[MotionState]]]
 """Terms of the caller's own, given the name of a phase, the robot and how many waypoints there are."""
 
+WaypointTargets = Callable[[Float[np.ndarray, "T"]], tuple[Target, ...]]
+"""What a phase must reach at its waypoints, given the path parameter of each."""
+
 Bounds = Callable[[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]], None]
 """Narrows lower and upper bounds in place."""
 
@@ -48,6 +51,7 @@ class PlannedPhase:
         holds: what stays put between the waypoints besides the planted links.
         allowances: pairs that may touch besides planted links and floor.
         targets: given the path parameter of the phase's end, what it must reach or follow.
+        at_waypoints: given the path parameters of all its waypoints, what it must reach there.
         is_settling: whether it begins outside the balance margin.
         resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
     """
@@ -58,6 +62,7 @@ class PlannedPhase:
     holds: tuple[Hold, ...] = ()
     allowances: tuple[Allowance, ...] = ()
     targets: Targets = lambda s_last: ()
+    at_waypoints: WaypointTargets = lambda s: ()
     is_settling: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
 
