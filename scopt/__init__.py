@@ -3,6 +3,7 @@
 from scopt.affine import AffineRows
 from scopt.derivative_check import DerivativeCheck, check_derivative
 from scopt.errors import DerivativeError, DerivativeWarning, ProblemError, ScoptError, SolverError
+from scopt.expression import ConvexExpression
 from scopt.problem import Constraint, Cost, Penalty, Problem, Sense
 from scopt.residual import Residual
 from scopt.result import Iteration, Result, Status
@@ -11,6 +12,7 @@ from scopt.sqp import Settings, TrustRegionSQP
 __all__ = [
     "AffineRows",
     "Constraint",
+    "ConvexExpression",
     "Cost",
     "DerivativeCheck",
     "DerivativeError",

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
 from scopt.affine import AffineRows
+from scopt.exact_terms import ExactTerm, with_exact_terms
+from scopt.expression import ConvexExpression, iterate_of
 from scopt.problem import Penalty, Problem, Sense
 from scopt.qp import QuadraticProgram
+from scopt.residual import Residual
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class ConvexModel:
         squared, absolute, hinge: rows by penalty; constraint rows stand among the latter two, weighted by mu.
         constraint_rows: where each constraint's rows stand.
         n_waypoints, n: shape of the iterate.
+        exact: convex expressions, which are in the merit as they are.
     """
 
     squared: WeightedRows
@@ -39,6 +43,7 @@ class ConvexModel:
     constraint_rows: Mapping[str, tuple[Penalty, slice]]
     n_waypoints: int
     n: int
+    exact: tuple[ExactTerm, ...] = ()
 
     def merit(self, dx: Float[np.ndarray, "N"]) -> float:
         """The modelled merit after a step ``dx``."""
@@ -47,6 +52,7 @@ class ConvexModel:
             self.squared.weight @ squared**2
             + self.absolute.weight @ np.abs(self.absolute.rows.at(dx))
             + self.hinge.weight @ np.maximum(self.hinge.rows.at(dx), 0.0)
+            + sum(term.merit(dx) for term in self.exact)
         )
 
     def corrected(self, dx: Float[np.ndarray, "N"], values: Mapping[str, Float[np.ndarray, "m"]]) -> ConvexModel:
@@ -65,22 +71,39 @@ class ConvexModel:
         return replace(self, absolute=absolute, hinge=hinge)
 
 
-def convexify(problem: Problem[Any], state: Any, penalty: float) -> ConvexModel:
-    """Linearise every term of the problem at ``state``; constraints enter as l1 penalties, ``mu = penalty``."""
+def convexify(problem: Problem[Any], state: Any, penalty: float, *, is_affine: bool = False) -> ConvexModel:
+    """Linearise every term of the problem at ``state``; constraints enter as l1 penalties, ``mu = penalty``.
+
+    Convex expressions stay as they are unless ``is_affine`` asks for rows of them too.
+    """
     n_waypoints, n = problem.lower.shape
     parts: Mapping[Penalty, list[WeightedRows]] = {kind: [] for kind in Penalty}
+    exact: list[ExactTerm] = []
     for cost in problem.costs:
+        if _is_exact(cost.residual) and not is_affine:
+            exact.append(ExactTerm(cost.residual, cost.penalty, cost.weight, iterate_of(state)))
+            continue
         rows = cost.linearize(state)
         parts[cost.penalty].append(WeightedRows(rows, np.full(len(rows.value), cost.weight)))
     placed: dict[str, tuple[Penalty, slice]] = {}
     for constraint in problem.constraints:
+        if _is_exact(constraint.residual) and not is_affine:
+            weight = penalty * constraint.scale
+            exact.append(ExactTerm(constraint.residual, Penalty.HINGE, weight, iterate_of(state)))
+            continue
         rows = constraint.linearize(state)
         kind = Penalty.ABS if constraint.sense is Sense.EQUAL_ZERO else Penalty.HINGE
         start = sum(len(part.weight) for part in parts[kind])
         placed[constraint.name] = (kind, slice(start, start + len(rows.value)))
         parts[kind].append(WeightedRows(rows, np.full(len(rows.value), penalty * constraint.scale)))
     joined = {kind: _join(parts[kind], n_waypoints * n) for kind in Penalty}
-    return ConvexModel(joined[Penalty.SQUARED], joined[Penalty.ABS], joined[Penalty.HINGE], placed, n_waypoints, n)
+    affine = joined[Penalty.SQUARED], joined[Penalty.ABS], joined[Penalty.HINGE]
+    return ConvexModel(*affine, placed, n_waypoints, n, tuple(exact))
+
+
+def _is_exact(residual: Residual[Any]) -> TypeGuard[ConvexExpression[Any]]:
+    """Whether a residual enters the model as it is."""
+    return isinstance(residual, ConvexExpression) and not residual.is_affine
 
 
 def _join(parts: list[WeightedRows], n_variables: int) -> WeightedRows:
@@ -162,6 +185,8 @@ def assemble(model: ConvexModel, is_free: Bool[np.ndarray, "N"]) -> Subproblem:
     lower, upper = np.full(total, -np.inf), np.full(total, np.inf)
     lower[position[len(stage_of_step) :]] = 0.0
     program = QuadraticProgram(P, c, sparse.csc_array(rows[by_stage]), _bounds(model)[by_stage], lower, upper)
+    if model.exact:
+        program = with_exact_terms(program, model.exact, column)
     return Subproblem(program, position[: len(stage_of_step)], is_free, by_stage)
 
 

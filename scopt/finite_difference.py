@@ -81,15 +81,15 @@ class Differences:
     term: str
     names: Sequence[str] = ()
 
-    def rows(self) -> AffineRows:
-        """Value and checked derivative."""
+    def rows(self, *, tells: bool = True) -> AffineRows:
+        """Value and derivative; ``tells`` of slopes that depend on the step."""
         slope, jump = np.zeros((2, len(self.middle), *self.x.shape))
         for group in self.groups:
             row = np.flatnonzero(group.owner >= 0)
             for variable in range(self.x.shape[1]):
                 change = self._change(group, variable, 1.0)
                 slope[row, group.owner[row], variable], jump[row, group.owner[row], variable] = change[:, row]
-        if not self._warn_of_kinks(slope, jump):
+        if tells and not self._warn_of_kinks(slope, jump):
             self._warn_of_unsettled(slope)
         return AffineRows(self.middle, sparse.csr_array(slope.reshape(len(self.middle), self.x.size)))
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from scopt.affine import AffineRows
 from scopt.errors import ProblemError
+from scopt.expression import ConvexExpression
 from scopt.residual import Residual, StateT, linearized
 
 
@@ -122,3 +123,25 @@ class Problem(Generic[StateT]):
         for cost in self.costs:
             if not (np.isfinite(cost.weight) and cost.weight > 0.0):
                 raise ProblemError(f"cost '{cost.name}' has weight {cost.weight}; give a positive finite number")
+        self._refuse_unfit_expressions()
+
+    def _refuse_unfit_expressions(self) -> None:
+        """Expressions must fit the waypoints, and what is made of them must be convex."""
+        n_waypoints, n = self.lower.shape
+        terms: tuple[Cost[StateT] | Constraint[StateT], ...] = (*self.costs, *self.constraints)
+        for term in terms:
+            expression = term.residual
+            if not isinstance(expression, ConvexExpression):
+                continue
+            if expression.n != n:
+                raise ProblemError(f"'{term.name}' is of {expression.n} variables, a waypoint has {n}")
+            expression.at(n_waypoints)
+            if expression.is_affine:
+                continue
+            if isinstance(term, Constraint) and term.sense is Sense.EQUAL_ZERO:
+                raise ProblemError(f"'{term.name}' asks a curved expression to be zero; only AT_MOST_ZERO is convex")
+            if isinstance(term, Cost) and term.penalty is not Penalty.HINGE and not expression.is_nonnegative:
+                raise ProblemError(
+                    f"cost '{term.name}': {term.penalty.name} of an expression that may be negative is not convex; "
+                    "Penalty.HINGE counts it from zero up"
+                )

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scopt.convex_model import ConvexModel, Subproblem, assemble, convexify
 from scopt.errors import ProblemError
 from scopt.problem import Problem
-from scopt.qp import backend
+from scopt.qp import ConicProgram, backend, solve_clarabel
 from scopt.residual import StateT
 from scopt.result import Iteration, Result, Status
 
@@ -295,6 +295,9 @@ class TrustRegionSQP:
         program = subproblem.within(lower, upper)
         if not program.c.size:  # every variable is fixed; back ends crash on a program without variables
             return np.asarray(np.clip(subproblem.step(program.c), lower, upper))
+        if isinstance(program, ConicProgram):  # convex expressions, which are beyond a QP back end
+            solution = solve_clarabel(program)
+            return np.asarray(np.clip(subproblem.step(solution.x), lower, upper)) if solution.is_usable else None
         solution = self._solve_qp(program)
         if not solution.is_usable:
             solution = self._solve_qp_fallback(program)

@@ -34,8 +34,8 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     knots = spline.curve.knots
     borders = [float(knots[end]) for end in spline.ends]
     phases = tuple(
-        _phase(body, phase, first, last)
-        for phase, first, last in zip(plan.phases, borders[:-1], borders[1:], strict=True)
+        _phase(body, phase, knots[a : b + 1][spline.is_waypoint[a : b + 1]])
+        for phase, a, b in zip(plan.phases, spline.ends[:-1], spline.ends[1:], strict=True)
     )
     motion = Motion(
         robot=body.robot,
@@ -60,7 +60,9 @@ def _spline(body: WholeBody, phases: Sequence[PlannedPhase]) -> Spline:
     return make_spline(body.engine, paths, robot.lower, robot.upper, speed)
 
 
-def _phase(body: WholeBody, phase: PlannedPhase, first: float, last: float) -> Phase:
+def _phase(body: WholeBody, phase: PlannedPhase, s: Float[np.ndarray, "T"]) -> Phase:
+    """What a phase whose waypoints are at the path parameters ``s`` promises."""
+    first, last = float(s[0]), float(s[-1])
     margin = 0.0 if phase.is_settling else body.aims.balance_margin
     support = None
     if body.polygon is not None:
@@ -72,7 +74,7 @@ def _phase(body: WholeBody, phase: PlannedPhase, first: float, last: float) -> P
         last=last,
         contacts=tuple(PlantedContact(foot.link, foot.pose_world_link, foot.sole) for foot in body.planted),
         allowances=(*body.standing_allowances(), *phase.allowances),
-        targets=(*phase.targets(last), *(kept.target() for kept in body.kept)),
+        targets=(*phase.targets(last), *phase.at_waypoints(s), *(kept.target() for kept in body.kept)),
         support=support,
     )
 

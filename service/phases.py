@@ -30,6 +30,12 @@ POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
 Targets = Callable[[float], tuple[Target, ...]]
 """What a phase must reach or follow, given the path parameter of its end."""
 
+Terms = Callable[[str, RobotModel, int], Sequence[Cost[MotionState] | Constraint[MotionState]]]
+"""Terms of the caller's own, given the name of a phase, the robot and how many waypoints there are."""
+
+WaypointTargets = Callable[[Float[np.ndarray, "T"]], tuple[Target, ...]]
+"""What a phase must reach at its waypoints, given the path parameter of each."""
+
 Bounds = Callable[[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]], None]
 """Narrows lower and upper bounds in place."""
 
@@ -45,6 +51,7 @@ class PlannedPhase:
         holds: what stays put between the waypoints besides the planted links.
         allowances: pairs that may touch besides planted links and floor.
         targets: given the path parameter of the phase's end, what it must reach or follow.
+        at_waypoints: given the path parameters of all its waypoints, what it must reach there.
         is_settling: whether it begins outside the balance margin.
         resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
     """
@@ -55,6 +62,7 @@ class PlannedPhase:
     holds: tuple[Hold, ...] = ()
     allowances: tuple[Allowance, ...] = ()
     targets: Targets = lambda s_last: ()
+    at_waypoints: WaypointTargets = lambda s: ()
     is_settling: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
 
@@ -180,6 +188,7 @@ class PhaseSolver:
         overrides: ``(link, other, margin)`` for pairs that are asked for another clearance [m].
         most_starts: starts of a reach that are tried at most.
         seed: of random draws.
+        terms: of the caller's own, added to every pose and trajectory.
     """
 
     body: WholeBody
@@ -188,6 +197,7 @@ class PhaseSolver:
     overrides: tuple[tuple[str, str, float], ...] = ()
     most_starts: int = MOST_STARTS
     seed: int = 0
+    terms: Terms = lambda phase, robot, n_waypoints: ()
 
     def pose(
         self,
@@ -210,7 +220,7 @@ class PhaseSolver:
         for index, value in (fixed or {}).items():
             lower[0, index] = upper[0, index] = value
         checker = self.body.checker(allowances, [self.body.nominal], self.overrides)
-        problem = self.body.problem(lower, upper, checker, constraints=constraints)
+        problem = self.body.problem(lower, upper, checker, *self._with_own(name, 1, (), constraints))
         return self.with_settings(**POSE_EFFORT)._first_feasible(name, problem, [guess[None] for guess in guesses])
 
     def trajectory(
@@ -239,7 +249,8 @@ class PhaseSolver:
         if bounds is not None:
             bounds(lower, upper)
         checker = self.body.checker(allowances, list(fixed.values()), self.overrides)
-        problem = self.body.problem(lower, upper, checker, costs, constraints, balanced)
+        terms = self._with_own(name, len(lower), costs, constraints)
+        problem = self.body.problem(lower, upper, checker, *terms, balanced)
         return self._first_feasible(name, problem, starts)
 
     def sampled_start(
@@ -258,6 +269,26 @@ class PhaseSolver:
     def with_settings(self, **changes: Any) -> PhaseSolver:
         """The same solver with other settings of the optimiser."""
         return replace(self, settings=replace(self.settings, **changes))
+
+    def _with_own(
+        self,
+        name: str,
+        n_waypoints: int,
+        costs: Sequence[Cost[MotionState]],
+        constraints: Sequence[Constraint[MotionState]],
+    ) -> tuple[Sequence[Cost[MotionState]], Sequence[Constraint[MotionState]]]:
+        """Costs and constraints of a step together with the caller's own.
+
+        Raises:
+            TypeError: the caller's are neither.
+        """
+        own = self.terms(name, self.body.robot, n_waypoints)
+        for term in own:
+            if not isinstance(term, Cost | Constraint):
+                raise TypeError(f"a term must be a scopt.Cost or a scopt.Constraint, got {type(term).__name__}")
+        own_costs = [term for term in own if isinstance(term, Cost)]
+        own_constraints = [term for term in own if isinstance(term, Constraint)]
+        return (*costs, *own_costs), (*constraints, *own_constraints)
 
     def _first_feasible(
         self, name: str, problem: Problem[MotionState], starts: Sequence[Float[np.ndarray, "T n"]]

@@ -15,7 +15,7 @@ from scopt import Settings
 from scopt import Status as SolveStatus
 from service.execute import make_motion
 from service.monitor import Interrupted, Monitor, OnProgress
-from service.phases import PhaseSolver, TaskPlan
+from service.phases import PhaseSolver, TaskPlan, Terms
 from service.repair import repaired
 from service.request import Options, PlanRequest
 from service.result import PlanResult, Verdict
@@ -43,6 +43,7 @@ def plan(
     on_progress: OnProgress | None = None,
     should_stop: Callable[[], bool] | None = None,
     robot: RobotModel | None = None,
+    terms: Terms | None = None,
 ) -> PlanResult:
     """Plan, time and certify what a request asks for.
 
@@ -51,6 +52,8 @@ def plan(
         on_progress: told the step at work and the fraction done.
         should_stop: asked often; True ends the plan as CANCELLED.
         robot: the request's robot where it is at hand already (a server's, a benchmark's); else it is loaded.
+        terms: costs and constraints of the caller's own for every phase, kept at its waypoints like any other; the
+            certificate does not speak of them.
 
     Returns:
         The verdict with the best motion found; only a request that cannot be used is an error.
@@ -60,7 +63,7 @@ def plan(
     """
     # Small matrices all through: BLAS threads cost more than they bring, and another plan can use the core.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _plan(request, on_progress, should_stop, robot)
+        return _plan(request, on_progress, should_stop, robot, terms)
 
 
 def _plan(
@@ -68,13 +71,14 @@ def _plan(
     on_progress: OnProgress | None,
     should_stop: Callable[[], bool] | None,
     robot: RobotModel | None,
+    terms: Terms | None,
 ) -> PlanResult:
     monitor = Monitor(request.options.time_limit_s, should_stop, on_progress)
     setup = prepare(request, lambda step: monitor.report(step, 0.02), robot)
     monitor.timings.update(setup.timings)
     attempt = _Attempt()
     try:
-        _run(setup, monitor, attempt)
+        _run(setup, monitor, attempt, terms)
     except Interrupted as interruption:
         verdict, text = VERDICT_OF_INTERRUPT[interruption.status]
         step = next(reversed(monitor.timings), "set-up")
@@ -129,12 +133,14 @@ class _Attempt:
         )
 
 
-def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt) -> None:
+def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt, terms: Terms | None) -> None:
     """Solve the task, make the motion, certify it."""
     options = setup.request.options
     aims = Aims(options.margin_m, options.balance_margin_m)
     body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
     solver = PhaseSolver(body, monitor, Settings(qp=options.qp), most_starts=options.starts, seed=options.seed)
+    if terms is not None:
+        solver = replace(solver, terms=terms)
     for task in plan_task(setup, solver):
         attempt.begin(task)
         if task.phases:

@@ -1,4 +1,4 @@
-"""What no configuration can reach: the length of the chain from where a robot stands to the frame that shall arrive."""
+"""What no configuration can reach: the length of the chain from where a robot stands, or from another frame."""
 
 from __future__ import annotations
 
@@ -10,14 +10,19 @@ from costs.kinematics import frame_of
 from costs.robot import RobotModel
 from service.whole_body import WholeBody
 
+FOOT_DRIFT = 5e-3  # a planted link's origin moves less within what its sole may drift [m]
+
 
 def chain_length(robot: RobotModel, start: str | None, frame: str) -> float:
     """Upper bound of the distance between two frames of a robot, whatever its joints do [m].
 
     Args:
-        robot: whose frames they are; joints between them must be revolute.
-        start: a link; None for the root joint's place in the world (fixed base).
+        robot: whose frames they are.
+        start: a link or frame; None for the world's origin (fixed base).
         frame: link or frame name.
+
+    Returns:
+        Infinity where a joint between them has no bound: a free base, a sliding joint without limits.
     """
     model = robot.model
     end_joint, pose_joint_end = frame_of(robot, frame)
@@ -28,10 +33,8 @@ def chain_length(robot: RobotModel, start: str | None, frame: str) -> float:
         start_joint, pose_joint_start = frame_of(robot, start)
         length += float(np.linalg.norm(pose_joint_start[:3, 3]))
         start_path = _to_root(model, start_joint)
-    shared = set(end_path) & set(start_path)
-    for joint in (*end_path, *start_path):
-        if joint not in shared:
-            length += float(np.linalg.norm(model.jointPlacements[joint].translation))
+    for joint in {*end_path} ^ {*start_path}:
+        length += float(np.linalg.norm(model.jointPlacements[joint].translation)) + _travel(robot, joint)
     return length
 
 
@@ -44,17 +47,23 @@ def _to_root(model: pin.Model, joint: int) -> list[int]:
 
 
 def beyond_reach(body: WholeBody, frame: str, target: Float[np.ndarray, "3"], tolerance: float = 0.0) -> str | None:
-    """A sentence when no configuration on the planted links brings the frame to the target, else None."""
+    """A sentence when no configuration on the planted links brings the frame to the target, else None.
+
+    Args:
+        body: where the robot stands.
+        frame: link or frame name.
+        target: (3,) in the world [m].
+        tolerance: distance from the target that is near enough [m].
+    """
     robot = body.robot
-    if any(not _is_revolute(robot, joint) for joint in _to_root(robot.model, frame_of(robot, frame)[0])):
-        return None
-    places = [(foot.link, foot.pose_world_link[:3, 3]) for foot in body.planted]
-    if not robot.is_floating:
-        places = [("the base", np.zeros(3))]
-    for name, place in places:
-        distance = float(np.linalg.norm(target - place)) - tolerance
-        reach = chain_length(robot, None if name == "the base" else name, frame)
-        if distance > reach:
+    places: list[tuple[str | None, np.ndarray, float]] = [(None, np.zeros(3), 0.0)]
+    if robot.is_floating:
+        places = [(foot.link, foot.pose_world_link[:3, 3], FOOT_DRIFT) for foot in body.planted]
+    for link, place, drift in places:
+        distance = float(np.linalg.norm(target - place))
+        reach = chain_length(robot, link, frame)
+        if distance - tolerance - drift > reach:
+            name = "the base" if link is None else link
             return (
                 f"{frame} cannot reach {np.round(target, 3).tolist()}: it is {distance:.2f} m from {name}, "
                 f"and the chain between them is at most {reach:.2f} m long"
@@ -62,7 +71,34 @@ def beyond_reach(body: WholeBody, frame: str, target: Float[np.ndarray, "3"], to
     return None
 
 
-def _is_revolute(robot: RobotModel, joint: int) -> bool:
-    """Whether a joint keeps its links' distance: revolute, or the floating base, which the chain does not pass."""
-    kind = robot.model.joints[joint].shortname()
-    return "JointModelR" in kind or (joint == 1 and robot.is_floating)
+def too_far_apart(
+    robot: RobotModel,
+    first: tuple[str, Float[np.ndarray, "3"]],
+    second: tuple[str, Float[np.ndarray, "3"]],
+    tolerance: float = 0.0,
+) -> str | None:
+    """A sentence when no configuration brings two frames to their targets at once, else None.
+
+    Args:
+        robot: whose frames they are.
+        first, second: frame and target in the world [m].
+        tolerance: distance from the targets that is near enough, both together [m].
+    """
+    distance = float(np.linalg.norm(first[1] - second[1]))
+    reach = chain_length(robot, first[0], second[0])
+    if distance - tolerance <= reach:
+        return None
+    return (
+        f"{first[0]} and {second[0]} cannot be at their targets at once: these are {distance:.2f} m apart, "
+        f"and the chain between them is at most {reach:.2f} m long"
+    )
+
+
+def _travel(robot: RobotModel, joint: int) -> float:
+    """How far a joint can carry its own origin [m]: a turning one not at all, a sliding one to its farther limit."""
+    kind, index = robot.model.joints[joint].shortname(), robot.model.joints[joint].idx_v
+    if robot.model.joints[joint].nv == 1 and kind.startswith("JointModelR"):
+        return 0.0
+    if robot.model.joints[joint].nv == 1 and kind.startswith("JointModelP"):
+        return float(max(abs(robot.lower[index]), abs(robot.upper[index])))
+    return float("inf")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import coal
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from costs.collision.shapes import static_convex
 from costs.robot import BASE_NAMES, LinkBody, RobotModel
-from costs.scene import ConvexPiece, Scene
+from costs.scene import Scene
 from costs.support import SupportPolygon
 from service.errors import RequestError, would_do
 from service.request import StartRequest
@@ -26,6 +27,32 @@ SOLE_BAND_M = 0.005  # vertices this close to a foot's lowest one are its sole
 FLOOR_KIND = "floor"
 FLOOR_CONTACT_M = 0.03  # deepest a planted sole may stand in the floor at the start: a scanned floor is that uncertain
 TOUCH_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """A link inside a piece or inside another link.
+
+    Attributes:
+        link: the one.
+        other: name of the piece or of the other link.
+        depth: how far one would have to be moved to be free [m].
+        kind: of the piece; empty for a link.
+    """
+
+    link: str
+    other: str
+    depth: float
+    kind: str = ""
+
+    @property
+    def where(self) -> str:
+        """``inside shelf (obstacle)``."""
+        return f"inside {self.other}" if self.kind in ("", self.other) else f"inside {self.other} ({self.kind})"
+
+    def __str__(self) -> str:
+        depth = f"{self.depth:.3f} m" if self.depth >= 1e-3 else "less than 0.001 m"
+        return f"{self.link} is {depth} {self.where}"
 
 
 def start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
@@ -87,31 +114,36 @@ def sole(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.nd
 
 def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[str]:
     """One line for each pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
+    return [str(overlap) for overlap in overlaps(robot, q, scene, planted)]
+
+
+def overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
+    """Every pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
     placed = [(body, vertices, static_convex(vertices)) for body, vertices in placed_bodies(robot, q)]
-    found: list[tuple[float, str, str]] = []
+    found: list[Overlap] = []
     for piece in scene.pieces:
         shape = static_convex(piece.vertices)
         for body, vertices, convex in placed:
             if body.link in robot.fixed_links or not _boxes_meet(vertices, piece.vertices):
                 continue
             allowed = FLOOR_CONTACT_M if body.link in planted and piece.kind == FLOOR_KIND else TOUCH_M
-            depth = _depth(convex, shape)
+            depth = penetration(convex, shape)
             if depth > allowed:
-                found.append((depth, body.link, _described(piece)))
+                found.append(Overlap(body.link, piece.name, depth, piece.kind))
     for a, (first, first_vertices, first_convex) in enumerate(placed):
         for second, second_vertices, second_convex in placed[a + 1 :]:
             pair = tuple(sorted((first.link, second.link)))
             if first.joint == second.joint or pair in robot.ignored_pairs:
                 continue
             if _boxes_meet(first_vertices, second_vertices):
-                depth = _depth(first_convex, second_convex)
+                depth = penetration(first_convex, second_convex)
                 if depth > TOUCH_M:
-                    found.append((depth, first.link, second.link))
-    deepest: dict[tuple[str, str], float] = {}
-    for depth, link, other in found:
-        deepest[link, other] = max(depth, deepest.get((link, other), 0.0))
-    ordered = sorted(deepest.items(), key=lambda entry: -entry[1])
-    return [f"{link} is {depth:.3f} m inside {other}" for (link, other), depth in ordered]
+                    found.append(Overlap(first.link, second.link, depth))
+    deepest: dict[tuple[str, str], Overlap] = {}
+    for overlap in sorted(found, key=lambda one: -one.depth):
+        pair = (overlap.link, overlap.other)
+        deepest.setdefault(pair if overlap.kind else (min(pair), max(pair)), overlap)
+    return list(deepest.values())
 
 
 def standing_problems(
@@ -121,7 +153,7 @@ def standing_problems(
     floors = [static_convex(piece.vertices) for piece in scene.pieces if piece.kind == FLOOR_KIND]
     problems = []
     for link, corners in soles.items():
-        gap = min((-_depth(static_convex(corners), floor) for floor in floors), default=0.0)
+        gap = min((-penetration(static_convex(corners), floor) for floor in floors), default=0.0)
         if gap > FLOOR_CONTACT_M:
             problems.append(f"the sole of {link} is {gap:.3f} m above the floor; lower start.base or leave it out")
     com = pin.centerOfMass(robot.model, robot.model.createData(), q)
@@ -182,12 +214,8 @@ def _boxes_meet(first: Float[np.ndarray, "V 3"], second: Float[np.ndarray, "W 3"
     return bool(np.all(first.min(axis=0) <= second.max(axis=0)) and np.all(second.min(axis=0) <= first.max(axis=0)))
 
 
-def _depth(first: coal.Convex, second: coal.Convex) -> float:
-    """Penetration depth, negative when apart [m]."""
+def penetration(first: coal.Convex, second: coal.Convex) -> float:
+    """How far one of two placed convexes would have to be moved to be free of the other, negative when apart [m]."""
     result = coal.DistanceResult()
     identity = coal.Transform3s()
     return -float(coal.distance(first, identity, second, identity, coal.DistanceRequest(), result))
-
-
-def _described(piece: ConvexPiece) -> str:
-    return f"{piece.name}" if piece.kind == piece.name else f"{piece.name} ({piece.kind})"

@@ -89,6 +89,8 @@ class WholeBody:
         nominal: (n,) the posture to stay near.
         aims: margins.
         kept: relative poses that hold in every phase.
+        has_habits: whether to move smoothly, upright and near the nominal posture; a task may bring all costs itself.
+        sight: how far beyond its margin the optimiser sees a pair [m].
     """
 
     robot: RobotModel
@@ -99,6 +101,8 @@ class WholeBody:
     nominal: Float[np.ndarray, "n"]
     aims: Aims
     kept: tuple[KeptPose, ...] = ()
+    has_habits: bool = True
+    sight: float = 0.03
 
     @staticmethod
     def standing(
@@ -134,7 +138,8 @@ class WholeBody:
             overrides,
             SELF_SHARE * self.aims.margin,
         )
-        return self._fitting(SweptCollisionChecker(self.robot, self.scene, margins), ends, CLEARANCE_TOLERANCE)
+        checker = SweptCollisionChecker(self.robot, self.scene, margins, self.sight)
+        return self._fitting(checker, ends, CLEARANCE_TOLERANCE)
 
     def pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
         """A checker that asks for a few millimetres, or for what a pair has at the ends where that is less."""
@@ -215,10 +220,13 @@ class WholeBody:
             kinematics = self.engine(x)
             return MotionState(kinematics, checker(kinematics))
 
+        habits: tuple[Cost[MotionState], ...] = ()
+        if self.has_habits:
+            habits = (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere))
         return Problem(
             lower,
             upper,
-            (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere), *costs),
+            (*habits, *costs),
             (*standing, *constraints),
             state,
             self.step_scale(),

@@ -31,6 +31,24 @@ def test_an_added_cost_lifts_the_elbow(tmp_path):
     assert all("converged" in line for line in lines)
 
 
+def test_a_term_without_a_derivative_raises_the_elbow_of_a_certified_reach(tmp_path):
+    without, with_term, check = run("03_a_term_without_a_derivative.py", tmp_path).splitlines()
+    ends = [float(re.search(r"([\d.]+) m at the end", line).group(1)) for line in (without, with_term)]
+    assert ends[1] > ends[0] + 0.1
+    assert without.endswith("CERTIFIED")
+    assert with_term.endswith("CERTIFIED")
+    assert "agree with central differences" in check
+
+
+def test_a_convex_term_leaves_joints_at_rest_and_holds_the_base(tmp_path):
+    lines = run("04_a_convex_term.py", tmp_path).splitlines()
+    found = [re.search(r"CERTIFIED, base moves ([\d.]+) mm, (\d+) joints", line).groups() for line in lines[:2]]
+    (free_base, all_joints), (held_base, few_joints) = ((float(base), int(count)) for base, count in found)
+    assert few_joints < all_joints
+    assert held_base < 7.5 < free_base
+    assert "is concave" in lines[2]
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("[0-9]*.py")), ids=lambda path: path.name)
 def test_examples_are_short_and_say_what_the_reader_will_see(path):
     text = path.read_text()

@@ -110,10 +110,20 @@ def test_a_target_beyond_the_chain_is_infeasible_with_its_distance():
     assert result.motion is None
 
 
-def test_a_target_inside_an_obstacle_names_the_links_and_comes_with_the_best_attempt():
+def test_a_target_inside_an_obstacle_is_infeasible_and_names_link_and_obstacle():
     result = plan(atlas(tool_at([0.75, 0.0, 0.9])))
+    assert result.verdict is Verdict.INFEASIBLE
+    (line,) = result.explanation
+    assert line.startswith("the goal is in collision: with l_tool at [0.75, 0.0, 0.9], however it is turned, l_hook is")
+    assert "inside table" in line
+
+
+def test_a_slot_too_narrow_for_the_hand_names_link_and_board_and_comes_with_the_best_attempt():
+    boards = ({"name": f"{name} board", "type": "box", "size": [0.4, 0.6, 0.02], "position": [0.7, 0.2, z]}
+              for name, z in (("lower", 1.03), ("upper", 1.07)))  # fmt: skip
+    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
     assert result.verdict is Verdict.NOT_FOUND
-    assert any("table" in line and "l_h" in line for line in result.explanation), result.explanation
+    assert any("board" in line and "l_h" in line for line in result.explanation), result.explanation
     assert result.motion is not None
     assert result.certificate is not None
     assert result.certificate.failed()

@@ -47,6 +47,7 @@ def test_hock_schittkowski_1_rosenbrock():
     f = Function(lambda x: [10 * (x[1] - x[0] ** 2), 1 - x[0]], lambda x: [[-20 * x[0], 10.0], [-1.0, 0.0]])
     result = solve([Cost("f", f)], [], [-2.0, 1.0], lower=np.array([[-1e3, -1.5]]))
     np.testing.assert_allclose(result.x, [[1.0, 1.0]], atol=1e-3)
+    assert result.cost["f"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_hock_schittkowski_3_ends_on_its_bound():
@@ -55,7 +56,8 @@ def test_hock_schittkowski_3_ends_on_its_bound():
         Cost("difference", Affine([[-1.0, 1.0]], 0.0), weight=1e-5),
     ]
     result = solve(costs, [], [10.0, 1.0], lower=np.array([[-1e3, 0.0]]), trust_radius=5.0)
-    assert result.x[0, 1] == pytest.approx(0.0, abs=1e-4)
+    np.testing.assert_allclose(result.x, [[0.0, 0.0]], atol=1e-2)  # x1 is worth 1e-5 of its square
+    assert sum(result.cost.values()) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_hock_schittkowski_6_on_a_parabola():
@@ -67,6 +69,7 @@ def test_hock_schittkowski_6_on_a_parabola():
     )
     assert result.is_feasible
     np.testing.assert_allclose(result.x, [[1.0, 1.0]], atol=2e-3)
+    assert result.cost["f"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_hock_schittkowski_7_finds_the_constrained_optimum():
@@ -82,6 +85,7 @@ def test_hock_schittkowski_7_finds_the_constrained_optimum():
     result = solve(costs, [Constraint("circle", circle, Sense.EQUAL_ZERO)], [2.0, 2.0], lower=-FREE, upper=FREE / 1e2)
     assert result.is_feasible
     np.testing.assert_allclose(result.x, [[0.0, np.sqrt(3.0)]], atol=2e-3)
+    assert sum(result.cost.values()) - 10.0 == pytest.approx(-np.sqrt(3.0), abs=1e-4)  # |x2 - 10| is 10 - x2
 
 
 def test_contradicting_constraints_are_stalled_not_converged():

@@ -2,19 +2,28 @@
 
 from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassAt, CentreOfMassInPolygon
 from costs.terms.collision import SweptClearance
+from costs.terms.displacement import FrameDisplacement
 from costs.terms.joint import JointDifference, JointTarget
+from costs.terms.pair_clearance import Asked, AskedOfPairs, PairClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
-from costs.terms.tolerance import WithinTolerance
+from costs.terms.scaled import Scaled
+from costs.terms.tolerance import Between, WithinTolerance
 
 __all__ = [
+    "Asked",
+    "AskedOfPairs",
     "AxisDirection",
+    "Between",
     "CartTableZmpInPolygon",
     "CentreOfMassAt",
     "CentreOfMassInPolygon",
+    "FrameDisplacement",
     "FramePose",
     "JointDifference",
     "JointTarget",
+    "PairClearance",
     "PointHalfSpace",
+    "Scaled",
     "SweptClearance",
     "WithinTolerance",
 ]

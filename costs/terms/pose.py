@@ -53,6 +53,7 @@ class FramePose(Residual[MotionState]):
         target: Float[np.ndarray, "#S 4 4"],
         axes: Sequence[bool] = ALL_AXES,
         reference: str | None = None,
+        offset: Float[np.ndarray, "4 4"] | None = None,
     ) -> None:
         """
         Args:
@@ -62,10 +63,12 @@ class FramePose(Residual[MotionState]):
             target: (4, 4) or (S, 4, 4) ``pose_reference_target``.
             axes: which of x, y, z, rx, ry, rz count.
             reference: frame the target is given in; the world if None.
+            offset: (4, 4) pose in the frame of what is brought to the target; the frame itself if None.
         """
         self._waypoints = np.asarray(waypoints)
         self._target = np.broadcast_to(np.asarray(target, dtype=float), (len(self._waypoints), 4, 4))
         self._axes: Bool[np.ndarray, "6"] = np.asarray(axes, dtype=bool)
+        self._offset = (np.eye(4) if offset is None else np.asarray(offset, dtype=float))[None]
         self._frame = _Frame(robot, frame)
         self._reference = _Frame(robot, reference)
 
@@ -88,7 +91,7 @@ class FramePose(Residual[MotionState]):
     def _error(
         self, kinematics: Kinematics
     ) -> tuple[Float[np.ndarray, "S 6"], Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
-        rotation, position = self._frame.pose(kinematics, self._waypoints, np.eye(4)[None])
+        rotation, position = self._frame.pose(kinematics, self._waypoints, self._offset)
         target_rotation, target_position = self._reference.pose(kinematics, self._waypoints, self._target)
         to_target = target_rotation.transpose(0, 2, 1)
         offset = np.einsum("skl,sl->sk", to_target, position - target_position)

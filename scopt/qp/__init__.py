@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from scopt.errors import SolverError
 from scopt.qp.clarabel_backend import solve_clarabel
+from scopt.qp.cones import ConicProgram
 from scopt.qp.cvxpy_backend import solve_cvxpy
 from scopt.qp.piqp_backend import solve_piqp
-from scopt.qp.program import QPBackend, QPSolution, QPStatus, QuadraticProgram
+from scopt.qp.program import QPBackend, QPMultipliers, QPSolution, QPStatus, QuadraticProgram
 
 BACKENDS: dict[str, QPBackend] = {"piqp": solve_piqp, "clarabel": solve_clarabel, "cvxpy": solve_cvxpy}
 
@@ -22,4 +23,14 @@ def backend(name: str) -> QPBackend:
     return BACKENDS[name]
 
 
-__all__ = ["BACKENDS", "QPBackend", "QPSolution", "QPStatus", "QuadraticProgram", "backend"]
+__all__ = [
+    "BACKENDS",
+    "ConicProgram",
+    "QPBackend",
+    "QPMultipliers",
+    "QPSolution",
+    "QPStatus",
+    "QuadraticProgram",
+    "backend",
+    "solve_clarabel",
+]

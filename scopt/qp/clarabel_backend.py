@@ -7,7 +7,8 @@ import numpy as np
 from scipy import sparse
 
 from scopt.errors import SolverError
-from scopt.qp.program import QPSolution, QPStatus, QuadraticProgram
+from scopt.qp.cones import Cone, ConicProgram
+from scopt.qp.program import QPMultipliers, QPSolution, QPStatus, QuadraticProgram
 
 _STATUS = {
     "Solved": QPStatus.SOLVED,
@@ -26,7 +27,7 @@ _STATUS = {
 
 
 def solve_clarabel(program: QuadraticProgram) -> QPSolution:
-    """Solve with Clarabel at its default tolerances (1e-8).
+    """Solve a quadratic or conic program with Clarabel at its default tolerances (1e-8).
 
     Raises:
         SolverError: Clarabel answered with a status that is not mapped.
@@ -35,6 +36,11 @@ def solve_clarabel(program: QuadraticProgram) -> QPSolution:
     identity = sparse.eye_array(len(program.c), format="csc")
     rows = sparse.vstack([program.G, identity[has_upper], -identity[has_lower]], format="csc")
     bounds = np.concatenate([program.h, program.upper[has_upper], -program.lower[has_lower]])
+    cones = [clarabel.NonnegativeConeT(len(bounds))]
+    if isinstance(program, ConicProgram):
+        rows = sparse.vstack([rows, program.A], format="csc")
+        bounds = np.concatenate([bounds, program.b])
+        cones += [_cone(cone) for cone in program.cones]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     solver = clarabel.DefaultSolver(
@@ -42,11 +48,20 @@ def solve_clarabel(program: QuadraticProgram) -> QPSolution:
         program.c,
         sparse.csc_matrix(rows),
         bounds,
-        [clarabel.NonnegativeConeT(len(bounds))],
+        cones,
         settings,
     )
     solution = solver.solve()
     status = str(solution.status)
     if status not in _STATUS:
         raise SolverError(f"Clarabel answered with an unknown status {status!r}")
-    return QPSolution(np.asarray(solution.x), _STATUS[status])
+    parts = np.cumsum([len(program.h), has_upper.sum(), has_lower.sum()])
+    of_rows, of_upper, of_lower, _ = np.split(np.asarray(solution.z), parts)
+    multipliers = QPMultipliers.of_parts(of_rows, of_lower, of_upper, has_lower, has_upper)
+    return QPSolution(np.asarray(solution.x), _STATUS[status], multipliers)
+
+
+def _cone(cone: Cone) -> object:
+    """Clarabel's own."""
+    make = getattr(clarabel, cone.kind.value)
+    return make() if cone.parameter is None else make(cone.parameter)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scopt.errors import SolverError
-from scopt.qp.program import QPSolution, QPStatus, QuadraticProgram
+from scopt.qp.program import QPMultipliers, QPSolution, QPStatus, QuadraticProgram
 
 
 def solve_cvxpy(program: QuadraticProgram) -> QPSolution:
@@ -43,5 +43,8 @@ def solve_cvxpy(program: QuadraticProgram) -> QPSolution:
         return QPSolution(np.full(n, np.nan), QPStatus.FAILED)
     if problem.status not in status_of:
         raise SolverError(f"CVXPY answered with an unknown status {problem.status!r}")
-    value = x.value if x.value is not None else np.full(n, np.nan)
-    return QPSolution(np.asarray(value), status_of[problem.status])
+    if x.value is None:
+        return QPSolution(np.full(n, np.nan), status_of[problem.status])
+    rows, lower, upper = (np.zeros(0) if c.dual_value is None else np.asarray(c.dual_value) for c in constraints)
+    multipliers = QPMultipliers.of_parts(rows, lower, upper, has_lower, has_upper)
+    return QPSolution(np.asarray(x.value), status_of[problem.status], multipliers)

@@ -45,11 +45,38 @@ class QPStatus(Enum):
 
 
 @dataclass(frozen=True)
+class QPMultipliers:
+    """Lagrange multipliers of a program's inequalities, all >= 0.
+
+    Attributes:
+        rows: (M,) of ``G x <= h``.
+        lower, upper: (N,) of the bounds; zero where they are infinite.
+    """
+
+    rows: Float[np.ndarray, "M"]
+    lower: Float[np.ndarray, "N"]
+    upper: Float[np.ndarray, "N"]
+
+    @staticmethod
+    def of_parts(
+        rows: np.ndarray, lower: np.ndarray, upper: np.ndarray, has_lower: np.ndarray, has_upper: np.ndarray
+    ) -> QPMultipliers:
+        """From the multipliers of the finite bounds alone; what rounding makes negative is zero."""
+        full = [np.zeros(len(has_lower)), np.zeros(len(has_upper))]
+        full[0][has_lower], full[1][has_upper] = lower, upper
+        return QPMultipliers(*(np.maximum(part, 0.0) for part in (rows, *full)))
+
+
+@dataclass(frozen=True)
 class QPSolution:
-    """A back end's answer; ``x`` is meaningful when ``status`` is SOLVED or INACCURATE."""
+    """A back end's answer; ``x`` and ``multipliers`` are meaningful when ``status`` is SOLVED or INACCURATE.
+
+    ``multipliers`` is None where a back end does not hand them over.
+    """
 
     x: Float[np.ndarray, "N"]
     status: QPStatus
+    multipliers: QPMultipliers | None = None
 
     @property
     def is_usable(self) -> bool:

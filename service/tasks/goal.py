@@ -13,9 +13,8 @@ from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
-from service.reachability import beyond_reach
+from service.explain_goal import never_reached
 from service.request import GoalRequest, PoseGoalRequest
-from service.start import collisions
 from service.verify import AxisTarget, JointTarget, PoseTarget, Target
 from service.whole_body import WholeBody
 
@@ -79,15 +78,8 @@ class Goal:
         )
 
     def impossible(self) -> tuple[str, ...]:
-        """Reasons that hold for every motion: a target beyond the chain, a complete goal in collision."""
-        body = self.body
-        reasons = [beyond_reach(body, p.link, np.array(p.position), p.position_tolerance_m) for p in self.poses]
-        lines = [reason for reason in reasons if reason is not None]
-        if self.is_complete:
-            end = self.applied_to(body.nominal)
-            inside = collisions(body.robot, end, body.scene, [foot.link for foot in body.planted])
-            lines += [f"the goal is in collision: {line}" for line in inside]
-        return tuple(lines)
+        """Reasons that hold for every motion."""
+        return never_reached(self.body, self.targets(0.0))
 
 
 def _rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:

@@ -15,7 +15,7 @@ from service.reachability import beyond_reach
 from service.request import ValveRequest
 from service.setup import PlanSetup
 from service.tasks.stance import stance_advice
-from service.tasks.valve import plan_turn
+from service.tasks.valve import RIM_TOLERANCE, plan_turn
 from service.tasks.wheel import HANDS, VALVE_LINK, Hand, Wheel
 from service.whole_body import WholeBody
 
@@ -32,7 +32,8 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
     if isinstance(found, str):
         return TaskPlan(solver.body, (), (found,))
     hands = _hands(solver.body, request, found)
-    reasons = [beyond_reach(solver.body, hand.tool, found.centre, found.rim_radius) for hand in hands]
+    farthest = found.rim_radius + RIM_TOLERANCE
+    reasons = [beyond_reach(solver.body, hand.tool, found.centre, farthest) for hand in hands]
     if all(reasons):
         return TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)
     wheel = _wheel(solver.body, found, hands[0])

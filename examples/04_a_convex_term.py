@@ -1,0 +1,53 @@
+"""Atlas reaches over a table with few joints: prints which ones move without and with a term written in CVXPY.
+
+The term is the sum of absolute joint displacements, which leaves a joint at rest unless it is worth its price; a sum of
+squares moves all of them a little.  A second one, a constraint, keeps the base within 7 mm of where it stands.  Both
+enter every convex subproblem as they are written, not linearised, and the subproblem is then solved by Clarabel.
+"""
+
+import sys
+
+import cvxpy as cp
+import numpy as np
+
+from costs.robot import RobotModel, load_robot
+from costs.state import MotionState
+from scopt import Constraint, ConvexExpression, Cost, Penalty, ProblemError
+from service import parse_request, plan
+
+REQUEST = {
+    "robot": {"name": "atlas"},
+    "start": {"posture": "stand"},
+    "scene": {"obstacles": [{"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.75, 0.0, 0.9]}]},
+    "goal": {"poses": [{"link": "l_tool", "position": [0.6, 0.2, 1.15]}]},
+}
+ARMS = ("l_arm", "r_arm", "back", "neck")
+
+
+def terms(phase: str, robot: RobotModel, n_waypoints: int) -> list[Cost[MotionState] | Constraint[MotionState]]:
+    """Called for every step of the plan ("goal pose", "reach")."""
+    rest = robot.postures["stand"]
+    upper = [index for index, name in enumerate(robot.joint_names) if name.startswith(ARMS)]
+    few = ConvexExpression(robot.n, lambda q: cp.norm1(q[upper] - rest[upper]))
+    near = ConvexExpression(robot.n, lambda q: cp.norm(q[:3] - rest[:3]) <= 0.007)  # [m]
+    return [
+        Cost("few joints", few, weight=10.0 / n_waypoints, penalty=Penalty.HINGE),  # [cost/rad]
+        Constraint("base stays near", near, tolerance=2e-4, unit="m"),
+    ]
+
+
+robot = load_robot("atlas")
+for name, own in (("without", None), ("with", terms)):
+    result = plan(parse_request(REQUEST), robot=robot, terms=own)
+    if result.motion is None:
+        sys.exit(f"{result.verdict.value}: {result.explanation}")
+    q = result.motion.curve(result.motion.samples)
+    turned = np.abs(q - q[0]).max(axis=0)
+    moving = [joint for index, joint in enumerate(robot.joint_names) if joint.startswith(ARMS) and turned[index] > 0.02]
+    base = 1e3 * np.linalg.norm(q[:, :3] - q[0, :3], axis=1).max()
+    print(f"{name} the terms: {result.verdict.value}, base moves {base:.1f} mm, {len(moving)} joints:", *moving)
+
+try:
+    ConvexExpression(robot.n, lambda q: cp.norm(q[:3]) >= 0.1)
+except ProblemError as error:
+    print(error)

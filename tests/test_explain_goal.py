@@ -1,0 +1,174 @@
+"""INFEASIBLE is said for reasons that no configuration gets around: each reason against many configurations."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from planar_arm import write_planar_arm
+from scipy.spatial.transform import Rotation
+from small_robots import box
+from tiny_robots import SPATIAL, Segment, Z, atlas, chain, random_configurations
+
+from costs.collision.shapes import static_convex
+from costs.kinematics import KinematicsEngine, planted_poses
+from costs.robot import load_robot
+from costs.scene import Scene
+from service.explain_goal import never_reached
+from service.reachability import beyond_reach, chain_length
+from service.start import FEET_GROUP, overlaps, penetration
+from service.verify import JointTarget, PoseTarget
+from service.whole_body import Aims, WholeBody
+
+ANY = np.full(3, np.inf)
+
+
+def standing(robot, *pieces, q=None, feet=()):
+    start = np.zeros(robot.n) if q is None else q
+    return WholeBody.standing(robot, Scene(pieces), start, feet, Aims())
+
+
+def at(frame, position, rotation=None, tolerance=1e-3, turn=0.01):
+    turns = np.full(3, turn) if rotation is not None else ANY
+    return PoseTarget(frame, np.array(position, float), rotation, np.full(3, tolerance), turns, 0.0)
+
+
+def joints(**values):
+    return [JointTarget(name, value, 1e-3, 0.0) for name, value in values.items()]
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """Three links of 0.2 m in a plane, 40 mm thick."""
+    return load_robot(urdf=write_planar_arm(tmp_path_factory.mktemp("arm"), 3, 0.2, 0.04, limit=3.0))
+
+
+@given(seed=st.integers(0, 10_000))
+def test_no_configuration_is_farther_than_the_chain_is_long(seed):
+    rng = np.random.default_rng(seed)
+    for robot, start, frame in (
+        (chain(SPATIAL), None, "tip"),  # one of its joints slides
+        (chain(SPATIAL), "link1", "tip"),
+        (atlas(), "r_foot", "l_tool"),
+    ):
+        q = random_configurations(robot, rng, 1)[0]
+        poses = planted_poses(KinematicsEngine(robot), q, [frame] if start is None else [frame, start])
+        origin = np.zeros(3) if start is None else poses[start][:3, 3]
+        assert np.linalg.norm(poses[frame][:3, 3] - origin) <= chain_length(robot, start, frame) + 1e-9
+
+
+def test_a_stretched_arm_is_as_long_as_its_chain():
+    robot = chain((Segment(Z), Segment(Z, origin=(1.0, 0.0, 0.0))))
+    assert chain_length(robot, None, "tip") == pytest.approx(2.0)
+    assert chain_length(robot, "link1", "tip") == pytest.approx(2.0)
+    assert beyond_reach(standing(robot), "tip", np.array([2.01, 0.0, 0.0])) == (
+        "tip cannot reach [2.01, 0.0, 0.0]: it is 2.01 m from the base, "
+        "and the chain between them is at most 2.00 m long"
+    )
+    assert beyond_reach(standing(robot), "tip", np.array([1.99, 0.0, 0.0])) is None
+
+
+def test_a_free_base_has_no_reach():
+    assert chain_length(atlas(), None, "l_tool") == np.inf
+
+
+def test_a_target_within_its_tolerance_of_the_reach_may_be_reached():
+    # a tolerance is one of each axis: the corner of the cube is sqrt 3 of it away
+    robot = chain((Segment(Z), Segment(Z, origin=(1.0, 0.0, 0.0))))
+    corner = np.array([2.0, 0.0, 0.0]) + 0.0999
+    assert never_reached(standing(robot), [at("tip", corner, tolerance=0.1)]) == ()
+    assert "tip cannot reach" in never_reached(standing(robot), [at("tip", corner, tolerance=0.05)])[0]
+
+
+def test_two_links_cannot_be_farther_apart_than_what_is_between_them():
+    q = atlas().postures["stand"]
+    body = standing(atlas(), q=q, feet=atlas().link_groups[FEET_GROUP])
+    hands = [at("l_hand", [0.0, 1.5, 1.3]), at("r_hand", [0.0, -1.5, 1.3])]
+    (line,) = never_reached(body, hands)
+    assert line.startswith("l_hand and r_hand cannot be at their targets at once: these are 3.00 m apart, ")
+    assert never_reached(body, hands[:1]) == ()
+
+
+def test_what_the_given_joints_alone_bring_into_an_obstacle_stays_in_it_wherever_the_others_are(arm):
+    block = box("block", (0.3, 0.03, 0.0), (0.03, 0.03, 0.1))
+    body = standing(arm, block)
+    (line,) = never_reached(body, joints(j0=0.0, j1=0.0))
+    assert line == "the goal is in collision: l1 is 0.020 m inside block (obstacle), wherever the other joints are"
+    for last in np.linspace(-3.0, 3.0, 50):
+        inside = overlaps(arm, np.array([0.0, 0.0, last]), body.scene, ())
+        assert "l1" in {overlap.link for overlap in inside}
+    # j1 alone does not say where l1 is, and a link beyond the given joints may turn away
+    assert never_reached(body, joints(j1=0.0)) == ()
+    assert never_reached(standing(arm, box("block", (0.5, 0.0, 0.0), (0.03, 0.03, 0.1))), joints(j0=0.0, j1=0.0)) == ()
+
+
+def test_what_the_joints_tolerance_may_free_is_not_called_impossible(arm):
+    touching = box("block", (0.5, 0.0495, 0.0), (0.03, 0.03, 0.1))  # 0.5 mm deep; 1 mrad of j0 moves l2 by 0.5 mm
+    assert never_reached(standing(arm, touching), joints(j0=0.0, j1=0.0, j2=0.0)) == ()
+
+
+def test_links_that_the_given_joints_cross_are_named_on_a_free_base():
+    robot = atlas()
+    legs = [name for name in robot.joint_names if "_leg_" in name]
+    q = robot.postures["stand"].copy()
+    crossed = {name: float(q[robot.joint_names.index(name)]) for name in legs} | {"l_leg_hpx": -0.5}
+    body = standing(robot, q=q, feet=robot.link_groups[FEET_GROUP])
+    lines = never_reached(body, joints(**crossed))
+    assert any("l_lleg is 0.1" in line and "inside r_uleg, wherever the other joints are" in line for line in lines)
+    assert never_reached(body, joints(l_leg_hpx=-0.5)) == ()
+
+
+@given(seed=st.integers(0, 10_000))
+def test_a_link_said_to_be_inside_at_its_pose_is_inside_at_every_pose_within_tolerance(seed):
+    rng = np.random.default_rng(seed)
+    robot, piece = atlas(), box("crate", (0.6, 0.2, 1.0), tuple(rng.uniform(0.02, 0.2, 3)))
+    wanted = Rotation.random(random_state=seed).as_matrix()
+    tolerance, turn = rng.uniform(1e-3, 0.03), rng.uniform(1e-3, 0.2)
+    target = at("l_tool", piece.vertices.mean(axis=0) + rng.normal(scale=0.1, size=3), wanted, tolerance, turn)
+    body = standing(robot, piece, q=robot.postures["stand"], feet=robot.link_groups[FEET_GROUP])
+    for line in never_reached(body, [target]):
+        _stays_inside(robot, piece, target, line, rng, turn)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_a_link_said_to_be_inside_however_turned_is_inside_for_every_rotation(seed):
+    rng = np.random.default_rng(seed)
+    robot, piece = atlas(), box("crate", (0.6, 0.2, 1.0), tuple(rng.uniform(0.02, 0.2, 3)))
+    target = at(
+        "l_hand", piece.vertices.mean(axis=0) + rng.normal(scale=0.1, size=3), tolerance=rng.uniform(1e-3, 0.03)
+    )
+    body = standing(robot, piece, q=robot.postures["stand"], feet=robot.link_groups[FEET_GROUP])
+    for line in never_reached(body, [target]):
+        _stays_inside(robot, piece, target, line, rng, None)
+
+
+def _stays_inside(robot, piece, target, line, rng, turn):
+    link = line.rsplit(" is ", 1)[0].split()[-1]
+    frame = robot.model.frames[robot.model.getFrameId(target.frame)]
+    shape = static_convex(piece.vertices)
+    for _ in range(20):
+        rotation = Rotation.random(random_state=rng.integers(1 << 31)).as_matrix()
+        if turn is not None:
+            axis = rng.uniform(-turn, turn, 3) / np.sqrt(3.0)
+            rotation = target.rotation @ Rotation.from_rotvec(axis).as_matrix()
+        position = target.position + rng.uniform(-1.0, 1.0, 3) * target.position_tolerance_m
+        depths = []
+        for one in (one for one in robot.bodies if one.link == link):
+            in_frame = (one.vertices - frame.placement.translation) @ frame.placement.rotation
+            depths.append(penetration(static_convex(in_frame @ rotation.T + position), shape))
+        assert max(depths) > 0.0, line
+
+
+def test_a_target_deep_in_an_obstacle_is_said_to_be_so_and_one_beside_it_is_not():
+    robot = atlas()
+    table = box("table", (0.75, 0.0, 0.9), (0.25, 0.6, 0.025))
+    body = standing(robot, table, q=robot.postures["stand"], feet=robot.link_groups[FEET_GROUP])
+    (line,) = never_reached(body, [at("l_tool", [0.75, 0.0, 0.9])])
+    how = "with l_tool at [0.75, 0.0, 0.9], however it is turned,"
+    assert line == f"the goal is in collision: {how} l_hook is inside table (obstacle)"
+    assert never_reached(body, [at("l_tool", [0.75, 0.0, 0.93])]) == ()
+    # turned down, the hand above the tool is clear of the table; turned up it is below, in it
+    down, up = (Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix() for angle in (np.pi, 0.0))
+    assert never_reached(body, [at("l_tool", [0.75, 0.0, 0.93], down)]) == ()
+    (line,) = never_reached(body, [at("l_tool", [0.75, 0.0, 0.93], up)])
+    assert line.startswith("the goal is in collision: with l_tool at [0.75, 0.0, 0.93], turned as asked, l_h")
+    assert line.endswith("m inside table (obstacle)")
