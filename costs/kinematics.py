@@ -11,7 +11,7 @@ import pinocchio as pin
 from jaxtyping import Bool, Float, Int
 
 from costs.robot.model import RobotModel
-from costs.rotation import skew
+from costs.rotation import cross, skew
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Kinematics:
         direction: Float[np.ndarray, "m 3"],
     ) -> Float[np.ndarray, "m n"]:
         """``direction . d point / dq``, one row per point; direction and point in the world."""
-        wrench = np.concatenate([direction, np.cross(point, direction)], axis=1)
+        wrench = np.concatenate([direction, cross(point, direction)], axis=1)
         rows = np.matmul(wrench[:, None, :], self.jacobian[waypoint])[:, 0]
         return np.asarray(rows * self.topology.supports[joint])
 

@@ -34,10 +34,17 @@ class AffineRows:
     @staticmethod
     def stack(parts: Sequence[AffineRows]) -> AffineRows:
         """The rows of all parts, one after the other."""
-        return AffineRows(
-            np.concatenate([part.value for part in parts]),
-            sparse.csr_array(sparse.vstack([part.jacobian for part in parts], format="csr")),
-        )
+        if len(parts) == 1:
+            return parts[0]
+        jacobians = [part.jacobian for part in parts]
+        stored = np.cumsum([0, *(jacobian.nnz for jacobian in jacobians)])
+        ends = [j.indptr[1:] + offset for j, offset in zip(jacobians, stored[:-1].tolist(), strict=True)]
+        indptr = np.concatenate([jacobians[0].indptr[:1], *ends])
+        indices = np.concatenate([jacobian.indices for jacobian in jacobians])
+        data = np.concatenate([jacobian.data for jacobian in jacobians])
+        shape = (len(indptr) - 1, jacobians[0].shape[1])
+        value = np.concatenate([part.value for part in parts])
+        return AffineRows(value, sparse.csr_array((data, indices, indptr), shape=shape))
 
     @staticmethod
     def from_blocks(

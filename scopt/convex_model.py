@@ -152,42 +152,42 @@ def assemble(model: ConvexModel, is_free: Bool[np.ndarray, "N"]) -> Subproblem:
     A stage holds as many consecutive waypoints as the longest row spans intervals, so that every row couples two
     neighbouring stages at most; each l1 row has one slack, placed in its last stage.
     """
-    stage_of_waypoint = np.arange(model.n_waypoints) // _longest_span(model)
+    spans = [_span(part.rows.jacobian, model.n) for part in (model.squared, model.absolute, model.hinge)]
+    longest = max(1, *(int((last - first).max(initial=0)) for first, last in spans))
+    stage_of_waypoint = np.arange(model.n_waypoints) // longest
     stage_of_step = np.repeat(stage_of_waypoint, model.n)[is_free]
-    l1 = [(model.hinge, (1.0,)), (model.absolute, (1.0, -1.0))]
-    stage_of_slack = [stage_of_waypoint[_last_waypoint(part.rows.jacobian, model.n)] for part, _ in l1]
+    n_steps = len(stage_of_step)
+    l1 = [model.hinge, model.absolute]
+    stage_of_slack = np.concatenate([stage_of_waypoint[spans[2][1]], stage_of_waypoint[spans[1][1]]])
 
-    stages = np.concatenate([stage_of_step, *stage_of_slack])
-    is_step = np.arange(len(stages)) < len(stage_of_step)
+    stages = np.concatenate([stage_of_step, stage_of_slack])
+    is_step = np.arange(len(stages)) < n_steps
     # Within a stage the slacks come first: eliminated early, they fill in less.
     order = np.lexsort((np.arange(len(stages)), is_step, stages))
-    position = np.empty(len(stages), dtype=np.int64)
-    position[order] = np.arange(len(stages))
+    total = len(stages)
+    position = np.empty(total, dtype=np.int64)
+    position[order] = np.arange(total)
 
     column = np.full(len(is_free), -1, dtype=np.int64)
-    column[is_free] = position[: len(stage_of_step)]
-    total = len(stages)
+    column[is_free] = position[:n_steps]
+    slack = position[n_steps:]
     c = np.zeros(total)
     P = _quadratic(model.squared, column, c, total)
+    c[slack] = np.concatenate([part.weight for part in l1])
 
-    blocks: list[sparse.csr_array] = []
-    row_stages: list[np.ndarray] = []
-    offset = len(stage_of_step)
-    for (part, signs), slack_stage in zip(l1, stage_of_slack, strict=True):
-        slack = position[offset : offset + len(slack_stage)]
-        offset += len(slack_stage)
-        c[slack] = part.weight
-        for sign in signs:
-            blocks.append(_with_slack(part.rows.jacobian, sign, column, slack, total))
-            row_stages.append(slack_stage)
-    rows = sparse.csr_array(sparse.vstack(blocks, format="csr"))
-    by_stage = np.argsort(np.concatenate(row_stages), kind="stable")
+    n_hinge = len(model.hinge.weight)
+    # Rows: hinge, absolute, negated absolute; each J dx - slack.
+    slack_of_row = np.concatenate([slack, slack[n_hinge:]])
+    by_stage = np.argsort(np.concatenate([stage_of_slack, stage_of_slack[n_hinge:]]), kind="stable")
+    row_at = np.empty(len(by_stage), dtype=np.int64)
+    row_at[by_stage] = np.arange(len(by_stage))
+    G = _rows_with_slacks(model, column, row_at, slack_of_row, total)
     lower, upper = np.full(total, -np.inf), np.full(total, np.inf)
-    lower[position[len(stage_of_step) :]] = 0.0
-    program = QuadraticProgram(P, c, sparse.csc_array(rows[by_stage]), _bounds(model)[by_stage], lower, upper)
+    lower[slack] = 0.0
+    program = QuadraticProgram(P, c, G, _bounds(model)[by_stage], lower, upper)
     if model.exact:
         program = with_exact_terms(program, model.exact, column)
-    return Subproblem(program, position[: len(stage_of_step)], is_free, by_stage)
+    return Subproblem(program, position[:n_steps], is_free, by_stage)
 
 
 def _bounds(model: ConvexModel) -> np.ndarray:
@@ -195,8 +195,8 @@ def _bounds(model: ConvexModel) -> np.ndarray:
     return np.concatenate([-model.hinge.rows.value, -model.absolute.rows.value, model.absolute.rows.value])
 
 
-def _first_last_column(jacobian: sparse.csr_array) -> tuple[np.ndarray, np.ndarray]:
-    """(m,) first and last column each row touches; 0 for rows that touch none."""
+def _span(jacobian: sparse.csr_array, n: int) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    """(m,) first and last waypoint each row touches; 0 for rows that touch none."""
     counts = np.diff(jacobian.indptr)
     first, last = np.zeros(len(counts), dtype=np.int64), np.zeros(len(counts), dtype=np.int64)
     filled = counts > 0
@@ -204,21 +204,7 @@ def _first_last_column(jacobian: sparse.csr_array) -> tuple[np.ndarray, np.ndarr
         starts = jacobian.indptr[:-1][filled]
         first[filled] = np.minimum.reduceat(jacobian.indices, starts)
         last[filled] = np.maximum.reduceat(jacobian.indices, starts)
-    return first, last
-
-
-def _last_waypoint(jacobian: sparse.csr_array, n: int) -> np.ndarray:
-    return np.asarray(_first_last_column(jacobian)[1] // n)
-
-
-def _longest_span(model: ConvexModel) -> int:
-    """Intervals that the longest row spans, at least 1."""
-    longest = 1
-    for part in (model.squared, model.absolute, model.hinge):
-        if len(part.weight):
-            first, last = _first_last_column(part.rows.jacobian)
-            longest = max(longest, int((last // model.n - first // model.n).max()))
-    return longest
+    return first // n, last // n
 
 
 def _quadratic(squared: WeightedRows, column: np.ndarray, c: np.ndarray, total: int) -> sparse.csc_array:
@@ -227,23 +213,31 @@ def _quadratic(squared: WeightedRows, column: np.ndarray, c: np.ndarray, total: 
     gradient = 2.0 * (jacobian.T @ (squared.weight * squared.rows.value))
     free = column >= 0
     c[column[free]] += gradient[free]
-    weighted = jacobian.copy()
-    weighted.data = weighted.data * np.repeat(2.0 * squared.weight, np.diff(jacobian.indptr))
+    weight = np.repeat(2.0 * squared.weight, np.diff(jacobian.indptr))
+    weighted = sparse.csr_array((jacobian.data * weight, jacobian.indices, jacobian.indptr), shape=jacobian.shape)
     hessian = sparse.coo_array(jacobian.T @ weighted)
     row, col = column[hessian.coords[0]], column[hessian.coords[1]]
     keep = (row >= 0) & (col >= 0)
     return sparse.csc_array((hessian.data[keep], (row[keep], col[keep])), shape=(total, total))
 
 
-def _with_slack(
-    jacobian: sparse.csr_array, sign: float, column: np.ndarray, slack: np.ndarray, total: int
-) -> sparse.csr_array:
-    """Rows ``sign * J dx - slack`` in the program's columns."""
-    m = jacobian.shape[0]
-    row = np.repeat(np.arange(m), np.diff(jacobian.indptr))
-    col = column[jacobian.indices]
+def _rows_with_slacks(
+    model: ConvexModel,
+    column: Int[np.ndarray, "N"],
+    row_at: Int[np.ndarray, "M"],
+    slack_of_row: Int[np.ndarray, "M"],
+    total: int,
+) -> sparse.csc_array:
+    """``J dx - slack`` of the hinge rows, the absolute and the negated absolute ones, each at its row of the program."""
+    hinge, absolute = model.hinge.rows.jacobian, model.absolute.rows.jacobian
+    n_hinge, n_absolute = hinge.shape[0], absolute.shape[0]
+    of_hinge = np.repeat(np.arange(n_hinge), np.diff(hinge.indptr))
+    of_absolute = np.repeat(n_hinge + np.arange(n_absolute), np.diff(absolute.indptr))
+    row = np.concatenate([of_hinge, of_absolute, of_absolute + n_absolute])
+    col = column[np.concatenate([hinge.indices, absolute.indices, absolute.indices])]
+    data = np.concatenate([hinge.data, absolute.data, -absolute.data])
     keep = col >= 0
-    data = np.concatenate([sign * jacobian.data[keep], -np.ones(m)])
-    return sparse.csr_array(
-        (data, (np.concatenate([row[keep], np.arange(m)]), np.concatenate([col[keep], slack]))), shape=(m, total)
-    )
+    row = row_at[np.concatenate([row[keep], np.arange(len(row_at))])]
+    col = np.concatenate([col[keep], slack_of_row])
+    data = np.concatenate([data[keep], np.full(len(row_at), -1.0)])
+    return sparse.csc_array((data, (row, col)), shape=(len(row_at), total))

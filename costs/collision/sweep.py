@@ -63,7 +63,8 @@ class BodyVertices:
 
 def extent(points: Float[np.ndarray, "*m V 3"]) -> tuple[Float[np.ndarray, "*m 3"], Float[np.ndarray, "*m 3"]]:
     """Lower and upper corners of the bounding boxes of many point sets."""
-    first = np.ascontiguousarray(np.moveaxis(points, -2, 0))  # reduced over its first axis: eight times as fast
+    axes = (points.ndim - 2, *range(points.ndim - 2), points.ndim - 1)
+    first = np.ascontiguousarray(points.transpose(axes))  # reduced over its first axis: eight times as fast
     return first.min(axis=0), first.max(axis=0)
 
 
