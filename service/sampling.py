@@ -146,7 +146,7 @@ def _shortened(
     problem: SamplingProblem,
     corners: Float[np.ndarray, "K k"],
     rng: np.random.Generator,
-    tries: int = 40,
+    tries: int = 100,
 ) -> Float[np.ndarray, "K k"]:
     """The polyline with random pairs of its corners joined directly where that is clear."""
     for _ in range(tries):

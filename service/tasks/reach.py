@@ -18,6 +18,7 @@ from service.tasks.goal import Goal
 
 WAYPOINTS = 16
 QUICK_STEPS = 20  # of a first try: what needs more is found sooner from another start
+SAMPLED_STEPS = 50  # of a sampled path, which is clear from the beginning
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
 TREES = (
     Tree(0, 1000, "LBKPIECE1"),
@@ -75,12 +76,13 @@ class _Search:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight(start, other, count), max_iterations=QUICK_STEPS)
         yield from self._around(end, TREES[1])
+        yield from self._around(end, TREES[2])
         if quick.result.status is Status.ITERATION_LIMIT:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
+        for tree in TREES[3:]:
+            yield from self._around(end, tree)
         for name, posture in guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self._solve(via(start, posture, end, count), max_iterations=QUICK_STEPS)
-        for tree in TREES[2:]:
-            yield from self._around(end, tree)
 
     def plan(self, name: str, solved: Solved) -> TaskPlan:
         """A solution as a task's plan."""
@@ -119,7 +121,7 @@ class _Search:
         if path is None:
             return
         name = f"path of {tree.planner}, tree {tree.seed + 1}"
-        solved = self._solve(path)
+        solved = self._solve(path, max_iterations=SAMPLED_STEPS)
         if not solved.is_feasible:  # a path that cannot be made smoother or clearer is still a way
             as_it_is = self._solve(path, max_iterations=0)
             solved = as_it_is if as_it_is.is_feasible else solved
