@@ -56,8 +56,8 @@ class PairMargins:
             if body.link in exempt:
                 world[b] = -np.inf
                 continue
-            for p, piece in enumerate(scene.pieces):
-                for rule, value in rules:
+            for rule, value in rules:
+                for p, piece in enumerate(scene.pieces):
                     if rule.covers(body.name, body.link, piece.name):
                         world[b, p] = value
         pairs, own = [], []
