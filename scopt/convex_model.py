@@ -228,7 +228,7 @@ def _rows_with_slacks(
     slack_of_row: Int[np.ndarray, "M"],
     total: int,
 ) -> sparse.csc_array:
-    """``J dx - slack`` of the hinge rows, the absolute and the negated absolute ones, each at its row of the program."""
+    """``J dx - slack`` of hinge rows, absolute and negated absolute ones, each at its row of the program."""
     hinge, absolute = model.hinge.rows.jacobian, model.absolute.rows.jacobian
     n_hinge, n_absolute = hinge.shape[0], absolute.shape[0]
     of_hinge = np.repeat(np.arange(n_hinge), np.diff(hinge.indptr))
