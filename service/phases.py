@@ -66,6 +66,13 @@ class PlannedPhase:
     is_settling: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
 
+    def solved_anew(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
+        """The phase from a denser trajectory between the same ends; None if it cannot be solved again."""
+        if self.resolve is None:
+            return None
+        solved = self.resolve(q)
+        return replace(self, q=solved.x, is_feasible=solved.is_feasible)
+
     def for_robot(self, robot: RobotModel) -> PlannedPhase:
         """The phase of a robot that has got further coordinates, which stay at zero."""
         q = np.zeros((len(self.q), robot.n))
