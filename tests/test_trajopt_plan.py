@@ -113,10 +113,10 @@ def test_another_start_is_found_where_the_files_own_leads_into_the_table() -> No
     data = document(n_steps=10, costs=terms, constraints=[term("joint", vals=GOAL)], init=init)
     result = of_arm(data, start={"joints": start}, scene={"obstacles": [wide]})
     assert result.verdict is Verdict.CERTIFIED
-    assert result.found_from == "path of a sampling planner, try 1"
+    assert result.found_from == "path of LBKPIECE1, tree 1"
     alone = of_arm(data, start={"joints": start}, scene={"obstacles": [wide]}, options={"starts": 1})
     assert alone.verdict is Verdict.NOT_FOUND
-    assert "inside table_top" in alone.explanation[0]
+    assert any("table_top" in line for line in alone.explanation)
 
 
 def test_a_motion_whose_start_is_free_begins_at_its_own_first_waypoint() -> None:
@@ -157,7 +157,8 @@ def test_constraints_that_fight_are_named_by_their_path() -> None:
     ]
     result = of_arm(document(constraints=terms), options={"starts": 1})
     assert result.verdict is Verdict.NOT_FOUND
-    assert "constraints[" in result.explanation[0]
+    assert any(line.startswith("constraints[0] pose: position of tool is missed by") for line in result.explanation)
+    assert any(line.startswith("constraints[1] cart_vel is missed by") for line in result.explanation)
 
 
 def test_a_phase_solved_anew_keeps_its_steps_and_its_promises() -> None:

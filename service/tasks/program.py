@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from service.errors import RequestError
-from service.phases import LEAST_CLEARANCE, PhaseSolver, PlannedPhase, Solved, TaskPlan, guesses, straight, via
+from service.phases import LEAST_CLEARANCE, PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, guesses, straight, via
 from service.reachability import beyond_reach
 from service.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
 from service.start import collisions
@@ -23,7 +23,12 @@ from service.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 PHASE = "trajopt"
 APART = LEAST_CLEARANCE + CLEARANCE_TOLERANCE  # kept of all pairs, whatever the file's own collision terms ask [m]
 SIGHT = 0.03  # beyond the largest distance that is asked [m]
-CHECKS = (500, 1000, 2000, 4000)  # of the trees of a sampling planner, one after the other
+TREES = (
+    Tree(0, 1000, "LBKPIECE1"),
+    Tree(1, 1500, "RRTConnect"),
+    Tree(2, 2000, "LBKPIECE1"),
+    Tree(3, 4000, "RRTConnect"),
+)
 # As in TrajOpt, the optimiser goes on until its costs are low; elsewhere the first feasible motion will do.
 LEAST_GAIN = 1e-3
 
@@ -120,13 +125,14 @@ class _Search:
         if end is None:
             return
         start, count = program.init[0], program.n_steps
-        yield from self._around(start, end, 0)
+        yield from self._around(start, end, TREES[0])
         if np.abs(straight(start, end, count) - program.init).max() > 1e-6:
             yield "straight line", self.solve(straight(start, end, count))
+        yield from self._around(start, end, TREES[1])
         for name, posture in guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self.solve(via(start, self._moved(posture), end, count))
-        for attempt in range(1, len(CHECKS)):
-            yield from self._around(start, end, attempt)
+        for tree in TREES[2:]:
+            yield from self._around(start, end, tree)
 
     def plan(self, name: str, solved: Solved) -> TaskPlan:
         """A solution as a task's plan."""
@@ -140,9 +146,9 @@ class _Search:
             search=self,
             timeline=Timeline.of_steps(self.program.n_steps),
         ).with_waypoint_targets()
-        obstacle = () if solved.is_feasible else solved.shortcomings(PHASE)
         notes = (*self.program.notes, *promises.notes)
-        return TaskPlan(self.solver.body, (phase,), obstacle, found_from=name, notes=notes)
+        stuck = Stuck.at(PHASE, solved)
+        return TaskPlan(self.solver.body, (phase,), stuck=stuck, found_from=name, notes=notes)
 
     def solve(self, q: Float[np.ndarray, "T n"], timeline: Timeline | None = None) -> Solved:
         """The program from a start; without a timeline every waypoint is a step."""
@@ -183,9 +189,9 @@ class _Search:
         return q
 
     def _around(
-        self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], attempt: int
+        self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], tree: Tree
     ) -> Iterator[tuple[str, Solved]]:
-        """From the path of a sampling planner, on the waypoints that the file allows."""
+        """From the path of a sampling planner, on the waypoints that the file allows: optimised, or as it is."""
         solver, body = self.solver, self.solver.body
         free = np.intersect1d(self.program.free, free_coordinates(body))
         others = np.setdiff1d(np.arange(body.robot.n), free)
@@ -193,10 +199,16 @@ class _Search:
             return
         with solver.monitor.step("sampling", 0.5):
             problem = SamplingProblem(body, body.pose_checker([start, end]), start, end, free)
-            corners = sampled_path(problem, Tree(solver.seed + attempt, CHECKS[attempt]), solver.monitor.is_over)
+            corners = sampled_path(problem, replace(tree, seed=tree.seed + solver.seed), solver.monitor.is_over)
             solver.monitor.check()
-        if corners is not None:
-            yield f"path of a sampling planner, try {attempt + 1}", self.solve(along(corners, self.program.n_steps))
+        if corners is None:
+            return
+        path = along(corners, self.program.n_steps)
+        solved = self.solve(path)
+        if not solved.is_feasible:
+            as_it_is = replace(self, solver=solver.with_settings(max_iterations=0)).solve(path)
+            solved = as_it_is if as_it_is.is_feasible else solved
+        yield f"path of {tree.planner}, tree {tree.seed + 1}", solved
 
 
 @dataclass(frozen=True)
