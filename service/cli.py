@@ -5,8 +5,9 @@ Libraries are imported inside the commands, so that ``scopt --help`` answers at 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -42,10 +43,43 @@ def plan_command(
     cloud: Annotated[Path | None, typer.Option(help="Point cloud instead of the request's scene.cloud.")] = None,
     out: Annotated[Path | None, typer.Option(help="Result folder; by default out/NAME of the request.")] = None,
     as_json: Json = False,
+    trajopt: Annotated[bool, typer.Option("--trajopt", help="REQUEST is a TrajOpt problem (docs/trajopt.md).")] = False,
+    robot: Annotated[str | None, typer.Option(help="Bundled robot or URDF of a TrajOpt problem.")] = None,
+    srdf: Annotated[Path | None, typer.Option(help="SRDF of that URDF; manip may name its groups.")] = None,
+    package_root: Annotated[Path | None, typer.Option(help="Folder that its package:// paths start at.")] = None,
+    floating: Annotated[
+        bool | None,
+        typer.Option("--floating-base/--fixed-base", help="By default free for bundled robots.", show_default=False),
+    ] = None,
+    scene: Annotated[Path | None, typer.Option(help="File that holds what a request's scene holds.")] = None,
+    start: Annotated[Path | None, typer.Option(help="File that holds what a request's start holds.")] = None,
+    time_limit: Annotated[
+        float | None, typer.Option(help="Seconds a TrajOpt problem may take (60).", min=0.01, max=3600.0)
+    ] = None,
 ) -> None:
-    """Plan a request, certify the motion, write the result."""
+    """Plan a request, certify the motion, write the result.
+
+    With --trajopt, REQUEST is a TrajOpt problem (JSON). Its robot comes with --robot or basic_info.robot, its scene
+    with --scene or --cloud. It starts at --start, else at the first row of a given_traj, else at the robot's posture.
+    """
     folder = out if out is not None else Path("out") / request.stem
-    raise typer.Exit(run(lambda: _plan(request, cloud, folder, as_json), as_json))
+    options = {
+        "robot": robot,
+        "srdf": srdf,
+        "package_root": package_root,
+        "is_floating": floating,
+        "scene": scene,
+        "start": start,
+        "time_limit_s": time_limit,
+    }
+    given = {name: value for name, value in options.items() if value is not None}
+    if given and not trajopt:
+        raise typer.BadParameter(
+            "--robot, --srdf, --package-root, --floating-base, --scene, --start and --time-limit "
+            "go with --trajopt; a request holds all of them"
+        )
+    files = given if trajopt else None
+    raise typer.Exit(run(lambda: _plan(request, files, cloud, folder, as_json), as_json))
 
 
 @app.command("verify", epilog=EXIT_CODE_HELP)
@@ -102,13 +136,20 @@ def robots_command(as_json: Json = False) -> None:
     raise typer.Exit(run(lambda: _robots(as_json), as_json))
 
 
-def _plan(request_file: Path, cloud: Path | None, folder: Path, as_json: bool) -> str:
+def _plan(
+    request_file: Path, trajopt: Mapping[str, Any] | None, cloud: Path | None, folder: Path, as_json: bool
+) -> str:
     out, err = consoles()
     with progress(err, "read request") as report, cancellable(err) as should_stop:
         report("read request", 0.0)
         from service.request_file import load_request, with_cloud
 
-        request = load_request(request_file)
+        if trajopt is None:
+            request = load_request(request_file)
+        else:
+            from service.trajopt.files import TrajoptFiles, load_trajopt_request
+
+            request = load_trajopt_request(request_file, TrajoptFiles(**trajopt))
         if cloud is not None:
             request = with_cloud(request, cloud)
         from service.output import check_folder, write_result

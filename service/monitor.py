@@ -76,6 +76,10 @@ class Monitor:
         finally:
             self.timings[name] = self.timings.get(name, 0.0) + time.perf_counter() - began
 
+    def attempts(self, step: str) -> int:
+        """How many solves were made for a step; ``turn`` counts for ``turn 2`` as well."""
+        return sum(step == name or step.startswith(f"{name} ") for name, _ in self.history)
+
     def settings(self, base: Settings) -> Settings:
         """Optimiser settings that respect the clock."""
         return Settings(**{**base.__dict__, "time_limit_s": max(self.remaining_s(), 0.0)})

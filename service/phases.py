@@ -66,6 +66,13 @@ class PlannedPhase:
     is_settling: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
 
+    def solved_anew(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
+        """The phase from a denser trajectory between the same ends; None if it cannot be solved again."""
+        if self.resolve is None:
+            return None
+        solved = self.resolve(q)
+        return replace(self, q=solved.x, is_feasible=solved.is_feasible)
+
     def for_robot(self, robot: RobotModel) -> PlannedPhase:
         """The phase of a robot that has got further coordinates, which stay at zero."""
         q = np.zeros((len(self.q), robot.n))
@@ -79,8 +86,9 @@ class TaskPlan:
 
     Attributes:
         body: the robot (perhaps with a mechanism) in its scene.
-        phases: in order; the last one may be infeasible, then ``obstacle`` says what stands in the way.
+        phases: in order; the last one may be infeasible, then ``stuck`` or ``obstacle`` say what stands in the way.
         obstacle: sentences; empty when every phase is feasible.
+        stuck: the step that has no solution; None when every phase is feasible.
         found_from: the start that led to it, in words; empty where a task has but one.
         measure: numbers the task reports, measured on the finished motion.
         notes: what was chosen.
@@ -90,15 +98,21 @@ class TaskPlan:
     body: WholeBody
     phases: tuple[PlannedPhase, ...]
     obstacle: tuple[str, ...] = ()
+    stuck: Stuck | None = None
     found_from: str = ""
     measure: Callable[[Motion], Mapping[str, float]] = lambda motion: {}
     notes: tuple[str, ...] = ()
     is_impossible: bool = False
 
     @property
+    def reasons(self) -> tuple[str, ...]:
+        """What stands in the way, in sentences; empty when every phase is feasible."""
+        return (*(() if self.stuck is None else self.stuck.shortcomings), *self.obstacle)
+
+    @property
     def is_feasible(self) -> bool:
         """Whether every phase was solved."""
-        return not self.obstacle and bool(self.phases) and all(phase.is_feasible for phase in self.phases)
+        return not self.reasons and bool(self.phases) and all(phase.is_feasible for phase in self.phases)
 
 
 @dataclass(frozen=True)
@@ -175,6 +189,29 @@ class Solved:
             text = f"{first} {how} {second} {where} ({1e3 * float(contacts.margin[row]):.0f} mm are aimed at)"
             worst[first, second] = max(worst.get((first, second), (0.0, "")), (short, text))
         return list(worst.values())
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """A step that has no solution.
+
+    Attributes:
+        step: its name.
+        best: the best attempt at it.
+    """
+
+    step: str
+    best: Solved
+
+    @staticmethod
+    def at(step: str, solved: Solved) -> Stuck | None:
+        """None when the step is solved."""
+        return None if solved.is_feasible else Stuck(step, solved)
+
+    @property
+    def shortcomings(self) -> tuple[str, ...]:
+        """What the best attempt falls short of, in sentences."""
+        return self.best.shortcomings(self.step)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from costs.robot import RobotModel
 from scopt import Settings
 from scopt import Status as SolveStatus
 from service.execute import make_motion
+from service.explain import explain
+from service.explain_conflict import Conflict
 from service.monitor import Interrupted, Monitor, OnProgress
 from service.phases import PhaseSolver, TaskPlan, Terms
 from service.repair import repaired
@@ -26,6 +28,7 @@ from service.verify import Certificate, Motion, Status, verify
 from service.whole_body import Aims, WholeBody
 
 MAX_REPAIRS = 3
+EXPLAIN_TIME_S = 3.0  # wall time spent on narrowing down why nothing was found
 RANK = {Status.VIOLATED: 0, Status.FEASIBLE_AT_SAMPLES: 1, Status.CERTIFIED: 2}
 VERDICT_OF_STATUS = {
     Status.CERTIFIED: Verdict.CERTIFIED,
@@ -96,11 +99,12 @@ class _Attempt:
     task: TaskPlan | None = None
     motion: Motion | None = None
     certificate: Certificate | None = None
+    conflict: Conflict | None = None
 
     def begin(self, task: TaskPlan) -> None:
         """Turn to another plan of the task; until something is verified it is the one to be handed over."""
         if self.certificate is None:
-            self.task, self.explanation = task, task.obstacle
+            self.task, self.explanation = task, task.reasons
             self.verdict = Verdict.INFEASIBLE if task.is_impossible else Verdict.NOT_FOUND
 
     def keep_better(self, task: TaskPlan, motion: Motion, certificate: Certificate) -> None:
@@ -123,6 +127,7 @@ class _Attempt:
             motion=self.motion,
             certificate=self.certificate,
             explanation=self.explanation,
+            conflict=self.conflict,
             found_from="" if task is None else task.found_from,
             notes=(*setup.notes, *(() if task is None else task.notes)),
             planning_time_s=time.perf_counter() - monitor.started,
@@ -147,6 +152,21 @@ def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt, terms: Terms | N
             _certify(task, options, monitor, attempt)
         if attempt.verdict is Verdict.CERTIFIED:
             return
+    _explain(attempt, solver)
+
+
+def _explain(attempt: _Attempt, solver: PhaseSolver) -> None:
+    """Narrow down what stands in the way where a step had no solution, as far as the time allows."""
+    task, monitor = attempt.task, solver.monitor
+    stuck = None if task is None else task.stuck
+    left = min(EXPLAIN_TIME_S, monitor.remaining_s())
+    if task is None or stuck is None or left <= 0.0:
+        return
+    with monitor.step("explain", 0.95):
+        count = monitor.attempts(stuck.step)
+        attempt.conflict = explain(stuck.step, stuck.best, count, solver.settings, left, monitor.should_stop)
+    if attempt.conflict is not None:
+        attempt.explanation = (*attempt.conflict.sentences(), *task.obstacle)
 
 
 def _certify(task: TaskPlan, options: Options, monitor: Monitor, attempt: _Attempt) -> None:

@@ -31,12 +31,13 @@ def repaired(plan: TaskPlan, motion: Motion, certificate: Certificate, monitor: 
     is_changed = False
     for index, (phase, promise) in enumerate(zip(plan.phases, motion.phases, strict=True)):
         inside = [s for s in places if promise.first < s < promise.last]
-        if not inside or phase.resolve is None:
+        if not inside:
             continue
         with monitor.step(f"repair {phase.name}", 0.9):
-            result = phase.resolve(_denser(motion, promise.first, promise.last, inside))
-        phases[index] = replace(phase, q=result.x, is_feasible=result.is_feasible)
-        is_changed = True
+            anew = phase.solved_anew(_denser(motion, promise.first, promise.last, inside))
+        if anew is not None:
+            phases[index] = anew
+            is_changed = True
     return replace(plan, phases=tuple(phases)) if is_changed else None
 
 

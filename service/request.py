@@ -11,7 +11,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, StrictInt
+from pydantic import Field, JsonValue, StrictInt
 from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
@@ -143,12 +143,18 @@ class ValveRequest(Section):
 
 @dataclass(config=SECTION)
 class TaskRequest(Section):
-    """What to do."""
+    """What to do.
+
+    Attributes:
+        valve: to turn.
+        trajopt: a TrajOpt problem to solve, as in its JSON files (docs/trajopt.md).
+    """
 
     valve: ValveRequest | None = None
+    trajopt: dict[str, JsonValue] | None = None
 
     def __post_init__(self) -> None:
-        exactly_one(self, ("valve",))
+        exactly_one(self, ("valve", "trajopt"))
 
 
 @dataclass(config=SECTION)

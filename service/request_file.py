@@ -17,6 +17,7 @@ from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
 from service.request import PlanRequest, StartRequest
+from service.request_scene import SceneRequest
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
@@ -24,6 +25,7 @@ MAX_DEPTH = 20
 T = TypeVar("T")
 _ADAPTER = TypeAdapter(PlanRequest)
 _START_ADAPTER = TypeAdapter(StartRequest)
+_SCENE_ADAPTER = TypeAdapter(SceneRequest)
 # Our words for pydantic's error types, filled in from the error's context; the rest keep pydantic's own.
 _WORDS = {
     "float_type": "a number is needed",
@@ -84,6 +86,15 @@ def load_start(path: str | Path) -> StartRequest:
         RequestError: one line per problem.
     """
     return _from_file(Path(path), lambda data: _validated(data, _START_ADAPTER))
+
+
+def load_scene(path: str | Path) -> SceneRequest:
+    """Read and check a file that holds what a request's ``scene`` holds.
+
+    Raises:
+        RequestError: one line per problem.
+    """
+    return _from_file(Path(path), lambda data: _validated(data, _SCENE_ADAPTER))
 
 
 def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from costs.scene import Scene
+from service.explain_conflict import Conflict
 from service.request import PlanRequest
 from service.verify.certificate import Certificate
 from service.verify.motion import Motion
@@ -42,6 +43,7 @@ class PlanResult:
         motion: what is executed, timed and sampled, with its phases; its robot may have the joints of a mechanism as
             its last coordinates. None when there is nothing to execute.
         certificate: what the verifier says of ``motion``.
+        conflict: the demands that stand against each other at a step without a solution; None where there is none.
         found_from: the start of the optimiser that led to the motion, in words; empty where there was but one.
         notes: what was snapped, assumed or detected.
         planning_time_s: wall time of it all; ``timings`` maps its steps to seconds.
@@ -57,6 +59,7 @@ class PlanResult:
     motion: Motion | None = None
     certificate: Certificate | None = None
     explanation: tuple[str, ...] = ()
+    conflict: Conflict | None = None
     found_from: str = ""
     notes: tuple[str, ...] = ()
     planning_time_s: float = 0.0

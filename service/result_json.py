@@ -90,6 +90,7 @@ def _summary(result: PlanResult) -> dict[str, Any]:
     return {
         "verdict": result.verdict.value,
         "explanation": list(result.explanation),
+        "conflict": None if result.conflict is None else result.conflict.to_dict(),
         "found_from": result.found_from,
         "notes": list(result.notes),
         "planning_time_s": result.planning_time_s,

@@ -29,6 +29,7 @@ from service.start import (
     start_configuration,
     unknown_joints,
 )
+from service.trajopt import Program, requested_program, requested_start
 
 T = TypeVar("T")
 
@@ -45,6 +46,7 @@ class PlanSetup:
         perceived: what the scan showed; None without a scan.
         soles: for each planted link, the corners of its sole in the world at the start [m].
         kept: relative poses that hold along the whole motion.
+        program: the problem file that is to be solved, or None.
         notes: what was assumed, snapped or noticed.
         timings: seconds by step.
     """
@@ -56,6 +58,7 @@ class PlanSetup:
     perceived: Perceived | None
     soles: Mapping[str, Float[np.ndarray, "C 3"]]
     kept: tuple[KeptPose, ...]
+    program: Program | None
     notes: tuple[str, ...]
     timings: Mapping[str, float]
 
@@ -89,18 +92,22 @@ def prepare(
 def _prepare(
     request: PlanRequest, robot: RobotModel, say: Callable[[str], None], timings: dict[str, float]
 ) -> PlanSetup:
-    start, notes = start_configuration(robot, request.start)
+    start, notes = start_configuration(robot, requested_start(request, robot))
     _check_goal(robot, request)
+    program = requested_program(request, robot, start)
+    if program is not None:
+        start = program.start
     kept = _kept(robot, start, request)
-    soles = _soles(robot, start, request)
+    soles = _soles(robot, start, request, program)
     say("perceive scene")
     perceived = _timed(timings, "perceive", lambda: _perceive(request, robot, start, soles))
     scene = _timed(timings, "build_scene", lambda: _scene(request, robot, start, perceived))
     say("check start")
-    _timed(timings, "check_start", lambda: _check_start(robot, start, scene, soles))
+    is_balanced = program is None or program.is_balanced
+    _timed(timings, "check_start", lambda: _check_start(robot, start, scene, soles, is_balanced))
     if perceived is not None:
         notes += perceived.notes
-    return PlanSetup(request, robot, start, scene, perceived, soles, kept, notes, timings)
+    return PlanSetup(request, robot, start, scene, perceived, soles, kept, program, notes, timings)
 
 
 def _timed(timings: dict[str, float], step: str, run: Callable[[], T]) -> T:
@@ -173,7 +180,11 @@ def _unknown_links(robot: RobotModel, links: tuple[str, ...], field: str) -> lis
     ]
 
 
-def _soles(robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanRequest) -> dict[str, np.ndarray]:
+def _soles(
+    robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanRequest, program: Program | None
+) -> dict[str, np.ndarray]:
+    if program is not None:
+        return {foot: sole(robot, start, foot) for foot in program.planted}
     feet = request.options.feet
     if not robot.is_floating:
         if feet:
@@ -241,10 +252,10 @@ def _scene(
 
 
 def _check_start(
-    robot: RobotModel, start: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, np.ndarray]
+    robot: RobotModel, start: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, np.ndarray], is_balanced: bool
 ) -> None:
     problems = [f"start is in collision: {line}" for line in collisions(robot, start, scene, tuple(soles))]
-    if soles:
+    if soles and is_balanced:
         problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]
     if problems:
         raise RequestError(problems)

@@ -4,6 +4,7 @@ from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassAt, CentreOfM
 from costs.terms.collision import SweptClearance
 from costs.terms.displacement import FrameDisplacement
 from costs.terms.joint import JointDifference, JointTarget
+from costs.terms.masked import Masked
 from costs.terms.pair_clearance import Asked, AskedOfPairs, PairClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
 from costs.terms.scaled import Scaled
@@ -21,6 +22,7 @@ __all__ = [
     "FramePose",
     "JointDifference",
     "JointTarget",
+    "Masked",
     "PairClearance",
     "PointHalfSpace",
     "Scaled",

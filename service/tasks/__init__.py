@@ -8,6 +8,7 @@ from dataclasses import replace
 from service.errors import RequestError
 from service.phases import PhaseSolver, TaskPlan
 from service.setup import PlanSetup
+from service.tasks.program import plan_program
 from service.tasks.reach import plan_reach
 from service.tasks.settle import needs_settling, settle
 from service.tasks.valve_task import plan_valve
@@ -21,6 +22,9 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     Raises:
         RequestError: the request asks for nothing that is known here.
     """
+    if setup.program is not None:  # says itself where its waypoints are, the first among them
+        yield from plan_program(solver, setup.program)
+        return
     if not needs_settling(solver.body):
         yield from _plan(setup, solver)
         return
@@ -39,4 +43,4 @@ def _plan(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         return plan_reach(solver, request.goal, request.options.waypoints)
     if request.task is not None and request.task.valve is not None:
         return iter([plan_valve(setup, solver, request.task.valve)])
-    raise RequestError("request: goal or task.valve is needed")
+    raise RequestError("request: goal, task.valve or task.trajopt is needed")

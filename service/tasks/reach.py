@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from scopt import Status
-from service.phases import PhaseSolver, PlannedPhase, Solved, TaskPlan, guesses, straight, via
+from service.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, guesses, straight, via
 from service.request import GoalRequest
+from service.restore import restored
 from service.sampling import Tree
 from service.tasks.goal import Goal
 
@@ -91,8 +92,8 @@ class _Search:
         phase = PlannedPhase(
             "reach", q, solved.is_feasible, targets=self.goal.targets, resolve=partial(_resolve, self.solver)
         )
-        obstacle = () if solved.is_feasible else solved.shortcomings("goal pose" if is_pose else "reach")
-        return TaskPlan(self.solver.body, (phase,), obstacle, found_from=name)
+        stuck = Stuck.at("goal pose" if is_pose else "reach", solved)
+        return TaskPlan(self.solver.body, (phase,), stuck=stuck, found_from=name)
 
     def _ends(self) -> Iterator[tuple[Float[np.ndarray, "n"], Solved | None]]:
         """Configurations at the goal that differ; if there is none, the best and in what it falls short."""
@@ -111,7 +112,9 @@ class _Search:
                 found.append(solved.x[0])
                 yield solved.x[0], None
         if not found and worst is not None:
-            yield worst.x[0], worst
+            with self.solver.monitor.step("goal pose", 0.1):
+                last = restored(self.solver, "goal pose", worst)
+            yield last.x[0], None if last.is_feasible else last
 
     def _around(self, end: Float[np.ndarray, "n"], tree: Tree) -> Iterator[tuple[str, Solved]]:
         """From the path of a sampling planner: optimised, and as it is where that fails."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.phases import PhaseSolver, PlannedPhase, TaskPlan
+from service.phases import PhaseSolver, PlannedPhase, Stuck, TaskPlan
 from service.whole_body import BALANCE_RESERVE, WholeBody
 
 WAYPOINTS = 6
@@ -28,4 +28,4 @@ def settle(solver: PhaseSolver) -> TaskPlan:
         result = solver.trajectory("settle", [start], {0: body.nominal}, balanced=[WAYPOINTS - 1])
     phase = PlannedPhase("settle", result.x, result.is_feasible, is_settling=True)
     settled = replace(body, nominal=result.x[-1])
-    return TaskPlan(settled, (phase,), () if result.is_feasible else result.shortcomings("settle"))
+    return TaskPlan(settled, (phase,), stuck=Stuck.at("settle", result))

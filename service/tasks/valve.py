@@ -26,6 +26,7 @@ from service.phases import (
     PhaseSolver,
     PlannedPhase,
     Solved,
+    Stuck,
     Targets,
     TaskPlan,
     guesses,
@@ -131,16 +132,16 @@ class ValveTurn:
         phases: tuple[PlannedPhase, ...] = ()
         at = self.body.nominal
         for stroke in self.strokes():
-            done, failed = self._stroke(stroke, at)
+            done, stuck = self._stroke(stroke, at)
             phases += done
-            if failed:
-                return TaskPlan(self.body, phases, failed, measure=self._measure)
+            if stuck is not None:
+                return TaskPlan(self.body, phases, stuck=stuck, measure=self._measure)
             at = phases[-1].q[-1]
         note = f"{self.hand.side} hand in {self.mode} mode, inserted at {np.rad2deg(self.entry):.0f} deg of the rim"
         return TaskPlan(self.body, phases, measure=self._measure, notes=(note,))
 
-    def _stroke(self, stroke: Stroke, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], tuple[str, ...]]:
-        """The phases of a stroke from configuration ``at``, and what went wrong (nothing, if all is well)."""
+    def _stroke(self, stroke: Stroke, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
+        """The phases of a stroke from configuration ``at``, and the step that has no solution, if there is one."""
         monitor, suffix = self.solver.monitor, stroke.suffix
         with monitor.step("pose at the wheel", 0.1):
             pose = self._pose(stroke, at)
@@ -160,7 +161,7 @@ class ValveTurn:
             reach = self._reach(at, approach[0])
         phases = [PlannedPhase(f"reach{suffix}", reach.x, reach.is_feasible, resolve=self._reach_again)]
         if not reach.is_feasible:
-            return tuple(phases), reach.shortcomings(f"reach{suffix}")
+            return tuple(phases), Stuck(f"reach{suffix}", reach)
         with monitor.step("retract", 0.65):
             retract = self._line("retract", turn.x[-1], self.entry + stroke.last)
         phases += [
@@ -168,7 +169,7 @@ class ValveTurn:
             PlannedPhase(f"turn{suffix}", turn.x, True, (hold,), self.touching, self._targets(stroke)),
             PlannedPhase(f"retract{suffix}", retract.x, retract.is_feasible, allowances=self.touching),
         ]
-        return tuple(phases), () if retract.is_feasible else retract.shortcomings(f"retract{suffix}")
+        return tuple(phases), Stuck.at(f"retract{suffix}", retract)
 
     def _pose(self, stroke: Stroke, at: Float[np.ndarray, "n"]) -> Solved:
         """The hook at its point of the rim as the stroke begins; in a grasp with the wrist at its limit."""
@@ -311,9 +312,9 @@ def _wheel_still(angle: float) -> Bounds:
 
 def _stopped(
     name: str, step: str, result: Solved, q: Float[np.ndarray, "T n"]
-) -> tuple[tuple[PlannedPhase, ...], tuple[str, ...]]:
-    """The best attempt as a single phase, with what is wrong with it."""
-    return (PlannedPhase(name, q, False),), result.shortcomings(step)
+) -> tuple[tuple[PlannedPhase, ...], Stuck]:
+    """The best attempt as a single phase, and the step it is stuck at."""
+    return (PlannedPhase(name, q, False),), Stuck(step, result)
 
 
 def _touching_at_start(body: WholeBody) -> tuple[str, ...]:

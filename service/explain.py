@@ -1,0 +1,143 @@
+"""Why nothing was found: the demands that stand against each other at the best local minimum, few enough to read.
+
+The demands are ranked by the multipliers of the l1 penalty where the violation is least, then thinned by a deletion
+filter (Chinneck, Feasibility and Infeasibility in Optimization, 2008, sec. 6.2): each is left out in turn, the least
+loaded first, and stays out where the rest still cannot be kept.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.state import MotionState
+from scopt import Problem, Settings, SolverError, Status, TrustRegionSQP
+from scopt.multipliers import multipliers
+from service.explain_conflict import Conflict, DemandKind, Search
+from service.explain_demands import Group, Place, groups
+from service.phases import Solved
+from service.restore import EFFORT, required
+from service.whole_body import WholeBody
+
+MOST_DEMANDS = 12  # the most loaded ones are looked at
+NEAR = 1e-2  # box in which multipliers are taken [rad, m]
+
+
+@dataclass
+class _Run:
+    """Solves variations of one problem from one place, within a time limit.
+
+    Attributes:
+        settings: of a brief solve.
+        body: whose motion it is.
+        should_stop: asked often.
+        deadline: of ``time.perf_counter``.
+        n_solves: problems solved so far.
+        last: (T, n) where the last of them ended, which has the least merit, not the least of the worst violation.
+    """
+
+    settings: Settings
+    body: WholeBody
+    should_stop: Callable[[], bool] | None
+    deadline: float
+    n_solves: int = 0
+    last: Float[np.ndarray, "T n"] = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def solve(self, problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> Solved | None:
+        """The problem solved from ``x``; None when time is up."""
+        left = self.deadline - time.perf_counter()
+        if left <= 0.0:
+            return None
+        self.n_solves += 1
+        self.last = x
+
+        def remember(_: object, at: Float[np.ndarray, "T n"]) -> None:
+            self.last = at
+
+        solver = TrustRegionSQP(replace(self.settings, time_limit_s=left))
+        result = solver.solve(problem, x, remember, self.should_stop)
+        if result.status in (Status.TIME_LIMIT, Status.CANCELLED):
+            return None
+        return Solved(result, problem, self.body)
+
+
+def explain(
+    step: str,
+    solved: Solved,
+    n_attempts: int,
+    settings: Settings,
+    time_limit_s: float,
+    should_stop: Callable[[], bool] | None = None,
+) -> Conflict | None:
+    """The demands that stand against each other at the best attempt; None where none has a notable multiplier.
+
+    Args:
+        step: of the plan that found no solution.
+        solved: the best attempt at it.
+        n_attempts: made at it.
+        settings: of the optimiser.
+        time_limit_s: wall time; what is found out by then is told.
+        should_stop: asked often; True ends it early.
+    """
+    brief = replace(settings, **EFFORT)
+    run = _Run(brief, solved.body, should_stop, time.perf_counter() + time_limit_s)
+    problem = required(solved.problem)
+    least = run.solve(problem, solved.x)
+    x = solved.x if least is None else run.last
+    ranked = _ranked(solved.body, problem, x)
+    if not ranked:
+        return None
+    if least is None:
+        kept, search = ranked, Search.CUT_SHORT
+    elif least.is_feasible:
+        kept, search = ranked, Search.GIVES_WAY
+    else:
+        kept, search = _reduced(run, problem, x, ranked)
+    standing_on = tuple(foot.link for foot in solved.body.planted)
+    return Conflict(step, n_attempts, standing_on, tuple(group.demand for group in kept), search, run.n_solves)
+
+
+def _ranked(body: WholeBody, problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> list[Group]:
+    try:
+        found = multipliers(problem, x, penalty=1.0, radius=NEAR)
+    except SolverError:
+        return []
+    return groups(Place(body, problem, x, problem.state(x), found))[:MOST_DEMANDS]
+
+
+def _reduced(
+    run: _Run, problem: Problem[MotionState], x: Float[np.ndarray, "T n"], ranked: Sequence[Group]
+) -> tuple[list[Group], Search]:
+    """The demands that are left by the deletion filter, and how far it came."""
+    solutions: dict[tuple[DemandKind, str], Float[np.ndarray, "T n"]] = {}
+    left_out: list[Group] = []
+    for group in reversed(ranked):
+        trial = run.solve(_without(problem, [*left_out, group]), x)
+        if trial is None:
+            return [g for g in ranked if g not in left_out], Search.CUT_SHORT
+        if trial.is_feasible:
+            solutions[group.key] = trial.x
+        else:
+            left_out.append(group)
+    kept = [group for group in ranked if group not in left_out]
+    if not kept:
+        return list(ranked), Search.NO_HELP
+    decided = []
+    for group in kept:
+        # With nothing else left out, the filter has tried just that.
+        alone = run.solve(group.give_up(problem), solutions[group.key]) if left_out else None
+        if left_out and alone is None:
+            return kept, Search.CUT_SHORT
+        is_decisive = alone is None or alone.is_feasible
+        decided.append(replace(group, demand=replace(group.demand, is_decisive=is_decisive)))
+    return decided, Search.REDUCED
+
+
+def _without(problem: Problem[MotionState], left_out: Sequence[Group]) -> Problem[MotionState]:
+    for group in left_out:
+        problem = group.give_up(problem)
+    return problem

@@ -1,0 +1,139 @@
+"""A problem file as a whole: every section read, every finding collected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from service.trajopt.fields import Fields
+from service.trajopt.problem import BasicInfo, InitInfo, OptInfo, Problem, Term
+from service.trajopt.terms_reader import read_term
+
+MOST_STEPS = 500
+UNKNOWN_STEPS = 10**9  # stands for a number of waypoints that is itself wrong: no step is then out of range
+INIT_KINDS: Mapping[str, Literal["stationary", "straight_line", "given_traj"]] = {
+    "stationary": "stationary",
+    "straight_line": "straight_line",
+    "joint_interpolated": "straight_line",
+    "given_traj": "given_traj",
+}
+# Name in the file, name here, least and greatest value.
+OPT_KEYS: tuple[tuple[str, str, float, float], ...] = (
+    ("improve_ratio_threshold", "accept_ratio", 0.0, 1.0),
+    ("min_trust_box_size", "min_trust_radius", 1e-12, 10.0),
+    ("min_approx_improve", "min_improvement", 0.0, 1e9),
+    ("min_approx_improve_frac", "min_improvement_fraction", 0.0, 1.0),
+    ("trust_shrink_ratio", "shrink", 1e-3, 0.999),
+    ("trust_expand_ratio", "expand", 1.0, 100.0),
+    ("merit_coeff_increase_ratio", "penalty_factor", 1.001, 1e6),
+    ("trust_box_size", "trust_radius", 1e-6, 100.0),
+    ("merit_error_coeff", "penalty", 1e-6, 1e9),
+    ("initial_merit_error_coeff", "penalty", 1e-6, 1e9),
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a document says: a problem, or, where findings say what is wrong, as much of it as could be read.
+
+    Attributes:
+        problem: with the terms that could be read; None where not even ``basic_info`` or ``init_info`` could.
+        findings: one line each; empty when all is well.
+    """
+
+    problem: Problem | None
+    findings: tuple[str, ...]
+
+
+def read_problem(document: object) -> Reading:
+    """Read a document of plain mappings, lists and scalars; never raises."""
+    findings: list[str] = []
+    notes: list[str] = []
+    root = Fields(document, "", findings)
+    basic = _basic_info(root.section("basic_info"), notes)
+    is_basic_sound = not findings
+    n_steps = basic.n_steps if is_basic_sound else UNKNOWN_STEPS
+    before = len(findings)
+    init = _init_info(root.section("init_info"), n_steps)
+    is_sound = is_basic_sound and len(findings) == before
+    opt = _opt_info(root.section("opt_info", is_required=False), notes)
+    terms: list[Term] = []
+    for key, is_cost in (("costs", True), ("constraints", False)):
+        for fields in root.sections(key):
+            term = read_term(fields, is_cost, n_steps, init.rate, notes)
+            if term is not None:
+                terms.append(term)
+    root.close()
+    problem = Problem(basic, init, opt, tuple(terms), tuple(notes)) if is_sound else None
+    return Reading(problem, tuple(findings))
+
+
+def robot_named_in(document: Mapping[str, Any]) -> str:
+    """The robot that a document names, "" if it names none."""
+    basic = document.get("basic_info")
+    name = basic.get("robot", "") if isinstance(basic, Mapping) else ""
+    return name if isinstance(name, str) else ""
+
+
+def _basic_info(fields: Fields, notes: list[str]) -> BasicInfo:
+    n_steps = fields.whole("n_steps", least=2, most=MOST_STEPS)
+    manip = fields.text("manip")
+    steps = fields.wholes("fixed_timesteps", 0, n_steps - 1)
+    # Where the file lists its fixed waypoints, the first is fixed if it is among them.
+    is_start_fixed = fields.flag("start_fixed", not fields.has("fixed_timesteps"))
+    dofs_key = fields.first_of("dofs_fixed", "fixed_dofs")
+    dofs = fields.wholes(dofs_key, 0, 10**6)
+    robot = fields.text("robot", "")
+    if fields.has("convex_solver"):
+        fields.text("convex_solver")
+        notes.append("basic_info.convex_solver: options.qp of a request chooses the solver here")
+    _time(fields, notes)
+    fields.close()
+    is_start_fixed = is_start_fixed or 0 in steps
+    return BasicInfo(n_steps, manip, is_start_fixed, robot, dofs, tuple(sorted(set(steps) - {0})), dofs_key)
+
+
+def _time(fields: Fields, notes: list[str]) -> None:
+    """Time is no variable here: what the file says of it is checked and set aside."""
+    lower = fields.number("dt_lower_lim", 1.0, least=1e-9)
+    upper = fields.number("dt_upper_lim", max(lower, 1.0), least=1e-9)
+    if upper < lower:
+        fields.refuse(fields.at("dt_upper_lim"), f"{upper:g} is below dt_lower_lim, {lower:g}")
+    if fields.flag("use_time", False) or fields.has("dt_lower_lim") or fields.has("dt_upper_lim"):
+        notes.append(
+            "basic_info: time is no variable here; terms with use_time reckon with init_info.dt, and the motion is "
+            "timed afterwards within the robot's limits"
+        )
+
+
+def _init_info(fields: Fields, n_steps: int) -> InitInfo:
+    kind = fields.choice("type", INIT_KINDS)
+    rate = fields.number("dt", 1.0, least=1e-9)
+    endpoint = fields.numbers("endpoint") if kind in ("straight_line", "joint_interpolated") else ()
+    data = fields.rows("data") if kind == "given_traj" else ()
+    if kind == "given_traj" and n_steps != UNKNOWN_STEPS and fields.has("data") and len(data) != n_steps:
+        fields.refuse(fields.at("data"), f"{n_steps} rows are needed (n_steps), got {len(data)}")
+    fields.close()
+    return InitInfo(INIT_KINDS[kind or "stationary"], endpoint, data, rate)
+
+
+def _opt_info(fields: Fields, notes: list[str]) -> OptInfo:
+    settings: dict[str, float] = {}
+    for key, name, least, most in OPT_KEYS:
+        if fields.has(key):
+            settings[name] = fields.number(key, least=least, most=most)
+    raises = fields.whole("max_merit_coeff_increases", 5, least=0, most=100)
+    if fields.has("max_merit_coeff_increases"):
+        settings["max_penalty_raises"] = raises
+    if fields.has("max_iter"):  # of each penalty there, of all together here
+        settings["max_iterations"] = fields.whole("max_iter", least=1, most=100_000) * (raises + 1)
+    if fields.has("max_time"):
+        fields.number("max_time", least=0.0)
+        notes.append("opt_info.max_time: the time limit is that of the whole plan (--time-limit)")
+    if fields.has("inflate_constraints_individually"):
+        fields.flag("inflate_constraints_individually", True)
+        notes.append("opt_info.inflate_constraints_individually: all constraints share one penalty")
+    tolerance = fields.number("cnt_tolerance", 1e-4, least=1e-9, most=0.1)
+    fields.close()
+    return OptInfo(settings, tolerance)
