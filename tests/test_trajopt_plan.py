@@ -94,9 +94,9 @@ def test_atlas_reaches_between_boxes_on_planted_feet(tmp_path: Path) -> None:
 
 def test_a_glass_stays_upright_between_the_waypoints_too() -> None:
     upright = {"link": "tool", "xyz": [0, 0, 0], "wxyz": [1, 0, 0, 0], "pos_coeffs": [0, 0, 0], "rot_coeffs": [9, 9, 0]}
-    there = term("cart_pose", link="tool", xyz=[0.7, 0.3, 1.05], wxyz=[1, 0, 0, 0], rot_coeffs=[0, 0, 0])
-    terms = [*(term("cart_pose", timestep=t, **upright) for t in range(1, 6)), there]
-    result = of_arm(document(n_steps=6, costs=[term("joint_vel", coeffs=[1])], constraints=terms))
+    there = term("cart_pose", link="tool", xyz=[0.1, 0.75, 1.05], wxyz=[1, 0, 0, 0], rot_coeffs=[0, 0, 0])
+    terms = [*(term("cart_pose", timestep=t, **upright) for t in range(1, 3)), there]
+    result = of_arm(document(n_steps=3, costs=[term("joint_vel", coeffs=[1])], constraints=terms))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     assert result.certificate is not None
     (axis,) = [check for check in result.certificate.checks if check.name.startswith("axis.")]
