@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,25 @@ def test_atlas_reaches_between_boxes_on_planted_feet(tmp_path: Path) -> None:
     legs = [data["trajectory"]["joint_names"].index(name) for name in ("l_leg_kny", "r_leg_kny")]
     moved = np.ptp(np.array(data["trajectory"]["positions"])[:, legs], axis=0)
     assert np.all(moved > 1e-3)  # with 36 degrees of freedom the knees help
+
+
+def test_a_straight_line_begins_at_the_start_that_is_given(tmp_path: Path) -> None:
+    init = {"type": "straight_line", "endpoint": [0.5] * 7}
+    (tmp_path / "start.yaml").write_text("joints: {elbow_pitch: 0.7, wrist_roll: -1.0}\n")
+    data = document(constraints=[term("joint", vals=[0.5])], costs=[term("joint_vel", coeffs=[1])], init=init)
+    (tmp_path / "problem.json").write_text(json.dumps(data))
+    result = planned(tmp_path, tmp_path / "problem.json", *ARM, "--start", tmp_path / "start.yaml")
+    np.testing.assert_allclose(result["trajectory"]["positions"][0], [0, 0, 0, 0.7, 0, 0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(result["trajectory"]["positions"][-1], 0.5, atol=1e-12)
+
+
+def test_the_example_of_the_document_is_certified(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(EXAMPLES.parents[1])
+    (example,) = re.findall(r"```python\n(.*?)```", Path("docs/trajopt.md").read_text(), flags=re.DOTALL)
+    exec(compile(example, "docs/trajopt.md", "exec"), {})
+    assert capsys.readouterr().out == "CERTIFIED init_info\n"
 
 
 def test_a_glass_stays_upright_between_the_waypoints_too() -> None:
