@@ -8,46 +8,47 @@ import numpy as np
 
 from service.verify.certificate import Basis, Check, Where
 from service.verify.couples import Couples
-from service.verify.forward import placements
 from service.verify.motion import Motion, Phase
 from service.verify.narrow import Narrow
 from service.verify.settings import VerifySettings
 from service.verify.timeline import time_of
+from service.verify.track import Track
 
 FLOOR_KIND = "floor"
 
 
-def start_checks(motion: Motion, couples: Couples, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+def start_checks(track: Track, couples: Couples, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
     """One check for each pair that is in collision at the first pose, as its allowance lets it.
 
     Planted links that rest on the floor are not told.
 
     Args:
-        motion: whose first pose is looked at.
-        couples: the pairs of the motion.
+        track: the motion whose first pose is looked at.
+        couples: its pairs.
         phase: the first one.
         settings: how deep a touch is a collision.
     """
-    narrow, s = Narrow(), float(motion.curve.knots[0])
-    placed = placements(motion.robot.model, motion.curve(np.array([s])))
+    motion, s = track.motion, float(track.motion.curve.knots[0])
+    placed, row = track.at(np.array([s]))
+    narrow = Narrow()
     for couple in np.flatnonzero(~np.isnan(couples.allowed[:, 0])).tolist():
         if rests_on_floor(motion, couples, couple, phase):
             continue
         mover, holder = couples.solids[couples.mover[couple]], couples.solids[couples.holder[couple]]
-        rotation, translation = placed.relative(holder.joint, mover.joint)
-        closest = narrow.closest(mover, rotation[0], translation[0], holder)
-        if closest.distance >= -settings.contact_tolerance_m:
+        distances, _ = narrow.closest([mover.convex], *placed.relative(holder.joint, mover.joint, row), [holder.convex])
+        distance = float(distances[0])
+        if distance >= -settings.contact_tolerance_m:
             continue
         allowed = float(couples.allowed[couple, 0])
         names = couples.names(couple)
         text = (
-            f"starts in collision: {names[0]} is {-1e3 * closest.distance:.1f} mm inside {names[1]}, "
+            f"starts in collision: {names[0]} is {-1e3 * distance:.1f} mm inside {names[1]}, "
             f"which '{phase.name}' allows down to {1e3 * allowed:.1f} mm"
         )
-        is_ok = closest.distance >= -allowed - settings.contact_tolerance_m
+        is_ok = distance >= -allowed - settings.contact_tolerance_m
         where = Where(s, time_of(motion.law, s), None, names)
         name = f"start.{names[0]}.{names[1]}"
-        yield Check(name, is_ok, closest.distance, -allowed, "m", text, where, Basis.SAMPLES)
+        yield Check(name, is_ok, distance, -allowed, "m", text, where, Basis.SAMPLES)
 
 
 def rests_on_floor(motion: Motion, couples: Couples, couple: int, phase: Phase) -> bool:
