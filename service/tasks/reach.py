@@ -16,9 +16,11 @@ from service.request import GoalRequest
 from service.restore import restored
 from service.sampling import Tree
 from service.tasks.goal import Goal
+from service.tasks.lead import led
 
 WAYPOINTS = 16
 QUICK_STEPS = 20  # of a first try: what needs more is found sooner from another start
+LED_STEPS = 40  # where the straight line has failed
 SAMPLED_STEPS = 50  # of a sampled path, which is clear from the beginning
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
 TREES = (
@@ -68,14 +70,19 @@ class _Search:
         end, shortfall = next(ends)
         if shortfall is not None:
             yield "goal pose", shortfall
+            yield from self._led()
             return
         quick = self._solve(straight(start, end, count), max_iterations=QUICK_STEPS)
         yield "straight line", quick
         yield from self._around(end, TREES[0])
+        if self.solver.body.kept:
+            line = self.solver.body.on_holds(straight(start, end, count))
+            yield "straight line along what is kept", self._solve(line, max_iterations=QUICK_STEPS)
         for other, shortfall in ends:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight(start, other, count), max_iterations=QUICK_STEPS)
+        yield from self._led()
         yield from self._around(end, TREES[1])
         yield from self._around(end, TREES[2])
         if quick.result.status is Status.ITERATION_LIMIT:
@@ -115,6 +122,12 @@ class _Search:
             with self.solver.monitor.step("goal pose", 0.1):
                 last = restored(self.solver, "goal pose", worst)
             yield last.x[0], None if last.is_feasible else last
+
+    def _led(self) -> Iterator[tuple[str, Solved]]:
+        """From the straight ways of the links that shall arrive."""
+        q = led(self.goal, self.n_waypoints)
+        if q is not None:
+            yield "straight way of what shall arrive", self._solve(q, max_iterations=LED_STEPS)
 
     def _around(self, end: Float[np.ndarray, "n"], tree: Tree) -> Iterator[tuple[str, Solved]]:
         """From the path of a sampling planner: optimised, and as it is where that fails."""
