@@ -14,6 +14,7 @@ from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
 from service.explain_goal import never_reached
+from service.explain_keep import never_kept
 from service.request import GoalRequest, PoseGoalRequest
 from service.verify import AxisTarget, JointTarget, PoseTarget, Target
 from service.whole_body import WholeBody
@@ -79,7 +80,8 @@ class Goal:
 
     def impossible(self) -> tuple[str, ...]:
         """Reasons that hold for every motion."""
-        return never_reached(self.body, self.targets(0.0))
+        targets = self.targets(0.0)
+        return (*never_reached(self.body, targets), *never_kept(self.body, targets))
 
 
 def rotation_of(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
