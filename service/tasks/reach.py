@@ -73,7 +73,9 @@ class _Search:
             yield from self._led()
             return
         quick = self._solve(straight(start, end, count), max_iterations=QUICK_STEPS)
-        yield "straight line", quick
+        with self.solver.monitor.step("reach", 0.4):
+            straightest = quick if quick.is_feasible else restored(self.solver, "reach", quick)
+        yield "straight line", straightest
         yield from self._around(end, TREES[0])
         if self.solver.body.kept:
             line = self.solver.body.on_holds(straight(start, end, count))
