@@ -37,7 +37,7 @@ def run_problem(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
         "verdict": result.verdict.value,
         "clearance_m": None if certificate is None else _number(certificate.min_clearance_m),
         "start": result.found_from,
-        "reason": next(iter(result.explanation), ""),
+        "reason": next(iter(result.explanation), "") if result.conflict is None else result.conflict.brief,
     }
 
 
