@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from planar_arm import write_planar_arm
 from rich.console import Console
+from small_plan import small_plan
 from small_robots import box
 from stranger import Stranger
 
@@ -209,6 +210,26 @@ def test_a_planted_foot_cannot_leave_the_floor():
         f"start is in collision: {foot} is 0.050 m inside floor; {foot} is planted and cannot leave"
         for foot in ("l_foot", "r_foot")
     )
+
+
+def test_feet_that_stand_in_a_scanned_floor_are_not_told_as_a_collision():
+    motion = small_plan().motion
+    floor = next(piece for piece in motion.scene.pieces if piece.name == "floor")
+    raised = replace(floor, vertices=floor.vertices + np.array([0.0, 0.0, 0.005]))
+    pieces = tuple(raised if piece is floor else piece for piece in motion.scene.pieces)
+    certificate = verify(replace(motion, scene=Scene(pieces)))
+    assert certificate.status is Status.CERTIFIED
+    assert max(exempt.deepest_m for exempt in certificate.exempt) > 4e-3
+    assert not any(check.name.startswith("start.") for check in certificate.checks)
+    (clearance,) = [check for check in certificate.checks if check.name == "clearance"]
+    assert "aside" not in clearance.text
+    # the same plate under the feet, were it no floor, is told
+    box_below = replace(raised, kind="obstacle")
+    pieces = tuple(box_below if piece is floor else piece for piece in motion.scene.pieces)
+    told = [
+        check.where.names for check in verify(replace(motion, scene=Scene(pieces))).checks if "start." in check.name
+    ]
+    assert sorted(told) == [("l_foot", "floor"), ("r_foot", "floor")]
 
 
 def test_what_is_asked_of_the_overlapping_pair_rises_from_its_depth_to_the_margin(tmp_path):
