@@ -17,7 +17,8 @@ from service.restore import restored
 from service.sampling import Tree
 from service.tasks.goal import Goal
 
-WAYPOINTS = 16
+LEAST_WAYPOINTS, MOST_WAYPOINTS = 10, 16
+WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
 QUICK_STEPS = 20  # of a first try: what needs more is found sooner from another start
 SAMPLED_STEPS = 50  # of a sampled path, which is clear from the beginning
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
@@ -40,7 +41,7 @@ def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | Non
     if impossible:
         yield TaskPlan(body, (), impossible, is_impossible=True)
         return
-    search = _Search(solver, goal, WAYPOINTS if n_waypoints is None else n_waypoints)
+    search = _Search(solver, goal, n_waypoints)
     best: tuple[str, Solved] | None = None
     is_found = False
     for name, solved in islice(search.solutions(), solver.most_starts):
@@ -59,23 +60,24 @@ class _Search:
 
     solver: PhaseSolver
     goal: Goal
-    n_waypoints: int
+    n_waypoints: int | None
 
     def solutions(self) -> Iterator[tuple[str, Solved]]:
         """Solved starts by name, feasible or not; every one asked for costs its solve."""
-        start, count = self.solver.body.nominal, self.n_waypoints
+        start = self.solver.body.nominal
         ends = self._ends()
         end, shortfall = next(ends)
         if shortfall is not None:
             yield "goal pose", shortfall
             return
+        count = self._count(end)
         quick = self._solve(straight(start, end, count), max_iterations=QUICK_STEPS)
         yield "straight line", quick
         yield from self._around(end, TREES[0])
         for other, shortfall in ends:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
-                yield name, self._solve(straight(start, other, count), max_iterations=QUICK_STEPS)
+                yield name, self._solve(straight(start, other, self._count(other)), max_iterations=QUICK_STEPS)
         yield from self._around(end, TREES[1])
         yield from self._around(end, TREES[2])
         if quick.result.status is Status.ITERATION_LIMIT:
@@ -94,6 +96,13 @@ class _Search:
         )
         stuck = Stuck.at("goal pose" if is_pose else "reach", solved)
         return TaskPlan(self.solver.body, (phase,), stuck=stuck, found_from=name)
+
+    def _count(self, end: Float[np.ndarray, "n"]) -> int:
+        """Waypoints on the way to an end."""
+        if self.n_waypoints is not None:
+            return self.n_waypoints
+        farthest = np.abs(end - self.solver.body.nominal).max(initial=0.0)
+        return int(np.clip(np.ceil(farthest / WAYPOINT_STEP), LEAST_WAYPOINTS, MOST_WAYPOINTS))
 
     def _ends(self) -> Iterator[tuple[Float[np.ndarray, "n"], Solved | None]]:
         """Configurations at the goal that differ; if there is none, the best and in what it falls short."""
@@ -120,7 +129,7 @@ class _Search:
         """From the path of a sampling planner: optimised, and as it is where that fails."""
         with self.solver.monitor.step("sampling", 0.5):
             seeded = replace(tree, seed=tree.seed + self.solver.seed)
-            path = self.solver.sampled_start(self.solver.body.nominal, end, self.n_waypoints, seeded)
+            path = self.solver.sampled_start(self.solver.body.nominal, end, self._count(end), seeded)
         if path is None:
             return
         name = f"path of {tree.planner}, tree {tree.seed + 1}"
