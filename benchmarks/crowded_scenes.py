@@ -96,7 +96,7 @@ def _crowded(
     place = planted_poses(body.engine, path[-1], [palm])[palm]
     if np.linalg.norm(place[:3, 3] - planted_poses(body.engine, path[0], [palm])[palm][:3, 3]) < LEAST_TRAVEL:
         return None
-    arm = {robot.model.getJointId(joint) for joint in robot.groups[_arm(side)]}
+    arm = {robot.model.getJointId(joint) for joint in robot.groups[arm_of(side)]}
     boxes = _boxes(body, rng, path, n_boxes, arm)
     if boxes is None:
         return None
@@ -136,13 +136,13 @@ def _body(robot: RobotModel, request: PlanRequest, balance_margin: float) -> Who
 def _drawn_path(body: WholeBody, rng: np.random.Generator, side: str) -> Float[np.ndarray, "T n"] | None:
     """A motion of the robot alone to a random posture through another one; None where there is none."""
     start = body.nominal
-    goal = _standing(body, _random_posture(body, rng, side))
+    goal = standing_near(body, random_posture(body, rng, side))
     if goal is None:
         return None
     between = 0.5 * (start + goal)
-    arm = [body.robot.joint_names.index(joint) for joint in body.robot.groups[_arm(side)]]
+    arm = [body.robot.joint_names.index(joint) for joint in body.robot.groups[arm_of(side)]]
     between[arm] += rng.normal(0.0, STRAY, len(arm))
-    middle = _standing(body, np.clip(between, body.robot.lower, body.robot.upper))
+    middle = standing_near(body, np.clip(between, body.robot.lower, body.robot.upper))
     if middle is None:
         return None
     lower, upper = body.bounds(2 * HALF + 1, {0: start, HALF: middle, 2 * HALF: goal})
@@ -152,10 +152,10 @@ def _drawn_path(body: WholeBody, rng: np.random.Generator, side: str) -> Float[n
     return result.x if result.is_feasible else None
 
 
-def _random_posture(body: WholeBody, rng: np.random.Generator, side: str) -> Float[np.ndarray, "n"]:
+def random_posture(body: WholeBody, rng: np.random.Generator, side: str) -> Float[np.ndarray, "n"]:
     """The start with one arm, the back and the knees bent at random; feet in the air as yet."""
     robot, q = body.robot, body.nominal.copy()
-    shoulder_and_elbow, wrist = robot.groups[_arm(side)][:4], robot.groups[_arm(side)][4:]
+    shoulder_and_elbow, wrist = robot.groups[arm_of(side)][:4], robot.groups[arm_of(side)][4:]
     for joints, share in ((shoulder_and_elbow, 0.8), (wrist, 0.3), (robot.groups["back"], 0.5)):
         for joint in joints:
             i = robot.joint_names.index(joint)
@@ -168,7 +168,7 @@ def _random_posture(body: WholeBody, rng: np.random.Generator, side: str) -> Flo
     return q
 
 
-def _standing(body: WholeBody, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
+def standing_near(body: WholeBody, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
     """A posture near ``q`` with both feet planted, balanced and clear of itself; None where none is found."""
     lower, upper = body.bounds(1, {})
     checker = body.checker(ends=[body.nominal])
@@ -207,26 +207,26 @@ def _boxes(
     known, direct = body.engine(path), body.engine(straight(path[0], path[-1], len(path)))
     everywhere = list(range(len(body.robot.bodies)))
     moving = [b for b in everywhere if body.robot.bodies[b].joint in arm]
-    thrown = [_thrown(body, rng, direct, moving, ACROSS) for _ in range(THROWS)]
-    hits = _near(body, thrown, direct, 0.0) - _near(body, thrown, known, ROOM)
+    thrown = [thrown_box(body, rng, direct, moving, ACROSS) for _ in range(THROWS)]
+    hits = boxes_near(body, thrown, direct, 0.0) - boxes_near(body, thrown, known, ROOM)
     if len(hits) < IN_THE_WAY:
         return None
     kept = [thrown[k] for k in sorted(hits)[:IN_THE_WAY]]
     while len(kept) < n_boxes:
-        thrown = [_thrown(body, rng, known, everywhere, AWAY) for _ in range(THROWS)]
-        near = _near(body, thrown, known, ROOM)
+        thrown = [thrown_box(body, rng, known, everywhere, AWAY) for _ in range(THROWS)]
+        near = boxes_near(body, thrown, known, ROOM)
         kept += [one for k, one in enumerate(thrown) if k not in near]
     return [{"name": f"box{k}", "type": "box", **one} for k, one in enumerate(kept[:n_boxes])]
 
 
-def _near(body: WholeBody, boxes: Sequence[Mapping[str, Any]], sweep: Kinematics, room: float) -> set[int]:
+def boxes_near(body: WholeBody, boxes: Sequence[Mapping[str, Any]], sweep: Kinematics, room: float) -> set[int]:
     """Which boxes the robot comes nearer to than ``room`` on its way [m]."""
     scene = Scene(tuple(_piece(k, one) for k, one in enumerate(boxes)))
     contacts = SweptCollisionChecker(body.robot, scene, PairMargins.of(body.robot, scene, 0.0), buffer=room)(sweep)
     return set(contacts.other[~contacts.is_self].tolist())
 
 
-def _thrown(
+def thrown_box(
     body: WholeBody, rng: np.random.Generator, sweep: Kinematics, bodies: Sequence[int], away: tuple[float, float]
 ) -> dict[str, Any]:
     """A box near a random point of some of the robot's bodies somewhere on its way."""
@@ -249,5 +249,5 @@ def _piece(number: int, thrown: Mapping[str, Any]) -> ConvexPiece:
     return ConvexPiece(f"box{number}", box(np.array(thrown["size"])) @ turn.T + np.array(thrown["position"]))
 
 
-def _arm(side: str) -> str:
+def arm_of(side: str) -> str:
     return {"l": "left_arm", "r": "right_arm"}[side]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -29,7 +30,11 @@ class Curve:
             raise ValueError("knots, positions and tangents must have the same length")
 
     def coefficients(self) -> Float[np.ndarray, "4 K-1 n"]:
-        """Per interval, ``q(s) = sum_k c_k u^k`` with ``u = s - knots[i]``."""
+        """Per interval, ``q(s) = sum_k c_k u^k`` with ``u = s - knots[i]``; to be read only."""
+        return self._coefficients
+
+    @cached_property
+    def _coefficients(self) -> Float[np.ndarray, "4 K-1 n"]:
         h = np.diff(self.knots)[:, None]
         q0, q1 = self.positions[:-1], self.positions[1:]
         v0, v1 = self.tangents[:-1], self.tangents[1:]

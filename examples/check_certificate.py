@@ -86,6 +86,7 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
             pairs.append((n, m))
     solids |= pieces
     proof, rows, sweeps, failed, smallest, n_rows = data["certificate"]["stretches"], {}, {}, [], np.inf, 0
+    edges = np.union1d(replay.edges, np.clip(proof["edges"], replay.edges[0], replay.edges[-1])).tolist()
     for p, *row in zip(*(proof[key] for key in ("pair", "first", "last", "distance")), strict=True):
         rows.setdefault(tuple(proof["pairs"][p]), []).append(row)
     for pair in pairs:
@@ -93,7 +94,7 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
         (lm, jm, mover), (lh, jh, holder) = solids[pair[0]], solids[pair[1]]
         chain, own = replay.chain(jh, jm, mover), sorted(rows.get(pair, []))
         seen = sweeps.setdefault((pair[0], jh), {})  # what all pairs of one mover and one frame share
-        for a, b in itertools.pairwise(replay.edges.tolist()):
+        for a, b in itertools.pairwise(edges):
             phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
             depths = [w["depth"] for w in phase["allowances"] if covers(w, (pair[0], lm), (pair[1], lh))]
             need, at = -max(depths) if depths else (data["certificate"]["min_clearance_m"] or 0.0) - 1e-6, a

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+SEEN_TOUCH_M = 1e-4  # feet that rest on a floor are that near to it
 _COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
 
 
@@ -43,7 +44,9 @@ def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
         out.print(f"planning time    {seconds:.2f} s{_slowest(summary.get('timings') or {})}", markup=False)
     clearance, pair = summary.get("min_clearance_m"), summary.get("min_clearance_pair")
     between = f" between {pair[0]} and {pair[1]}" if pair else ""
-    out.print(f"clearance        {_millimetres(clearance)}{between}", markup=False)
+    touching = any(entry["deepest_m"] > SEEN_TOUCH_M for entry in summary.get("exempt") or [])
+    aside = ", pairs that may touch aside" if touching else ""
+    out.print(f"clearance        {_millimetres(clearance)}{between}{aside}", markup=False)
     out.print(f"balance margin   {_millimetres(summary.get('min_balance_margin_m'))}", markup=False)
 
 

@@ -39,7 +39,7 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "support_polygons": [
             {"first": phase["first"], "last": phase["last"], **phase["support"]} for phase in phases if phase["support"]
         ],
-        "com": _centres_of_mass(robot, q[:, : robot.n]).tolist(),
+        "com": _centres_of_mass(robot, q[:, : robot.n]),
         "zmp": _zero_moment_points(motion, s),
     }
 
@@ -151,9 +151,12 @@ def _axis(robot: RobotModel, joint: pin.JointModel) -> Float[np.ndarray, "3"]:
     return np.asarray(data.S).reshape(6)[3:]
 
 
-def _centres_of_mass(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "S 3"]:
+def _centres_of_mass(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> list[list[float] | None]:
+    """In the world at every sample, null where the robot's file names no masses."""
+    if not sum(inertia.mass for inertia in robot.model.inertias[1:]) > 0.0:
+        return [None] * len(q)
     data = robot.model.createData()
-    return np.array([pin.centerOfMass(robot.model, data, row).copy() for row in q]).reshape(-1, 3)
+    return [pin.centerOfMass(robot.model, data, row).tolist() for row in q]
 
 
 def _zero_moment_points(motion: Motion, s: Float[np.ndarray, "S"]) -> list[list[float] | None]:

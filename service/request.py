@@ -172,6 +172,7 @@ class Options(Section):
         qp: solver of the convex subproblems.
         velocity_scale, acceleration_scale: share of the robot's limits that is used.
         timed: whether the motion gets a time law; without one the path alone is planned and certified.
+        escape: whether a start in collision is left first, instead of being refused.
     """
 
     waypoints: Annotated[StrictInt, Field(ge=3, le=500)] | None = None
@@ -185,6 +186,7 @@ class Options(Section):
     velocity_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.5
     acceleration_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.3
     timed: bool = True
+    escape: bool = False
 
 
 @dataclass(config=SECTION)

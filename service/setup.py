@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -21,8 +22,10 @@ from service.request import PlanRequest
 from service.start import (
     FEET_GROUP,
     FLOOR_KIND,
+    Overlap,
     beyond_limits,
-    collisions,
+    no_way_out,
+    overlaps,
     placed_bodies,
     sole,
     standing_problems,
@@ -47,6 +50,7 @@ class PlanSetup:
         soles: for each planted link, the corners of its sole in the world at the start [m].
         kept: relative poses that hold along the whole motion.
         program: the problem file that is to be solved, or None.
+        overlaps: what the robot is in at its start, to be left first.
         notes: what was assumed, snapped or noticed.
         timings: seconds by step.
     """
@@ -59,6 +63,7 @@ class PlanSetup:
     soles: Mapping[str, Float[np.ndarray, "C 3"]]
     kept: tuple[KeptPose, ...]
     program: Program | None
+    overlaps: tuple[Overlap, ...]
     notes: tuple[str, ...]
     timings: Mapping[str, float]
 
@@ -103,11 +108,12 @@ def _prepare(
     perceived = _timed(timings, "perceive", lambda: _perceive(request, robot, start, soles))
     scene = _timed(timings, "build_scene", lambda: _scene(request, robot, start, perceived))
     say("check start")
-    is_balanced = program is None or program.is_balanced
-    _timed(timings, "check_start", lambda: _check_start(robot, start, scene, soles, is_balanced))
+    check = partial(_check_start, robot, start, scene, soles, request, program)
+    inside = _timed(timings, "check_start", check)
+    notes += tuple(f"start is in collision: {one}; the first phase leaves it" for one in inside)
     if perceived is not None:
         notes += perceived.notes
-    return PlanSetup(request, robot, start, scene, perceived, soles, kept, program, notes, timings)
+    return PlanSetup(request, robot, start, scene, perceived, soles, kept, program, inside, notes, timings)
 
 
 def _timed(timings: dict[str, float], step: str, run: Callable[[], T]) -> T:
@@ -252,10 +258,26 @@ def _scene(
 
 
 def _check_start(
-    robot: RobotModel, start: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, np.ndarray], is_balanced: bool
-) -> None:
-    problems = [f"start is in collision: {line}" for line in collisions(robot, start, scene, tuple(soles))]
-    if soles and is_balanced:
+    robot: RobotModel,
+    start: Float[np.ndarray, "n"],
+    scene: Scene,
+    soles: Mapping[str, np.ndarray],
+    request: PlanRequest,
+    program: Program | None,
+) -> tuple[Overlap, ...]:
+    """What the robot is in at its start, which is nothing unless it may escape."""
+    problems = []
+    inside = overlaps(robot, start, scene, tuple(soles))
+    obstacles = [no_way_out(robot, one, tuple(soles)) for one in inside]
+    if program is not None or not request.options.escape:
+        problems = [f"start is in collision: {one}" for one in inside]
+        if inside and program is None and not any(obstacles):
+            problems.append("options.escape: false; true would plan a way out of the collision first")
+    else:
+        stuck = [(one, obstacle) for one, obstacle in zip(inside, obstacles, strict=True) if obstacle]
+        problems = [f"start is in collision: {one}; {obstacle}" for one, obstacle in stuck]
+    if soles and (program is None or program.is_balanced):
         problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]
     if problems:
         raise RequestError(problems)
+    return tuple(inside)

@@ -146,6 +146,18 @@ def overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted
     return list(deepest.values())
 
 
+def no_way_out(robot: RobotModel, overlap: Overlap, planted: Sequence[str]) -> str:
+    """Why an overlap cannot be left, or left with a certificate that names it; empty when it can."""
+    names = [overlap.link] if overlap.kind else [overlap.link, overlap.other]
+    if all(name in planted for name in names):
+        return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} planted and cannot leave"
+    if overlap.kind and overlap.other.endswith("*"):
+        return f"a piece named {overlap.other} cannot be told from others; another name, without the *, would do"
+    if overlap.kind and overlap.other in {name for body in robot.bodies for name in (body.name, body.link)}:
+        return f"a piece named {overlap.other} cannot be told from the link; another name would do"
+    return ""
+
+
 def standing_problems(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> list[str]:

@@ -296,23 +296,21 @@ def test_promises_are_what_the_verifier_knows():
 
 def test_a_pose_at_every_waypoint_is_promised_in_between_if_the_start_has_it():
     robot = chain(PLANAR)
-    upright = {"link": "tip", "xyz": [0, 0, 0], "wxyz": [1, 0, 0, 0], "pos_coeffs": [0, 0, 0], "rot_coeffs": [1, 1, 0]}
+    upright = {"link": "tip", "xyz": [2, 0, 0], "wxyz": [1, 0, 0, 0], "pos_coeffs": [0, 1, 0], "rot_coeffs": [1, 1, 0]}
     terms = [term("cart_pose", timestep=t, **upright) for t in (1, 2)]
     promises = Promises.of(program_of(robot, document("joint1", 3, constraints=terms)), robot)
-    assert [type(target) for target in promises.targets()] == [AxisTarget]
-    (hold,) = promises.holds()
-    residual = hold(np.array([0, 1, 2]))
-    dense = check_jacobian_of_moving(residual, robot, X)
-    assert dense.shape == (6, 6)
+    assert [type(target) for target in promises.targets()] == [PoseTarget, AxisTarget]
+    assert promises.at_waypoints(Timeline.of_steps(3), np.arange(3.0)) == ()
+    place, axis = (hold(np.array([0, 1, 2])) for hold in promises.holds())
+    state = contact_free_state(robot)(X)
+    np.testing.assert_allclose(place.value(state), [0.0, 1.0, 1.0], atol=1e-12)
+    dense = place.linearize(state).jacobian.toarray()
+    np.testing.assert_allclose(dense[0], [2.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-12)  # joint2 is not in the manip
+    assert not dense[:, 1::2].any()
+    assert len(axis.value(state)) == 6
     tilted = {**upright, "wxyz": [np.cos(0.1), np.sin(0.1), 0, 0]}
     terms = [term("cart_pose", timestep=t, **tilted) for t in (1, 2)]
     assert Promises.of(program_of(robot, document("joint1", 3, constraints=terms)), robot).along == ()
-
-
-def check_jacobian_of_moving(residual, robot, x):
-    dense = residual.linearize(contact_free_state(robot)(x)).jacobian.toarray()
-    assert not dense[:, 1::2].any()  # joint2 is not in the manip
-    return dense
 
 
 def test_masked_rows_have_the_derivatives_of_what_moves_and_no_other():

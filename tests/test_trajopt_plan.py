@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -92,11 +93,30 @@ def test_atlas_reaches_between_boxes_on_planted_feet(tmp_path: Path) -> None:
     assert np.all(moved > 1e-3)  # with 36 degrees of freedom the knees help
 
 
+def test_a_straight_line_begins_at_the_start_that_is_given(tmp_path: Path) -> None:
+    init = {"type": "straight_line", "endpoint": [0.5] * 7}
+    (tmp_path / "start.yaml").write_text("joints: {elbow_pitch: 0.7, wrist_roll: -1.0}\n")
+    data = document(constraints=[term("joint", vals=[0.5])], costs=[term("joint_vel", coeffs=[1])], init=init)
+    (tmp_path / "problem.json").write_text(json.dumps(data))
+    result = planned(tmp_path, tmp_path / "problem.json", *ARM, "--start", tmp_path / "start.yaml")
+    np.testing.assert_allclose(result["trajectory"]["positions"][0], [0, 0, 0, 0.7, 0, 0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(result["trajectory"]["positions"][-1], 0.5, atol=1e-12)
+
+
+def test_the_example_of_the_document_is_certified(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(EXAMPLES.parents[1])
+    (example,) = re.findall(r"```python\n(.*?)```", Path("docs/trajopt.md").read_text(), flags=re.DOTALL)
+    exec(compile(example, "docs/trajopt.md", "exec"), {})
+    assert capsys.readouterr().out == "CERTIFIED init_info\n"
+
+
 def test_a_glass_stays_upright_between_the_waypoints_too() -> None:
     upright = {"link": "tool", "xyz": [0, 0, 0], "wxyz": [1, 0, 0, 0], "pos_coeffs": [0, 0, 0], "rot_coeffs": [9, 9, 0]}
-    there = term("cart_pose", link="tool", xyz=[0.7, 0.3, 1.05], wxyz=[1, 0, 0, 0], rot_coeffs=[0, 0, 0])
-    terms = [*(term("cart_pose", timestep=t, **upright) for t in range(1, 6)), there]
-    result = of_arm(document(n_steps=6, costs=[term("joint_vel", coeffs=[1])], constraints=terms))
+    there = term("cart_pose", link="tool", xyz=[0.1, 0.75, 1.05], wxyz=[1, 0, 0, 0], rot_coeffs=[0, 0, 0])
+    terms = [*(term("cart_pose", timestep=t, **upright) for t in range(1, 3)), there]
+    result = of_arm(document(n_steps=3, costs=[term("joint_vel", coeffs=[1])], constraints=terms))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     assert result.certificate is not None
     (axis,) = [check for check in result.certificate.checks if check.name.startswith("axis.")]

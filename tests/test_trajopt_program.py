@@ -77,6 +77,14 @@ def test_joints_outside_the_manip_stay_where_they_start():
     assert list(program.fixed) == [0]
 
 
+def test_what_is_fixed_stays_at_its_start_in_the_trajectory_to_start_from():
+    init = {"type": "given_traj", "data": straight_rows([0.0] * 7, [0.5] * 7, 5)}
+    program = program_of(arm(), document(init=init, dofs_fixed=[2], fixed_timesteps=[0, 4]))
+    np.testing.assert_array_equal(program.init[:, 2], 0.0)
+    assert program.fixed[4][2] == 0.0
+    assert program.fixed[4][3] == 0.5
+
+
 def test_a_straight_line_runs_from_the_start_to_its_endpoint():
     start = StartRequest(joints={"elbow_pitch": 0.5})
     init = {"type": "straight_line", "endpoint": [0.4, 0, 0, 1.5, 0, 0, 0]}
@@ -217,10 +225,11 @@ def test_a_foot_that_is_free_for_one_waypoint_or_held_elsewhere_is_not_planted()
 
 
 def test_zmp_at_some_waypoints_is_no_balance_of_the_whole_motion():
-    program = program_of(atlas(), standing_document(balanced=[1, 3]))
-    assert not program.is_balanced
-    assert sum(isinstance(each, ZmpTerm) for each in program.problem.terms) == 2
-    assert any("balance is not part of the proof" in note for note in program.notes)
+    for balanced in ([1, 3], [2, 3], [1, 2]):
+        program = program_of(atlas(), standing_document(balanced=balanced))
+        assert not program.is_balanced
+        assert sum(isinstance(each, ZmpTerm) for each in program.problem.terms) == 2
+        assert any("balance is not part of the proof" in note for note in program.notes)
 
 
 def test_the_feet_of_a_robot_whose_arm_alone_moves_are_planted_without_balance():

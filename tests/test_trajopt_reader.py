@@ -252,6 +252,17 @@ def test_everything_wrong_is_told_at_once() -> None:
     ]
 
 
+def test_what_can_be_read_is_read_besides_what_is_wrong() -> None:
+    reading = read_problem(changed(("costs", 0, "params", "coefs"), [1]))
+    assert reading.problem is not None
+    assert [each.path for each in reading.problem.terms] == [
+        *(f"costs[{k}]" for k in range(1, 6)),
+        *(f"constraints[{k}]" for k in range(8)),
+    ]
+    assert read_problem(changed(("basic_info", "n_steps"), 0)).problem is None
+    assert read_problem(changed(("init_info", "type"), "x")).problem is None
+
+
 def test_rows_of_a_trajectory_are_as_many_as_the_steps() -> None:
     document = small()
     document["init_info"] = {"type": "given_traj", "data": [[0.0], [1.0]]}

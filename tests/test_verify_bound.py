@@ -12,8 +12,8 @@ from small_robots import random_curve, random_model
 from costs.curve import Curve
 from service.verify.chain import JointTree
 from service.verify.errors import VerifyError
-from service.verify.forward import placements
-from service.verify.rates import intervals, position_range
+from service.verify.forward import Forward
+from service.verify.rates import Rates, position_range
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -47,14 +47,14 @@ def test_no_point_leaves_its_chord_by_more_than_the_bound(seed: int, is_floating
     points = rng.uniform(-0.3, 0.3, size=(4, 3))
     chain = tree.chain(holder, mover, points)
     ends = np.sort(rng.uniform(curve.knots[0], curve.knots[-1], size=2))
-    over = intervals(curve, ends[:1], ends[1:], None)
+    over = Rates(curve, None).over(ends[:1], ends[1:])
     s = np.linspace(ends[0], ends[1], 41)
     path = _relative_points(model, curve(s), holder, mover, points)
     along = np.linspace(0.0, 1.0, 41)[:, None, None]
     off = np.linalg.norm(path - (path[0] + along * (path[-1] - path[0])), axis=2).max()
     assert off <= chain.deviation(over)[0] + 1e-12
 
-    middle = placements(model, curve(np.array([ends.mean()])))
+    middle = Forward(model).at(curve(np.array([ends.mean()])))
     world = points @ middle.rotation[0, mover].T + middle.translation[0, mover]
     origins = middle.translation[0, chain.joints]
     distance = np.linalg.norm(origins[:, None] - world[None], axis=2).max(axis=1)
@@ -76,10 +76,10 @@ def test_reach_bounds_every_distance_from_a_joint_to_the_body(seed: int, in_join
     chain = _tree(model, curve, is_floating=False).chain(holder, mover, points)
     ends = np.sort(rng.uniform(curve.knots[0], curve.knots[-1], size=2))
     s = np.linspace(ends[0], ends[1], 41)
-    placed = placements(model, curve(s))
+    placed = Forward(model).at(curve(s))
     world = np.einsum("sij,cj->sci", placed.rotation[:, mover], points) + placed.translation[:, None, mover]
     distance = np.linalg.norm(placed.translation[:, chain.joints, None] - world[:, None], axis=3).max(axis=2)
-    local = chain.local_reach(distance[20][None], intervals(curve, ends[:1], ends[1:], None))[0]
+    local = chain.local_reach(distance[20][None], Rates(curve, None).over(ends[:1], ends[1:]))[0]
     turns = chain.is_revolute
     assert np.all(distance[:, turns] <= chain.reach[turns] + 1e-12)
     assert np.all(distance[:, turns] <= local[turns] + 1e-12)
@@ -96,7 +96,7 @@ def test_the_bound_is_nearly_reached_by_a_stretched_arm() -> None:
     bound = (
         _tree(model, curve, is_floating=False)
         .chain(0, 2, tip)
-        .deviation(intervals(curve, np.zeros(1), np.ones(1), None))[0]
+        .deviation(Rates(curve, None).over(np.zeros(1), np.ones(1)))[0]
     )
     path = _relative_points(model, curve(np.array([0.0, 0.5, 1.0])), 0, 2, tip)[:, 0]
     deviation = np.linalg.norm(path[1] - 0.5 * (path[0] + path[2]))
@@ -112,7 +112,7 @@ def test_a_base_read_by_slerp_uses_up_part_of_its_slack() -> None:
     curve = Curve(np.array([0.0, 1.0]), turned, np.tile(turned[1], (2, 1)))
     point = np.array([[0.5, 0.0, 0.0]])
     chain = _tree(model, curve, is_floating=True).chain(0, 1, point)
-    slack = chain.sampling_slack(intervals(curve, np.zeros(1), np.ones(1), np.array([0.0, 1.0])), 0.0)[0]
+    slack = chain.sampling_slack(Rates(curve, np.array([0.0, 1.0])).over(np.zeros(1), np.ones(1)), 0.0)[0]
     last = pin.rpy.rpyToMatrix(*turned[1, 5:2:-1])
     halfway = pin.exp3(0.5 * pin.log3(last)) @ point[0]
     straight = pin.rpy.rpyToMatrix(*(0.5 * turned[1, 5:2:-1])) @ point[0]
@@ -132,7 +132,7 @@ def test_the_exported_samples_read_linearly_stay_within_the_slack(seed: int) -> 
     chain = tree.chain(0, mover, points)
     samples = np.linspace(curve.knots[0], curve.knots[-1], int(rng.integers(2, 9)))
     cell = int(rng.integers(0, len(samples) - 1))
-    over = intervals(curve, samples[cell : cell + 1], samples[cell + 1 : cell + 2], samples)
+    over = Rates(curve, samples).over(samples[cell : cell + 1], samples[cell + 1 : cell + 2])
     slack = chain.sampling_slack(over, 0.0)[0]
     first, last = curve(samples[cell : cell + 2])
     turns = [pin.rpy.rpyToMatrix(q[5], q[4], q[3]) for q in (first, last)]
@@ -153,7 +153,7 @@ def test_counter_rotating_joints_are_bounded_although_the_link_does_not_turn() -
     model.addJoint(first, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([length, 0.0, 0.0])), "second")
     curve = Curve(np.array([0.0, 1.0]), np.array([[0.0, 0.0], [turn, -turn]]), np.array([[turn, -turn]] * 2))
     chain = _tree(model, curve, is_floating=False).chain(0, 2, np.zeros((1, 3)))
-    over = intervals(curve, np.array([0.0]), np.array([1.0]), None)
+    over = Rates(curve, None).over(np.array([0.0]), np.array([1.0]))
     bound = chain.deviation(over)[0]
     deviation = length * (1.0 - np.cos(turn / 2.0))
     assert bound == pytest.approx(length * turn**2 / 8.0)
@@ -167,7 +167,7 @@ def test_a_base_that_only_slides_leaves_no_chord() -> None:
     positions[1, :3] = [0.4, -0.2, 0.1]
     curve = Curve(np.array([0.0, 1.0]), positions, np.tile(positions[1], (2, 1)))
     chain = _tree(model, curve, is_floating=True).chain(0, model.njoints - 1, np.ones((1, 3)))
-    assert chain.deviation(intervals(curve, np.zeros(1), np.ones(1), None))[0] == pytest.approx(0.0, abs=1e-15)
+    assert chain.deviation(Rates(curve, None).over(np.zeros(1), np.ones(1)))[0] == pytest.approx(0.0, abs=1e-15)
 
 
 @settings(max_examples=60)
@@ -177,7 +177,7 @@ def test_rates_and_ranges_hold_at_dense_samples_and_are_reached(seed: int) -> No
     curve = random_curve(rng, 3, 4)
     for k in range(3):
         low, high = np.sort(rng.uniform(curve.knots[k], curve.knots[k + 1], size=2))
-        over = intervals(curve, np.array([low]), np.array([high]), None)
+        over = Rates(curve, None).over(np.array([low]), np.array([high]))
         s = np.linspace(low, high, 2001)
         speed, bend = np.abs(curve(s, 1)).max(axis=0), np.abs(curve(s, 2)).max(axis=0)
         assert np.all(speed <= over.speed[0] + 1e-12)
@@ -195,13 +195,13 @@ def test_rates_and_ranges_hold_at_dense_samples_and_are_reached(seed: int) -> No
 def test_a_stretch_across_a_knot_is_refused() -> None:
     curve = random_curve(np.random.default_rng(0), 2, 3)
     with pytest.raises(VerifyError, match="between two neighbouring knots"):
-        intervals(curve, curve.knots[:1], curve.knots[2:], None)
+        Rates(curve, None).over(curve.knots[:1], curve.knots[2:])
 
 
 def test_samples_without_a_knot_are_refused() -> None:
     curve = random_curve(np.random.default_rng(0), 2, 3)
     with pytest.raises(VerifyError, match="every knot"):
-        intervals(curve, curve.knots[:1], curve.knots[1:2], np.linspace(curve.knots[0], curve.knots[-1], 7))
+        Rates(curve, np.linspace(curve.knots[0], curve.knots[-1], 7)).over(curve.knots[:1], curve.knots[1:2])
 
 
 def test_a_joint_that_is_neither_revolute_nor_prismatic_is_refused() -> None:

@@ -24,7 +24,7 @@ from service.motion_json import motion_json
 from service.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Certificate, Motion, Phase, PlantedContact, Status, SupportPolygon, VerifyError, verify
 from service.verify.certificate import bodies_hash, link_vertices, scene_hash
-from service.verify.forward import placements
+from service.verify.forward import Forward
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 FEET = ("l_foot", "r_foot")
@@ -52,7 +52,7 @@ def _wave() -> Motion:
     rows[:, robot.joint_names.index("l_arm_ely")] -= 0.5 * np.sin(np.pi * s)
     rows[:, -1] = 1.5 * s
     curve = Curve(np.arange(4.0), rows, np.gradient(rows, axis=0))
-    placed = placements(robot.model, stand[None])
+    placed = Forward(robot.model).at(stand[None])
     contacts, corners = [], []
     for foot in FEET:
         frame = robot.model.frames[robot.model.getFrameId(foot)]
@@ -85,7 +85,7 @@ def _wave() -> Motion:
 
 def _hand_half_way(robot: Any, curve: Curve, joint: int, vertices: np.ndarray) -> np.ndarray:
     """Where the hand is half-way."""
-    placed = placements(robot.model, curve(np.array([1.5])))
+    placed = Forward(robot.model).at(curve(np.array([1.5])))
     return np.asarray((vertices @ placed.rotation[0, joint].T + placed.translation[0, joint]).mean(axis=0))
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from service.errors import RequestError
 from service.phases import PhaseSolver, TaskPlan
 from service.setup import PlanSetup
+from service.tasks.escape import escape
 from service.tasks.program import plan_program
 from service.tasks.reach import plan_reach
 from service.tasks.settle import needs_settling, settle
@@ -15,7 +16,7 @@ from service.tasks.valve_task import plan_valve
 
 
 def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
-    """Plan what the request asks for, settling first where the start is not balanced enough.
+    """Plan what the request asks for, leaving a collision and settling first where the start needs it.
 
     Every plan is another way to do the whole task; the next is worked out when it is asked for.
 
@@ -25,16 +26,24 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     if setup.program is not None:  # says itself where its waypoints are, the first among them
         yield from plan_program(solver, setup.program)
         return
-    if not needs_settling(solver.body):
-        yield from _plan(setup, solver)
+    lead = _lead(setup, solver)
+    if lead.stuck is not None:
+        yield lead
         return
-    settled = settle(solver)
-    if not settled.is_feasible:
-        yield settled
-        return
-    for rest in _plan(setup, replace(solver, body=settled.body)):
-        first = settled.phases[0].for_robot(rest.body.robot)
-        yield replace(rest, phases=(first, *rest.phases))
+    for rest in _plan(setup, replace(solver, body=lead.body)):
+        phases = (phase.for_robot(rest.body.robot) for phase in lead.phases)
+        yield replace(rest, phases=(*phases, *rest.phases))
+
+
+def _lead(setup: PlanSetup, solver: PhaseSolver) -> TaskPlan:
+    """What comes before the task: out of what the start is in, then into balance; no phase where neither is needed."""
+    lead = TaskPlan(solver.body, ())
+    if setup.overlaps:
+        lead = escape(solver, setup.overlaps)
+    if lead.stuck is None and needs_settling(lead.body):
+        settled = settle(replace(solver, body=lead.body))
+        lead = replace(settled, phases=(*lead.phases, *settled.phases))
+    return lead
 
 
 def _plan(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:

@@ -34,7 +34,6 @@ def admit(motion: Motion) -> None:
     _admit_curve(motion)
     for body in motion.robot.bodies:
         _points(f"vertices of body '{body.name}'", body.vertices, 3)
-        _points(f"outer vertices of body '{body.name}'", body.outer, 3)
     for piece in motion.scene.pieces:
         _points(f"vertices of piece '{piece.name}'", piece.vertices, 3)
     for phase in motion.phases:

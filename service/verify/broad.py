@@ -3,57 +3,54 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from service.verify.clearance import ROUNDING_M, Stretches, stretch_bounds
+from service.verify.chain import Chain
 from service.verify.couples import Couples
-from service.verify.forward import placements
-from service.verify.motion import Motion
-from service.verify.narrow import Solid
-from service.verify.rates import intervals
+from service.verify.forward import Placements
+from service.verify.look import ROUNDING_M, stretch_bounds
 from service.verify.settings import VerifySettings
+from service.verify.stretches import Stretches
+from service.verify.track import Track
+
+# Stretches on which a body may leave its chords by more than this are parted before anything else [m] ...
+_LEAVES_M = 0.04
+# ... into so many parts at most, each 2^k times shorter.
+_MOST_HALVINGS = 3
+
+
+def refined(
+    track: Track, couples: Couples, edges: Float[np.ndarray, "E"], phase: Int[np.ndarray, "E-1"]
+) -> tuple[Float[np.ndarray, "I+1"], Int[np.ndarray, "I"]]:
+    """Edges so dense that boxes and first looks tell something, and the phase of each stretch between two of them."""
+    stretch, body = (index.ravel() for index in np.indices((len(edges) - 1, couples.n_bodies)))
+    over, chains = track.over(edges[:-1], edges[1:]).take(stretch), Chain.stack(couples.world).take(body)
+    leaving = chains.deviation(over).reshape(len(edges) - 1, couples.n_bodies).max(axis=1, initial=0.0)
+    # Halving a stretch leaves a quarter of what its bodies leave their chords by.
+    halvings = np.ceil(np.log2(np.maximum(leaving / _LEAVES_M, 1.0)) / 2.0)
+    parts = 2 ** np.minimum(halvings, _MOST_HALVINGS).astype(int)
+    part = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    fine = np.repeat(edges[:-1], parts) + part * np.repeat(np.diff(edges) / parts, parts)
+    return np.append(fine, edges[-1]), np.repeat(phase, parts)
 
 
 def clearance_floors(
-    motion: Motion, couples: Couples, edges: Float[np.ndarray, "I+1"], settings: VerifySettings
+    track: Track, couples: Couples, edges: Float[np.ndarray, "I+1"], settings: VerifySettings
 ) -> Float[np.ndarray, "I C"]:
-    """Lower bound of every pair's clearance on every stretch between neighbouring edges [m]; may be negative."""
-    n_stretches, n_couples = len(edges) - 1, len(couples.mover)
-    if n_couples == 0:
-        return np.empty((n_stretches, 0))
-    middle = 0.5 * (edges[:-1] + edges[1:])
-    placed = placements(motion.robot.model, motion.curve(np.concatenate([edges, middle])))
-    over = intervals(motion.curve, edges[:-1], edges[1:], motion.samples)
-    rows = np.arange(n_stretches)
-    floors = np.empty((n_stretches, n_couples))
-    is_world = couples.holder >= couples.n_bodies
-    pieces = couples.solids[couples.n_bodies :]
-    piece_low = np.array([piece.vertices.min(axis=0) for piece in pieces]).reshape(-1, 3)
-    piece_high = np.array([piece.vertices.max(axis=0) for piece in pieces]).reshape(-1, 3)
-    for mover in np.unique(couples.mover[is_world]):
-        columns = np.flatnonzero(is_world & (couples.mover == mover))
-        bound = stretch_bounds(
-            couples, np.full(n_stretches, columns[0]), over, placed, n_stretches + 1 + rows, settings
-        )
-        solid = couples.solids[mover]
-        points = solid.vertices @ np.swapaxes(placed.rotation[: n_stretches + 1, solid.joint], -1, -2)
-        low, high = _swept_box(points + placed.translation[: n_stretches + 1, None, solid.joint])
-        held = couples.holder[columns] - couples.n_bodies
-        gap = np.maximum(piece_low[held] - high[:, None], low[:, None] - piece_high[held])
-        floors[:, columns] = np.linalg.norm(np.maximum(gap, 0.0), axis=2) - bound[:, None]
-    bounds: dict[int, np.ndarray] = {}
-    for couple in np.flatnonzero(~is_world).tolist():
-        mover, holder = couples.solids[couples.mover[couple]], couples.solids[couples.holder[couple]]
-        key = id(couples.chains[couple])
-        if key not in bounds:
-            same = np.full(n_stretches, couple)
-            bounds[key] = stretch_bounds(couples, same, over, placed, n_stretches + 1 + rows, settings)
-        bound = bounds[key]
-        rotation, translation = placed.relative(holder.joint, mover.joint, slice(0, n_stretches + 1))
-        floors[:, couple] = (
-            _self_gap(mover, holder, rotation, translation, bound + settings.clearance_horizon_m) - bound
-        )
-    return floors
+    """Lower bound of every pair's clearance on every stretch between neighbouring edges [m]; may be negative.
+
+    Everything is seen from the world.  On a stretch every point is near its chord, and along the chords the gaps
+    of two boxes change linearly: what separates them along an axis at both ends separates them between.
+    """
+    if len(couples.mover) == 0:
+        return np.empty((len(edges) - 1, 0))
+    placed, rows = track.at(np.concatenate([edges, 0.5 * (edges[:-1] + edges[1:])]))
+    ends, middles = rows[: len(edges)], rows[len(edges) :]
+    leaving = _leaving(track, couples, edges, placed, middles, settings)
+    gap = _box_gaps(couples, placed, ends)
+    selves = np.flatnonzero(couples.holder < couples.n_bodies)
+    gap[:, selves] = np.maximum(gap[:, selves], _sphere_gaps(couples, selves, placed, ends))
+    return np.asarray(gap - leaving[:, couples.mover] - leaving[:, couples.holder])
 
 
 def open_stretches(
@@ -67,34 +64,57 @@ def open_stretches(
     may_touch = ~np.isnan(couples.allowed[:, phase].T)
     # Negated, so that a floor that is NaN leaves its pair open.
     stretch, couple = np.nonzero(~(floors >= np.where(may_touch, ROUNDING_M, horizon)))
-    return Stretches(couple, edges[:-1][stretch], edges[1:][stretch], phase[stretch], floors[stretch, couple])
+    return Stretches.unknown(couple, edges[:-1][stretch], edges[1:][stretch], phase[stretch], floors[stretch, couple])
 
 
-def _swept_box(points: Float[np.ndarray, "S V 3"]) -> tuple[Float[np.ndarray, "I 3"], Float[np.ndarray, "I 3"]]:
-    low, high = points.min(axis=1), points.max(axis=1)
-    return np.minimum(low[:-1], low[1:]), np.maximum(high[:-1], high[1:])
+def _leaving(
+    track: Track,
+    couples: Couples,
+    edges: Float[np.ndarray, "I+1"],
+    placed: Placements,
+    middles: Int[np.ndarray, "I"],
+    settings: VerifySettings,
+) -> Float[np.ndarray, "I S"]:
+    """How far the points of each solid may leave their chords in the world [m]."""
+    leaving = np.zeros((len(middles), len(couples.solids)))
+    stretch, body = (index.ravel() for index in np.indices((len(middles), couples.n_bodies)))
+    over, chains = track.over(edges[:-1], edges[1:]).take(stretch), Chain.stack(couples.world).take(body)
+    bounds = stretch_bounds(couples, body, chains, over, placed, middles[stretch], settings)
+    leaving[stretch, body] = np.where(couples.joint[body] > 0, bounds, 0.0)
+    return leaving
 
 
-def _self_gap(
-    mover: Solid,
-    holder: Solid,
-    rotation: Float[np.ndarray, "S 3 3"],
-    translation: Float[np.ndarray, "S 3"],
-    wanted: Float[np.ndarray, "I"],
-) -> Float[np.ndarray, "I"]:
-    """Gap between the mover's swept hull and the holder: of spheres, of boxes where that is less than wanted [m]."""
-    centre, radius = mover.sphere
-    held_centre, held_radius = holder.sphere
-    path = rotation @ centre + translation - held_centre
+def _box_gaps(couples: Couples, placed: Placements, ends: Int[np.ndarray, "I+1"]) -> Float[np.ndarray, "I C"]:
+    """Gap between the bounding boxes of both members of every pair, which change linearly along the chords [m]."""
+    low, high = np.empty((2, 3, len(ends), len(couples.solids)))
+    for k, solid in enumerate(couples.solids):
+        if solid.joint == 0:
+            low[..., k], high[..., k] = solid.vertices.min(axis=0)[:, None], solid.vertices.max(axis=0)[:, None]
+            continue
+        along = (placed.rotation[ends, solid.joint].reshape(-1, 3) @ solid.vertices.T).reshape(len(ends), 3, -1)
+        origin = placed.translation[ends, solid.joint]
+        low[..., k], high[..., k] = (along.min(axis=2) + origin).T, (along.max(axis=2) + origin).T
+    square = np.zeros((len(ends) - 1, len(couples.mover)))
+    for axis_low, axis_high in zip(low, high, strict=True):
+        before = axis_low[:, couples.holder] - axis_high[:, couples.mover]
+        behind = axis_low[:, couples.mover] - axis_high[:, couples.holder]
+        apart = np.maximum(np.minimum(before[:-1], before[1:]), np.minimum(behind[:-1], behind[1:]))
+        np.maximum(apart, 0.0, out=apart)
+        square += apart * apart
+    return np.sqrt(square)
+
+
+def _sphere_gaps(
+    couples: Couples, chosen: Int[np.ndarray, "K"], placed: Placements, ends: Int[np.ndarray, "I+1"]
+) -> Float[np.ndarray, "I K"]:
+    """Gap between the spheres around both members of the chosen pairs, whose centres run along their chords [m]."""
+    at = ends[:, None], couples.joint[: couples.n_bodies]
+    world = (placed.rotation[at] @ couples.centre[..., None])[..., 0] + placed.translation[at]
+    mover, holder = couples.mover[chosen], couples.holder[chosen]
+    path = world[:, mover] - world[:, holder]
     step = np.diff(path, axis=0)
-    length2 = np.maximum((step**2).sum(axis=1), 1e-300)
-    along = np.clip(-(path[:-1] * step).sum(axis=1) / length2, 0.0, 1.0)
-    gap = np.linalg.norm(path[:-1] + along[:, None] * step, axis=1) - radius - held_radius
-    close = np.flatnonzero(gap < wanted)
-    if len(close):
-        ends = np.stack([close, close + 1], axis=1)
-        points = mover.vertices @ np.swapaxes(rotation[ends], -1, -2) + translation[ends][:, :, None]
-        low, high = points.min(axis=(1, 2)), points.max(axis=(1, 2))
-        apart = np.maximum(holder.vertices.min(axis=0) - high, low - holder.vertices.max(axis=0))
-        gap[close] = np.maximum(gap[close], np.linalg.norm(np.maximum(apart, 0.0), axis=1))
-    return np.asarray(gap)
+    length2 = np.maximum(np.einsum("ikx,ikx->ik", step, step), 1e-300)
+    along = np.clip(-np.einsum("ikx,ikx->ik", path[:-1], step) / length2, 0.0, 1.0)
+    nearest = path[:-1] + along[..., None] * step
+    distance = np.sqrt(np.einsum("ikx,ikx->ik", nearest, nearest))
+    return np.asarray(distance - couples.radius[mover] - couples.radius[holder])

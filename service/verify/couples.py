@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance
 from service.verify.chain import Chain, JointTree
 from service.verify.motion import Motion
-from service.verify.narrow import Solid, extreme_points
+from service.verify.solid import Solid
 
 
 @dataclass(frozen=True)
@@ -22,20 +23,67 @@ class Couples:
         solids: bodies, then pieces.
         n_bodies: how many of them are bodies.
         mover, holder: (C,) indices into ``solids``.
-        chains: per pair, the joints that move the mover in the holder's frame.
         allowed: (C, phases) greatest penetration allowed [m]; NaN where the pair may not touch.
+        world: per body, the joints that move it in the world.
+        chain: (C,) row of ``chains`` of the pairs for which it was asked, else -1.
+        chains: row by row, the joints that move a mover in its holder's frame.
     """
 
     solids: tuple[Solid, ...]
     n_bodies: int
     mover: Int[np.ndarray, "C"]
     holder: Int[np.ndarray, "C"]
-    chains: tuple[Chain, ...]
     allowed: Float[np.ndarray, "C F"]
+    world: tuple[Chain, ...]
+    chain: Int[np.ndarray, "C"]
+    chains: Chain
 
     def names(self, couple: int) -> tuple[str, str]:
         """Names of mover and holder."""
         return self.solids[self.mover[couple]].name, self.solids[self.holder[couple]].name
+
+    @cached_property
+    def joint(self) -> Int[np.ndarray, "S"]:
+        """Joint of every solid."""
+        return np.array([solid.joint for solid in self.solids], dtype=int)
+
+    @cached_property
+    def centre(self) -> Float[np.ndarray, "B 3"]:
+        """Centre of every body's sphere, in the frame of its joint [m]."""
+        return np.array([solid.sphere[0] for solid in self.solids[: self.n_bodies]]).reshape(-1, 3)
+
+    @cached_property
+    def radius(self) -> Float[np.ndarray, "B"]:
+        """Radius of every body's sphere [m]."""
+        return np.array([solid.sphere[1] for solid in self.solids[: self.n_bodies]])
+
+    def with_chains(self, tree: JointTree, near: Int[np.ndarray, "K"]) -> Couples:
+        """The pairs with the chains of those that come near each other, each swept in the frame that bounds it better.
+
+        Args:
+            tree: the robot's joints.
+            near: (K,) pairs whose chain is wanted.
+        """
+        chains, known = list(self.world), dict[tuple[int, int], int]()
+
+        def row_of(frame: int, mover: int) -> int:
+            """One chain for all pairs of a mover and a frame."""
+            if frame == 0:
+                return mover
+            if (frame, mover) not in known:
+                known[frame, mover] = len(chains)
+                chains.append(tree.chain(frame, self.solids[mover].joint, self.solids[mover].vertices))
+            return known[frame, mover]
+
+        mover, holder = self.mover.copy(), self.holder.copy()
+        rows = np.where(holder >= self.n_bodies, mover, -1)
+        for c in near[holder[near] < self.n_bodies].tolist():
+            one, other = int(mover[c]), int(holder[c])
+            forward, backward = row_of(int(self.joint[other]), one), row_of(int(self.joint[one]), other)
+            rows[c] = forward
+            if chains[backward].weight < chains[forward].weight:
+                mover[c], holder[c], rows[c] = other, one, backward
+        return replace(self, mover=mover, holder=holder, chain=rows, chains=Chain.stack(chains))
 
 
 def collect(motion: Motion, tree: JointTree) -> Couples:
@@ -43,68 +91,34 @@ def collect(motion: Motion, tree: JointTree) -> Couples:
 
     The links of ``motion.mechanism_links`` are checked against the robot's links only, those that stand still included.
     """
-    solids = _solids(motion)
-    n_bodies = len(motion.robot.bodies)
-    known: dict[tuple[int, int], Chain] = {}
-
-    def chain_of(holder_joint: int, mover: int) -> Chain:
-        """One chain for all pairs of a mover and a frame, so that its bounds are computed once."""
-        if (holder_joint, mover) not in known:
-            known[holder_joint, mover] = tree.chain(holder_joint, solids[mover].joint, solids[mover].vertices)
-        return known[holder_joint, mover]
-
-    movers: list[int] = []
-    holders: list[int] = []
-    chains: list[Chain] = []
-    for i in range(n_bodies):
-        if solids[i].joint == 0 or solids[i].link in motion.mechanism_links:
-            continue
-        world = chain_of(0, i)
-        movers += [i] * (len(solids) - n_bodies)
-        holders += range(n_bodies, len(solids))
-        chains += [world] * (len(solids) - n_bodies)
-    for i in range(n_bodies):
-        for j in range(i + 1, n_bodies):
-            if not _is_checked(motion, solids[i], solids[j]):
-                continue
-            forward, backward = chain_of(solids[j].joint, i), chain_of(solids[i].joint, j)
-            mover, holder, chain = (i, j, forward) if _weight(forward) <= _weight(backward) else (j, i, backward)
-            movers.append(mover)
-            holders.append(holder)
-            chains.append(chain)
-    mover_rows, holder_rows = np.array(movers, dtype=int), np.array(holders, dtype=int)
-    phases = [_allowed(phase.allowances, solids, mover_rows, holder_rows) for phase in motion.phases]
-    allowed = np.stack(phases, axis=1) if phases else np.full((len(movers), 1), np.nan)
-    return Couples(tuple(solids), n_bodies, mover_rows, holder_rows, tuple(chains), allowed)
+    bodies = [Solid.of_body(body) for body in motion.robot.bodies]
+    pieces = [Solid.of_piece(piece) for piece in motion.scene.pieces]
+    solids = (*bodies, *pieces)
+    joint = np.array([solid.joint for solid in bodies], dtype=int)
+    is_mechanism = np.array([solid.link in motion.mechanism_links for solid in bodies], dtype=bool)
+    moving = np.flatnonzero((joint > 0) & ~is_mechanism)
+    i, j = np.triu_indices(len(bodies), 1)
+    apart = ~_are_ignored(bodies, motion.robot.ignored_pairs)[i, j] & (joint[i] != joint[j])
+    apart &= ~(is_mechanism[i] & is_mechanism[j])
+    mover = np.concatenate([np.repeat(moving, len(pieces)), i[apart]])
+    holder = np.concatenate([np.tile(np.arange(len(bodies), len(solids)), len(moving)), j[apart]])
+    phases = [_allowed(phase.allowances, solids, mover, holder) for phase in motion.phases]
+    allowed = np.stack(phases, axis=1) if phases else np.full((len(mover), 1), np.nan)
+    world = tuple(tree.chain(0, solid.joint, solid.vertices) for solid in bodies)
+    return Couples(solids, len(bodies), mover, holder, allowed, world, np.full(len(mover), -1), Chain.stack(()))
 
 
-def _solids(motion: Motion) -> list[Solid]:
-    bodies = [
-        Solid(
-            body.name, body.link, body.joint, body.vertices, body.vertices if len(body.vertices) <= 32 else body.outer
-        )
-        for body in motion.robot.bodies
-    ]
-    pieces = [
-        Solid(piece.name, "", 0, piece.vertices, extreme_points(piece.vertices, 32)) for piece in motion.scene.pieces
-    ]
-    return bodies + pieces
-
-
-def _is_checked(motion: Motion, a: Solid, b: Solid) -> bool:
-    if (
-        a.joint == b.joint
-        or a.link == b.link
-        or (min(a.link, b.link), max(a.link, b.link)) in motion.robot.ignored_pairs
-    ):
-        return False
-    return not (a.link in motion.mechanism_links and b.link in motion.mechanism_links)
-
-
-def _weight(chain: Chain) -> float:
-    """The rotation bound for equal rates, to choose in whose frame a pair is swept."""
-    turning = chain.is_revolute.astype(float)
-    return float((chain.reach * (2.0 * np.cumsum(turning) - turning)).sum())
+def _are_ignored(bodies: Sequence[Solid], pairs: frozenset[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:
+    """Bodies of one link, and of two links that are not checked against each other."""
+    links = {link: row for row, link in enumerate(dict.fromkeys(solid.link for solid in bodies))}
+    ignored = np.eye(len(links), dtype=bool)
+    # Names out of order name no pair: so it stands in RobotModel, and so a stranger reads them.
+    rows = [(links[a], links[b]) for a, b in pairs if a < b and a in links and b in links]
+    if rows:
+        a, b = np.array(rows).T
+        ignored[a, b] = ignored[b, a] = True
+    link = np.array([links[solid.link] for solid in bodies], dtype=int)
+    return np.asarray(ignored[np.ix_(link, link)])
 
 
 def _allowed(

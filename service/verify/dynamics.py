@@ -15,7 +15,7 @@ from service.verify.motion import Motion, Phase
 from service.verify.paths import mechanism_joints
 from service.verify.promises import in_or_out, outside_polygon
 from service.verify.settings import VerifySettings
-from service.verify.timeline import time_of
+from service.verify.timeline import times_of
 
 # A moment of 1 Nm counts as much as a force of 1 / 0.1 N when the ground's wrench is shared between the feet.
 _MOMENT_ARM_M = 0.1
@@ -27,7 +27,8 @@ class Forces:
 
     Attributes:
         times, path: (S,) [s] and path parameter.
-        wrench: (S, 6) force and moment about the world's origin that the world exerts on the robot [N, Nm].
+        wrench: (S, 6) force and moment about the world's origin that the world exerts on the robot [N, Nm]; NaN in a
+            phase that neither plants a link nor names a support.
         torque: (S, n) generalised forces; joints between planted feet and base with the ground's wrench shared at
             least norm between the feet.
     """
@@ -46,12 +47,12 @@ class Forces:
 
 def sample_times(motion: Motion, law: TimeLaw, first: float, last: float, step: float) -> Float[np.ndarray, "S"]:
     """Times between two path parameters: evenly spread, and both sides of every jump of the acceleration."""
-    start, end = time_of(law, first) or 0.0, time_of(law, last) or 0.0
+    start, end = times_of(law, np.array([first, last])).tolist()
     even = np.linspace(start, end, max(2, int(np.ceil((end - start) / step)) + 1))
     knots = motion.curve.knots
-    jumps = [time_of(law, float(s)) or 0.0 for s in knots[(knots >= first) & (knots <= last)]]
+    jumps = times_of(law, knots[(knots >= first) & (knots <= last)])
     grid = law.times[(law.times >= start) & (law.times <= end)]
-    near = np.concatenate([grid, np.asarray(jumps)])
+    near = np.concatenate([grid, jumps])
     after, before = np.minimum(near + 1e-7, end), np.maximum(near - 1e-7, start)
     return np.unique(np.concatenate([even, after, before]))
 
@@ -68,22 +69,38 @@ def forces(
     data = model.createData()
     apart = mechanism_joints(motion)
     roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
-    feet = [(model.frames[model.getFrameId(c.link)].parentJoint, c.pose_world_link[:3, 3]) for c in phase.contacts]
-    share = _share_map([position for _, position in feet]) if feet else None
-    wrench, torque = np.zeros((len(times), 6)), np.zeros((len(times), model.nv))
+    stands = bool(phase.contacts) or phase.support is not None
+    shares = torques and bool(phase.contacts)
+    torque = np.empty((len(times), model.nv))
+    wrench = np.zeros((len(times), 6)) if stands else np.full((len(times), 6), np.nan)
+    jacobians = np.empty((len(times) if shares else 0, 6, model.nv))
     for k in range(len(times)):
-        # rnea leaves the placements in the world untouched.
-        pin.forwardKinematics(model, data, q[k])
+        if shares:
+            jacobians[k] = pin.computeJointJacobians(model, data, q[k]).reshape(6, model.nv)
         torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
-        for joint in roots:
-            wrench[k] += data.oMi[joint].act(data.f[joint]).vector
-        if torques and share is not None:
-            external = pin.StdVec_Force([pin.Force.Zero() for _ in range(model.njoints)])
-            parts = (share @ wrench[k]).reshape(-1, 6)
-            for (joint, _), part in zip(feet, parts, strict=True):
-                external[int(joint)] += data.oMi[int(joint)].actInv(pin.Force(part))
-            torque[k] = pin.rnea(model, data, q[k], v[k], a[k], external)
+        for joint in roots if stands else ():
+            # The parent of a root is the world, so its placement in its parent is the one in the world.
+            wrench[k] += data.liMi[joint].act(data.f[joint]).vector
+    if shares:
+        torque -= _ground_torques(model, phase, wrench, jacobians)
     return Forces(times, s, wrench, torque)
+
+
+def _ground_torques(
+    model: pin.Model, phase: Phase, wrench: Float[np.ndarray, "S 6"], jacobians: Float[np.ndarray, "S 6 n"]
+) -> Float[np.ndarray, "S n"]:
+    """What the ground's wrench, shared at least norm between the planted links, does at the joints that carry them.
+
+    Column j of a Jacobian is the velocity that coordinate j gives what it carries, about the world's origin.
+    """
+    share = _share_map([contact.pose_world_link[:3, 3] for contact in phase.contacts])
+    torque = np.zeros((len(wrench), model.nv))
+    for contact, part in zip(phase.contacts, share.reshape(-1, 6, 6), strict=True):
+        carried = np.zeros(model.nv)
+        for joint in list(model.supports[model.frames[model.getFrameId(contact.link)].parentJoint])[1:]:
+            carried[model.joints[joint].idx_v : model.joints[joint].idx_v + model.joints[joint].nv] = 1.0
+        torque += np.einsum("sij,si->sj", jacobians, wrench @ part.T) * carried
+    return torque
 
 
 def dynamics_checks(motion: Motion, law: TimeLaw, phase: Phase, settings: VerifySettings) -> Iterator[Check]:

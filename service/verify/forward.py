@@ -35,25 +35,37 @@ class Placements:
         return transposed @ rotation, (transposed @ offset[..., None])[..., 0]
 
 
-def placements(model: pin.Model, configurations: Float[np.ndarray, "S n"]) -> Placements:
-    """Joint placements at every configuration.
+class Forward:
+    """Forward kinematics with the memory it reuses."""
 
-    Raises:
-        VerifyError: when a configuration is not finite or has the wrong length.
-    """
-    q = np.ascontiguousarray(configurations, dtype=float)
-    if q.ndim != 2 or q.shape[1] != model.nq or not np.all(np.isfinite(q)):
-        raise VerifyError(f"configurations must be finite and have {model.nq} columns, got shape {q.shape}")
-    data = model.createData()
-    # pinocchio keeps the placements side by side (12 doubles each, rotation column by column):
-    # one strided view reads them all at once, hundreds of times faster than element by element.
-    first = data.oMi[0].rotation
-    view = np.lib.stride_tricks.as_strided(first.T.reshape(-1), shape=(model.njoints, 12), strides=(96, 8))
-    if not np.shares_memory(view, first):
-        raise VerifyError("pinocchio's joint placements cannot be read as one block")
-    block = np.empty((len(q), model.njoints, 12))
-    for row, configuration in zip(block, q, strict=True):
-        pin.forwardKinematics(model, data, configuration)
-        row[:] = view
-    rotation = np.swapaxes(block[..., :9].reshape(len(q), model.njoints, 3, 3), -1, -2)
-    return Placements(np.ascontiguousarray(rotation), np.ascontiguousarray(block[..., 9:]))
+    def __init__(self, model: pin.Model) -> None:
+        """Prepare for configurations of this model.
+
+        Raises:
+            VerifyError: when pinocchio keeps its placements in another way than they are read here.
+        """
+        self._model = model
+        self._data = model.createData()
+        # pinocchio keeps the placements side by side (12 doubles each, rotation column by column):
+        # one strided view reads them all at once, hundreds of times faster than element by element.
+        first = self._data.oMi[0].rotation
+        block = first.T.reshape(-1)
+        self._view = np.lib.stride_tricks.as_strided(block, shape=(model.njoints, 12), strides=(96, 8))
+        if not np.shares_memory(self._view, first):
+            raise VerifyError("pinocchio's joint placements cannot be read as one block")
+
+    def at(self, configurations: Float[np.ndarray, "S n"]) -> Placements:
+        """Joint placements at every configuration.
+
+        Raises:
+            VerifyError: when a configuration is not finite or has the wrong length.
+        """
+        q, model, data, view = np.ascontiguousarray(configurations, dtype=float), self._model, self._data, self._view
+        if q.ndim != 2 or q.shape[1] != model.nq or not np.all(np.isfinite(q)):
+            raise VerifyError(f"configurations must be finite and have {model.nq} columns, got shape {q.shape}")
+        block = np.empty((len(q), model.njoints, 12))
+        for row, configuration in zip(block, q, strict=True):
+            pin.forwardKinematics(model, data, configuration)
+            row[:] = view
+        rotation = np.swapaxes(block[..., :9].reshape(len(q), model.njoints, 3, 3), -1, -2)
+        return Placements(np.ascontiguousarray(rotation), np.ascontiguousarray(block[..., 9:]))

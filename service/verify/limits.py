@@ -13,9 +13,9 @@ from costs.curve import Curve, TimeLaw
 from service.verify.certificate import Basis, Check, Where
 from service.verify.errors import VerifyError
 from service.verify.motion import Motion, Phase
-from service.verify.rates import position_range
 from service.verify.settings import VerifySettings
 from service.verify.timeline import time_of
+from service.verify.track import Track
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,9 @@ def timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
     return TimedPeaks(first, speed, _parabola_peak(b0, b1, b2, width))
 
 
-def position_check(motion: Motion) -> Check:
+def position_check(track: Track) -> Check:
     """Whether the cubic stays within the joint position limits, exactly."""
-    low, high = position_range(motion.curve)
-    robot = motion.robot
+    motion, robot, (low, high) = track.motion, track.motion.robot, track.range
     excess = np.maximum(robot.lower - low, high - robot.upper)
     piece, column = np.unravel_index(int(np.argmax(excess)), excess.shape)
     value = float(excess[piece, column])

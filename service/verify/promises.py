@@ -10,12 +10,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 from service.verify.bisect import Evaluate, Extreme, largest
 from service.verify.certificate import Basis, Check, Where
-from service.verify.chain import JointTree
 from service.verify.motion import (
     AxisTarget,
     CircleTarget,
     JointTarget,
-    Motion,
     Phase,
     PlantedContact,
     PoseTarget,
@@ -26,6 +24,7 @@ from service.verify.motion import (
 from service.verify.paths import FramePath, MassPath
 from service.verify.settings import VerifySettings
 from service.verify.timeline import phase_edges, time_of
+from service.verify.track import Track
 
 # How far a support polygon may reach beyond the planted soles, which may themselves drift by about as much [m].
 _SUPPORT_TOLERANCE_M = 1e-3
@@ -34,11 +33,9 @@ _SUPPORT_TOLERANCE_M = 1e-3
 class PhaseChecks:
     """Checks of one motion's phases."""
 
-    def __init__(
-        self, motion: Motion, tree: JointTree, edges: Float[np.ndarray, "E"], settings: VerifySettings
-    ) -> None:
+    def __init__(self, track: Track, edges: Float[np.ndarray, "E"], settings: VerifySettings) -> None:
         """Prepare; ``edges`` hold all knots and phase boundaries."""
-        self._motion, self._tree, self._edges, self._settings = motion, tree, edges, settings
+        self._motion, self._track, self._edges, self._settings = track.motion, track, edges, settings
 
     def run(self, phase: Phase) -> Iterator[Check]:
         """All checks of one phase."""
@@ -53,12 +50,12 @@ class PhaseChecks:
             yield from self._target(phase, target, edges)
 
     def _balance(self, phase: Phase, support: SupportPolygon, edges: Float[np.ndarray, "E"]) -> Check:
-        path = MassPath(self._motion, self._tree, self._settings.rounding)
+        path = MassPath(self._track, self._settings.rounding)
 
         def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            outside = [outside_polygon(support.polygon, path.at(s)[:, :2]) for s in (first, last)]
+            ends = _at_both(lambda s: outside_polygon(support.polygon, path.at(s)[:, :2]), first, last)
             # Each edge's distance is linear along the chord, so its largest value is at an end.
-            return np.maximum(*outside) + path.deviation(first, last), outside[0], outside[1]
+            return np.maximum(*ends) + path.deviation(first, last), *ends
 
         extreme = self._largest(edges, evaluate, -support.margin_m)
         point = path.at(np.array([extreme.s]))[0]
@@ -68,7 +65,7 @@ class PhaseChecks:
         return self._check(name, extreme, -support.margin_m, "m", text, point, negate=True, failure=failure)
 
     def _planted(self, phase: Phase, contact: PlantedContact, edges: Float[np.ndarray, "E"]) -> Iterator[Check]:
-        path = FramePath.of(self._motion, self._tree, contact.link, contact.sole, self._settings.rounding)
+        path = FramePath.of(self._track, contact.link, contact.sole, self._settings.rounding)
         pose = contact.pose_world_link
         planted = contact.sole @ pose[:3, :3].T + pose[:3, 3]
 
@@ -77,7 +74,7 @@ class PhaseChecks:
 
         def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             # The distance from a fixed point is convex along the chord, so its largest value is at an end.
-            ends = drift(first), drift(last)
+            ends = _at_both(drift, first, last)
             return np.maximum(*ends) + path.point_deviation(path.stretches(first, last)), *ends
 
         extreme = self._largest(edges, evaluate, contact.tolerance_m, contact.tolerance_m / 20.0)
@@ -159,7 +156,7 @@ class PhaseChecks:
         def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             over = path.stretches(first, last)
             deviation = path.point_deviation(over) if unit == "m" else path.direction_deviation(over)
-            ends = relative(first), relative(last)
+            ends = _at_both(relative, first, last)
             return np.maximum(*ends) + deviation, *ends
 
         if target.at is None:
@@ -219,12 +216,12 @@ class PhaseChecks:
 
         def shifts(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             # The distance from a fixed place is convex along the chord, so its largest value is at an end.
-            ends = shift(first), shift(last)
+            ends = _at_both(shift, first, last)
             return np.maximum(*ends) + path.point_deviation(path.stretches(first, last)), *ends
 
         def turns(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             # So is the distance of every unit vector's tip.
-            ends = chord(first), chord(last)
+            ends = _at_both(chord, first, last)
             largest_chord = np.maximum(*ends) + path.direction_deviation(path.stretches(first, last))
             return _angle(largest_chord), _angle(ends[0]), _angle(ends[1])
 
@@ -269,7 +266,7 @@ class PhaseChecks:
         return self._check(name, extreme, target.tolerance_rad, "rad", text, at, names=(target.frame,))
 
     def _origin(self, frame: str, reference: str | None = None) -> FramePath:
-        return FramePath.of(self._motion, self._tree, frame, np.zeros((1, 3)), self._settings.rounding, reference)
+        return FramePath.of(self._track, frame, np.zeros((1, 3)), self._settings.rounding, reference)
 
     def _largest(
         self, edges: Float[np.ndarray, "E"], evaluate: Evaluate, limit: float, resolution: float | None = None
@@ -301,6 +298,14 @@ class PhaseChecks:
         if not extreme.is_proven:
             text = f"not shown that {text}" if is_ok else failure or f"not so: {text}"
         return Check(name, is_ok, value, sign * float(limit), unit, text, where, basis)
+
+
+def _at_both(
+    values: Callable[[np.ndarray], np.ndarray], first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]
+) -> tuple[Float[np.ndarray, "I"], Float[np.ndarray, "I"]]:
+    """Values at both ends of stretches."""
+    found = values(np.concatenate([first, last]))
+    return found[: len(first)], found[len(first) :]
 
 
 def _support_check(phase: Phase, support: SupportPolygon) -> Check:

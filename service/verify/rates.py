@@ -49,30 +49,41 @@ class Intervals:
         )
 
 
-def intervals(
-    curve: Curve, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"], samples: Float[np.ndarray, "M"] | None
-) -> Intervals:
-    """Derivative bounds over ``[first, last]``; no stretch may cross a knot.
+class Rates:
+    """Bounds of a curve's derivatives and of the gaps between its exported samples."""
 
-    Raises:
-        VerifyError: when a stretch crosses a knot or a knot is not among the samples.
-    """
-    knots = curve.knots
-    piece = np.clip(np.searchsorted(knots, 0.5 * (first + last), side="right") - 1, 0, len(knots) - 2)
-    if np.any(first < knots[piece]) or np.any(last > knots[piece + 1]) or np.any(last <= first):
-        raise VerifyError("every stretch of the curve must have a length and lie between two neighbouring knots")
-    coefficients = curve.coefficients()
-    speed, bend = _derivative_bounds(coefficients[:, piece], first - knots[piece], last - knots[piece])
-    whole_speed, whole_bend = _derivative_bounds(coefficients, np.zeros(len(knots) - 1), np.diff(knots))
-    step = np.zeros(len(first))
-    if samples is not None:
-        if not np.all(np.isin(knots, samples)):
+    def __init__(self, curve: Curve, samples: Float[np.ndarray, "M"] | None) -> None:
+        """Prepare.
+
+        Raises:
+            VerifyError: when a knot is not among the samples.
+        """
+        if samples is not None and not np.all(np.isin(curve.knots, samples)):
             raise VerifyError("samples must contain every knot of the curve")
-        low = np.searchsorted(samples, first, side="right") - 1
-        high = np.searchsorted(samples, last, side="left")
-        gaps = np.append(np.diff(samples), 0.0)
-        step = np.maximum.reduceat(gaps, np.stack([low, high], axis=1).ravel())[::2]
-    return Intervals(first, last, speed, bend, step, whole_speed[piece], whole_bend[piece])
+        self._knots, self._coefficients = curve.knots, curve.coefficients()
+        self._samples = np.zeros(0) if samples is None else samples
+        # No gap begins at the last sample.
+        self._gaps = np.append(np.diff(self._samples), 0.0)
+        lengths = np.diff(curve.knots)
+        self._whole_speed, self._whole_bend = _derivative_bounds(self._coefficients, np.zeros(len(lengths)), lengths)
+
+    def over(self, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]) -> Intervals:
+        """Derivative bounds over ``[first, last]``; no stretch may cross a knot.
+
+        Raises:
+            VerifyError: when a stretch has no length or crosses a knot.
+        """
+        knots = self._knots
+        piece = np.clip(np.searchsorted(knots, 0.5 * (first + last), side="right") - 1, 0, len(knots) - 2)
+        if np.any(first < knots[piece]) or np.any(last > knots[piece + 1]) or np.any(last <= first):
+            raise VerifyError("every stretch of the curve must have a length and lie between two neighbouring knots")
+        speed, bend = _derivative_bounds(self._coefficients[:, piece], first - knots[piece], last - knots[piece])
+        step = np.zeros(len(first))
+        if len(self._samples):
+            low = np.searchsorted(self._samples, first, side="right") - 1
+            high = np.searchsorted(self._samples, last, side="left")
+            step = np.maximum.reduceat(self._gaps, np.stack([low, high], axis=1).ravel())[::2]
+        return Intervals(first, last, speed, bend, step, self._whole_speed[piece], self._whole_bend[piece])
 
 
 def _derivative_bounds(

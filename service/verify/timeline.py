@@ -12,15 +12,18 @@ from service.verify.motion import Motion, Phase
 
 def time_of(law: TimeLaw | None, s: float) -> float | None:
     """First time at which the path parameter is reached [s]; None without a law."""
-    if law is None:
-        return None
-    i = int(np.clip(np.searchsorted(law.path, s, side="left") - 1, 0, len(law.path) - 2))
-    duration = float(law.times[i + 1] - law.times[i])
-    speed, gain = float(law.speed[i]), float(law.speed[i + 1] - law.speed[i]) / duration
-    ahead = max(0.0, float(s - law.path[i]))
-    root = np.sqrt(max(0.0, speed**2 + 2.0 * gain * ahead))
-    step = 2.0 * ahead / (speed + root) if speed + root > 0.0 else 0.0
-    return float(law.times[i] + min(step, duration))
+    return None if law is None else float(times_of(law, np.array([s]))[0])
+
+
+def times_of(law: TimeLaw, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
+    """First times at which path parameters are reached [s]."""
+    i = np.minimum(np.maximum(np.searchsorted(law.path, s, side="left") - 1, 0), len(law.path) - 2)
+    duration = law.times[i + 1] - law.times[i]
+    speed, gain = law.speed[i], (law.speed[i + 1] - law.speed[i]) / duration
+    ahead = np.maximum(s - law.path[i], 0.0)
+    mean = 0.5 * (speed + np.sqrt(np.maximum(speed**2 + 2.0 * gain * ahead, 0.0)))
+    step = np.divide(ahead, mean, out=np.zeros_like(ahead), where=mean > 0.0)
+    return np.asarray(law.times[i] + np.minimum(step, duration))
 
 
 def phases_of(motion: Motion) -> tuple[Phase, ...]:

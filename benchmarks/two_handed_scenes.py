@@ -1,0 +1,251 @@
+"""Random two-handed problems that have a solution: boxes crowd around a motion that is certified among them.
+
+As in ``crowded_scenes``, a motion is drawn first and boxes are thrown around it.  Either both palms have a goal of
+their own, or they carry a beam: a random relative pose that holds from the start to the goal of one palm, which the
+other follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from benchmarks.crowded_scenes import (
+    ACROSS,
+    AWAY,
+    BALANCE_MARGIN,
+    HALF,
+    IN_THE_WAY,
+    LEAST_TRAVEL,
+    MARGIN,
+    OPTIONS,
+    POSITION_TOLERANCE,
+    ROOM,
+    ROTATION_TOLERANCE_DEG,
+    SIDES,
+    STRAY,
+    THROWS,
+    TIMING,
+    CrowdedScene,
+    arm_of,
+    boxes_near,
+    random_posture,
+    standing_near,
+    thrown_box,
+)
+from costs.kinematics import planted_poses
+from costs.robot import RobotModel
+from costs.terms import FramePose
+from scopt import Constraint, Sense, Settings, TrustRegionSQP
+from service.execute import make_motion
+from service.keep import KeptPose, relative_pose
+from service.motion_json import file_columns, file_positions
+from service.phases import PlannedPhase, TaskPlan, straight
+from service.request import PlanRequest
+from service.request_file import parse_request
+from service.setup import prepare
+from service.verify import Motion, PoseTarget, Status, verify
+from service.whole_body import Aims, WholeBody
+
+Task = Literal["places", "poses", "beam"]
+START = "reach_ready"
+PALMS = ("l_tool", "r_tool")
+BEAM_LENGTHS = (0.3, 0.8)  # between the palms [m]
+BEAM_TURN = 0.4  # of the palms against each other and of the beam on its way, standard deviation about each axis [rad]
+BEAM_TRAVEL, BEAM_DETOUR = (0.25, 0.6), (0.25, 0.5)  # from start to goal, and from the middle between them [m]
+MOST_BATCHES = 4  # of thrown boxes, to find those in the way
+LARGEST_STEP = 0.6  # of a joint between waypoints: a longer one leads to another way of holding the beam [rad]
+
+
+def two_handed_scenes(robot: RobotModel, n_boxes: int, task: Task, seed: int = 0) -> Iterator[CrowdedScene]:
+    """Problems without end, the same for the same arguments.
+
+    Args:
+        robot: the bundled Atlas.
+        n_boxes: of each scene.
+        task: ``places`` or ``poses`` for both palms, or a ``beam`` carried to the place of one.
+        seed: of all draws.
+    """
+    rng = np.random.default_rng([seed, n_boxes, ["places", "poses", "beam"].index(task)])
+    drawn = 0
+    while True:
+        drawn += 1
+        scene = _scene(robot, f"{task} {n_boxes}/{drawn}", rng, n_boxes, task)
+        if scene is not None:
+            yield scene
+
+
+def _scene(robot: RobotModel, name: str, rng: np.random.Generator, n_boxes: int, task: Task) -> CrowdedScene | None:
+    """A problem, or None when the draw came to nothing."""
+    body = _body(robot, _request(robot, robot.postures[START]))
+    if task == "beam":
+        grasp = _grasped(body, rng)
+        if grasp is None:
+            return None
+        body = grasp
+    path = _drawn_path(body, rng)
+    if path is None:
+        return None
+    first, last = (planted_poses(body.engine, q, PALMS) for q in (path[0], path[-1]))
+    if min(np.linalg.norm(last[palm][:3, 3] - first[palm][:3, 3]) for palm in PALMS) < LEAST_TRAVEL:
+        return None
+    boxes = _boxes(body, rng, path, n_boxes)
+    if boxes is None:
+        return None
+    goals = {PALMS[rng.integers(2)]: False} if task == "beam" else dict.fromkeys(PALMS, task == "poses")
+    asked = [_goal(palm, last[palm], is_pose) for palm, is_pose in goals.items()]
+    request = _request(robot, path[0], boxes, asked, task)
+    crowded = _body(robot, request, BALANCE_MARGIN)
+    targets = tuple(_target(palm, last[palm], is_pose) for palm, is_pose in goals.items())
+    witness = _motion(crowded, path, targets)
+    if verify(witness).status is not Status.CERTIFIED:
+        return None
+    direct = _motion(crowded, straight(path[0], path[-1], len(path)), targets)
+    return CrowdedScene(name, request, witness, verify(direct).status is Status.CERTIFIED)
+
+
+def _request(
+    robot: RobotModel,
+    start: Float[np.ndarray, "n"],
+    boxes: list[dict[str, Any]] | None = None,
+    poses: list[dict[str, Any]] | None = None,
+    task: Task = "places",
+) -> PlanRequest:
+    columns, (values,) = file_columns(robot), file_positions(robot, start[None]).tolist()
+    return parse_request(
+        {
+            "robot": {"name": "atlas"},
+            "start": {
+                "base": {"position": values[:3], "quaternion_wxyz": values[3:7]},
+                "joints": dict(zip(columns[7:], values[7:], strict=True)),
+            },
+            "scene": {"floor": True, "obstacles": boxes or []},
+            "goal": {"poses": poses} if poses else {"posture": START},
+            "keep": [{"link": PALMS[1], "relative_to": PALMS[0]}] if task == "beam" else [],
+            "options": dict(OPTIONS),
+        }
+    )
+
+
+def _goal(palm: str, place: Float[np.ndarray, "4 4"], is_pose: bool) -> dict[str, Any]:
+    goal = {"link": palm, "position": place[:3, 3].tolist(), "position_tolerance_m": POSITION_TOLERANCE}
+    if is_pose:
+        goal["quaternion_wxyz"] = Rotation.from_matrix(place[:3, :3]).as_quat(scalar_first=True).tolist()
+        goal["rotation_tolerance_deg"] = ROTATION_TOLERANCE_DEG
+    return goal
+
+
+def _target(palm: str, place: Float[np.ndarray, "4 4"], is_pose: bool) -> PoseTarget:
+    turn = np.full(3, np.deg2rad(ROTATION_TOLERANCE_DEG))
+    rotation = place[:3, :3] if is_pose else None
+    return PoseTarget(palm, place[:3, 3], rotation, np.full(3, POSITION_TOLERANCE), turn)
+
+
+def _body(robot: RobotModel, request: PlanRequest, balance_margin: float = BALANCE_MARGIN + 0.01) -> WholeBody:
+    """The robot of a request on its feet, with what it keeps."""
+    setup = prepare(request, robot=robot)
+    body = WholeBody.standing(robot, setup.scene, setup.start, setup.contacts, Aims(MARGIN, balance_margin))
+    return replace(body, kept=setup.kept)
+
+
+def _grasped(body: WholeBody, rng: np.random.Generator) -> WholeBody | None:
+    """The robot with its palms at a random relative pose, which it keeps; None where it cannot stand so."""
+    wanted = relative_pose(body.robot, body.nominal, PALMS[1], PALMS[0])
+    apart = wanted[:3, 3] / np.linalg.norm(wanted[:3, 3])
+    wanted[:3, 3] = rng.uniform(*BEAM_LENGTHS) * apart
+    wanted[:3, :3] = wanted[:3, :3] @ Rotation.from_rotvec(rng.normal(0.0, BEAM_TURN, 3)).as_matrix()
+    grasp = KeptPose(PALMS[1], PALMS[0], wanted, wanted, 0.005, float(np.deg2rad(1.0)))
+    start = standing_near(replace(body, kept=(grasp,)), body.nominal)
+    return None if start is None else _body(body.robot, _request(body.robot, start, task="beam"))
+
+
+def _drawn_path(body: WholeBody, rng: np.random.Generator) -> Float[np.ndarray, "T n"] | None:
+    """A motion of the robot alone to a random posture through another one; None where there is none."""
+    start = body.nominal
+    goal = _carrying(body, start, rng, BEAM_TRAVEL) if body.kept else _both_arms_moved(body, rng)
+    if goal is None:
+        return None
+    between = 0.5 * (start + goal)
+    middle = _carrying(body, between, rng, BEAM_DETOUR) if body.kept else _strayed(body, between, rng)
+    if middle is None:
+        return None
+    lower, upper = body.bounds(2 * HALF + 1, {0: start, HALF: middle, 2 * HALF: goal})
+    problem = body.problem(lower, upper, body.checker(ends=[start, middle, goal]))
+    first = np.concatenate([straight(start, middle, HALF + 1)[:-1], straight(middle, goal, HALF + 1)])
+    result = TrustRegionSQP().solve(problem, first)
+    is_one_way = np.abs(np.diff(result.x, axis=0)).max() < LARGEST_STEP
+    return result.x if result.is_feasible and is_one_way else None
+
+
+def _both_arms_moved(body: WholeBody, rng: np.random.Generator) -> Float[np.ndarray, "n"] | None:
+    """A posture near the start with both arms, the back and the knees bent at random; None where there is none."""
+    one = replace(body, nominal=random_posture(body, rng, SIDES[0]))
+    return standing_near(body, random_posture(one, rng, SIDES[1]))
+
+
+def _strayed(body: WholeBody, q: Float[np.ndarray, "n"], rng: np.random.Generator) -> Float[np.ndarray, "n"] | None:
+    """A posture near ``q`` with both arms elsewhere; None where there is none."""
+    robot, q = body.robot, q.copy()
+    arms = [robot.joint_names.index(joint) for side in SIDES for joint in robot.groups[arm_of(side)]]
+    q[arms] += rng.normal(0.0, STRAY, len(arms))
+    return standing_near(body, np.clip(q, robot.lower, robot.upper))
+
+
+def _carrying(
+    body: WholeBody, q: Float[np.ndarray, "n"], rng: np.random.Generator, travel: tuple[float, float]
+) -> Float[np.ndarray, "n"] | None:
+    """A posture near ``q`` with the beam moved by a random step and turned at random; None where there is none."""
+    place = planted_poses(body.engine, q, PALMS)[PALMS[0]]
+    step = rng.normal(size=3)
+    place[:3, 3] += rng.uniform(*travel) * step / np.linalg.norm(step)
+    place[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, BEAM_TURN, 3)).as_matrix() @ place[:3, :3]
+    lower, upper = body.bounds(1, {})
+    there = FramePose(body.robot, PALMS[0], [0], place)
+    problem = replace(body, nominal=q).problem(
+        lower,
+        upper,
+        body.checker(ends=[body.nominal]),
+        constraints=[Constraint("beam", there, Sense.EQUAL_ZERO, tolerance=1e-3)],
+    )
+    result = TrustRegionSQP(Settings(max_iterations=40, max_penalty_raises=3)).solve(problem, q[None])
+    return result.x[0] if result.is_feasible else None
+
+
+def _boxes(
+    body: WholeBody, rng: np.random.Generator, path: Float[np.ndarray, "T n"], n_boxes: int
+) -> list[dict[str, Any]] | None:
+    """Boxes close to the robot that leave a motion room; some are in the way of the hands on the straight line.
+
+    None where too few of those are found.
+    """
+    robot = body.robot
+    known, direct = body.engine(path), body.engine(straight(path[0], path[-1], len(path)))
+    hands = {robot.model.getJointId(joint) for side in SIDES for joint in robot.groups[arm_of(side)][-3:]}
+    outer = [index for index, one in enumerate(robot.bodies) if one.joint in hands]
+    kept: list[dict[str, Any]] = []
+    for _ in range(MOST_BATCHES):
+        thrown = [thrown_box(body, rng, direct, outer, ACROSS) for _ in range(THROWS)]
+        kept += [
+            thrown[k] for k in sorted(boxes_near(body, thrown, direct, 0.0) - boxes_near(body, thrown, known, ROOM))
+        ]
+        if len(kept) >= IN_THE_WAY:
+            break
+    else:
+        return None
+    kept = kept[:IN_THE_WAY]
+    while len(kept) < n_boxes:
+        thrown = [thrown_box(body, rng, known, range(len(robot.bodies)), AWAY) for _ in range(THROWS)]
+        near = boxes_near(body, thrown, known, ROOM)
+        kept += [one for k, one in enumerate(thrown) if k not in near]
+    return [{"name": f"box{k}", "type": "box", **one} for k, one in enumerate(kept[:n_boxes])]
+
+
+def _motion(body: WholeBody, path: Float[np.ndarray, "T n"], targets: tuple[PoseTarget, ...]) -> Motion:
+    """The timed curve through the waypoints, to be certified as a reach of the goals."""
+    phase = PlannedPhase("reach", path, True, targets=lambda s_last: tuple(replace(t, at=s_last) for t in targets))
+    return make_motion(TaskPlan(body, (phase,)), TIMING)

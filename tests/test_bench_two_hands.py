@@ -1,0 +1,69 @@
+"""The two-handed benchmark's claims about the problems it draws: a motion that solves each is known."""
+
+import numpy as np
+import pytest
+
+from benchmarks.crowded_scenes import LEAST_TRAVEL, POSITION_TOLERANCE
+from benchmarks.two_handed_scenes import PALMS, two_handed_scenes
+from costs.kinematics import KinematicsEngine, planted_poses
+from costs.robot import load_robot
+from service.keep import relative_pose
+from service.setup import prepare
+from service.start import collisions
+
+N_BOXES = 8
+FEET = ("l_foot", "r_foot")
+
+
+@pytest.fixture(scope="module", name="robot")
+def _robot():
+    return load_robot("atlas")
+
+
+@pytest.fixture(scope="module", name="scenes")
+def _scenes(robot):
+    """A problem of each task."""
+    return {task: next(two_handed_scenes(robot, N_BOXES, task, seed)) for task, seed in (("poses", 0), ("beam", 1))}
+
+
+def samples(scene, n=50):
+    knots = scene.witness.curve.knots
+    return scene.witness.curve(np.linspace(knots[0], knots[-1], n))
+
+
+def test_the_known_motion_is_clear_of_boxes_floor_and_self(robot, scenes):
+    for scene in scenes.values():
+        pieces = prepare(scene.request, robot=robot).scene
+        assert sum(piece.kind != "floor" for piece in pieces.pieces) == N_BOXES
+        for q in samples(scene):
+            assert collisions(robot, q, pieces, FEET) == []
+
+
+def test_the_planner_is_told_where_the_palms_go_and_nothing_of_the_motion(robot, scenes):
+    engine = KinematicsEngine(robot)
+    for task, scene in scenes.items():
+        q = samples(scene)
+        np.testing.assert_allclose(q[0], prepare(scene.request, robot=robot).start, atol=1e-9)
+        poses = scene.request.goal.poses
+        assert len(poses) == (1 if task == "beam" else 2)
+        for pose in poses:
+            assert (pose.quaternion_wxyz is None) == (task == "beam")
+            np.testing.assert_allclose(
+                planted_poses(engine, q[-1], PALMS)[pose.link][:3, 3], pose.position, atol=POSITION_TOLERANCE
+            )
+        for palm in PALMS:
+            places = [planted_poses(engine, row, PALMS)[palm][:3, 3] for row in (q[0], q[-1])]
+            assert np.linalg.norm(places[1] - places[0]) >= LEAST_TRAVEL
+
+
+def test_a_beam_is_kept_from_start_to_goal(robot, scenes):
+    (keep,) = scenes["beam"].request.keep
+    assert {keep.link, keep.relative_to} == set(PALMS)
+    first, *rest = (relative_pose(robot, q, keep.link, keep.relative_to) for q in samples(scenes["beam"]))
+    for pose in rest:
+        assert np.linalg.norm(pose[:3, 3] - first[:3, 3]) < keep.position_tolerance_m
+        np.testing.assert_allclose(pose[:3, :3], first[:3, :3], atol=np.deg2rad(keep.rotation_tolerance_deg))
+
+
+def test_the_straight_line_is_in_collision(scenes):
+    assert not any(scene.is_straight_enough for scene in scenes.values())
