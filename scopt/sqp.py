@@ -21,6 +21,7 @@ from scopt.qp import ConicProgram, backend, solve_clarabel
 from scopt.residual import StateT
 from scopt.result import Iteration, Result, Status
 
+LEAST_PROGRESS = 0.9  # of the violation some steps ago
 AT_THE_EDGE = 0.9  # a step of this share of the trust radius shows that the box held it
 
 OnIteration = Callable[[Iteration, Float[np.ndarray, "T n"]], None]
@@ -41,6 +42,8 @@ class Settings:
             iterate is feasible.
         is_corrected: whether a rejected step gets a second-order correction before the box shrinks.
         acceptable_steps: trial steps after which an iterate whose violations are acceptable is left at that.
+        patience: trial steps within which the largest violation (relative to its tolerance) must fall by a tenth; the
+            solve is given up where it does not.
         penalty, penalty_factor, max_penalty_raises: mu of the first outer iteration, its growth, how often.
         max_iterations: trial steps in all.
         time_limit_s: wall time.
@@ -58,6 +61,7 @@ class Settings:
     min_improvement_feasible: float = 0.02
     is_corrected: bool = True
     acceptable_steps: int = 4
+    patience: float = float("inf")
     penalty: float = 10.0
     penalty_factor: float = 10.0
     max_penalty_raises: int = 5
@@ -103,6 +107,7 @@ class _Run(Generic[StateT]):
     history: list[Iteration] = field(default_factory=list)
     is_subproblem_failing: bool = False
     acceptable_steps: int = 0
+    excess: list[float] = field(default_factory=list)
 
 
 class _InterruptedError(Exception):
@@ -280,6 +285,7 @@ class TrustRegionSQP:
             run.best = trial
         if is_accepted:
             run.current = trial
+        run.excess.append(run.current.excess)
         is_waiting = run.current.is_acceptable and not run.current.is_feasible
         run.acceptable_steps = run.acceptable_steps + 1 if is_waiting else 0
         record = Iteration(
@@ -329,6 +335,10 @@ class TrustRegionSQP:
             raise _InterruptedError(Status.TIME_LIMIT)
         if run.acceptable_steps >= self.settings.acceptable_steps:
             raise _InterruptedError(Status.ACCEPTABLE)
+        if len(run.excess) > self.settings.patience and not run.current.is_feasible:
+            earlier = run.excess[-1 - int(self.settings.patience)]
+            if run.current.excess > LEAST_PROGRESS * earlier:
+                raise _InterruptedError(Status.STALLED)
         if len(run.history) >= self.settings.max_iterations:
             raise _InterruptedError(Status.ITERATION_LIMIT)
 

@@ -10,7 +10,6 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Float
 
-from scopt import Status
 from service.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, guesses, straight, via
 from service.request import GoalRequest
 from service.restore import restored
@@ -19,7 +18,8 @@ from service.tasks.goal import Goal
 
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 10, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
-QUICK_STEPS = 20  # of a first try: what needs more is found sooner from another start
+# A first try: what needs more steps, or stands still for some, is found sooner from another start.
+QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6}
 SAMPLED_STEPS = 50  # of a sampled path, which is clear from the beginning
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
 TREES = (
@@ -71,21 +71,21 @@ class _Search:
             yield "goal pose", shortfall
             return
         count = self._count(end)
-        quick = self._solve(straight(start, end, count), max_iterations=QUICK_STEPS)
+        quick = self._solve(straight(start, end, count), **QUICK)
         yield "straight line", quick
         yield from self._around(end, TREES[0])
         for other, shortfall in ends:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
-                yield name, self._solve(straight(start, other, self._count(other)), max_iterations=QUICK_STEPS)
+                yield name, self._solve(straight(start, other, self._count(other)), **QUICK)
         yield from self._around(end, TREES[1])
         yield from self._around(end, TREES[2])
-        if quick.result.status is Status.ITERATION_LIMIT:
+        if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
         for tree in TREES[3:]:
             yield from self._around(end, tree)
         for name, posture in guesses(self.solver.body)[1:]:
-            yield f"via posture '{name}'", self._solve(via(start, posture, end, count), max_iterations=QUICK_STEPS)
+            yield f"via posture '{name}'", self._solve(via(start, posture, end, count), **QUICK)
 
     def plan(self, name: str, solved: Solved) -> TaskPlan:
         """A solution as a task's plan."""
