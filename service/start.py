@@ -12,12 +12,13 @@ import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.collision.shapes import static_convex
 from costs.robot import BASE_NAMES, LinkBody, RobotModel
-from costs.scene import Scene
+from costs.scene import ConvexPiece, Scene
 from costs.support import SupportPolygon
 from service.errors import RequestError, would_do
 from service.request import StartRequest
+from service.verify.convex import convex_of
+from service.verify.solid import Solid
 
 SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
 STANDING_POSTURE = "stand"
@@ -119,26 +120,23 @@ def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, plant
 
 def overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
     """Every pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
-    placed = [(body, vertices, static_convex(vertices)) for body, vertices in placed_bodies(robot, q)]
+    things: list[LinkBody | ConvexPiece] = [*robot.bodies, *scene.pieces]
+    solids = [Solid.of_body(body) for body in robot.bodies] + [Solid.of_piece(piece) for piece in scene.pieces]
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    places = [data.oMi[solid.joint] for solid in solids]
+    vertices = [s.vertices @ at.rotation.T + at.translation for s, at in zip(solids, places, strict=True)]
+    poses = [coal.Transform3s(at.rotation, at.translation) for at in places]
     found: list[Overlap] = []
-    for piece in scene.pieces:
-        shape = static_convex(piece.vertices)
-        for body, vertices, convex in placed:
-            if body.link in robot.fixed_links or not _boxes_meet(vertices, piece.vertices):
-                continue
-            allowed = FLOOR_CONTACT_M if body.link in planted and piece.kind == FLOOR_KIND else TOUCH_M
-            depth = penetration(convex, shape)
-            if depth > allowed:
-                found.append(Overlap(body.link, piece.name, depth, piece.kind))
-    for a, (first, first_vertices, first_convex) in enumerate(placed):
-        for second, second_vertices, second_convex in placed[a + 1 :]:
-            pair = tuple(sorted((first.link, second.link)))
-            if first.joint == second.joint or pair in robot.ignored_pairs:
-                continue
-            if _boxes_meet(first_vertices, second_vertices):
-                depth = penetration(first_convex, second_convex)
-                if depth > TOUCH_M:
-                    found.append(Overlap(first.link, second.link, depth))
+    for k, j in _whose_boxes_meet(vertices, len(robot.bodies)):
+        body, other = robot.bodies[k], things[j]
+        allowed = _allowed_depth(robot, body, other, planted)
+        if not np.isfinite(allowed):
+            continue
+        depth = penetration(solids[k].convex, solids[j].convex, poses[k], poses[j])
+        if depth > allowed:
+            name, kind = (other.link, "") if isinstance(other, LinkBody) else (other.name, other.kind)
+            found.append(Overlap(body.link, name, depth, kind))
     deepest: dict[tuple[str, str], Overlap] = {}
     for overlap in sorted(found, key=lambda one: -one.depth):
         pair = (overlap.link, overlap.other)
@@ -162,10 +160,10 @@ def standing_problems(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> list[str]:
     """One line for each planted foot that hangs in the air, and one when the centre of mass is outside the soles."""
-    floors = [static_convex(piece.vertices) for piece in scene.pieces if piece.kind == FLOOR_KIND]
+    floors = [convex_of(piece.vertices) for piece in scene.pieces if piece.kind == FLOOR_KIND]
     problems = []
     for link, corners in soles.items():
-        gap = min((-penetration(static_convex(corners), floor) for floor in floors), default=0.0)
+        gap = min((-penetration(convex_of(corners), floor) for floor in floors), default=0.0)
         if gap > FLOOR_CONTACT_M:
             problems.append(f"the sole of {link} is {gap:.3f} m above the floor; lower start.base or leave it out")
     com = pin.centerOfMass(robot.model, robot.model.createData(), q)
@@ -222,12 +220,33 @@ def _snapped(
     return inside, notes
 
 
-def _boxes_meet(first: Float[np.ndarray, "V 3"], second: Float[np.ndarray, "W 3"]) -> bool:
-    return bool(np.all(first.min(axis=0) <= second.max(axis=0)) and np.all(second.min(axis=0) <= first.max(axis=0)))
+def _whose_boxes_meet(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
+    """Bodies (the first sets) with a later set whose bounding box meets theirs."""
+    low, high = (np.array([end(points, axis=0) for points in vertices]) for end in (np.min, np.max))
+    meets = np.all((low[:n_bodies, None] <= high) & (low <= high[:n_bodies, None]), axis=2)
+    return [(k, j) for k, j in np.argwhere(meets).tolist() if k < j]
 
 
-def penetration(first: coal.Convex, second: coal.Convex) -> float:
-    """How far one of two placed convexes would have to be moved to be free of the other, negative when apart [m]."""
-    result = coal.DistanceResult()
-    identity = coal.Transform3s()
-    return -float(coal.distance(first, identity, second, identity, coal.DistanceRequest(), result))
+def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPiece, planted: Sequence[str]) -> float:
+    """How deep a body may be in something at the start [m]; infinite for a pair that is not checked."""
+    if isinstance(other, LinkBody):
+        pair = (min(body.link, other.link), max(body.link, other.link))
+        return np.inf if body.joint == other.joint or pair in robot.ignored_pairs else TOUCH_M
+    if body.link in robot.fixed_links:
+        return np.inf
+    return FLOOR_CONTACT_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M
+
+
+def penetration(
+    first: coal.Convex,
+    second: coal.Convex,
+    pose_first: coal.Transform3s | None = None,
+    pose_second: coal.Transform3s | None = None,
+) -> float:
+    """How far one of two convexes would have to be moved to be free of the other, negative when apart [m].
+
+    The poses place them in the world; without one a convex is there already.
+    """
+    result, here = coal.DistanceResult(), coal.Transform3s()
+    poses = (pose_first or here, pose_second or here)
+    return -float(coal.distance(first, poses[0], second, poses[1], coal.DistanceRequest(), result))
