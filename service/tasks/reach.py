@@ -20,7 +20,10 @@ LEAST_WAYPOINTS, MOST_WAYPOINTS = 10, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
 # A first try: what needs more steps, or stands still for some, is found sooner from another start.
 QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6}
-SAMPLED_STEPS = 50  # of a sampled path, which is clear from the beginning
+SAMPLED: dict[str, float] = {
+    "max_iterations": 50,
+    "patience": 8,
+}  # of a sampled path, which is clear from the beginning
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
 TREES = (
     Tree(0, 1000, "LBKPIECE1"),
@@ -133,7 +136,7 @@ class _Search:
         if path is None:
             return
         name = f"path of {tree.planner}, tree {tree.seed + 1}"
-        solved = self._solve(path, max_iterations=SAMPLED_STEPS)
+        solved = self._solve(path, **SAMPLED)
         if not solved.is_feasible:  # a path that cannot be made smoother or clearer is still a way
             as_it_is = self._solve(path, max_iterations=0)
             solved = as_it_is if as_it_is.is_feasible else solved
