@@ -21,6 +21,7 @@ from scopt.qp import ConicProgram, backend, solve_clarabel
 from scopt.residual import StateT
 from scopt.result import Iteration, Result, Status
 
+SEARCHED_GAIN = 5.0  # times the gain at which a feasible solve ends
 LEAST_PROGRESS = 0.9  # of the violation some steps ago
 AT_THE_EDGE = 0.9  # a step of this share of the trust radius shows that the box held it
 
@@ -231,7 +232,9 @@ class TrustRegionSQP:
                 return True
             # A box that the step did not fill would give the same step again.
             run.trust_radius = settings.shrink * min(run.trust_radius, travel)
-            if run.current.is_feasible:  # what is left to gain is not worth a search for the right box
+            # Once feasible, a small gain is not worth the search for the right box.
+            little = SEARCHED_GAIN * settings.min_improvement_feasible * abs(merit)
+            if run.current.is_feasible and merit - model_merit < little:
                 return False
         return False
 
