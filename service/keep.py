@@ -15,8 +15,8 @@ from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose
 from scopt import Constraint, Residual, Sense
 from service.errors import RequestError
+from service.holds import DRIFT, Hold
 from service.request_keep import KeepRequest
-from service.spline import DRIFT, Hold
 from service.verify import RelativePoseTarget
 
 AXES = {"x": 0, "y": 1, "z": 2}

@@ -15,9 +15,9 @@ from costs.collision import Contacts
 from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem, Result, Settings, TrustRegionSQP
+from service.holds import Hold
 from service.monitor import Monitor
 from service.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
-from service.spline import Hold
 from service.verify import Motion, Target
 from service.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 

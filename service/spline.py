@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from costs.collision import Contacts
 from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
-from costs.state import MotionState
-from scopt import Residual
+from service.holds import DRIFT, Hold, largest, least_norm, linearized, projected
 
-Hold = Callable[[Int[np.ndarray, "S"]], Residual[MotionState]]
-"""Makes the residual that a hold keeps at zero at the given waypoints."""
-
-DRIFT = 5e-4  # between waypoints, of what is held [m, rad]
-PROJECTION_STEPS = 8
-PROJECTION_TOLERANCE = 1e-9  # [m, rad]
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
 SMALLEST_RATE = 1e-12  # tangents this close to their limits keep them
 LIMIT_ROUNDS = 3  # in which joints at their limits are found
@@ -82,15 +74,15 @@ def make_spline(
         if index:
             q[0] = refined[-1].q[-1]
         is_original = np.ones(len(q), dtype=bool)
-        q[1:] = _projected(engine, q[1:], path.holds)
+        q[1:] = projected(engine, q[1:], path.holds)
         for _ in range(MAX_INSERTIONS):
             s = _parameter(q, speed)
             v = _tangents(engine, q, s, path.holds, lower, upper)
             middle = Curve(s, q, v)(0.5 * (s[1:] + s[:-1]))
-            drifting = np.flatnonzero(_largest(engine, middle, path.holds) > path.drift)
+            drifting = np.flatnonzero(largest(engine, middle, path.holds) > path.drift)
             if not len(drifting):
                 break
-            inserted = _projected(engine, middle[drifting], path.holds)
+            inserted = projected(engine, middle[drifting], path.holds)
             q = np.insert(q, drifting + 1, inserted, axis=0)
             is_original = np.insert(is_original, drifting + 1, False)
         s = _parameter(q, speed)
@@ -165,37 +157,6 @@ def _tangent_limits(
     return least, most
 
 
-def _linearized(
-    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
-) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k n"]]:
-    """Residuals and Jacobians of all holds at separate configurations."""
-    state = MotionState(engine(q), Contacts.none())
-    everywhere = np.arange(len(q))
-    n = q.shape[1]
-    values, jacobians = [], []
-    for hold in holds:
-        rows = hold(everywhere).linearize(state)
-        k = len(rows.value) // len(q)
-        dense = rows.jacobian.toarray().reshape(len(q), k, len(q), n)
-        values.append(rows.value.reshape(len(q), k))
-        jacobians.append(dense[everywhere, :, everywhere])
-    return np.concatenate(values, axis=1), np.concatenate(jacobians, axis=1)
-
-
-def _projected(
-    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
-) -> Float[np.ndarray, "S n"]:
-    """The nearest configurations that keep the holds (Gauss-Newton with least-norm steps)."""
-    if not holds or not len(q):
-        return q
-    for _ in range(PROJECTION_STEPS):
-        value, jacobian = _linearized(engine, q, holds)
-        if np.abs(value).max() < PROJECTION_TOLERANCE:
-            break
-        q = q - _least_norm(jacobian, value)
-    return q
-
-
 def _along_holds(
     engine: KinematicsEngine,
     q: Float[np.ndarray, "S n"],
@@ -211,31 +172,17 @@ def _along_holds(
     """
     if not holds or not len(q):
         return v
-    _, jacobian = _linearized(engine, q, holds)
+    _, jacobian = linearized(engine, q, holds)
     at_limit = np.zeros(v.shape, dtype=bool)
     for _ in range(LIMIT_ROUNDS):
         free = np.where(at_limit[:, None, :], 0.0, jacobian)
-        v = v - _least_norm(free, np.einsum("skn,sn->sk", jacobian, v))
+        v = v - least_norm(free, np.einsum("skn,sn->sk", jacobian, v))
         beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
         if not beyond.any():
             return v
         at_limit |= beyond
         v = np.clip(v, least, most)
-    v = v - _least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, v))
+    v = v - least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, v))
     beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
     share = np.where(beyond, np.where(v > 0.0, most, least) / np.where(beyond, v, 1.0), 1.0)
     return np.asarray(v * share.min(axis=1, keepdims=True))
-
-
-def _least_norm(jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "S n"]:
-    return np.asarray(np.einsum("snk,sk->sn", np.linalg.pinv(jacobian, rcond=1e-6), value))
-
-
-def _largest(engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]) -> Float[np.ndarray, "S"]:
-    """Largest residual of any hold at each configuration."""
-    if not holds:
-        return np.zeros(len(q))
-    state = MotionState(engine(q), Contacts.none())
-    everywhere = np.arange(len(q))
-    parts = [np.abs(hold(everywhere).value(state)).reshape(len(q), -1) for hold in holds]
-    return np.asarray(np.concatenate(parts, axis=1).max(axis=1))

@@ -25,8 +25,8 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Sense
+from service.holds import DRIFT, Hold
 from service.keep import KeptPose
-from service.spline import DRIFT, Hold
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]

@@ -21,6 +21,7 @@ from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint, Sense
 from service.errors import RequestError
+from service.holds import Hold
 from service.phases import (
     Bounds,
     PhaseSolver,
@@ -33,7 +34,6 @@ from service.phases import (
     straight,
     via,
 )
-from service.spline import Hold
 from service.tasks.wheel import (
     HAND_AXIS,
     RIM_PREFIX,

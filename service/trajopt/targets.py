@@ -14,7 +14,7 @@ from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import FramePose, Masked
 from scopt import Residual
-from service.spline import Hold
+from service.holds import Hold
 from service.trajopt.problem import JointTerm, PoseTerm
 from service.trajopt.program import Program, Timeline
 from service.trajopt.standing import held_alike, pose_matrix

@@ -96,7 +96,8 @@ def _derivative_bounds(
     def slope(u: Float[np.ndarray, "I n"]) -> Float[np.ndarray, "I n"]:
         return np.asarray(np.abs(c1 + u * (2.0 * c2 + u * 3.0 * c3)))
 
-    vertex = _inside(-c2, 3.0 * c3, u0, u1)
+    vertex = np.divide(-c2, 3.0 * c3, out=np.zeros_like(c2), where=np.abs(c3) > 1e-300)
+    vertex = np.minimum(np.maximum(vertex, u0), u1)
     speed = np.maximum(np.maximum(slope(u0), slope(u1)), slope(vertex))
     bend = np.maximum(np.abs(2.0 * c2 + 6.0 * c3 * u0), np.abs(2.0 * c2 + 6.0 * c3 * u1))
     return speed, bend

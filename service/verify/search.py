@@ -170,7 +170,8 @@ class _Attempt:
     def try_hints(self) -> None:
         """Raise the bounds by what is known from before."""
         rows = np.flatnonzero(np.isfinite(self._look.stretches.hint[:, 0]))
-        self._try(rows, self._look.stretches.hint[rows, None])
+        if len(rows):
+            self._try(rows, self._look.stretches.hint[rows, None])
 
     def measure(self, of: Bool[np.ndarray, "E"], columns: tuple[int, ...]) -> None:
         """Sample poses of these stretches where that may decide them, or must, and try the directions found there."""
