@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.crowded_scenes import CrowdedScene, crowded_scenes
 from benchmarks.tables import print_table
 from costs.robot import RobotModel, load_robot
+from service.explain_conflict import DemandKind
 from service.planner import plan
 from service.result import PlanResult, Verdict
 
@@ -50,12 +51,13 @@ class Run:
         """Verdict, and which step or check it is owed to."""
         if self.is_certified:
             return self.result.verdict.value
-        first = next(iter(self.result.explanation), "")
-        step, colon, text = first.partition(": ")
-        if not colon:  # what a check of the certificate says
-            step, text = "certificate", first
-        what = text.split("'")[1] if "'" in text else "contact" if " mm" in text else ""
-        return f"{self.result.verdict.value}, {step} {what}".strip()
+        verdict, conflict = self.result.verdict.value, self.result.conflict
+        if conflict is None:  # what a check of the certificate says
+            return f"{verdict}, {next(iter(self.result.explanation), '')}"
+        kinds = {
+            demand.name if demand.kind is DemandKind.CONSTRAINT else demand.kind.value for demand in conflict.demands
+        }
+        return f"{verdict}, {conflict.step}: {', '.join(sorted(kinds))}"
 
 
 @dataclass

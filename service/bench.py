@@ -50,7 +50,7 @@ def _answer(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
         path=_path(result, problem.joints),
         clearance_m=None if certificate is None else _number(certificate.min_clearance_m),
         start=result.found_from,
-        reason=next(iter(result.explanation), ""),
+        reason=next(iter(result.explanation), "") if result.conflict is None else result.conflict.brief,
     )
 
 

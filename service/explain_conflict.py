@@ -91,6 +91,11 @@ class Conflict:
             f"{self._learnt()} This was met there; it does not prove that there is no motion.",
         )
 
+    @property
+    def brief(self) -> str:
+        """The step and its demands in one line, for a table."""
+        return f"{self.step}: {'; '.join(demand.text for demand in self.demands)}"
+
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data (docs/result-format.md)."""
         return {

@@ -25,7 +25,7 @@ from service.result import PlanResult, Verdict
 from service.setup import PlanSetup, prepare
 from service.tasks import plan_task
 from service.timing import TimingSettings
-from service.verify import Certificate, Motion, Status, verify
+from service.verify import Basis, Certificate, Motion, Status, verify
 from service.whole_body import Aims, WholeBody
 
 MAX_REPAIRS = 3
@@ -121,7 +121,7 @@ class _Attempt:
         self.task, self.motion, self.certificate = task, motion, certificate
         if task.is_feasible:
             self.verdict = VERDICT_OF_STATUS[certificate.status]
-            self.explanation = tuple(check.text for check in certificate.failed())
+            self.explanation = shortfalls(certificate)
 
     def result(self, setup: PlanSetup, monitor: Monitor) -> PlanResult:
         task, perceived = self.task, setup.perceived
@@ -196,6 +196,16 @@ def _certified(task: TaskPlan, options: Options, monitor: Monitor) -> tuple[Moti
         motion = make_motion(task, timing)
     with monitor.step("certificate", 0.85):
         return motion, verify(motion)
+
+
+def shortfalls(certificate: Certificate) -> tuple[str, ...]:
+    """What does not hold or, where all of it does, what could not be proven, with the time at which it was seen."""
+    checks = certificate.failed() or tuple(c for c in certificate.checks if c.basis is Basis.UNPROVEN)
+    times = (None if check.where is None else check.where.time_s for check in checks)
+    return tuple(
+        check.text if time_s is None else f"{check.text} (at {time_s:.2f} s)"
+        for check, time_s in zip(checks, times, strict=True)
+    )
 
 
 def detections_of(setup: PlanSetup) -> tuple[Mapping[str, Any], ...]:

@@ -25,7 +25,7 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Sense
-from service.holds import DRIFT, Hold
+from service.holds import DRIFT, Hold, projected
 from service.keep import KeptPose
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
@@ -166,6 +166,10 @@ class WholeBody:
             for foot in self.planted
         ]
         return (*planted, *(hold for kept in self.kept for hold in kept.holds(self.robot)))
+
+    def on_holds(self, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
+        """The nearest waypoints that keep what stays put; the first is as it is."""
+        return np.concatenate([q[:1], projected(self.engine, q[1:], self.holds())])
 
     def drift(self) -> float:
         """How far a row of the holds may be off between waypoints [m, rad]."""

@@ -2,10 +2,12 @@
 
 import dataclasses
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from planar_arm import write_planar_arm
+from small_plan import small_plan
 from small_robots import box
 from tiny_robots import atlas
 
@@ -17,7 +19,7 @@ from service.explain import explain
 from service.explain_conflict import Conflict, Demand, DemandKind, Search
 from service.monitor import Monitor
 from service.phases import LEAST_CLEARANCE, PhaseSolver, straight
-from service.planner import plan
+from service.planner import plan, shortfalls
 from service.request import GoalRequest, PoseGoalRequest
 from service.request_file import parse_request
 from service.restore import restored
@@ -25,6 +27,7 @@ from service.result import Verdict
 from service.result_json import summary_json
 from service.start import FEET_GROUP
 from service.tasks.goal import Goal
+from service.verify import Status, verify
 from service.whole_body import CLEARANCE_TERMS, Aims, WholeBody
 
 # 30 mm between them for an arm of 40 mm: it is 5 mm deep in either, or deeper in one.
@@ -230,3 +233,17 @@ def test_what_costs_and_margins_keep_from_being_found_is_found_without_them():
             assert short.max(initial=0.0) <= constraint.tolerance, constraint.name
     beyond = stuck(body, "l_tool", (0.3, 0.2, 2.4))
     assert restored(solver, "goal pose", beyond) is beyond
+
+
+def test_what_could_not_be_proven_is_told_with_its_time():
+    motion = small_plan().motion
+    barefoot = replace(motion, phases=tuple(replace(phase, allowances=()) for phase in motion.phases))
+    certificate = verify(barefoot)  # feet that touch the floor, which nothing proves to stay out of it
+    assert certificate.status is Status.FEASIBLE_AT_SAMPLES
+    lines = shortfalls(certificate)
+    assert {line.split(" not shown")[0] for line in lines} == {
+        "clearance of l_foot and floor",
+        "clearance of r_foot and floor",
+    }
+    assert all(line.endswith(" s)") for line in lines)
+    assert shortfalls(small_plan().certificate) == ()

@@ -16,7 +16,7 @@ from costs.scene import Scene
 from service.cli_report import print_figures, print_verdict
 from service.errors import RequestError
 from service.output import write_result
-from service.planner import plan
+from service.planner import plan, shortfalls
 from service.request_file import parse_request
 from service.result import Verdict
 from service.result_json import summary_json
@@ -135,6 +135,8 @@ def test_without_its_allowance_or_with_a_smaller_one_the_same_motion_is_refuted(
     for allowances in ((), (Allowance("l2", "block", 0.009),), (Allowance("l1", "block", 0.02),)):
         certificate = verify(replace(result.motion, phases=(replace(first, allowances=allowances), second)))
         assert certificate.status is Status.VIOLATED
+        line = next(line for line in shortfalls(certificate) if line.startswith("l2 penetrates block by "))
+        assert line.endswith(" s)")
     assert verify(result.motion).status is Status.CERTIFIED
 
 

@@ -127,13 +127,15 @@ def test_a_start_that_must_settle_settles_without_letting_go():
     assert "keep.settle.r_hand.l_hand" in keep_checks(result)
 
 
-def test_a_pose_that_both_hands_cannot_keep_names_what_fights():
+def test_places_that_both_hands_cannot_keep_are_infeasible():
     keep = {"link": "r_hand", "relative_to": "l_hand"}
     goal = {"link": "r_hand", "position": [0.5, 0.1, 1.1]}
     left = {"link": "l_hand", "position": [0.5, 0.3, 1.1]}
     result = plan(carry(np.zeros(3), keep, goal={"poses": [left, goal]}))
-    assert result.verdict is Verdict.NOT_FOUND
-    assert any("r_hand relative to l_hand" in line or "position of" in line for line in result.explanation)
+    assert result.verdict is Verdict.INFEASIBLE
+    assert result.explanation == (
+        "r_hand and l_hand shall arrive 0.20 m apart, and keeping r_hand relative to l_hand holds them 0.64 m apart",
+    )
 
 
 def test_both_hands_reach_their_places_at_once(tmp_path):

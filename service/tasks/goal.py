@@ -14,6 +14,7 @@ from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
 from service.explain_goal import never_reached
+from service.explain_keep import never_kept
 from service.request import GoalRequest, PoseGoalRequest
 from service.verify import AxisTarget, JointTarget, PoseTarget, Target
 from service.whole_body import WholeBody
@@ -79,10 +80,12 @@ class Goal:
 
     def impossible(self) -> tuple[str, ...]:
         """Reasons that hold for every motion."""
-        return never_reached(self.body, self.targets(0.0))
+        targets = self.targets(0.0)
+        return (*never_reached(self.body, targets), *never_kept(self.body, targets))
 
 
-def _rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
+def rotation_of(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
+    """Rotation_world_link asked for; None where the orientation is free."""
     if pose.quaternion_wxyz is None:
         return None
     return np.asarray(Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix())
@@ -90,7 +93,7 @@ def _rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
     """Position within its tolerance, orientation within its own, one axis of the frame perhaps free."""
-    rotation = _rotation(pose)
+    rotation = rotation_of(pose)
     target = np.eye(4)
     target[:3, 3] = pose.position
     if rotation is not None:
@@ -117,7 +120,7 @@ def _within(name: str, residual: FramePose | AxisDirection, tolerance: float, un
 
 def _pose_targets(pose: PoseGoalRequest, at: float) -> tuple[Target, ...]:
     """What the verifier holds the end to: a pose, or a place and the direction of the axis that is not free."""
-    rotation = _rotation(pose)
+    rotation = rotation_of(pose)
     turn = max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
     place = np.full(3, max(pose.position_tolerance_m, SMALLEST_SHIFT))
     position = np.asarray(pose.position, dtype=float)

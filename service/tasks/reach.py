@@ -15,15 +15,14 @@ from service.request import GoalRequest
 from service.restore import restored
 from service.sampling import Tree
 from service.tasks.goal import Goal
+from service.tasks.lead import led
 
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 10, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
 # A first try: what needs more steps, or stands still for some, is found sooner from another start.
 QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6}
-SAMPLED: dict[str, float] = {
-    "max_iterations": 50,
-    "patience": 8,
-}  # of a sampled path, which is clear from the beginning
+SAMPLED: dict[str, float] = {"max_iterations": 50, "patience": 8}  # a sampled path is clear from the beginning
+LED: dict[str, float] = {"max_iterations": 40}  # where the straight line has failed
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
 TREES = (
     Tree(0, 1000, "LBKPIECE1"),
@@ -72,15 +71,22 @@ class _Search:
         end, shortfall = next(ends)
         if shortfall is not None:
             yield "goal pose", shortfall
+            yield from self._led()
             return
         count = self._count(end)
         quick = self._solve(straight(start, end, count), **QUICK)
         yield "straight line", quick
         yield from self._around(end, TREES[0])
+        if not self.goal.is_complete and not quick.is_feasible:
+            yield "straight line", self._restored(quick)
+        if self.solver.body.kept:
+            line = self.solver.body.on_holds(straight(start, end, count))
+            yield "straight line along what is kept", self._solve(line, **QUICK)
         for other, shortfall in ends:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight(start, other, self._count(other)), **QUICK)
+        yield from self._led()
         yield from self._around(end, TREES[1])
         yield from self._around(end, TREES[2])
         if not quick.is_feasible:
@@ -89,6 +95,11 @@ class _Search:
             yield from self._around(end, tree)
         for name, posture in guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self._solve(via(start, posture, end, count), **QUICK)
+
+    def _restored(self, solved: Solved) -> Solved:
+        """Once more from where a solve has failed, for nothing but what must hold."""
+        with self.solver.monitor.step("reach", 0.4):
+            return restored(self.solver, "reach", solved)
 
     def plan(self, name: str, solved: Solved) -> TaskPlan:
         """A solution as a task's plan."""
@@ -127,6 +138,12 @@ class _Search:
             with self.solver.monitor.step("goal pose", 0.1):
                 last = restored(self.solver, "goal pose", worst)
             yield last.x[0], None if last.is_feasible else last
+
+    def _led(self) -> Iterator[tuple[str, Solved]]:
+        """From the straight ways of the links that shall arrive."""
+        q = led(self.goal, LEAST_WAYPOINTS if self.n_waypoints is None else self.n_waypoints)
+        if q is not None:
+            yield "straight way of what shall arrive", self._solve(q, **LED)
 
     def _around(self, end: Float[np.ndarray, "n"], tree: Tree) -> Iterator[tuple[str, Solved]]:
         """From the path of a sampling planner: optimised, and as it is where that fails."""

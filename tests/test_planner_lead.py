@@ -1,0 +1,86 @@
+"""Starts that lead what shall arrive straight to its goal, with everything that is held."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tiny_robots import atlas
+
+from costs.kinematics import planted_poses
+from costs.scene import Scene
+from service.holds import largest
+from service.keep import kept_poses
+from service.phases import straight
+from service.request import GoalRequest, PoseGoalRequest
+from service.request_keep import KeepRequest
+from service.tasks.goal import Goal
+from service.tasks.lead import led, ways
+from service.whole_body import Aims, WholeBody
+
+FEET = ("l_foot", "r_foot")
+
+
+def with_both_hands() -> WholeBody:
+    """Atlas on its feet with hands that keep their relative pose."""
+    robot = atlas()
+    ready = robot.postures["reach_ready"]
+    body = WholeBody.standing(robot, Scene(), ready, FEET, Aims())
+    return replace(body, kept=kept_poses(robot, ready, [KeepRequest("r_hand", "l_hand")]))
+
+
+def asked(body: WholeBody, **more) -> Goal:
+    """The left hand 15 cm forwards and 20 cm up from where it is."""
+    place = planted_poses(body.engine, body.nominal, ["l_hand"])["l_hand"]
+    goal = PoseGoalRequest("l_hand", tuple(place[:3, 3] + [0.15, 0.0, 0.2]), **more)
+    return Goal.of(body, GoalRequest(poses=(goal,)))
+
+
+def turned(body: WholeBody, angle: float) -> tuple[float, float, float, float]:
+    """The left hand's orientation turned about the vertical."""
+    place = planted_poses(body.engine, body.nominal, ["l_hand"])["l_hand"]
+    w, x, y, z = (Rotation.from_rotvec([0.0, 0.0, angle]) * Rotation.from_matrix(place[:3, :3])).as_quat(
+        scalar_first=True
+    )
+    return (w, x, y, z)
+
+
+@pytest.mark.parametrize("free_axis", [None, "none", "y"])
+def test_a_led_start_arrives_and_keeps_what_is_held_all_along(free_axis):
+    body = with_both_hands()
+    more = {} if free_axis is None else {"quaternion_wxyz": turned(body, -0.3), "free_axis": free_axis}
+    goal = asked(body, **more)
+    q = led(goal, 12)
+    np.testing.assert_array_equal(q[0], body.nominal)
+    assert largest(body.engine, q, body.holds()).max() < 1e-4
+    assert largest(body.engine, q[-1:], ways(goal, 1.0)).max() < 1e-4
+    assert np.abs(np.diff(q, axis=0)).max() < 0.3
+
+
+def test_half_way_the_hand_is_half_way():
+    body = with_both_hands()
+    q = led(asked(body), 11)
+    first, middle, last = (planted_poses(body.engine, row, ["l_hand"])["l_hand"][:3, 3] for row in q[[0, 5, 10]])
+    np.testing.assert_allclose(middle, 0.5 * (first + last), atol=1e-4)
+
+
+def test_a_goal_out_of_reach_is_led_to_within_the_limits():
+    body = with_both_hands()
+    far = Goal.of(body, GoalRequest(poses=(PoseGoalRequest("l_hand", (3.0, 0.0, 1.0)),)))
+    q = led(far, 6)
+    assert np.isfinite(q).all()
+    assert np.all((q >= body.robot.lower) & (q <= body.robot.upper))
+
+
+def test_without_a_link_that_shall_arrive_nothing_is_led():
+    body = with_both_hands()
+    assert led(Goal.of(body, GoalRequest(posture="stand")), 5) is None
+
+
+def test_a_straight_line_is_brought_onto_what_is_held():
+    body = with_both_hands()
+    line = straight(body.nominal, led(asked(body), 8)[-1], 8)
+    on_holds = body.on_holds(line)
+    assert largest(body.engine, line, body.holds()).max() > 1e-3
+    assert largest(body.engine, on_holds, body.holds()).max() < 1e-8
+    np.testing.assert_array_equal(on_holds[0], line[0])
