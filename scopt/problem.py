@@ -71,6 +71,7 @@ class Constraint(Generic[StateT]):
         tolerance: largest violation of a row that counts as feasible [unit of the residual].
         scale: the residual is multiplied by this in the penalty, so that unlike units weigh alike.
         unit: of the residual, for messages.
+        acceptable: largest violation that will do where feasibility does not come soon; no less than ``tolerance``.
     """
 
     name: str
@@ -79,6 +80,7 @@ class Constraint(Generic[StateT]):
     tolerance: float = 1e-4
     scale: float = 1.0
     unit: str = ""
+    acceptable: float = 0.0
 
     def violation(self, value: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
         """How far each row is from what is asked, >= 0."""

@@ -15,6 +15,7 @@ class Status(Enum):
 
     CONVERGED = "converged"  # feasible within tolerance and no step improves the merit enough
     FEASIBLE = "feasible"  # feasible within tolerance, stopped early on request of the settings
+    ACCEPTABLE = "acceptable"  # violations within what is acceptable, and several steps did not do away with them
     STALLED = "stalled"  # infeasible: the trust region collapsed or no step improves the merit at the largest penalty
     ITERATION_LIMIT = "iteration_limit"
     TIME_LIMIT = "time_limit"

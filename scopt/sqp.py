@@ -21,6 +21,10 @@ from scopt.qp import ConicProgram, backend, solve_clarabel
 from scopt.residual import StateT
 from scopt.result import Iteration, Result, Status
 
+SEARCHED_GAIN = 5.0  # times the gain at which a feasible solve ends
+LEAST_PROGRESS = 0.9  # of the violation some steps ago
+AT_THE_EDGE = 0.9  # a step of this share of the trust radius shows that the box held it
+
 OnIteration = Callable[[Iteration, Float[np.ndarray, "T n"]], None]
 
 
@@ -38,6 +42,9 @@ class Settings:
             absolutely or as a fraction of the merit; ``min_improvement_feasible`` is the fraction that counts once the
             iterate is feasible.
         is_corrected: whether a rejected step gets a second-order correction before the box shrinks.
+        acceptable_steps: trial steps after which an iterate whose violations are acceptable is left at that.
+        patience: trial steps within which the largest violation (relative to its tolerance) must fall by a tenth; the
+            solve is given up where it does not.
         penalty, penalty_factor, max_penalty_raises: mu of the first outer iteration, its growth, how often.
         max_iterations: trial steps in all.
         time_limit_s: wall time.
@@ -54,6 +61,8 @@ class Settings:
     min_improvement_fraction: float = 1e-3
     min_improvement_feasible: float = 0.02
     is_corrected: bool = True
+    acceptable_steps: int = 4
+    patience: float = float("inf")
     penalty: float = 10.0
     penalty_factor: float = 10.0
     max_penalty_raises: int = 5
@@ -72,6 +81,7 @@ class _Iterate(Generic[StateT]):
     total_cost: float
     total_violation: float
     excess: float  # largest violation relative to its tolerance
+    is_acceptable: bool
 
     @property
     def is_feasible(self) -> bool:
@@ -97,6 +107,8 @@ class _Run(Generic[StateT]):
     started: float
     history: list[Iteration] = field(default_factory=list)
     is_subproblem_failing: bool = False
+    acceptable_steps: int = 0
+    excess: list[float] = field(default_factory=list)
 
 
 class _InterruptedError(Exception):
@@ -214,11 +226,22 @@ class TrustRegionSQP:
             timings = (convexify_s, solved - before, time.perf_counter() - solved)
             convexify_s = 0.0
             self._record(run, trial, model_merit, is_accepted, timings, on_iteration)
+            travel = self._travel(problem, dx)
             if is_accepted:
-                run.trust_radius *= settings.expand
+                run.trust_radius *= settings.expand if travel > AT_THE_EDGE * run.trust_radius else 1.0
                 return True
-            run.trust_radius *= settings.shrink
+            # A box that the step did not fill would give the same step again.
+            run.trust_radius = settings.shrink * min(run.trust_radius, travel)
+            # Once feasible, a small gain is not worth the search for the right box.
+            little = SEARCHED_GAIN * settings.min_improvement_feasible * abs(merit)
+            if run.current.is_feasible and merit - model_merit < little:
+                return False
         return False
+
+    def _travel(self, problem: Problem[StateT], dx: Float[np.ndarray, "N"]) -> float:
+        """The trust radius that a step just needs."""
+        steps = np.abs(dx.reshape(problem.lower.shape))
+        return float((steps if problem.step_scale is None else steps / problem.step_scale).max(initial=0.0))
 
     def _worthwhile(self, run: _Run[StateT], merit: float) -> float:
         """Promised improvements below this end the middle loop."""
@@ -265,6 +288,9 @@ class TrustRegionSQP:
             run.best = trial
         if is_accepted:
             run.current = trial
+        run.excess.append(run.current.excess)
+        is_waiting = run.current.is_acceptable and not run.current.is_feasible
+        run.acceptable_steps = run.acceptable_steps + 1 if is_waiting else 0
         record = Iteration(
             index=len(run.history),
             penalty=run.penalty,
@@ -310,6 +336,12 @@ class TrustRegionSQP:
             raise _InterruptedError(Status.CANCELLED)
         if time.perf_counter() - run.started > self.settings.time_limit_s:
             raise _InterruptedError(Status.TIME_LIMIT)
+        if run.acceptable_steps >= self.settings.acceptable_steps:
+            raise _InterruptedError(Status.ACCEPTABLE)
+        if len(run.excess) > self.settings.patience and not run.current.is_feasible:
+            earlier = run.excess[-1 - int(self.settings.patience)]
+            if run.current.excess > LEAST_PROGRESS * earlier:
+                raise _InterruptedError(Status.STALLED)
         if len(run.history) >= self.settings.max_iterations:
             raise _InterruptedError(Status.ITERATION_LIMIT)
 
@@ -325,16 +357,18 @@ def _evaluate(problem: Problem[StateT], x: Float[np.ndarray, "T n"]) -> _Iterate
     cost = {term.name: term.measure(term.residual.value(state)) for term in problem.costs}
     violation: dict[str, float] = {}
     total_violation = excess = 0.0
+    is_acceptable = True
     for constraint in problem.constraints:
         rows = constraint.violation(constraint.residual.value(state))
         largest = float(rows.max(initial=0.0))
         violation[constraint.name] = largest
         total_violation += constraint.scale * float(rows.sum())
         excess = max(excess, largest / constraint.tolerance)
+        is_acceptable = is_acceptable and largest <= max(constraint.tolerance, constraint.acceptable)
     total_cost = sum(cost.values())
     if not np.isfinite(total_cost + total_violation):
         excess = np.inf  # max() above lets NaN pass: a step into where a term has no value is never the best
-    return _Iterate(x, state, cost, violation, total_cost, total_violation, excess)
+    return _Iterate(x, state, cost, violation, total_cost, total_violation, excess, is_acceptable)
 
 
 def _result(run: _Run[Any], status: Status) -> Result:

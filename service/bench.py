@@ -13,31 +13,61 @@ from typing import Any
 import numpy as np
 
 from costs.robot import RobotModel
+from service.errors import RequestError
 from service.motion_json import samples_of
 from service.planner import plan
 from service.problem_set import BenchProblem
 from service.result import PlanResult, Verdict
 
 PEER = "scopt"
+ERROR = "ERROR"  # of the planner itself
 
 
 def run_problem(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
     """One row of the result file; CPU time is of all threads, from the problem in memory to the verdict."""
     wall, cpu = time.perf_counter(), time.process_time()
-    result = plan(problem.request, robot=robot)
-    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    certificate = result.certificate
+    answer = _answer(problem, robot)
     return {
         "problem": problem.name,
         "scene": problem.scene,
-        "success_claimed": result.verdict is Verdict.CERTIFIED,
-        "time_s": wall,
-        "cpu_s": cpu,
-        "path": _path(result, problem.joints),
-        "verdict": result.verdict.value,
-        "clearance_m": None if certificate is None else _number(certificate.min_clearance_m),
-        "start": result.found_from,
-        "reason": next(iter(result.explanation), "") if result.conflict is None else result.conflict.brief,
+        "time_s": time.perf_counter() - wall,
+        "cpu_s": time.process_time() - cpu,
+        **answer,
+    }
+
+
+def _answer(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
+    """What the planner makes of a problem, as columns; what it refuses, or fails at, is an answer too."""
+    try:
+        result = plan(problem.request, robot=robot)
+    except RequestError as error:
+        return _row(Verdict.INVALID_REQUEST.value, reason=error.problems[0])
+    except Exception as error:  # one problem must not cost the others their rows
+        return _row(ERROR, reason=" ".join(f"{type(error).__name__}: {error}".split()))
+    certificate = result.certificate
+    return _row(
+        result.verdict.value,
+        path=_path(result, problem.joints),
+        clearance_m=None if certificate is None else _number(certificate.min_clearance_m),
+        start=result.found_from,
+        reason=next(iter(result.explanation), "") if result.conflict is None else result.conflict.brief,
+    )
+
+
+def _row(
+    verdict: str,
+    path: Sequence[Sequence[float]] = (),
+    clearance_m: float | None = None,
+    start: str = "",
+    reason: str = "",
+) -> dict[str, Any]:
+    return {
+        "success_claimed": verdict == Verdict.CERTIFIED.value,
+        "path": path,
+        "verdict": verdict,
+        "clearance_m": clearance_m,
+        "start": start,
+        "reason": reason,
     }
 
 
@@ -64,6 +94,12 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     return [_summary(name, group) for name, group in (*groups, ("all", list(rows)))]
 
 
+def failures(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Every problem that was not certified: its name, verdict and first reason."""
+    return [(row["problem"], row["verdict"], row["reason"]) for row in rows if not row["success_claimed"]]
+
+
+FAILURE_COLUMNS = ("not certified", "verdict", "reason")
 COLUMNS = ("scene", "problems", "certified", "CPU median [ms]", "CPU p95 [ms]", "clearance median [mm]", "failures")
 
 

@@ -242,7 +242,7 @@ def _bench(
     screen, err = consoles()
     with progress(err, "read problems") as report:
         report("read problems", 0.0)
-        from service.bench import COLUMNS, run_bench, table
+        from service.bench import COLUMNS, FAILURE_COLUMNS, failures, run_bench, table
         from service.errors import RequestError
         from service.problem_set import BenchRobot, read_problems
         from service.setup import load_requested_robot
@@ -258,6 +258,8 @@ def _bench(
         print_json({"results": str(out), "table": [dict(zip(COLUMNS, line, strict=True)) for line in summary]})
     else:
         print_table(screen, COLUMNS, summary)
+        if any(not row["success_claimed"] for row in rows):
+            print_table(screen, FAILURE_COLUMNS, failures(rows))
         screen.print(f"results          {out}", markup=False, soft_wrap=True)
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from costs.robot import RobotModel
 from scopt import Settings
@@ -65,8 +66,14 @@ def plan(
         RequestError: one line per problem of the request or of a file it names.
     """
     # Small matrices all through: BLAS threads cost more than they bring, and another plan can use the core.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with _thread_pools().limit(limits=1, user_api="blas"):
         return _plan(request, on_progress, should_stop, robot, terms)
+
+
+@cache
+def _thread_pools() -> ThreadpoolController:
+    """The loaded libraries' thread pools; looking for them takes longer than many a plan."""
+    return ThreadpoolController()
 
 
 def _plan(

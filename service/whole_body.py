@@ -33,6 +33,7 @@ BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the c
 CLEARANCE_TERMS = ("collision", "self-collision")
 SELF_SHARE = 0.5  # of the margin is asked of the robot's own links: their distance is known better than the world's
 CLEARANCE_TOLERANCE = 2e-3  # of the margin that is aimed at [m]
+ACCEPTABLE_SHARE = 0.3  # of the margin may be missing where it takes long to get
 LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
 SOLE_BAND = 4e-3  # sole corners are the vertices this close to the lowest one [m]
 UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
@@ -217,8 +218,9 @@ class WholeBody:
             )
             standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m"))
         for name, is_self in zip(CLEARANCE_TERMS, (False, True), strict=True):
+            acceptable = ACCEPTABLE_SHARE * self.aims.margin * (SELF_SHARE if is_self else 1.0)
             clearance = SweptClearance(self.robot, is_self=is_self)
-            standing.append(Constraint(name, clearance, tolerance=CLEARANCE_TOLERANCE, unit="m"))
+            standing.append(Constraint(name, clearance, tolerance=CLEARANCE_TOLERANCE, acceptable=acceptable, unit="m"))
 
         def state(x: Float[np.ndarray, "T n"]) -> MotionState:
             kinematics = self.engine(x)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planar_arm import write_planar_arm
 
-from service.bench import run_bench, table
+from service.bench import failures, run_bench, table
 from service.errors import RequestError
 from service.problem_set import BenchRobot, read_problems
 from service.setup import load_requested_robot
@@ -83,3 +83,16 @@ def test_files_of_another_form_are_refused_by_name(arm, tmp_path, text, message)
 def test_a_folder_without_problems_is_refused(arm, tmp_path):
     with pytest.raises(RequestError, match="holds no problem files"):
         read_problems(tmp_path / "nowhere", arm, {})
+
+
+def test_a_problem_that_is_refused_has_a_row_like_every_other(arm, tmp_path):
+    inside = problem(1, "post", [0.2, 0.9]) | {"start": [0.0, 0.0]}
+    beyond = problem(2, "post", [0.2, 9.0])
+    problems = read_problems(write(tmp_path, [inside, beyond, problem(3, "post", [0.2, 0.9])]), arm, {})
+    rows = run_bench(
+        problems, load_requested_robot(problems[0].request), tmp_path / "out.json", lambda name, done: None
+    )
+    assert [row["verdict"] for row in rows] == ["INVALID_REQUEST", "INVALID_REQUEST", "CERTIFIED"]
+    assert "start is in collision: l1 is" in rows[0]["reason"]
+    assert rows[1]["reason"].startswith("goal.joints.j0: 9 is outside")
+    assert [name for name, _, _ in failures(rows)] == ["post/1", "post/2"]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance
 from costs.collision.contacts import Contacts
@@ -47,33 +47,22 @@ class PairMargins:
             overrides: ``(link, other, margin)`` for single pairs, names as in an allowance.
             self_margin: distance asked of two links; ``margin`` if None.
         """
-        bodies = robot.bodies
         rules = [(Allowance(link, other, 0.0), value) for link, other, value in overrides]
         rules += [(allowance, -allowance.depth) for allowance in allowances]
-        world = np.full((len(bodies), len(scene.pieces)), margin)
+        bodies = [(body.name, body.link) for body in robot.bodies]
+        pieces = [(piece.name, "") for piece in scene.pieces]
+        world = np.full((len(bodies), len(pieces)), margin)
+        self_pairs = _pairs_of(robot)
+        own = np.full(len(self_pairs), margin if self_margin is None else self_margin)
+        for rule, value in rules:
+            link, other = _named(rule, bodies)
+            link_piece, other_piece = _named(rule, pieces)
+            world[(link[:, None] & other_piece) | (other[:, None] & link_piece)] = value
+            first, second = self_pairs.T
+            own[(link[first] & other[second]) | (link[second] & other[first])] = value
         exempt = robot.fixed_links | robot.mechanism_links
-        for b, body in enumerate(bodies):
-            if body.link in exempt:
-                world[b] = -np.inf
-                continue
-            for rule, value in rules:
-                for p, piece in enumerate(scene.pieces):
-                    if rule.covers(body.name, body.link, piece.name):
-                        world[b, p] = value
-        pairs, own = [], []
-        for a, first in enumerate(bodies):
-            for b in range(a + 1, len(bodies)):
-                second = bodies[b]
-                names = tuple(sorted((first.link, second.link)))
-                if first.joint == second.joint or names in robot.ignored_pairs:
-                    continue
-                value = margin if self_margin is None else self_margin
-                for rule, asked in rules:
-                    if rule.covers(first.name, first.link, second.name, second.link):
-                        value = asked
-                pairs.append((a, b))
-                own.append(value)
-        return PairMargins(world, np.array(pairs, dtype=int).reshape(-1, 2), np.array(own))
+        world[[body.link in exempt for body in robot.bodies]] = -np.inf
+        return PairMargins(world, self_pairs, own)
 
     def relaxed_to(self, contacts: Contacts, reserve: float) -> PairMargins:
         """Margins no larger than the distances of the given contacts less ``reserve`` [m]."""
@@ -88,3 +77,23 @@ class PairMargins:
             pair = index[(min(body, other), max(body, other))]
             own[pair] = min(own[pair], limit)
         return PairMargins(world, self.self_pairs, own)
+
+
+def _pairs_of(robot: RobotModel) -> Int[np.ndarray, "K 2"]:
+    """Bodies that can move against each other, less the pairs that the robot ignores."""
+    links = {body.link: row for row, body in enumerate(robot.bodies)}
+    number = np.array([links[body.link] for body in robot.bodies], dtype=int)
+    joint = np.array([body.joint for body in robot.bodies], dtype=int)
+    ignored = np.zeros((len(robot.bodies), len(robot.bodies)), dtype=bool)
+    for one, other in robot.ignored_pairs:
+        if one in links and other in links:
+            ignored[links[one], links[other]] = ignored[links[other], links[one]] = True
+    first, second = np.triu_indices(len(robot.bodies), 1)
+    is_checked = (joint[first] != joint[second]) & ~ignored[number[first], number[second]]
+    return np.stack([first[is_checked], second[is_checked]], axis=1)
+
+
+def _named(rule: Allowance, things: Sequence[tuple[str, str]]) -> tuple[Bool[np.ndarray, "B"], Bool[np.ndarray, "B"]]:
+    """Which bodies or pieces (name, link) a rule names as its link, and which as its other."""
+    link = np.array([rule.names_link(*thing) for thing in things], dtype=bool)
+    return link, np.array([rule.names_other(*thing) for thing in things], dtype=bool)

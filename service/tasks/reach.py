@@ -10,7 +10,6 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Float
 
-from scopt import Status
 from service.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, guesses, straight, via
 from service.request import GoalRequest
 from service.restore import restored
@@ -18,10 +17,12 @@ from service.sampling import Tree
 from service.tasks.goal import Goal
 from service.tasks.lead import led
 
-WAYPOINTS = 16
-QUICK_STEPS = 20  # of a first try: what needs more is found sooner from another start
-LED_STEPS = 40  # where the straight line has failed
-SAMPLED_STEPS = 50  # of a sampled path, which is clear from the beginning
+LEAST_WAYPOINTS, MOST_WAYPOINTS = 10, 16
+WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
+# A first try: what needs more steps, or stands still for some, is found sooner from another start.
+QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6}
+SAMPLED: dict[str, float] = {"max_iterations": 50, "patience": 8}  # a sampled path is clear from the beginning
+LED: dict[str, float] = {"max_iterations": 40}  # where the straight line has failed
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
 TREES = (
     Tree(0, 1000, "LBKPIECE1"),
@@ -42,7 +43,7 @@ def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | Non
     if impossible:
         yield TaskPlan(body, (), impossible, is_impossible=True)
         return
-    search = _Search(solver, goal, WAYPOINTS if n_waypoints is None else n_waypoints)
+    search = _Search(solver, goal, n_waypoints)
     best: tuple[str, Solved] | None = None
     is_found = False
     for name, solved in islice(search.solutions(), solver.most_starts):
@@ -61,38 +62,44 @@ class _Search:
 
     solver: PhaseSolver
     goal: Goal
-    n_waypoints: int
+    n_waypoints: int | None
 
     def solutions(self) -> Iterator[tuple[str, Solved]]:
         """Solved starts by name, feasible or not; every one asked for costs its solve."""
-        start, count = self.solver.body.nominal, self.n_waypoints
+        start = self.solver.body.nominal
         ends = self._ends()
         end, shortfall = next(ends)
         if shortfall is not None:
             yield "goal pose", shortfall
             yield from self._led()
             return
-        quick = self._solve(straight(start, end, count), max_iterations=QUICK_STEPS)
-        with self.solver.monitor.step("reach", 0.4):
-            straightest = quick if quick.is_feasible else restored(self.solver, "reach", quick)
-        yield "straight line", straightest
+        count = self._count(end)
+        quick = self._solve(straight(start, end, count), **QUICK)
+        yield "straight line", quick
         yield from self._around(end, TREES[0])
+        if not self.goal.is_complete and not quick.is_feasible:
+            yield "straight line", self._restored(quick)
         if self.solver.body.kept:
             line = self.solver.body.on_holds(straight(start, end, count))
-            yield "straight line along what is kept", self._solve(line, max_iterations=QUICK_STEPS)
+            yield "straight line along what is kept", self._solve(line, **QUICK)
         for other, shortfall in ends:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
-                yield name, self._solve(straight(start, other, count), max_iterations=QUICK_STEPS)
+                yield name, self._solve(straight(start, other, self._count(other)), **QUICK)
         yield from self._led()
         yield from self._around(end, TREES[1])
         yield from self._around(end, TREES[2])
-        if quick.result.status is Status.ITERATION_LIMIT:
+        if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
         for tree in TREES[3:]:
             yield from self._around(end, tree)
         for name, posture in guesses(self.solver.body)[1:]:
-            yield f"via posture '{name}'", self._solve(via(start, posture, end, count), max_iterations=QUICK_STEPS)
+            yield f"via posture '{name}'", self._solve(via(start, posture, end, count), **QUICK)
+
+    def _restored(self, solved: Solved) -> Solved:
+        """Once more from where a solve has failed, for nothing but what must hold."""
+        with self.solver.monitor.step("reach", 0.4):
+            return restored(self.solver, "reach", solved)
 
     def plan(self, name: str, solved: Solved) -> TaskPlan:
         """A solution as a task's plan."""
@@ -103,6 +110,13 @@ class _Search:
         )
         stuck = Stuck.at("goal pose" if is_pose else "reach", solved)
         return TaskPlan(self.solver.body, (phase,), stuck=stuck, found_from=name)
+
+    def _count(self, end: Float[np.ndarray, "n"]) -> int:
+        """Waypoints on the way to an end."""
+        if self.n_waypoints is not None:
+            return self.n_waypoints
+        farthest = np.abs(end - self.solver.body.nominal).max(initial=0.0)
+        return int(np.clip(np.ceil(farthest / WAYPOINT_STEP), LEAST_WAYPOINTS, MOST_WAYPOINTS))
 
     def _ends(self) -> Iterator[tuple[Float[np.ndarray, "n"], Solved | None]]:
         """Configurations at the goal that differ; if there is none, the best and in what it falls short."""
@@ -127,19 +141,19 @@ class _Search:
 
     def _led(self) -> Iterator[tuple[str, Solved]]:
         """From the straight ways of the links that shall arrive."""
-        q = led(self.goal, self.n_waypoints)
+        q = led(self.goal, LEAST_WAYPOINTS if self.n_waypoints is None else self.n_waypoints)
         if q is not None:
-            yield "straight way of what shall arrive", self._solve(q, max_iterations=LED_STEPS)
+            yield "straight way of what shall arrive", self._solve(q, **LED)
 
     def _around(self, end: Float[np.ndarray, "n"], tree: Tree) -> Iterator[tuple[str, Solved]]:
         """From the path of a sampling planner: optimised, and as it is where that fails."""
         with self.solver.monitor.step("sampling", 0.5):
             seeded = replace(tree, seed=tree.seed + self.solver.seed)
-            path = self.solver.sampled_start(self.solver.body.nominal, end, self.n_waypoints, seeded)
+            path = self.solver.sampled_start(self.solver.body.nominal, end, self._count(end), seeded)
         if path is None:
             return
         name = f"path of {tree.planner}, tree {tree.seed + 1}"
-        solved = self._solve(path, max_iterations=SAMPLED_STEPS)
+        solved = self._solve(path, **SAMPLED)
         if not solved.is_feasible:  # a path that cannot be made smoother or clearer is still a way
             as_it_is = self._solve(path, max_iterations=0)
             solved = as_it_is if as_it_is.is_feasible else solved
