@@ -16,6 +16,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import shown
+from service.request_attached import AttachedRequest
 from service.request_fields import SECTION, FilePath, Label, Name, Number, Point, Quaternion, Section, exactly_one
 from service.request_keep import KeepRequest
 from service.request_scene import SceneRequest
@@ -193,7 +194,7 @@ class Options(Section):
 class PlanRequest(Section):
     """What a user asks: a robot, where it stands, what surrounds it, and where it shall go or what it shall do.
 
-    ``keep`` lists relative poses that hold along the whole motion to a goal.
+    ``keep`` lists relative poses that hold along the whole motion to a goal, ``attached`` what links carry.
     ``folder`` is where relative paths start; it is no part of the request's meaning, of its JSON or of its hash.
     """
 
@@ -203,6 +204,7 @@ class PlanRequest(Section):
     goal: GoalRequest | None = None
     task: TaskRequest | None = None
     keep: Annotated[tuple[KeepRequest, ...], Field(max_length=8)] = ()
+    attached: Annotated[tuple[AttachedRequest, ...], Field(max_length=20)] = ()
     options: Options = field(default_factory=Options)
     folder: Annotated[Path, Field(exclude=True)] = field(default=Path(), compare=False)
 

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
 from perception import Perceived, PerceptionError, Reach, perceive, read_cloud
+from service.attached import robot_with_attached
 from service.errors import RequestError, would_do
 from service.keep import KeptPose, kept_poses
 from service.obstacles import flat_floor, obstacle_pieces
@@ -91,6 +92,7 @@ def prepare(
     say("load robot")
     if robot is None:
         robot = _timed(timings, "load_robot", lambda: load_requested_robot(request))
+    robot = robot_with_attached(robot, request)
     return _prepare(request, robot, say, timings)
 
 

@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 from stranger import Stranger
 
+from costs.robot import load_robot
+from service.keep import relative_pose
 from service.output import write_result
 from service.planner import plan
 from service.replay import verify_result
@@ -21,6 +24,7 @@ from service.verify import RelativePoseTarget, Status, verify
 LEFT = np.array([0.473, 0.321, 1.096])  # of the hand in the posture reach_ready
 SHIFT = np.array([0.05, 0.1, -0.2])
 SHELF = {"name": "shelf", "type": "box", "size": [0.3, 0.5, 0.02], "position": [0.62, 0.35, 1.22]}
+STUMP = {"name": "stump", "type": "box", "size": [0.06, 0.06, 0.94], "position": [0.64, 0.06, 0.47]}
 POST = {"name": "post", "type": "box", "size": [0.05, 0.05, 2.0], "position": [0.75, -0.2, 1.0]}
 
 
@@ -37,6 +41,25 @@ def carry(shift: np.ndarray, *keep: dict[str, Any], **more: Any) -> PlanRequest:
             **more,
         }
     )
+
+
+def beam_between_the_hooks() -> dict[str, Any]:
+    """A beam of 90 cm across, held by both hooks of the posture reach_ready."""
+    robot = load_robot("atlas")
+    ready = robot.postures["reach_ready"]
+    left, right, hand = (relative_pose(robot, ready, link, None) for link in ("l_tool", "r_tool", "l_hand"))
+    place = np.linalg.inv(hand) @ np.append(0.5 * (left + right)[:3, 3], 1.0)
+    quaternion = Rotation.from_matrix(hand[:3, :3].T).as_quat(scalar_first=True)
+    return {
+        "name": "beam",
+        "link": "l_hand",
+        "type": "box",
+        "size": [0.05, 0.9, 0.05],
+        "position": place[:3].tolist(),
+        "quaternion_wxyz": quaternion.tolist(),
+        "touches": ["r_hand", "r_hook"],
+        "mass_kg": 3.0,
+    }
 
 
 def both(left: list[float], right: list[float]) -> PlanRequest:
@@ -148,3 +171,33 @@ def test_both_hands_reach_their_places_at_once(tmp_path):
     for side, place in zip("lr", places, strict=True):
         assert np.linalg.norm(last[f"{side}_tool"].translation - place) < 0.01
         assert f"target.reach.{side}_tool" in {check.name for check in result.certificate.checks}
+
+
+def test_a_beam_in_both_hands_is_part_of_the_robot_that_keeps_clear(carried, tmp_path):
+    keep = {"link": "r_hand", "relative_to": "l_hand"}
+    scene = {"obstacles": [SHELF, POST, STUMP]}
+    result = plan(carry(SHIFT, keep, scene=scene, attached=[beam_between_the_hooks()]))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert "beam" in {body.name for body in result.robot.bodies}
+    write_result(result, tmp_path / "out")
+    assert verify_result(tmp_path / "out")["verdict"] == "CERTIFIED"
+    stranger = Stranger(tmp_path / "out")
+    planted = {"l_foot", "r_foot"}
+    clearance, pair = stranger.closest(
+        stranger.rows(1, stride=8), lambda body, link, piece: link in planted and piece == "floor"
+    )
+    assert clearance >= result.certificate.min_clearance_m - 1e-6, pair
+    # empty hands pass on either side of the stump, and would push the beam into it
+    empty = replace(carried[0].motion, scene=result.scene)
+    assert verify(empty).status is Status.CERTIFIED
+    refuted = verify(replace(empty, robot=result.robot))
+    assert [check.where.names for check in refuted.failed()] == [("beam", "stump")]
+
+
+def test_a_goal_may_be_the_beams_own():
+    beam = beam_between_the_hooks()
+    goal = {"link": "beam", "position": [0.6, 0.05, 1.0], "position_tolerance_m": 0.005}
+    keep = {"link": "r_hand", "relative_to": "l_hand"}
+    result = plan(carry(SHIFT, keep, goal={"poses": [goal]}, attached=[beam], scene={"obstacles": []}))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert "target.reach.beam" in {check.name for check in result.certificate.checks}

@@ -155,6 +155,17 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
         ("keep: [{link: a, rotation_tolerance_deg: 0.01}]", "keep[0].rotation_tolerance_deg: at least 0.05 is needed"),
         ("keep: [{link: a, free_axis: w}]", "keep[0].free_axis: 'none', 'x', 'y' or 'z' would do, got 'w'"),
         ("keep: {link: a}", "keep: a list is needed"),
+        (
+            "attached: [{name: b, link: a, type: mesh, file: b.stl}]",
+            "attached[0]: unknown type 'mesh'; box, sphere, cylinder would do",
+        ),
+        ("attached: [{name: b, type: box, size: [1, 1, 1]}]", "attached[0].link: is missing"),
+        ("attached: [{name: b, link: a, type: box, size: [1, 1, 0]}]", "attached[0].size[2]: more than 0 is needed"),
+        ("attached: [{name: b, link: a, type: sphere, radius: 1, mass_kg: -1}]", "attached[0].mass_kg: at least 0"),
+        (
+            "attached: [{name: b, link: a, type: sphere, radius: 1, touch: [c]}]",
+            "attached[0]: unknown key 'touch'; touches",
+        ),
         ("task: {valve: {}}", "exactly one of goal, task is needed, not goal and task"),
         ("folder: /etc", "unknown key 'folder'; robot, start, scene, goal, task, keep, … would do"),
         ("robot: {name: x}", "line 3: key 'robot' is given twice"),

@@ -21,6 +21,8 @@ from service.start import collisions, sole, standing_problems, start_configurati
 
 GOAL = {"posture": "stand"}
 BOX = {"type": "box", "size": [0.3, 0.3, 0.3]}
+BEAM = {"name": "beam", "link": "l_hand", "type": "box", "size": [0.1, 0.1, 0.1], "position": [0.0, 0.2, 0.0]}
+KEEP = {"link": "r_tool", "relative_to": "l_tool"}
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +98,24 @@ def test_a_pitch_near_90_degrees_is_refused(atlas: RobotModel) -> None:
             "unknown link 'r_hnad' in keep[0].relative_to; atlas has r_hand, ",
         ),
         ({"keep": [{"link": "l_hand", "relative_to": "l_hook"}]}, "keep[0]: no joint moves l_hand relative to l_hook"),
+        ({"attached": [BEAM | {"link": "l_hnad"}]}, "unknown link 'l_hnad' in attached[0].link; atlas has l_hand, "),
+        (
+            {"attached": [BEAM | {"touches": ["hook"]}]},
+            "unknown link 'hook' in attached[0].touches; atlas has r_hook, ",
+        ),
+        (
+            {"attached": [BEAM | {"name": "pelvis"}]},
+            "attached[0].name: 'pelvis' is a link of atlas; another name would do",
+        ),
+        ({"attached": [BEAM, BEAM]}, "attached[1].name: 'beam' is given twice; another name would do"),
+        (
+            {"attached": [BEAM | {"touches": ["r_hand"]}]},
+            "attached[0].touches: r_hand may move against l_hand; keep: [{link: r_hand, relative_to: l_hand}] would do",
+        ),
+        (
+            {"attached": [BEAM | {"touches": ["r_hand"]}], "keep": [KEEP | {"free_axis": "y"}]},
+            "attached[0].touches: r_hand may move against l_hand; ",
+        ),
         ({"options": {"feet": []}}, "options.feet: lists no link"),
         ({"options": {"feet": ["l_fot"]}}, "unknown link 'l_fot' in options.feet; atlas has l_foot, "),
         ({"robot": {"name": "atlsa"}}, "robot: unknown robot 'atlsa'; "),
@@ -250,3 +270,14 @@ def test_a_fixed_robot_has_no_feet_and_no_floor_by_default(shared_data: Path) ->
     assert setup.scene.pieces == ()
     with pytest.raises(RequestError, match=r"options\.feet: this robot's base is fixed"):
         prepare(parse_request({**request, "options": {"feet": ["panda_link0"]}}, folder))
+
+
+def test_what_is_attached_is_a_link_that_goals_and_what_is_kept_may_name() -> None:
+    attached = BEAM | {"touches": ["r_hand", "l_hook"], "mass_kg": 2.0}
+    setup = _prepare(start={"posture": "reach_ready"}, attached=[attached], keep=[KEEP], goal={"poses": [GOAL_OF_BEAM]})
+    assert setup.robot.model.existFrame("beam")
+    assert ("beam", "r_hand") in setup.robot.ignored_pairs
+    assert ("beam", "l_lfarm") not in setup.robot.ignored_pairs
+
+
+GOAL_OF_BEAM = {"link": "beam", "position": [0.5, 0.0, 1.2]}

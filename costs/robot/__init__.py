@@ -1,5 +1,6 @@
 """Robots: any URDF and SRDF, and the Atlas that ships with the package."""
 
+from costs.robot.attach import AttachedBody, with_attached
 from costs.robot.augment import with_revolute
 from costs.robot.errors import RobotError
 from costs.robot.load import Root
@@ -8,6 +9,7 @@ from costs.robot.named import bundled_robots, load_robot
 
 __all__ = [
     "BASE_NAMES",
+    "AttachedBody",
     "LinkBody",
     "RobotError",
     "RobotModel",
@@ -15,5 +17,6 @@ __all__ = [
     "Root",
     "bundled_robots",
     "load_robot",
+    "with_attached",
     "with_revolute",
 ]

@@ -51,7 +51,7 @@ def build_robot(
     """Robot from the texts of its files; ``*_where`` name them in messages."""
     urdf = parse_urdf(urdf_source, urdf_where, locked_joints)
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
-    model = _pinocchio_model(urdf, root, urdf_where)
+    model = pinocchio_model(urdf, root, urdf_where)
     names = _coordinate_names(model, urdf_where)
     limits = _limits(urdf, names)
     bodies, files = _bodies(urdf, model, roots, urdf_where)
@@ -70,13 +70,18 @@ def build_robot(
         link_groups=srdf.link_groups,
         postures={name: _posture(srdf, name, names, limits) for name in srdf.states},
         ignored_pairs=ignored,
-        fixed_links=frozenset(link for link in urdf.links if _body_frame(model, link).parentJoint == 0),
+        fixed_links=frozenset(link for link in urdf.links if body_frame(model, link).parentJoint == 0),
         mechanism_links=frozenset(),
         source=RobotSource(urdf_text(urdf), srdf_source, files),
     )
 
 
-def _pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
+def pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
+    """The robot's joints and masses, the base as a composite joint if it is free.
+
+    Raises:
+        RobotError: no joint moves.
+    """
     xml = pinocchio_xml(urdf)
     if root == "fixed":
         model = pin.buildModelFromXML(xml)
@@ -113,7 +118,8 @@ def _limits(urdf: Urdf, names: Sequence[str]) -> dict[str, Float[np.ndarray, "n"
     return limits
 
 
-def _body_frame(model: pin.Model, link: str) -> pin.Frame:
+def body_frame(model: pin.Model, link: str) -> pin.Frame:
+    """The frame of a link."""
     return model.frames[int(model.getFrameId(link, pin.FrameType.BODY))]
 
 
@@ -124,7 +130,7 @@ def _bodies(
     bodies: list[LinkBody] = []
     files: dict[str, Path] = {}
     for link, link_shapes in urdf.links.items():
-        frame = _body_frame(model, link)
+        frame = body_frame(model, link)
         for index, shape in enumerate(link_shapes):
             inside = f"{where}: link '{link}'"
             points = _shape_points(shape, roots, files, inside)
