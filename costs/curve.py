@@ -43,8 +43,8 @@ class Curve:
 
     def __call__(self, s: Float[np.ndarray, "S"], order: int = 0) -> Float[np.ndarray, "S n"]:
         """Configuration (order 0), dq/ds (1) or d2q/ds2 (2, right-sided at knots) at ``s``."""
-        s = np.clip(np.atleast_1d(np.asarray(s, dtype=float)), self.knots[0], self.knots[-1])
-        i = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
+        s = np.minimum(np.maximum(np.atleast_1d(np.asarray(s, dtype=float)), self.knots[0]), self.knots[-1])
+        i = np.searchsorted(self.knots[1:-1], s, side="right")
         u = (s - self.knots[i])[:, None]
         c0, c1, c2, c3 = self.coefficients()[:, i]
         if order == 0:

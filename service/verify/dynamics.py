@@ -78,7 +78,9 @@ def forces(
         if shares:
             jacobians[k] = pin.computeJointJacobians(model, data, q[k]).reshape(6, model.nv)
         torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
-        for joint in roots if stands else ():
+        if not stands:
+            continue
+        for joint in roots:
             # The parent of a root is the world, so its placement in its parent is the one in the world.
             wrench[k] += data.liMi[joint].act(data.f[joint]).vector
     if shares:

@@ -74,8 +74,8 @@ class Rates:
             VerifyError: when a stretch has no length or crosses a knot.
         """
         knots = self._knots
-        piece = np.clip(np.searchsorted(knots, 0.5 * (first + last), side="right") - 1, 0, len(knots) - 2)
-        if np.any(first < knots[piece]) or np.any(last > knots[piece + 1]) or np.any(last <= first):
+        piece = np.searchsorted(knots[1:-1], 0.5 * (first + last), side="right")
+        if np.any((first < knots[piece]) | (last > knots[piece + 1]) | (last <= first)):
             raise VerifyError("every stretch of the curve must have a length and lie between two neighbouring knots")
         speed, bend = _derivative_bounds(self._coefficients[:, piece], first - knots[piece], last - knots[piece])
         step = np.zeros(len(first))
