@@ -25,7 +25,7 @@ MOST_REASONS = 5
 MOST_STARTS = 4
 LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
 # A pose that can be had takes some ten steps.
-POSE_EFFORT: dict[str, Any] = {"max_iterations": 25, "max_penalty_raises": 3}
+POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
 
 Targets = Callable[[float], tuple[Target, ...]]
 """What a phase must reach or follow, given the path parameter of its end."""

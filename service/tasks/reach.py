@@ -21,6 +21,7 @@ LEAST_WAYPOINTS, MOST_WAYPOINTS = 10, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
 # A first try: what needs more steps, or stands still for some, is found sooner from another start.
 QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6}
+POSE: dict[str, float] = {"patience": 12}
 SAMPLED: dict[str, float] = {"max_iterations": 50, "patience": 8}  # a sampled path is clear from the beginning
 LED: dict[str, float] = {"max_iterations": 40}  # where the straight line has failed
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
@@ -124,11 +125,12 @@ class _Search:
         if goal.is_complete:
             yield goal.applied_to(body.nominal), None
             return
+        brief = self.solver.with_settings(**POSE)
         found: list[np.ndarray] = []
         worst: Solved | None = None
         for _, guess in guesses(body):
             with self.solver.monitor.step("goal pose", 0.1):
-                solved = self.solver.pose("goal pose", [goal.applied_to(guess)], goal.constraints(0), fixed=goal.joints)
+                solved = brief.pose("goal pose", [goal.applied_to(guess)], goal.constraints(0), fixed=goal.joints)
             if not solved.is_feasible:
                 worst = solved if worst is None or solved.shortfall < worst.shortfall else worst
             elif all(np.abs(solved.x[0] - other).max() > SAME_END for other in found):
