@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
-NAMES = ("cycle", "scaling", "planning", "clouds", "attack_certificate")
+NAMES = ("cycle", "scaling", "planning", "clouds", "certificate", "attack_certificate")
 
 
 def main() -> int:
