@@ -1,15 +1,15 @@
 """Random two-handed problems that have a solution: boxes crowd around a motion that is certified among them.
 
 As in ``crowded_scenes``, a motion is drawn first and boxes are thrown around it.  Either both palms have a goal of
-their own, or they carry a beam: a random relative pose that holds from the start to the goal of one palm, which the
-other follows.
+their own, or they grip something: a random relative pose that holds from the start to the goal of one palm, which the
+other follows; with a beam in this grip, or without.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -42,6 +42,7 @@ from costs.kinematics import planted_poses
 from costs.robot import RobotModel
 from costs.terms import FramePose
 from scopt import Constraint, Sense, Settings, TrustRegionSQP
+from service.errors import RequestError
 from service.execute import make_motion
 from service.keep import KeptPose, relative_pose
 from service.motion_json import file_columns, file_positions
@@ -52,13 +53,16 @@ from service.setup import prepare
 from service.verify import Motion, PoseTarget, Status, verify
 from service.whole_body import Aims, WholeBody
 
-Task = Literal["places", "poses", "beam"]
+Task = Literal["places", "poses", "grip", "beam"]
+TASKS: tuple[Task, ...] = get_args(Task)
+GRIPPING: frozenset[Task] = frozenset({"grip", "beam"})
 START = "reach_ready"
 PALMS = ("l_tool", "r_tool")
 BEAM_LENGTHS = (0.3, 0.8)  # between the palms [m]
 BEAM_TURN = 0.4  # of the palms against each other and of the beam on its way, standard deviation about each axis [rad]
 BEAM_TRAVEL, BEAM_DETOUR = (0.25, 0.6), (0.25, 0.5)  # from start to goal, and from the middle between them [m]
 MOST_BATCHES = 4  # of thrown boxes, to find those in the way
+BEAM_WIDTH, BEAM_OVERHANG, BEAM_MASS_KG = 0.04, 0.3, 3.0  # [m, m, kg]
 LARGEST_STEP = 0.6  # of a joint between waypoints: a longer one leads to another way of holding the beam [rad]
 
 
@@ -68,10 +72,10 @@ def two_handed_scenes(robot: RobotModel, n_boxes: int, task: Task, seed: int = 0
     Args:
         robot: the bundled Atlas.
         n_boxes: of each scene.
-        task: ``places`` or ``poses`` for both palms, or a ``beam`` carried to the place of one.
+        task: ``places`` or ``poses`` for both palms, or a ``grip`` or a ``beam`` carried to the place of one.
         seed: of all draws.
     """
-    rng = np.random.default_rng([seed, n_boxes, ["places", "poses", "beam"].index(task)])
+    rng = np.random.default_rng([seed, n_boxes, TASKS.index(task)])
     drawn = 0
     while True:
         drawn += 1
@@ -83,8 +87,8 @@ def two_handed_scenes(robot: RobotModel, n_boxes: int, task: Task, seed: int = 0
 def _scene(robot: RobotModel, name: str, rng: np.random.Generator, n_boxes: int, task: Task) -> CrowdedScene | None:
     """A problem, or None when the draw came to nothing."""
     body = _body(robot, _request(robot, robot.postures[START]))
-    if task == "beam":
-        grasp = _grasped(body, rng)
+    if task in GRIPPING:
+        grasp = _grasped(body, rng, task)
         if grasp is None:
             return None
         body = grasp
@@ -97,7 +101,7 @@ def _scene(robot: RobotModel, name: str, rng: np.random.Generator, n_boxes: int,
     boxes = _boxes(body, rng, path, n_boxes)
     if boxes is None:
         return None
-    goals = {PALMS[rng.integers(2)]: False} if task == "beam" else dict.fromkeys(PALMS, task == "poses")
+    goals = {PALMS[rng.integers(2)]: False} if task in GRIPPING else dict.fromkeys(PALMS, task == "poses")
     asked = [_goal(palm, last[palm], is_pose) for palm, is_pose in goals.items()]
     request = _request(robot, path[0], boxes, asked, task)
     crowded = _body(robot, request, BALANCE_MARGIN)
@@ -126,10 +130,28 @@ def _request(
             },
             "scene": {"floor": True, "obstacles": boxes or []},
             "goal": {"poses": poses} if poses else {"posture": START},
-            "keep": [{"link": PALMS[1], "relative_to": PALMS[0]}] if task == "beam" else [],
+            "keep": [{"link": PALMS[1], "relative_to": PALMS[0]}] if task in GRIPPING else [],
+            "attached": [_beam(robot, start)] if task == "beam" else [],
             "options": dict(OPTIONS),
         }
     )
+
+
+def _beam(robot: RobotModel, start: Float[np.ndarray, "n"]) -> dict[str, Any]:
+    """A beam through both palms."""
+    across = relative_pose(robot, start, PALMS[1], PALMS[0])[:3, 3]
+    length = float(np.linalg.norm(across))
+    turn, _ = Rotation.align_vectors(across[None] / length, [[0.0, 1.0, 0.0]])
+    return {
+        "name": "beam",
+        "link": PALMS[0],
+        "type": "box",
+        "size": [BEAM_WIDTH, length + BEAM_OVERHANG, BEAM_WIDTH],
+        "position": (0.5 * across).tolist(),
+        "quaternion_wxyz": turn.as_quat(scalar_first=True).tolist(),
+        "touches": ["r_hand", "r_hook"],
+        "mass_kg": BEAM_MASS_KG,
+    }
 
 
 def _goal(palm: str, place: Float[np.ndarray, "4 4"], is_pose: bool) -> dict[str, Any]:
@@ -149,11 +171,11 @@ def _target(palm: str, place: Float[np.ndarray, "4 4"], is_pose: bool) -> PoseTa
 def _body(robot: RobotModel, request: PlanRequest, balance_margin: float = BALANCE_MARGIN + 0.01) -> WholeBody:
     """The robot of a request on its feet, with what it keeps."""
     setup = prepare(request, robot=robot)
-    body = WholeBody.standing(robot, setup.scene, setup.start, setup.contacts, Aims(MARGIN, balance_margin))
+    body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, Aims(MARGIN, balance_margin))
     return replace(body, kept=setup.kept)
 
 
-def _grasped(body: WholeBody, rng: np.random.Generator) -> WholeBody | None:
+def _grasped(body: WholeBody, rng: np.random.Generator, task: Task) -> WholeBody | None:
     """The robot with its palms at a random relative pose, which it keeps; None where it cannot stand so."""
     wanted = relative_pose(body.robot, body.nominal, PALMS[1], PALMS[0])
     apart = wanted[:3, 3] / np.linalg.norm(wanted[:3, 3])
@@ -161,7 +183,12 @@ def _grasped(body: WholeBody, rng: np.random.Generator) -> WholeBody | None:
     wanted[:3, :3] = wanted[:3, :3] @ Rotation.from_rotvec(rng.normal(0.0, BEAM_TURN, 3)).as_matrix()
     grasp = KeptPose(PALMS[1], PALMS[0], wanted, wanted, 0.005, float(np.deg2rad(1.0)))
     start = standing_near(replace(body, kept=(grasp,)), body.nominal)
-    return None if start is None else _body(body.robot, _request(body.robot, start, task="beam"))
+    if start is None:
+        return None
+    try:
+        return _body(body.robot, _request(body.robot, start, task=task))
+    except RequestError:  # the beam is in the robot
+        return None
 
 
 def _drawn_path(body: WholeBody, rng: np.random.Generator) -> Float[np.ndarray, "T n"] | None:
