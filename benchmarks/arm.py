@@ -1,8 +1,9 @@
 """A set of arm problems, planned and judged: ``python -m benchmarks.arm [FOLDER --urdf U ...]``.
 
 By default MotionBenchMaker's Panda problems, in ``mbm_panda`` of the folder ``SCOPT_DATA`` (default:
-``../shared/data``); without it nothing is measured.  Printed are the table of ``scopt bench``, quality, the first call of a new process, and
-what a judge says that looks at poses every 0.005 rad along the written paths with pinocchio and coal alone.
+``../shared/data``); without it nothing is measured.  Printed are the table of ``scopt bench``, quality, the first call
+of a new process, and what a judge says that looks at poses every 0.005 rad along the written paths with pinocchio and
+coal alone.
 """
 
 from __future__ import annotations
