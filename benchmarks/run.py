@@ -10,7 +10,17 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
-NAMES = ("cycle", "scaling", "planning", "clouds", "certificate", "attack_certificate")
+NAMES = (
+    "cycle",
+    "scaling",
+    "arm",
+    "whole_body",
+    "two_hands",
+    "planning",
+    "clouds",
+    "certificate",
+    "attack_certificate",
+)
 
 
 def main() -> int:

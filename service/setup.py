@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
-from perception import Perceived, PerceptionError, Reach, perceive, read_cloud
 from service.attached import robot_with_attached
 from service.errors import RequestError, would_do
 from service.keep import KeptPose, kept_poses
@@ -33,7 +32,10 @@ from service.start import (
     start_configuration,
     unknown_joints,
 )
-from service.trajopt import Program, requested_program, requested_start
+
+if TYPE_CHECKING:
+    from perception import Perceived
+    from service.trajopt import Program
 
 T = TypeVar("T")
 
@@ -99,11 +101,8 @@ def prepare(
 def _prepare(
     request: PlanRequest, robot: RobotModel, say: Callable[[str], None], timings: dict[str, float]
 ) -> PlanSetup:
-    start, notes = start_configuration(robot, requested_start(request, robot))
+    start, notes, program = _start(robot, request)
     _check_goal(robot, request)
-    program = requested_program(request, robot, start)
-    if program is not None:
-        start = program.start
     kept = _kept(robot, start, request)
     soles = _soles(robot, start, request, program)
     say("perceive scene")
@@ -116,6 +115,17 @@ def _prepare(
     if perceived is not None:
         notes += perceived.notes
     return PlanSetup(request, robot, start, scene, perceived, soles, kept, program, inside, notes, timings)
+
+
+def _start(robot: RobotModel, request: PlanRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
+    """Start configuration, notes about it, and the problem file that may say more of it."""
+    if request.task is None or request.task.trajopt is None:
+        return *start_configuration(robot, request.start), None
+    from service.trajopt import requested_program, requested_start  # takes a while, and few requests need it
+
+    start, notes = start_configuration(robot, requested_start(request, robot))
+    program = requested_program(request, robot, start)
+    return (start if program is None else program.start), notes, program
 
 
 def _timed(timings: dict[str, float], step: str, run: Callable[[], T]) -> T:
@@ -220,6 +230,8 @@ def _perceive(
 ) -> Perceived | None:
     if request.scene.cloud is None:
         return None
+    from perception import PerceptionError, Reach, perceive, read_cloud  # takes a while, and most scenes need none
+
     task = None if request.task is None else request.task.valve
     hint = request.scene.hint if task is None or task.hint is None else task.hint
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)

@@ -9,10 +9,8 @@ from service.errors import RequestError
 from service.phases import PhaseSolver, TaskPlan
 from service.setup import PlanSetup
 from service.tasks.escape import escape
-from service.tasks.program import plan_program
 from service.tasks.reach import plan_reach
 from service.tasks.settle import needs_settling, settle
-from service.tasks.valve_task import plan_valve
 
 
 def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
@@ -24,6 +22,8 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         RequestError: the request asks for nothing that is known here.
     """
     if setup.program is not None:  # says itself where its waypoints are, the first among them
+        from service.tasks.program import plan_program  # what few requests need is read when it is needed
+
         yield from plan_program(solver, setup.program)
         return
     lead = _lead(setup, solver)
@@ -51,5 +51,7 @@ def _plan(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     if request.goal is not None:
         return plan_reach(solver, request.goal, request.options.waypoints)
     if request.task is not None and request.task.valve is not None:
+        from service.tasks.valve_task import plan_valve
+
         return iter([plan_valve(setup, solver, request.task.valve)])
     raise RequestError("request: goal, task.valve or task.trajopt is needed")
