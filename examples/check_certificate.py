@@ -138,6 +138,35 @@ def feet(replay: Replay, phase: dict[str, Any], contact: dict[str, Any]) -> tupl
     return drift <= contact["tolerance_m"], f"drifts at most {1e3 * drift:.3f} mm"
 
 
+def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple[bool, str]:
+    """A frame's origin, and the tips of its axes at 10 cm (or of the free one), stay at their places in the other's."""
+    model, reference = replay.model, target["reference"]
+    frame = model.frames[model.getFrameId(target["frame"])]
+    holder, there = 0, pin.SE3.Identity()
+    if reference is not None:
+        other = model.frames[model.getFrameId(reference)]
+        holder, there = int(other.parentJoint), other.placement
+    pose = pin.XYZQUATToSE3(np.array([*target["position"], *np.roll(target["quaternion_wxyz"], -1)]))
+    tips = 0.1 * (np.eye(3) if target["free_axis"] is None else np.array([target["free_axis"]]))
+    allowed = [target["position_tolerance_m"]]
+    allowed.append(allowed[0] + 0.2 * np.sin(0.5 * np.deg2rad(target["rotation_tolerance_deg"])))
+    joint, off = int(frame.parentJoint), []
+    for corners, most in zip((np.zeros((1, 3)), tips), allowed, strict=True):
+        points = np.array([frame.placement.act(corner) for corner in corners])
+        places = np.array([there.act(pose.act(corner)) for corner in corners])
+        chain = replay.chain(holder, joint, points)
+        off.append(
+            replay.highest(
+                phase,
+                lambda s, p=points, q=places: np.linalg.norm(replay.points(s, joint, p, holder) - q, axis=1).max(),
+                lambda a, b, c=chain, p=points: replay.bound(a, b, c, joint, p),
+                most,
+            )
+        )
+    is_kept = all(value <= most for value, most in zip(off, allowed, strict=True))
+    return is_kept, f"off by at most {1e3 * off[0]:.2f} mm, its axes' tips by {1e3 * off[1]:.2f} mm"
+
+
 def balance(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
     """The centre of mass stays inside the support polygon, with the promised margin."""
     corners = np.array(phase["support"]["polygon"])
@@ -187,6 +216,8 @@ def main(folder: Path) -> int:
     claims = [("clearance", *clearance(replay, data))]
     for phase in data["phases"]:
         claims += [(f"{phase['name']}: {c['link']}", *feet(replay, phase, c)) for c in phase["contacts"]]
+        relative = [target for target in phase["targets"] if target["kind"] == "relative_pose"]
+        claims += [(f"{phase['name']}: {t['frame']} kept", *kept(replay, phase, t)) for t in relative]
         claims += [(f"{phase['name']}: balance", *balance(replay, phase))] if phase["support"] else []
         claims += [(f"{phase['name']}: limits", *limits(replay, phase))]
     for name, is_ok, text in claims:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +20,11 @@ from service.output import write_result
 from service.planner import plan
 from service.replay import verify_result
 from service.request import PlanRequest
-from service.request_file import parse_request
+from service.request_file import load_request, parse_request
 from service.result import PlanResult, Verdict
 from service.verify import RelativePoseTarget, Status, verify
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 LEFT = np.array([0.473, 0.321, 1.096])  # of the hand in the posture reach_ready
 SHIFT = np.array([0.05, 0.1, -0.2])
 SHELF = {"name": "shelf", "type": "box", "size": [0.3, 0.5, 0.02], "position": [0.62, 0.35, 1.22]}
@@ -119,6 +123,28 @@ def test_the_replayed_result_is_certified_with_the_same_checks(carried):
     assert replayed == pytest.approx({name: check.limit for name, check in keep_checks(result).items()})
 
 
+@pytest.fixture(name="program")
+def _program(monkeypatch):
+    """The stranger's replay as a module."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    return importlib.import_module("check_certificate")
+
+
+@pytest.mark.parametrize(("change", "is_kept"), [("nothing", True), ("position", False), ("rotation", False)])
+def test_the_strangers_replay_bounds_the_relative_pose_too(carried, program, change, is_kept):
+    _, folder, _ = carried
+    data = json.loads((folder / "result.json").read_text())
+    (phase,) = data["phases"]
+    (kept,) = [target for target in phase["targets"] if target["kind"] == "relative_pose"]
+    if change == "position":
+        kept["position"][1] += 0.006
+    elif change == "rotation":
+        turned = Rotation.from_quat(kept["quaternion_wxyz"], scalar_first=True) * Rotation.from_rotvec([0.0, 0.09, 0.0])
+        kept["quaternion_wxyz"] = turned.as_quat(scalar_first=True).tolist()
+    found, text = program.kept(program.Replay(program.read_model(folder, data), data), phase, kept)
+    assert found is is_kept, text
+
+
 def test_a_motion_that_lets_go_is_refuted_by_the_same_promise(carried):
     result, _, _ = carried
     (promise,) = [t for t in result.motion.phases[0].targets if isinstance(t, RelativePoseTarget)]
@@ -201,3 +227,14 @@ def test_a_goal_may_be_the_beams_own():
     result = plan(carry(SHIFT, keep, goal={"poses": [goal]}, attached=[beam], scene={"obstacles": []}))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     assert "target.reach.beam" in {check.name for check in result.certificate.checks}
+
+
+def test_the_beam_of_the_example_gets_over_the_rail():
+    result = plan(load_request(EXAMPLES / "requests" / "carry.yaml"))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    first, last = (relative_pose(result.robot, q, "beam", None) for q in result.motion.curve.positions[[0, -1]])
+    (rail,) = [piece for piece in result.scene.pieces if piece.name == "rail"]
+    assert first[0, 3] < rail.lower[0]
+    assert first[2, 3] < rail.lower[2]
+    assert last[0, 3] > rail.lower[0]
+    assert last[2, 3] > rail.upper[2]
