@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -125,21 +125,38 @@ class KinematicsEngine:
         self.robot = robot
         self.topology = Topology.of(robot.model)
         self._data = robot.model.createData()
-        self._placements = _placement_block(self._data, robot.model.njoints)
+        placements = _placement_block(self._data, robot.model.njoints)
+        self._columns = np.lib.stride_tricks.as_strided(
+            placements, (robot.model.njoints, 3, 3), (placements.strides[0], 8, 24), writeable=False
+        )
+        self._origins = placements[:, 9:12]
 
     def __call__(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
         """Kinematics of all waypoints."""
         model, data = self.robot.model, self._data
-        n_waypoints = len(q)
-        rotation = np.empty((n_waypoints, model.njoints, 3, 3))
-        position = np.empty((n_waypoints, model.njoints, 3))
-        jacobian = np.empty((n_waypoints, 6, model.nv))
-        placements = self._placements
-        for t in range(n_waypoints):
+        jacobian = np.empty((len(q), 6, model.nv))
+
+        def compute(t: int) -> None:
             # pinocchio hands out the Jacobian of a single coordinate as a vector
             jacobian[t] = pin.computeJointJacobians(model, data, q[t]).reshape(6, model.nv)
-            rotation[t] = placements[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)  # stored column by column
-            position[t] = placements[:, 9:12]
+
+        return self._kinematics(q, compute, jacobian)
+
+    def placed(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
+        """Placements alone: the Jacobian has no columns."""
+        model, data = self.robot.model, self._data
+        return self._kinematics(q, lambda t: pin.forwardKinematics(model, data, q[t]), np.empty((len(q), 6, 0)))
+
+    def _kinematics(
+        self, q: Float[np.ndarray, "T n"], compute: Callable[[int], None], jacobian: Float[np.ndarray, "T 6 n"]
+    ) -> Kinematics:
+        """Kinematics of what ``compute`` leaves in pinocchio's data, waypoint by waypoint."""
+        rotation = np.empty((len(q), self.robot.model.njoints, 3, 3))
+        position = np.empty((len(q), self.robot.model.njoints, 3))
+        for t in range(len(q)):
+            compute(t)
+            rotation[t] = self._columns  # stored column by column
+            position[t] = self._origins
         return Kinematics(self.robot, self.topology, np.array(q), rotation, position, jacobian, self)
 
 

@@ -34,19 +34,23 @@ class SamplingProblem:
     end: Float[np.ndarray, "n"]
     free: Int[np.ndarray, "k"]
 
-    def is_clear(self, corners: Float[np.ndarray, "K k"]) -> bool:
-        """Whether the polyline through the corners is clear and balanced at poses close to each other."""
-        steps = np.maximum(np.ceil(np.abs(np.diff(corners, axis=0)).max(axis=1) / EDGE_STEP).astype(int), 1)
-        parts = [corners[:1]]
-        for first, last, count in zip(corners[:-1], corners[1:], steps, strict=True):
-            parts.append(first + (last - first) * np.linspace(0.0, 1.0, count + 1)[1:, None])
-        q = np.tile(self.start, (int(steps.sum()) + 1, 1))
-        q[:, self.free] = np.concatenate(parts)
-        kinematics = self.body.engine(q)
+    def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
+        """Whether the free joints' poses are all clear and balanced."""
+        q = np.empty((len(poses), len(self.start)))
+        q[:] = self.start
+        q[:, self.free] = poses
+        placed = self.body.engine.placed(q)
         polygon = self.body.polygon
-        if polygon is not None and polygon.margin(kinematics.com[:, :2]).min() < self.body.aims.balance_margin:
+        if polygon is not None and polygon.margin(placed.com[:, :2]).min() < self.body.aims.balance_margin:
             return False
-        return self.checker.are_clear(kinematics)
+        return self.checker.are_clear(placed)
+
+
+def along_edge(first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> Float[np.ndarray, "K k"]:
+    """Poses close to each other on the straight line, the last one included; the first is known to be clear."""
+    way = last - first
+    count = max(int(np.ceil(np.abs(way).max() / EDGE_STEP)), 1)
+    return np.asarray(first + (np.arange(1, count + 1) / count)[:, None] * way)
 
 
 def free_coordinates(body: WholeBody) -> Int[np.ndarray, "k"]:
@@ -107,16 +111,16 @@ def sampled_path(
 
     n_checks = 0
 
-    def is_clear(*states: object) -> bool:
+    def is_clear(poses: Float[np.ndarray, "K k"]) -> bool:
         nonlocal n_checks
         n_checks += 1
-        return problem.is_clear(np.stack([corner(state) for state in states]))
+        return problem.is_clear(poses)
 
     class Edge(base.MotionValidator):  # type: ignore[misc]
         def checkMotion(self, first: object, last: object, *_: object) -> bool:
-            return is_clear(first, last)
+            return is_clear(along_edge(corner(first), corner(last)))
 
-    information.setStateValidityChecker(is_clear)
+    information.setStateValidityChecker(lambda state: is_clear(corner(state)[None]))
     information.setMotionValidator(Edge(information))
     information.setup()
     definition = base.ProblemDefinition(information)
@@ -153,7 +157,7 @@ def _shortened(
         if len(corners) < 3:
             break
         first, last = np.sort(rng.choice(len(corners), 2, replace=False))
-        if last - first > 1 and problem.is_clear(corners[[first, last]]):
+        if last - first > 1 and problem.is_clear(along_edge(corners[first], corners[last])):
             corners = np.delete(corners, np.arange(first + 1, last), axis=0)
     return corners
 

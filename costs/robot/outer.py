@@ -21,7 +21,7 @@ EXACT_VERTICES = 32
 _COUNTS = (32, 40, 48)
 _TARGET_EXCESS = 3e-3
 _RELATIVE_TARGET = 0.02
-_ITERATIONS = 15
+_ITERATIONS = 12
 _FACE_ROWS = 3
 _EXCESS_ROWS = 6
 
@@ -116,7 +116,7 @@ def _best_move(
     cost = np.zeros(n_unknowns)
     cost[-1] = 1.0
     bounds = [(-step, step)] * points.size + [(None, None)]
-    solution = linprog(cost, A_ub=matrix, b_ub=limits, bounds=bounds, method="highs")
+    solution = linprog(cost, A_ub=matrix, b_ub=limits, bounds=bounds, method="highs", options={"presolve": False})
     if solution.x is None:
         # No move of this size gets every face outside: go outwards from the centre and let the scaling do the rest.
         outward = points - vertices.mean(axis=0)
