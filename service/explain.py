@@ -2,7 +2,7 @@
 
 The demands are ranked by the multipliers of the l1 penalty where the violation is least, then thinned by a deletion
 filter (Chinneck, Feasibility and Infeasibility in Optimization, 2008, sec. 6.2): each is left out in turn, the least
-loaded first, and stays out where the rest still cannot be kept.
+loaded first, and stays out where the rest still cannot be kept, neither from that place nor from where nothing pulls.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from scopt import Problem, Settings, SolverError, Status, TrustRegionSQP
 from scopt.multipliers import multipliers
 from service.explain_conflict import Conflict, DemandKind, Search
 from service.explain_demands import Group, Place, groups
-from service.phases import Solved
+from service.phases import Solved, straight
 from service.restore import EFFORT, required
 from service.whole_body import WholeBody
 
 MOST_DEMANDS = 12  # the most loaded ones are looked at
+TRIAL_STEPS = 16  # to do without a demand: what helps takes some ten steps
 NEAR = 1e-2  # box in which multipliers are taken [rad, m]
 
 
@@ -64,6 +65,15 @@ class _Run:
             return None
         return Solved(result, problem, self.body)
 
+    def solve_from(self, problem: Problem[MotionState], starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved | None:
+        """The problem solved from the first start that leads to a solution, else from the last; None: time is up."""
+        solved = None
+        for start in starts:
+            solved = self.solve(problem, start)
+            if solved is None or solved.is_feasible:
+                break
+        return solved
+
 
 def explain(
     step: str,
@@ -87,6 +97,7 @@ def explain(
     run = _Run(brief, solved.body, should_stop, time.perf_counter() + time_limit_s)
     problem = required(solved.problem)
     least = run.solve(problem, solved.x)
+    run.settings = replace(brief, max_iterations=TRIAL_STEPS)
     x = solved.x if least is None else run.last
     ranked = _ranked(solved.body, problem, x)
     if not ranked:
@@ -115,8 +126,9 @@ def _reduced(
     """The demands that are left by the deletion filter, and how far it came."""
     solutions: dict[tuple[DemandKind, str], Float[np.ndarray, "T n"]] = {}
     left_out: list[Group] = []
+    starts = (x, _plain(run.body, problem, x))
     for group in reversed(ranked):
-        trial = run.solve(_without(problem, [*left_out, group]), x)
+        trial = run.solve_from(_without(problem, [*left_out, group]), starts)
         if trial is None:
             return [g for g in ranked if g not in left_out], Search.CUT_SHORT
         if trial.is_feasible:
@@ -129,12 +141,19 @@ def _reduced(
     decided = []
     for group in kept:
         # With nothing else left out, the filter has tried just that.
-        alone = run.solve(group.give_up(problem), solutions[group.key]) if left_out else None
+        starts = (solutions[group.key], starts[-1])
+        alone = run.solve_from(group.give_up(problem), starts) if left_out else None
         if left_out and alone is None:
             return kept, Search.CUT_SHORT
         is_decisive = alone is None or alone.is_feasible
         decided.append(replace(group, demand=replace(group.demand, is_decisive=is_decisive)))
     return decided, Search.REDUCED
+
+
+def _plain(body: WholeBody, problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
+    """Where nothing pulls: the nominal posture, or the straight line between the ends of a trajectory."""
+    line = body.nominal[None] if len(x) == 1 else straight(x[0], x[-1], len(x))
+    return np.asarray(np.clip(line, problem.lower, problem.upper))
 
 
 def _without(problem: Problem[MotionState], left_out: Sequence[Group]) -> Problem[MotionState]:

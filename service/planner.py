@@ -29,7 +29,7 @@ from service.verify import Basis, Certificate, Motion, Status, verify
 from service.whole_body import Aims, WholeBody
 
 MAX_REPAIRS = 3
-EXPLAIN_TIME_S = 3.0  # wall time spent on narrowing down why nothing was found
+EXPLAIN_TIME_S = 4.0  # wall time spent on narrowing down why nothing was found
 RANK = {Status.VIOLATED: 0, Status.FEASIBLE_AT_SAMPLES: 1, Status.CERTIFIED: 2}
 VERDICT_OF_STATUS = {
     Status.CERTIFIED: Verdict.CERTIFIED,

@@ -14,7 +14,8 @@ from tiny_robots import atlas
 from costs.kinematics import planted_poses
 from costs.robot import load_robot
 from costs.scene import Scene
-from scopt import Settings
+from costs.terms import JointTarget
+from scopt import Constraint, Sense, Settings
 from service.explain import explain
 from service.explain_conflict import Conflict, Demand, DemandKind, Search
 from service.monitor import Monitor
@@ -65,14 +66,32 @@ def test_a_gap_narrower_than_the_arm_names_both_of_its_sides_and_the_link_betwee
     conflict = explain("goal pose", stuck(body, "l3", (0.36, 0.0, 0.0), STRETCHED), 1, Settings(), time_limit_s=60.0)
     assert conflict.search is Search.REDUCED
     found = by_name(conflict)
-    assert set(found) == {"left wall", "right wall"}
-    assert all(demand.links == ("l2",) and demand.is_decisive for demand in found.values())
-    assert sum(demand.shortfall for demand in found.values()) == pytest.approx(0.01 + 2 * 0.005, abs=1e-3)
+    assert set(found) == {"left wall", "right wall", "position of l3"}
+    assert all(demand.is_decisive for demand in found.values())
+    walls = [found["left wall"], found["right wall"]]
+    assert all(demand.links == ("l2",) for demand in walls)
+    assert sum(demand.shortfall for demand in walls) == pytest.approx(0.01 + 2 * 0.005, abs=1e-3)
     lines = conflict.sentences()
-    assert lines[0] == "goal pose: the one attempt failed; at its end, 2 demands stand against each other:"
-    assert set(lines[1:3]) == {"l2 is 5 mm inside right wall;", "l2 is 5 mm inside left wall."}
-    assert lines[3].startswith("Without either of them everything else was kept. ")
-    assert lines[3].endswith("it does not prove that there is no motion.")
+    assert lines[0] == "goal pose: the one attempt failed; at its end, 3 demands stand against each other:"
+    assert [line[:-1] for line in lines[1:4]] == [demand.text for demand in conflict.demands]
+    assert {demand.text for demand in walls} == {"l2 is 5 mm inside right wall", "l2 is 5 mm inside left wall"}
+    assert found["position of l3"].text == "position of l3 is only just kept"
+    assert lines[4].startswith("Without any one of them everything else was kept. ")
+    assert lines[4].endswith("it does not prove that there is no motion.")
+
+
+def test_what_pulls_the_robot_where_it_is_stuck_is_named_even_if_it_is_not_loaded_most(tmp_path):
+    # the caller wants what no joint can do, and the arm folds into itself on the way there
+    body = arm_behind(tmp_path, n_links=3, start=(-1.0, 0.4, 0.0))
+    end = np.array([1.0, 0.4, 0.0])
+    nowhere = Constraint("nowhere", JointTarget(8, 3, [3], np.arange(3), np.full(3, 9.0)), Sense.EQUAL_ZERO)
+    solver = PhaseSolver(body, Monitor(60.0), Settings())
+    line = straight(body.nominal, end, 8)
+    solved = solver.trajectory("reach", [line], {0: body.nominal, 7: end}, constraints=[nowhere])
+    assert not solved.is_feasible
+    found = by_name(explain("reach", solved, 1, Settings(), time_limit_s=60.0))
+    assert found["nowhere"].is_decisive
+    assert found["nowhere"].waypoints == (3, 3)
 
 
 def test_a_target_beyond_balance_names_balance_and_position_and_where_the_robot_stands():
