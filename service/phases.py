@@ -23,6 +23,7 @@ from service.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 
 MOST_REASONS = 5
 MOST_STARTS = 4
+JOINT_SPREAD, BASE_SPREAD = 0.5, 0.1  # of random guesses, standard deviations [rad, m]
 LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
 # A pose that can be had takes some ten steps.
 POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
@@ -355,6 +356,16 @@ def guesses(body: WholeBody) -> list[tuple[str, Float[np.ndarray, "n"]]]:
             guess[: len(BASE_NAMES)] = body.nominal[: len(BASE_NAMES)]
         found.append((name, guess))
     return found
+
+
+def random_guesses(body: WholeBody, count: int, seed: int) -> list[Float[np.ndarray, "n"]]:
+    """Configurations about the nominal one, within the limits."""
+    robot, rng = body.robot, np.random.default_rng(seed)
+    spread = np.full(robot.n, JOINT_SPREAD)
+    if robot.is_floating:
+        spread[: len(BASE_NAMES)] = BASE_SPREAD
+    steps = spread * rng.normal(size=(count, robot.n))
+    return list(np.clip(body.nominal + steps, robot.lower, robot.upper))
 
 
 def straight(first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:

@@ -11,7 +11,7 @@ from costs.kinematics import planted_poses
 from costs.scene import Scene
 from service.holds import largest
 from service.keep import kept_poses
-from service.phases import straight
+from service.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight
 from service.request import GoalRequest, PoseGoalRequest
 from service.request_keep import KeepRequest
 from service.tasks.goal import Goal
@@ -84,3 +84,14 @@ def test_a_straight_line_is_brought_onto_what_is_held():
     assert largest(body.engine, line, body.holds()).max() > 1e-3
     assert largest(body.engine, on_holds, body.holds()).max() < 1e-8
     np.testing.assert_array_equal(on_holds[0], line[0])
+
+
+def test_random_guesses_are_about_the_start_within_the_limits_and_the_same_for_the_same_seed():
+    body = with_both_hands()
+    guesses = np.array(random_guesses(body, 200, seed=3))
+    np.testing.assert_array_equal(guesses, random_guesses(body, 200, seed=3))
+    assert np.abs(guesses - random_guesses(body, 200, seed=4)).max() > 0.1
+    assert np.all((guesses >= body.robot.lower) & (guesses <= body.robot.upper))
+    elbow = body.robot.joint_names.index("l_arm_elx")
+    assert guesses[:, elbow].std() == pytest.approx(JOINT_SPREAD, rel=0.2)
+    assert guesses[:, 0].std() == pytest.approx(BASE_SPREAD, rel=0.2)

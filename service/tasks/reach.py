@@ -10,7 +10,17 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Float
 
-from service.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, guesses, straight, via
+from service.phases import (
+    PhaseSolver,
+    PlannedPhase,
+    Solved,
+    Stuck,
+    TaskPlan,
+    guesses,
+    random_guesses,
+    straight,
+    via,
+)
 from service.request import GoalRequest
 from service.restore import restored
 from service.sampling import Tree
@@ -33,6 +43,7 @@ TREES = (
     Tree(4, 4000, "LBKPIECE1"),
     Tree(5, 8000, "RRTConnect"),
 )
+RANDOM_GUESSES = 8  # about half of them lead to a pose
 SAME_END = 0.05  # ends that differ by less are one [rad, m]
 
 
@@ -73,6 +84,7 @@ class _Search:
         if shortfall is not None:
             yield "goal pose", shortfall
             yield from self._led()
+            yield from self._to_random_postures()
             return
         count = self._count(end)
         quick = self._solve(straight(start, end, count), **QUICK)
@@ -90,6 +102,7 @@ class _Search:
         yield from self._led()
         yield from self._around(end, TREES[1])
         yield from self._around(end, TREES[2])
+        yield from self._to_random_postures()
         if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
         for tree in TREES[3:]:
@@ -125,12 +138,10 @@ class _Search:
         if goal.is_complete:
             yield goal.applied_to(body.nominal), None
             return
-        brief = self.solver.with_settings(**POSE)
         found: list[np.ndarray] = []
         worst: Solved | None = None
         for _, guess in guesses(body):
-            with self.solver.monitor.step("goal pose", 0.1):
-                solved = brief.pose("goal pose", [goal.applied_to(guess)], goal.constraints(0), fixed=goal.joints)
+            solved = self._at_goal(guess)
             if not solved.is_feasible:
                 worst = solved if worst is None or solved.shortfall < worst.shortfall else worst
             elif all(np.abs(solved.x[0] - other).max() > SAME_END for other in found):
@@ -140,6 +151,24 @@ class _Search:
             with self.solver.monitor.step("goal pose", 0.1):
                 last = restored(self.solver, "goal pose", worst)
             yield last.x[0], None if last.is_feasible else last
+
+    def _at_goal(self, guess: Float[np.ndarray, "n"]) -> Solved:
+        """The goal's pose from a guess."""
+        goal, brief = self.goal, self.solver.with_settings(**POSE)
+        with self.solver.monitor.step("goal pose", 0.1):
+            return brief.pose("goal pose", [goal.applied_to(guess)], goal.constraints(0), fixed=goal.joints)
+
+    def _to_random_postures(self) -> Iterator[tuple[str, Solved]]:
+        """Straight to configurations at the goal that random guesses about the start lead to."""
+        body = self.solver.body
+        if self.goal.is_complete:
+            return
+        for guess in random_guesses(body, RANDOM_GUESSES, self.solver.seed):
+            solved = self._at_goal(guess)
+            if solved.is_feasible:
+                end = solved.x[0]
+                line = straight(body.nominal, end, self._count(end))
+                yield "straight line to a random posture at the goal", self._solve(line, **QUICK)
 
     def _led(self) -> Iterator[tuple[str, Solved]]:
         """From the straight ways of the links that shall arrive."""
