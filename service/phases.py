@@ -354,7 +354,8 @@ def guesses(body: WholeBody) -> list[tuple[str, Float[np.ndarray, "n"]]]:
         guess = posture.copy()
         if body.robot.is_floating:
             guess[: len(BASE_NAMES)] = body.nominal[: len(BASE_NAMES)]
-        found.append((name, guess))
+        if not np.array_equal(guess, body.nominal):
+            found.append((name, guess))
     return found
 
 

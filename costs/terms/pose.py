@@ -68,6 +68,7 @@ class FramePose(Residual[MotionState]):
         self._waypoints = np.asarray(waypoints)
         self._target = np.broadcast_to(np.asarray(target, dtype=float), (len(self._waypoints), 4, 4))
         self._axes: Bool[np.ndarray, "6"] = np.asarray(axes, dtype=bool)
+        self._turns = bool(self._axes[3:].any())
         self._offset = (np.eye(4) if offset is None else np.asarray(offset, dtype=float))[None]
         self._frame = _Frame(robot, frame)
         self._reference = _Frame(robot, reference)
@@ -83,10 +84,15 @@ class FramePose(Residual[MotionState]):
         to_target = target_rotation.transpose(0, 2, 1)
         same = np.full(len(here), joint)
         linear = kinematics.point_jacobian(here, same, position)
-        linear = linear - kinematics.point_jacobian(here, np.full(len(here), reference), position)
-        angular = kinematics.angular_jacobian(joint)[here] - kinematics.angular_jacobian(reference)[here]
-        rows = np.concatenate([to_target @ linear, log_derivative(error[:, 3:]) @ to_target @ angular], axis=1)
-        return _rows(error[:, self._axes], rows[:, self._axes], here, kinematics)
+        if reference:
+            linear = linear - kinematics.point_jacobian(here, np.full(len(here), reference), position)
+        rows = to_target @ linear
+        if self._turns:
+            angular = kinematics.angular_jacobian(joint)[here]
+            if reference:
+                angular = angular - kinematics.angular_jacobian(reference)[here]
+            rows = np.concatenate([rows, log_derivative(error[:, 3:]) @ (to_target @ angular)], axis=1)
+        return _rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
 
     def _error(
         self, kinematics: Kinematics
@@ -95,7 +101,8 @@ class FramePose(Residual[MotionState]):
         target_rotation, target_position = self._reference.pose(kinematics, self._waypoints, self._target)
         to_target = target_rotation.transpose(0, 2, 1)
         offset = np.einsum("skl,sl->sk", to_target, position - target_position)
-        return np.concatenate([offset, log_rotation(to_target @ rotation)], axis=1), target_rotation, position
+        turn = log_rotation(to_target @ rotation) if self._turns else np.zeros_like(offset)
+        return np.concatenate([offset, turn], axis=1), target_rotation, position
 
 
 class AxisDirection(Residual[MotionState]):

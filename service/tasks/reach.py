@@ -27,7 +27,7 @@ from service.sampling import Tree
 from service.tasks.goal import Goal
 from service.tasks.lead import led
 
-LEAST_WAYPOINTS, MOST_WAYPOINTS = 10, 16
+LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
 # A first try: what needs more steps, or stands still for some, is found sooner from another start.
 QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6}
