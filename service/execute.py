@@ -19,6 +19,7 @@ from service.whole_body import WholeBody
 SAMPLE_PERIOD_S = 0.01
 ZMP_RESERVE = 0.015  # how far inside the feet the motion is slowed to keep the ZMP [m]
 CHORD_TOLERANCE = 1e-3  # of an untimed path's samples, read linearly [rad, m]
+HELD_CHORD_SHARE = 0.05  # the same where something is held, of what that may drift: all joints of its chain add up
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 
 
@@ -45,7 +46,9 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         mechanism_links=body.robot.mechanism_links,
     )
     if timing is None:
-        return replace(motion, samples=_path_samples(spline.curve))
+        is_held = bool(body.holds()) or any(phase.holds for phase in plan.phases)
+        chord = HELD_CHORD_SHARE * body.drift() if is_held else CHORD_TOLERANCE
+        return replace(motion, samples=_path_samples(spline.curve, chord))
     timing = replace(timing, support_links=tuple(foot.link for foot in body.planted))
     motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing))
     law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
@@ -79,12 +82,12 @@ def _phase(body: WholeBody, phase: PlannedPhase, s: Float[np.ndarray, "T"]) -> P
     )
 
 
-def _path_samples(curve: Curve) -> Float[np.ndarray, "M"]:
-    """Path parameters of an untimed path's samples: all knots, and as many between as the bend asks for."""
+def _path_samples(curve: Curve, chord: float) -> Float[np.ndarray, "M"]:
+    """Path parameters of an untimed path's samples: all knots, and as many between as keep the curve to its chords."""
     _, _, c2, c3 = curve.coefficients()
     steps = np.diff(curve.knots)
     bend = np.maximum(np.abs(2.0 * c2), np.abs(2.0 * c2 + 6.0 * c3 * steps[:, None])).max(axis=1)
-    counts = np.maximum(np.ceil(steps * np.sqrt(bend / (8.0 * CHORD_TOLERANCE))), 1.0).astype(int)
+    counts = np.maximum(np.ceil(steps * np.sqrt(bend / (8.0 * chord))), 1.0).astype(int)
     parts = [s + step * np.arange(count) / count for s, step, count in zip(curve.knots, steps, counts, strict=False)]
     return np.concatenate([*parts, curve.knots[-1:]])
 

@@ -168,6 +168,14 @@ def test_a_hand_kept_in_the_world_stays_while_the_other_reaches():
     assert keep_checks(result)["keep.reach.r_hand.world"].limit == 0.002
 
 
+@pytest.mark.parametrize("timed", [True, False])
+def test_the_tightest_tolerances_can_be_certified_timed_or_not(timed):
+    keep = {"link": "r_hand", "relative_to": "l_hand", "position_tolerance_m": 5e-4, "rotation_tolerance_deg": 0.05}
+    result = plan(carry(SHIFT, keep, options={"timed": timed}))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert all(0.0 < check.value <= check.limit < 1e-3 for check in keep_checks(result).values())
+
+
 def test_a_start_that_must_settle_settles_without_letting_go():
     keep = {"link": "r_hand", "relative_to": "l_hand"}
     result = plan(carry(np.array([0.0, 0.0, -0.1]), keep, options={"balance_margin_m": 0.128}))
