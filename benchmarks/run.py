@@ -16,6 +16,7 @@ NAMES = (
     "arm",
     "whole_body",
     "two_hands",
+    "ablations",
     "planning",
     "clouds",
     "certificate",
