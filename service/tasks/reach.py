@@ -94,7 +94,7 @@ class _Search:
             yield "straight line", self._restored(quick)
         if self.solver.body.kept:
             line = self.solver.body.on_holds(straight(start, end, count))
-            yield "straight line along what is kept", self._solve(line, **QUICK)
+            yield "straight line along what is kept", self._solve(line, **LED)
         for other, shortfall in ends:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
@@ -168,7 +168,7 @@ class _Search:
             if solved.is_feasible:
                 end = solved.x[0]
                 line = straight(body.nominal, end, self._count(end))
-                yield "straight line to a random posture at the goal", self._solve(line, **QUICK)
+                yield "straight line to a random posture at the goal", self._solve(line, **LED)
 
     def _led(self) -> Iterator[tuple[str, Solved]]:
         """From the straight ways of the links that shall arrive."""
