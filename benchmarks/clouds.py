@@ -26,8 +26,8 @@ from costs.scene import ConvexPiece
 from perception import CONFIDENT, ValveDetection, detect_valves
 from perception.clean import half_spaces
 from perception.cloud import Cloud
+from perception.files.read import read_cloud
 from perception.perceive import Perceived, perceive
-from perception.read import read_cloud
 from perception.simulate import Pose, Room, Valve, scan
 
 REACH = 3.0  # [m]

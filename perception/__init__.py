@@ -2,29 +2,36 @@
 
 from perception.clean import Reach, inliers, inside_hulls, voxel_downsample
 from perception.cloud import MAX_FILE_BYTES, MAX_POINTS, Cloud, make_cloud
+from perception.convex.pieces import Pieces, make_pieces
+from perception.detect import KINDS, detect
+from perception.detect.detection import Detection
+from perception.detect.valve import ValveDetection, detect_valves
+from perception.detect.valve_bodies import has_clear_spokes, stem_of, valve_bodies, wheel_points
+from perception.detect.wheel import wheel_basis
 from perception.errors import CloudError, PerceptionError
+from perception.files.pcd import write_pcd
+from perception.files.read import SUFFIXES, read_cloud
 from perception.floor import FloorPlane, find_floor, floor_piece, on_floor
-from perception.pcd import write_pcd
 from perception.perceive import CONFIDENT, Perceived, perceive
-from perception.pieces import Pieces, make_pieces
-from perception.read import SUFFIXES, read_cloud
-from perception.valve import ValveDetection, detect_valves
-from perception.valve_bodies import has_clear_spokes, stem_of, valve_bodies, wheel_points
-from perception.wheel import wheel_basis
+from perception.view import View, make_view
 
 __all__ = [
     "CONFIDENT",
+    "KINDS",
     "MAX_FILE_BYTES",
     "MAX_POINTS",
     "SUFFIXES",
     "Cloud",
     "CloudError",
+    "Detection",
     "FloorPlane",
     "Perceived",
     "PerceptionError",
     "Pieces",
     "Reach",
     "ValveDetection",
+    "View",
+    "detect",
     "detect_valves",
     "find_floor",
     "floor_piece",
@@ -33,6 +40,7 @@ __all__ = [
     "inside_hulls",
     "make_cloud",
     "make_pieces",
+    "make_view",
     "on_floor",
     "perceive",
     "read_cloud",

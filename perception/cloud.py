@@ -1,11 +1,11 @@
-"""The point cloud: finite points, where the rays came from, and what was noticed while it was read."""
+"""The point cloud: finite points, the rays that found them, and what was noticed while it was read."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from perception.errors import CloudError
 
@@ -18,29 +18,67 @@ _MILLIMETRE_SPAN = 400.0
 _MAP_DISTANCE = 1_000.0
 
 
+def _no_points() -> Float[np.ndarray, "0 3"]:
+    return np.zeros((0, 3))
+
+
 @dataclass(frozen=True)
 class Cloud:
-    """Points of one scan.
+    """Points of one scan, or of several merged into one frame.
 
     Attributes:
         points: (N, 3) finite coordinates [m], N >= 1.
-        origin: (3,) where the rays started, in the frame of the points [m].
+        origin: (3,) where all rays started, or (N, 3) where each did, in the frame of the points [m].
         notes: sentences about the cloud a user should read.
+        misses: (M, 3) places up to which rays met nothing: evidence of free space, no points [m].
+        miss_origin: (3,) or (M, 3), where those rays started; None: ``origin``, which must then be (3,).
     """
 
     points: Float[np.ndarray, "N 3"]
-    origin: Float[np.ndarray, "3"]
+    origin: Float[np.ndarray, "*N 3"]
     notes: tuple[str, ...] = ()
+    misses: Float[np.ndarray, "M 3"] = field(default_factory=_no_points)
+    miss_origin: Float[np.ndarray, "*M 3"] | None = None
 
     def __post_init__(self) -> None:
         if self.points.ndim != 2 or self.points.shape[1] != 3:
             raise CloudError(f"points have shape {self.points.shape}; (N, 3) is needed")
         if not len(self.points):
             raise CloudError("the cloud has no points")
-        if self.origin.shape != (3,) or not np.isfinite(self.origin).all():
-            raise CloudError(f"ray origin {self.origin.tolist()} is not three finite numbers")
         if not np.isfinite(self.points).all():
             raise CloudError("points hold NaN or infinite values; make_cloud() drops and counts them")
+        if self.misses.ndim != 2 or self.misses.shape[1] != 3 or not np.isfinite(self.misses).all():
+            raise CloudError(f"misses have shape {self.misses.shape}; (M, 3) finite numbers are needed")
+        _check_origin(self.origin, len(self.points))
+        if self.miss_origin is not None:
+            _check_origin(self.miss_origin, len(self.misses))
+        elif len(self.misses) and self.origin.ndim == 2:
+            raise CloudError("with one origin per point, misses need a miss_origin of their own")
+
+    @property
+    def starts(self) -> Float[np.ndarray, "N 3"]:
+        """Where the ray of each point started [m]."""
+        return np.broadcast_to(self.origin, self.points.shape)
+
+    @property
+    def rays(self) -> tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]]:
+        """Where all rays started and where they ended, those without a return included [m]."""
+        if not len(self.misses):
+            return self.starts, self.points
+        behind = self.origin if self.miss_origin is None else self.miss_origin
+        starts = np.concatenate([self.starts, np.broadcast_to(behind, self.misses.shape)])
+        return starts, np.concatenate([self.points, self.misses])
+
+    def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Cloud:
+        """Only these points; the rays without a return stay."""
+        origin = self.origin if self.origin.ndim == 1 else self.origin[keep]
+        return replace(self, points=self.points[keep], origin=origin)
+
+
+def _check_origin(origin: Float[np.ndarray, "*N 3"], n_points: int) -> None:
+    if origin.shape not in ((3,), (n_points, 3)) or not np.isfinite(origin).all():
+        what = origin.tolist() if origin.size <= 3 else f"of shape {origin.shape}"
+        raise CloudError(f"ray origin {what} is neither three finite numbers nor ({n_points}, 3) of them")
 
 
 def make_cloud(

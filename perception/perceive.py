@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from costs.scene import ConvexPiece, Scene
-from perception.clean import Reach, inliers, inside_hulls, voxel_downsample
+from perception.clean import Reach, voxel_downsample
 from perception.cloud import Cloud
-from perception.errors import CloudError
-from perception.floor import FloorPlane, find_floor, floor_piece, on_floor
-from perception.pieces import make_pieces
-from perception.valve import ValveDetection, detect_in
-from perception.valve_bodies import stem_of, stem_points, wheel_points
+from perception.convex.pieces import make_pieces
+from perception.detect.valve import ValveDetection, detect_in
+from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
+from perception.floor import FloorPlane, floor_piece
+from perception.view import make_view
 
 CONFIDENT = 0.5
 _MOST_SHOWN = 60_000
@@ -88,51 +88,32 @@ def perceive(
         CloudError: nothing of the cloud lies in reach.
     """
     clock = _Clock()
-    near = _in_reach(cloud, reach)
-    own = inside_hulls(near, robot_hulls)
-    near, notes = near[~own], [*cloud.notes]
-    if own.any():
-        notes.append(f"left out {int(own.sum())} points on the robot itself")
-    clock.lap("crop and self-filter")
-    floor = find_floor(near, seed)
-    obstacles = near if floor is None else near[~on_floor(near, floor, soles)]
-    if floor is None:
-        notes.append("no floor was found; nothing stands for it in the scene")
-    clock.lap("floor")
-    obstacles = obstacles[inliers(obstacles, cloud.origin)]
-    clock.lap("outliers")
-    valves = tuple(detect_in(obstacles, cloud, hint, seed)) if valve else ()
+    view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, soles=soles, seed=seed)
+    obstacles = view.obstacles
+    clock.lap("view")
+    valves = tuple(detect_in(view, hint)) if valve else ()
     stem = None
     if valves and valves[0].confidence >= CONFIDENT:
-        obstacles, stem = _without_valve(obstacles, valves[0])
+        kept, stem = _without_valve(obstacles, valves[0])
+        obstacles = obstacles[kept]
     clock.lap("valve")
     made = make_pieces(obstacles, cloud.origin, cloud.points, seed)
     clock.lap("pieces")
-    extra = ([] if floor is None else [floor_piece(floor, reach)]) + ([] if stem is None else [stem])
+    extra = ([] if view.floor is None else [floor_piece(view.floor, reach)]) + ([] if stem is None else [stem])
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
-    return Perceived(Scene((*extra, *made.pieces)), floor, valves, _shown(near), timings, tuple(notes))
-
-
-def _in_reach(cloud: Cloud, reach: Reach) -> Float[np.ndarray, "N 3"]:
-    near = np.asarray(cloud.points[reach.contains(cloud.points)])
-    if not len(near):
-        centre = np.median(cloud.points, axis=0)
-        raise CloudError(
-            f"none of {len(cloud.points)} points lie within {reach.radius} m of ({reach.x}, {reach.y}); their middle "
-            f"is ({', '.join(f'{value:.1f}' for value in centre)}): metres in the robot's start frame are needed"
-        )
-    return near
+    scene = Scene((*extra, *made.pieces))
+    return Perceived(scene, view.floor, valves, _shown(view.near.points), timings, view.notes)
 
 
 def _without_valve(
     points: Float[np.ndarray, "N 3"], valve: ValveDetection
-) -> tuple[Float[np.ndarray, "M 3"], ConvexPiece | None]:
-    """The points that are neither wheel nor stem, and the stem."""
-    rest = points[~wheel_points(valve, points)]
-    stem = stem_of(valve, rest)
+) -> tuple[Bool[np.ndarray, "N"], ConvexPiece | None]:
+    """Which points are neither wheel nor stem, and the stem."""
+    kept = ~wheel_points(valve, points)
+    stem = stem_of(valve, points[kept])
     if stem is not None:
-        rest = rest[~stem_points(valve, stem, rest)]
-    return rest, stem
+        kept[kept] = ~stem_points(valve, stem, points[kept])
+    return kept, stem
 
 
 def _shown(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:

@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 from costs.scene import ConvexPiece
 from perception import Cloud, CloudError, Perceived, perceive, read_cloud
 from perception.clean import half_spaces
-from perception.freespace import carve
-from perception.hulls import MAX_VERTICES, limited
+from perception.convex.freespace import carve
+from perception.convex.hulls import MAX_VERTICES, limited
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, cylinder, joined, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.3)

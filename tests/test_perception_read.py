@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from perception import Cloud, CloudError, make_cloud, read_cloud, write_pcd
-from perception.lzf import compress, decompress
-from perception.pcd import read_pcd
-from perception.ply import read_ply
-from perception.table import read_npz, read_text
+from perception.files.lzf import compress, decompress
+from perception.files.pcd import read_pcd
+from perception.files.ply import read_ply
+from perception.files.table import read_npz, read_text
 
 COORDINATES = arrays(np.float32, st.tuples(st.integers(1, 40), st.just(3)), elements=st.floats(-50, 50, width=32))
 VIEWPOINT = (0.5, -0.25, 1.5, 1.0, 0.0, 0.0, 0.0)

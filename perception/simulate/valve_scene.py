@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.wheel import wheel_basis
 from perception.simulate.mesh import Mesh, box, cylinder, hull, torus
-from perception.wheel import wheel_basis
 
 
 @dataclass(frozen=True)

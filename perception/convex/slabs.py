@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
-from perception.planes import Plane
+from perception.convex.planes import Plane
 
 _CELL = 0.02
 _BEHIND = 0.035

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from perception.cloud import MAX_FILE_BYTES, Cloud, make_cloud
 from perception.errors import CloudError
-from perception.pcd import read_pcd
-from perception.ply import read_ply
-from perception.table import read_npz, read_text
+from perception.files.pcd import read_pcd
+from perception.files.ply import read_ply
+from perception.files.table import read_npz, read_text
 
 _Reader = Callable[[bytes, str], tuple[Float[np.ndarray, "N 3"], tuple[float, ...] | None]]
 _READERS: dict[str, _Reader] = {

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.scene import ConvexPiece
-from perception.valve import ValveDetection
+from perception.detect.valve import ValveDetection
 
 _SECTION = 8
 _ROUND = 12

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from perception.cloud import MAX_FILE_BYTES, MAX_POINTS
 from perception.errors import CloudError
-from perception.ply import parse_viewpoint
+from perception.files.ply import parse_viewpoint
 
 _TRIPLES = (("x", "y", "z"), ("points:0", "points:1", "points:2"), ("points_0", "points_1", "points_2"))
 _COMMENTS = ("#", "//", "%")

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from perception import lzf
 from perception.cloud import MAX_POINTS
 from perception.errors import CloudError
+from perception.files import lzf
 
 _HEADER_LIMIT = 8192
 _NUMPY_KIND = {"F": "f", "I": "i", "U": "u"}

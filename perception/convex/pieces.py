@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float
 
 from costs.scene import ConvexPiece
 from perception.clean import voxel_downsample
-from perception.freespace import FreeSpace, carve
-from perception.hulls import Hull, hull_of, limited, thickened
-from perception.planes import Plane, PlaneSettings, find_planes
-from perception.slabs import FRONT, Slab, slabs_of
-from perception.split import clusters, is_free_of, merge, split
+from perception.convex.freespace import FreeSpace, carve
+from perception.convex.hulls import Hull, hull_of, limited, thickened
+from perception.convex.planes import Plane, PlaneSettings, find_planes
+from perception.convex.slabs import FRONT, Slab, slabs_of
+from perception.convex.split import clusters, is_free_of, merge, split
 
 _VOXEL = 0.015
 _WITHIN = 0.01

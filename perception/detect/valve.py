@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
-from perception.circles import Circle, find_circles
-from perception.clean import Reach, inliers, voxel_downsample, voxel_index
+from perception.clean import Reach, voxel_downsample, voxel_index
 from perception.cloud import Cloud
-from perception.floor import find_floor, on_floor
-from perception.planes import PlaneSettings, find_planes
-from perception.wheel import Passage, Rays, Ring, fit_ring, pass_ring, rays_of, rim_hits
+from perception.convex.planes import PlaneSettings, find_planes
+from perception.detect.circles import Circle, find_circles
+from perception.detect.detection import Detection
+from perception.detect.wheel import Passage, Rays, Ring, fit_ring, pass_ring, rays_of, rim_hits, wheel_basis
+from perception.view import View, make_view
 
 _VOXEL = 0.015
 _WALL = PlaneSettings(min_size=0.45, min_points=150, max_planes=12, n_neighbours=20)
@@ -85,21 +86,15 @@ def detect_valves(
         reach: where to look; by default within 3 m.
         seed: of the hypotheses.
     """
-    reach = reach or Reach()
-    near = cloud.points[reach.contains(cloud.points)]
-    floor = find_floor(near, seed)
-    if floor is not None:
-        near = near[~on_floor(near, floor)]
-    return detect_in(near[inliers(near, cloud.origin)], cloud, hint, seed)
+    return detect_in(make_view(cloud, reach=reach or Reach(), seed=seed), hint)
 
 
-def detect_in(
-    obstacles: Float[np.ndarray, "N 3"], cloud: Cloud, hint: Float[np.ndarray, "3"] | None, seed: int
-) -> list[ValveDetection]:
-    """As :func:`detect_valves`, for obstacle points cleaned already."""
+def detect_in(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[ValveDetection]:
+    """As :func:`detect_valves`, in a scan made ready."""
+    obstacles, cloud = view.obstacles, view.cloud
     if not len(obstacles):
         return []
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(view.seed)
     candidates, _ = voxel_downsample(_before_walls(obstacles, cloud.origin, rng), _VOXEL)
     if hint is not None:
         candidates = candidates[np.linalg.norm(candidates - hint, axis=1) < _HINT_RADIUS]
@@ -112,6 +107,17 @@ def detect_in(
     detections = [d for d in detections if d.confidence >= _REPORTED]
     detections.sort(key=lambda d: -d.confidence)
     return _apart(detections)
+
+
+def as_detection(valve: ValveDetection) -> Detection:
+    """The valve in the words all detectors share: z of its frame is the axis, x horizontal, origin the rim's centre."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = wheel_basis(valve.axis).T, valve.centre
+    sizes = {"outer_radius": valve.outer_radius, "rim_radius": valve.rim_radius, "tube_radius": valve.tube_radius}
+    angle = 2.0 * np.pi * np.arange(36) / 36
+    rim = valve.rim_radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(36)])
+    points = rim @ pose[:3, :3].T + valve.centre
+    return Detection("valve", pose, sizes, valve.confidence, {"rms": valve.rms}, points)
 
 
 def _before_walls(

@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from perception.freespace import FreeSpace
-from perception.hulls import Hull, hull_of
+from perception.convex.freespace import FreeSpace
+from perception.convex.hulls import Hull, hull_of
 
 _SMALLEST = 0.03
 _NEIGHBOURS = 10

@@ -1,0 +1,37 @@
+"""Objects a task needs, found in a scan with an honest confidence."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.detect.detection import Detection
+from perception.detect.valve import as_detection, detect_in
+from perception.errors import PerceptionError
+from perception.view import View
+
+Detector = Callable[[View, Float[np.ndarray, "3"] | None], list[Detection]]
+
+
+def _valves(view: View, hint: Float[np.ndarray, "3"] | None) -> list[Detection]:
+    return [as_detection(valve) for valve in detect_in(view, hint)]
+
+
+_DETECTORS: Mapping[str, Detector] = {"valve": _valves}
+KINDS = tuple(_DETECTORS)
+
+
+def detect(kind: str, view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+    """Objects of a kind, best first.
+
+    Args:
+        kind: one of :data:`KINDS`.
+        view: the scan, made ready.
+        hint: (3,) a point near the object, as an operator would click it [m].
+
+    Raises:
+        PerceptionError: the kind is unknown.
+    """
+    if kind not in _DETECTORS:
+        raise PerceptionError(f"unknown kind '{kind}'; one of {', '.join(KINDS)} is needed")
+    return sorted(_DETECTORS[kind](view, hint), key=lambda one: -one.confidence)

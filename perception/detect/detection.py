@@ -1,0 +1,30 @@
+"""What every detector says of an object it found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Detection:
+    """An object as seen.
+
+    Attributes:
+        kind: what it is, one of ``perception.detect.KINDS``.
+        pose_world_object: (4, 4); each detector's docstring says where the object's frame is.
+        sizes: lengths [m] and angles [rad] by name.
+        confidence: 0 to 1; 0.5 and more is one to act on.
+        residuals: how well the model explains the scan, by name [m unless the name says otherwise].
+        points: (K, 3) some of the points it rests on [m].
+    """
+
+    kind: str
+    pose_world_object: Float[np.ndarray, "4 4"]
+    sizes: Mapping[str, float]
+    confidence: float
+    residuals: Mapping[str, float]
+    points: Float[np.ndarray, "K 3"]

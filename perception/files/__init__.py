@@ -1,0 +1,1 @@
+"""Cloud files of many kinds, read into clouds."""
