@@ -1,7 +1,7 @@
 """Clouds in, a world out: floor, convex pieces, detected valves, and a simulator of the sensor."""
 
 from perception.clean import Reach, inliers, inside_hulls, voxel_downsample
-from perception.cloud import MAX_FILE_BYTES, MAX_POINTS, Cloud, make_cloud
+from perception.cloud import Cloud, make_cloud
 from perception.convex.pieces import Pieces, make_pieces
 from perception.detect import KINDS, detect
 from perception.detect.detection import Detection
@@ -10,8 +10,10 @@ from perception.detect.valve_bodies import has_clear_spokes, stem_of, valve_bodi
 from perception.detect.wheel import wheel_basis
 from perception.errors import CloudError, PerceptionError
 from perception.files.pcd import write_pcd
-from perception.files.read import SUFFIXES, read_cloud
+from perception.files.placing import METRES_BY_UNIT, rigid_pose
+from perception.files.read import SUFFIXES, read_cloud, read_clouds
 from perception.floor import FloorPlane, find_floor, floor_piece, on_floor
+from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 from perception.perceive import CONFIDENT, Perceived, perceive
 from perception.view import View, make_view
 
@@ -20,6 +22,7 @@ __all__ = [
     "KINDS",
     "MAX_FILE_BYTES",
     "MAX_POINTS",
+    "METRES_BY_UNIT",
     "SUFFIXES",
     "Cloud",
     "CloudError",
@@ -44,6 +47,8 @@ __all__ = [
     "on_floor",
     "perceive",
     "read_cloud",
+    "read_clouds",
+    "rigid_pose",
     "stem_of",
     "valve_bodies",
     "voxel_downsample",

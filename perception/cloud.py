@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from perception.errors import CloudError
-
-MAX_POINTS = 2_000_000
-MAX_FILE_BYTES = 64 * 2**20
-MAX_INVALID_FRACTION = 0.95
+from perception.limits import MAX_INVALID_FRACTION, MAX_POINTS
 
 # A scan of one place spans tens of metres; beyond these the numbers are in another unit or frame.
 _MILLIMETRE_SPAN = 400.0
@@ -83,27 +81,36 @@ def _check_origin(origin: Float[np.ndarray, "*N 3"], n_points: int) -> None:
 
 def make_cloud(
     points: Float[np.ndarray, "N 3"],
-    origin: Float[np.ndarray, "3"],
+    origin: Float[np.ndarray, "*N 3"],
     notes: tuple[str, ...] = (),
     name: str = "cloud",
+    *,
+    misses: Float[np.ndarray, "M 3"] | None = None,
+    miss_origin: Float[np.ndarray, "*M 3"] | None = None,
 ) -> Cloud:
     """Drop and count invalid points and tell what looks odd about the rest.
 
     Args:
-        points: (N, 3) as read; NaN and infinite rows mean "no return".
-        origin: (3,) where the rays started [m].
+        points: (N, 3) as read [m]; NaN and infinite rows are no points.
+        origin: (3,) where the rays started, or (N, 3) where each did [m].
         notes: what the reader has to say already.
         name: what to call the cloud in errors.
+        misses: (M, 3) places up to which rays met nothing [m].
+        miss_origin: (3,) or (M, 3) where these started; None: ``origin``, which must then be (3,).
 
     Raises:
         CloudError: no points, too many, or more than 95 % of them invalid.
     """
-    points = np.asarray(points, dtype=np.float64)
+    points, origin = np.asarray(points, dtype=np.float64), np.asarray(origin, dtype=np.float64)
+    misses = _no_points() if misses is None else np.asarray(misses, dtype=np.float64)
     if not len(points):
-        raise CloudError(f"{name}: holds no points; at least one is needed")
-    if len(points) > MAX_POINTS:
-        raise CloudError(f"{name}: {len(points)} points; at most {MAX_POINTS} are read, downsample it first")
-    valid = np.isfinite(points).all(axis=1)
+        nothing = f"only {len(misses)} rays that met nothing" if len(misses) else "no points"
+        raise CloudError(f"{name}: holds {nothing}; at least one point is needed")
+    if len(points) + len(misses) > MAX_POINTS:
+        raise CloudError(
+            f"{name}: {len(points) + len(misses)} points; at most {MAX_POINTS} are read, downsample it first"
+        )
+    valid = _finite(points, origin)
     n_invalid = int(len(points) - valid.sum())
     if n_invalid > MAX_INVALID_FRACTION * len(points):
         raise CloudError(
@@ -113,12 +120,41 @@ def make_cloud(
     if n_invalid:
         share = 100.0 * n_invalid / len(points)
         notes = (*notes, f"dropped {n_invalid} NaN or infinite points of {len(points)} ({share:.1f} %)")
-        points = points[valid]
-    origin = np.asarray(origin, dtype=np.float64)
-    return Cloud(points, origin, (*notes, *_oddities(points, origin)))
+        points, origin = points[valid], origin if origin.ndim == 1 else origin[valid]
+    if len(misses):
+        kept = _finite(misses, np.zeros(3) if miss_origin is None else miss_origin)
+        misses = misses[kept]
+        miss_origin = miss_origin if miss_origin is None or miss_origin.ndim == 1 else miss_origin[kept]
+    return Cloud(points, origin, (*notes, *_oddities(points, origin)), misses, miss_origin)
 
 
-def _oddities(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]) -> tuple[str, ...]:
+def merged(clouds: Sequence[Cloud]) -> Cloud:
+    """All points and rays of clouds in one frame; each point keeps where its own ray started."""
+    if len(clouds) == 1:
+        return clouds[0]
+    behind = [
+        np.broadcast_to(cloud.origin if cloud.miss_origin is None else cloud.miss_origin, cloud.misses.shape)
+        for cloud in clouds
+        if len(cloud.misses)
+    ]
+    return Cloud(
+        np.concatenate([cloud.points for cloud in clouds]),
+        np.concatenate([cloud.starts for cloud in clouds]),
+        tuple(note for cloud in clouds for note in cloud.notes),
+        np.concatenate([cloud.misses for cloud in clouds]),
+        np.concatenate(behind) if behind else None,
+    )
+
+
+def _finite(ends: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"]) -> Bool[np.ndarray, "N"]:
+    """Which rays have finite ends; where each has a start of its own, that too."""
+    valid = np.isfinite(ends).all(axis=1)
+    if starts.ndim == 2:
+        valid &= np.isfinite(starts).all(axis=1)
+    return np.asarray(valid)
+
+
+def _oddities(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> tuple[str, ...]:
     """Sentences about unit and frame, judged from the numbers alone."""
     low, high = np.percentile(points, [1, 99], axis=0)
     span = float((high - low).max())
@@ -138,10 +174,10 @@ def _oddities(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]) 
 
 
 def _sensor_frame_hint(
-    points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], low: Float[np.ndarray, "3"]
+    points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"], low: Float[np.ndarray, "3"]
 ) -> str:
     """A hint when the points look given in the sensor's frame: rays start at zero, yet zero is not on the floor."""
-    if np.linalg.norm(origin) > 1e-6:
+    if np.abs(origin).max() > 1e-6:
         return ""
     depth = points[:, 2]
     in_front = np.mean((depth > 0.1) & (np.abs(points[:, :2]) < 1.3 * depth[:, None]).all(axis=1))

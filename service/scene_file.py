@@ -53,7 +53,7 @@ def perceive_file(
         hulls, soles = _robot_in_the_way(robot, posture)
     try:
         on_step("read cloud")
-        points = read_cloud(cloud, apply_viewpoint)
+        points = read_cloud(cloud, apply_viewpoint=apply_viewpoint)
         on_step("find pieces")
         seen = perceive(points, reach=Reach(radius=reach_m), robot_hulls=hulls, soles=soles, valve=False)
     except PerceptionError as error:

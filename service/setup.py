@@ -236,7 +236,7 @@ def _perceive(
     hint = request.scene.hint if task is None or task.hint is None else task.hint
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
     try:
-        cloud = read_cloud(request.resolve(request.scene.cloud), request.scene.apply_viewpoint)
+        cloud = read_cloud(request.resolve(request.scene.cloud), apply_viewpoint=request.scene.apply_viewpoint)
         return perceive(
             cloud,
             reach=Reach(x=x, y=y),

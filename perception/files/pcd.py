@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from perception.cloud import MAX_POINTS
 from perception.errors import CloudError
 from perception.files import lzf
+from perception.limits import MAX_POINTS
 
 _HEADER_LIMIT = 8192
 _NUMPY_KIND = {"F": "f", "I": "i", "U": "u"}

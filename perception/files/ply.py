@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.cloud import MAX_POINTS
 from perception.errors import CloudError
+from perception.limits import MAX_POINTS
 
 _HEADER_LIMIT = 65536
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}

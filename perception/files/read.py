@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from perception.cloud import MAX_FILE_BYTES, Cloud, make_cloud
+from perception.cloud import Cloud, make_cloud, merged
 from perception.errors import CloudError
 from perception.files.pcd import read_pcd
+from perception.files.placing import Pose, metres_per, moved, pose_of_viewpoint, rigid_pose
 from perception.files.ply import read_ply
+from perception.files.scan import Scan
 from perception.files.table import read_npz, read_text
+from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 
 _Reader = Callable[[bytes, str], tuple[Float[np.ndarray, "N 3"], tuple[float, ...] | None]]
 _READERS: dict[str, _Reader] = {
@@ -27,33 +30,102 @@ _READERS: dict[str, _Reader] = {
 SUFFIXES = tuple(_READERS)
 
 
-def read_cloud(path: Path | str, apply_viewpoint: bool = False) -> Cloud:
-    """Read a cloud file; the kind follows from its suffix (pcd, ply, xyz, txt, csv, npz).
+def read_cloud(
+    path: Path | str,
+    *,
+    unit: str = "m",
+    transform: Pose | None = None,
+    apply_viewpoint: bool = False,
+    topic: str | None = None,
+    message: int | None = None,
+) -> Cloud:
+    """Read a cloud file; the kind follows from its suffix.
 
-    Points are taken as they stand and the viewpoint's translation is the ray origin.
+    The file's numbers become metres first; then its viewpoint moves the points, if asked; then ``transform`` does.  The
+    viewpoint's translation, taken along, is where the rays started.
 
     Args:
         path: the file.
+        unit: of the file's lengths: m, cm, mm, km, in, ft.
+        transform: pose_world_cloud, as ``rigid_pose`` takes it [m, rad]; None: the points are in the world.
         apply_viewpoint: move the points by the viewpoint pose, for files whose points are in the sensor's frame.
+        topic: of a bag with several clouds, the one to read.
+        message: of a bag, the number of the message to read, the first being 0 and the last -1; None: all, merged.
 
     Raises:
         CloudError: naming the file, what is wrong and what would do.
     """
-    path = Path(path)
+    return _placed(Path(path), unit, transform, apply_viewpoint, topic, message)
+
+
+def read_clouds(
+    files: Sequence[tuple[Path | str, Pose | None]],
+    *,
+    unit: str = "m",
+    apply_viewpoint: bool = False,
+    topic: str | None = None,
+    message: int | None = None,
+) -> Cloud:
+    """Read several files and merge them; every point knows where its own ray started.
+
+    Args:
+        files: each file with its pose_world_cloud (None: its points are in the world already).
+        unit, apply_viewpoint, topic, message: of all files, as for ``read_cloud``.
+
+    Raises:
+        CloudError: no file, too many points together, or what ``read_cloud`` has to say of one of them.
+    """
+    if not files:
+        raise CloudError("no cloud file is given; at least one is needed")
+    clouds = []
+    n_rays = 0
+    for path, transform in files:
+        cloud = _placed(Path(path), unit, transform, apply_viewpoint, topic, message)
+        n_rays += len(cloud.points) + len(cloud.misses)
+        if n_rays > MAX_POINTS:
+            raise CloudError(
+                f"{path}: brings the points of all files to {n_rays}; at most {MAX_POINTS} are read, downsample first"
+            )
+        clouds.append(cloud if len(files) == 1 else replace(cloud, notes=tuple(f"{path}: {n}" for n in cloud.notes)))
+    return merged(clouds)
+
+
+def _placed(
+    path: Path, unit: str, transform: Pose | None, apply_viewpoint: bool, topic: str | None, message: int | None
+) -> Cloud:
+    scale = metres_per(unit)
+    pose = np.eye(4) if transform is None else rigid_pose(transform)
+    scan = _scan(path)
+    notes = scan.notes
+    viewpoint = np.eye(4)
+    if scan.viewpoint is not None:
+        viewpoint = pose_of_viewpoint(scan.viewpoint)
+        viewpoint[:3, 3] *= scale
+    elif apply_viewpoint:
+        raise CloudError(f"{path}: gives no viewpoint to apply; add one or leave apply_viewpoint off")
+    elif scan.starts is None:
+        notes = (*notes, "the file gives no sensor position; rays are taken to start at (0, 0, 0)")
+    if apply_viewpoint:
+        pose = pose @ viewpoint
+    elif transform is None:
+        notes = (*notes, *_frame_hint(scale * scan.points, viewpoint))
+    origin = pose[:3, 3] if apply_viewpoint else moved(pose, viewpoint[:3, 3])
+    return make_cloud(
+        moved(pose, scale * scan.points),
+        origin if scan.starts is None else moved(pose, scale * scan.starts),
+        notes,
+        str(path),
+        misses=moved(pose, scale * scan.misses),
+        miss_origin=origin if scan.miss_starts is None else moved(pose, scale * scan.miss_starts),
+    )
+
+
+def _scan(path: Path) -> Scan:
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise CloudError(f"{path}: suffix '{path.suffix}' is unknown; one of {', '.join(SUFFIXES)} is needed")
     points, viewpoint = reader(_content(path), str(path))
-    if viewpoint is None:
-        if apply_viewpoint:
-            raise CloudError(f"{path}: gives no viewpoint to apply; add one or leave apply_viewpoint off")
-        note = "the file gives no sensor position; rays are taken to start at (0, 0, 0)"
-        return make_cloud(points, np.zeros(3), (note,), str(path))
-    origin = np.array(viewpoint[:3])
-    rotation = Rotation.from_quat(viewpoint[3:], scalar_first=True)
-    if apply_viewpoint:
-        return make_cloud(points @ rotation.as_matrix().T + origin, origin, (), str(path))
-    return make_cloud(points, origin, _frame_hint(points, origin, rotation), str(path))
+    return Scan(points, viewpoint)
 
 
 def _content(path: Path) -> bytes:
@@ -72,17 +144,14 @@ def _content(path: Path) -> bytes:
     return data
 
 
-def _frame_hint(
-    points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], rotation: Rotation
-) -> tuple[str, ...]:
+def _frame_hint(points: Float[np.ndarray, "N 3"], viewpoint: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:
     """A hint when the points would lie flatter (a floor shows) if the viewpoint were applied to them."""
-    if np.allclose(origin, 0.0) and rotation.magnitude() < 1e-6:
+    if np.allclose(viewpoint, np.eye(4), atol=1e-6):
         return ()
     sample = points[np.isfinite(points).all(axis=1)][:: max(1, len(points) // 20_000)]
     if not len(sample):
         return ()
-    moved = sample @ rotation.as_matrix().T + origin
-    if _flatness(moved[:, 2]) > 1.5 * _flatness(sample[:, 2]):
+    if _flatness(moved(viewpoint, sample)[:, 2]) > 1.5 * _flatness(sample[:, 2]):
         return ("looks sensor-framed: a floor shows only after the viewpoint is applied; use apply_viewpoint",)
     return ()
 

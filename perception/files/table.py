@@ -9,9 +9,9 @@ import zipfile
 import numpy as np
 from jaxtyping import Float
 
-from perception.cloud import MAX_FILE_BYTES, MAX_POINTS
 from perception.errors import CloudError
 from perception.files.ply import parse_viewpoint
+from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 
 _TRIPLES = (("x", "y", "z"), ("points:0", "points:1", "points:2"), ("points_0", "points_1", "points_2"))
 _COMMENTS = ("#", "//", "%")
