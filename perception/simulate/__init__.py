@@ -1,20 +1,32 @@
-"""A lidar simulator: meshes, a spinning line scanner, and valve scenes with their truth."""
+"""A sensor simulator: meshes, sensors that look at them, and scenes with their truth."""
 
-from perception.simulate.mesh import Mesh, box, cylinder, hull, joined, torus
-from perception.simulate.scanner import Pose, Scanner, cast, scan
+from perception.simulate.cast import Caster, cast
+from perception.simulate.depth_camera import DepthCamera
+from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, hull, joined, lathe, pipe, torus
+from perception.simulate.scanner import Scanner
+from perception.simulate.sensor import Pose, Sensor, scan
+from perception.simulate.solid_state import SolidState
 from perception.simulate.valve_scene import Room, Valve
 
 __all__ = [
+    "Caster",
+    "DepthCamera",
     "Mesh",
     "Pose",
     "Room",
     "Scanner",
+    "Sensor",
+    "SolidState",
     "Valve",
+    "bent_bar",
     "box",
+    "capsule",
     "cast",
     "cylinder",
     "hull",
     "joined",
+    "lathe",
+    "pipe",
     "scan",
     "torus",
 ]

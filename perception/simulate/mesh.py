@@ -1,9 +1,10 @@
-"""Closed triangle meshes of simple solids, for the simulator to look at."""
+"""Triangle meshes of simple solids, for the simulator to look at; winding is arbitrary."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,6 +26,10 @@ class Mesh:
     def moved(self, rotation: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]) -> Mesh:
         """Turned about the origin, then shifted."""
         return Mesh(self.vertices @ rotation.T + shift, self.triangles)
+
+    def placed(self, pose_world_mesh: Float[np.ndarray, "4 4"]) -> Mesh:
+        """In another frame; a pose that mirrors is allowed."""
+        return self.moved(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
@@ -71,6 +76,62 @@ def torus(
     c, d = (i + 1) % n_round * n_tube + (j + 1) % n_tube, i * n_tube + (j + 1) % n_tube
     triangles = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]).reshape(-1, 3)
     return Mesh(np.asarray(centre) + vertices.reshape(-1, 3), triangles)
+
+
+def capsule(start: Sequence[float], end: Sequence[float], radius: float) -> Mesh:
+    """A bar with round ends; the ends' spheres are centred on the two points."""
+    turn = np.pi * np.arange(16) / 8
+    rise = np.pi * np.arange(-4, 5) / 8
+    angle, height = (grid.ravel() for grid in np.meshgrid(turn, rise))
+    ball = np.column_stack([np.cos(angle) * np.cos(height), np.sin(angle) * np.cos(height), np.sin(height)])
+    ball = np.unique(np.round(radius * ball, 9), axis=0)
+    return hull(np.concatenate([np.asarray(start) + ball, np.asarray(end) + ball]))
+
+
+def bent_bar(path: Sequence[Sequence[float]], radius: float) -> Mesh:
+    """A round bar along a polyline."""
+    return joined([capsule(a, b, radius) for a, b in pairwise(path)])
+
+
+def lathe(
+    profile: Sequence[tuple[float, float]],
+    base: Sequence[float] = (0.0, 0.0, 0.0),
+    axis: Sequence[float] = (0.0, 0.0, 1.0),
+    n_round: int = 48,
+) -> Mesh:
+    """A surface of revolution through (radius, height) pairs.
+
+    Args:
+        profile: radius and height above ``base``; starting and ending on the same pair gives a ring without a gap.
+        base: where height is zero [m].
+        axis: what it turns about.
+        n_round: corners around.
+    """
+    direction = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    u, v = _across(direction)
+    angle = 2.0 * np.pi * np.arange(n_round) / n_round
+    outward = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
+    radius, height = np.asarray(profile, dtype=float).T
+    vertices = outward[:, None] * radius[None, :, None] + height[None, :, None] * direction
+    i, j = np.meshgrid(np.arange(n_round), np.arange(len(profile) - 1), indexing="ij")
+    a, b = i * len(profile) + j, (i + 1) % n_round * len(profile) + j
+    triangles = np.concatenate([np.stack([a, b, b + 1], axis=-1), np.stack([a, b + 1, a + 1], axis=-1)])
+    return Mesh(np.asarray(base, dtype=float) + vertices.reshape(-1, 3), triangles.reshape(-1, 3))
+
+
+def pipe(start: Sequence[float], end: Sequence[float], radius: float, wall: float) -> Mesh:
+    """A hollow cylinder, open at both ends.
+
+    Args:
+        start: of its axis [m].
+        end: of its axis [m].
+        radius: outer [m].
+        wall: thickness [m].
+    """
+    axis = np.asarray(end, dtype=float) - np.asarray(start, dtype=float)
+    length, inner = float(np.linalg.norm(axis)), radius - wall
+    section = [(radius, 0.0), (radius, length), (inner, length), (inner, 0.0), (radius, 0.0)]
+    return lathe(section, start, axis.tolist())
 
 
 def _across(axis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

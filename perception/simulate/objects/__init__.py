@@ -1,0 +1,1 @@
+"""Things a simulated scene is made of, each with the truth about itself."""

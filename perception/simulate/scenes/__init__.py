@@ -1,0 +1,37 @@
+"""Scenes for the simulator: the robot at the origin, what it is to find, and what stands about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from perception.errors import PerceptionError
+from perception.simulate.objects.placed import Truth
+from perception.simulate.scenes import cars, clutter, debris, doors, fixtures, shelves, valves
+from perception.simulate.scenes.scene import VARIANTS, Recipe, SimulatedScene
+
+SCENES: Mapping[str, Recipe] = {
+    **valves.SCENES,
+    **doors.SCENES,
+    **fixtures.SCENES,
+    **shelves.SCENES,
+    **debris.SCENES,
+    **cars.SCENES,
+    **clutter.SCENES,
+}
+
+__all__ = ["SCENES", "VARIANTS", "SimulatedScene", "Truth", "make_scene"]
+
+
+def make_scene(name: str, seed: int = 0) -> SimulatedScene:
+    """A scene by name.
+
+    Args:
+        name: one of :data:`SCENES`.
+        seed: of its details: places, tilts, what stands about.
+
+    Raises:
+        PerceptionError: there is no such scene.
+    """
+    if name not in SCENES:
+        raise PerceptionError(f"unknown scene '{name}'; one of {', '.join(SCENES)} is needed")
+    return SCENES[name].make(name, seed)

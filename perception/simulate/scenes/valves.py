@@ -1,0 +1,121 @@
+"""Valves: wheels of several sizes and tilts, levers on ball valves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from perception.simulate.objects.placed import Placed
+from perception.simulate.objects.valves import LeverValve, PipedWheel
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.surroundings import cartons, floor, upright_pipe, wall
+from perception.simulate.valve_scene import Valve
+
+Vector = tuple[float, float, float]
+_UP, _ACROSS = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
+
+
+def tilted(yaw_deg: float, pitch_deg: float) -> Vector:
+    """An axis towards the robot, turned aside and up."""
+    yaw, pitch = np.radians([yaw_deg, pitch_deg])
+    return float(-np.cos(yaw) * np.cos(pitch)), float(-np.sin(yaw) * np.cos(pitch)), float(np.sin(pitch))
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """One wheel valve on a pipe before a wall, pipes and boxes beside it.
+
+    Attributes:
+        centre: of the rim, within 5 cm [m].
+        angles: of its axis: aside and up, within 4 degrees.
+        outer: radius [m].
+        tube: radius of the rim's section [m].
+        n_spokes: evenly spaced.
+        stem: from the rim's plane to the pipe's middle [m].
+        pipe: direction of the pipe.
+        pipe_radius: [m].
+        wall_x: where the wall is; None: 20 cm behind the pipe [m].
+    """
+
+    centre: Vector
+    angles: tuple[float, float] = (0.0, 0.0)
+    outer: float = 0.13
+    tube: float = 0.013
+    n_spokes: int = 4
+    stem: float = 0.16
+    pipe: Vector = _UP
+    pipe_radius: float = 0.045
+    wall_x: float | None = None
+
+    def make(self, name: str, seed: int) -> SimulatedScene:
+        """See :class:`Recipe`."""
+        rng = generator(name, seed)
+        x, y, z = np.array(self.centre) + rng.uniform(-0.05, 0.05, 3)
+        yaw, pitch = np.array(self.angles) + rng.uniform(-4.0, 4.0, 2)
+        axis = tilted(yaw, min(pitch, 90.0))
+        spoke, hub, stem = 0.55 * self.tube + 0.001, max(0.2 * self.outer, 0.02), max(0.1 * self.outer, 0.01)
+        ring = (self.outer - self.tube, self.tube, self.n_spokes, rng.uniform(0.0, 2.0))
+        wheel = Valve((x, y, z), axis, *ring, spoke, hub, stem, self.stem)
+        face = self.wall_x if self.wall_x is not None else max(x - self.stem * axis[0], x) + 0.2
+        parts = [PipedWheel(wheel, self.pipe, self.pipe_radius).placed(), floor(), wall(face)]
+        for side in (-1.0, 1.0):
+            parts.append(upright_pipe(face - 0.1, y + side * rng.uniform(0.5, 0.8), rng.uniform(0.03, 0.07)))
+        parts += cartons(rng, 2, (face - 0.4, y - 1.2), 0.25)
+        return assembled(name, seed, parts, (x, y, z))
+
+
+@dataclass(frozen=True)
+class Manifold:
+    """Three wheels of different sizes on pipes side by side.
+
+    Attributes:
+        rows: y, z, outer radius and number of spokes of each.
+    """
+
+    rows: tuple[tuple[float, float, float, int], ...] = (
+        (0.28, 1.05, 0.15, 5),
+        (-0.2, 1.1, 0.09, 3),
+        (0.05, 1.5, 0.11, 4),
+    )
+
+    def make(self, name: str, seed: int) -> SimulatedScene:
+        """See :class:`Recipe`."""
+        rng = generator(name, seed)
+        parts: list[Placed] = [floor(), wall(1.15)]
+        for y, z, outer, n_spokes in self.rows:
+            centre = (0.8 + rng.uniform(-0.03, 0.03), y, z)
+            axis = tilted(rng.uniform(-8.0, 8.0), rng.uniform(-5.0, 10.0))
+            wheel = Valve(centre, axis, outer - 0.012, 0.012, n_spokes, rng.uniform(0.0, 2.0), stem_length=0.17)
+            parts.append(PipedWheel(wheel, _UP if z < 1.4 else _ACROSS, 0.04, 1.3).placed())
+        return assembled(name, seed, parts, (0.8, 0.03, 1.1))
+
+
+@dataclass(frozen=True)
+class BallValves:
+    """Lever valves on pipes before a wall.
+
+    Attributes:
+        levers: pivot, direction of the lever, its length, direction of the pipe of each [m].
+    """
+
+    levers: tuple[tuple[Vector, Vector, float, Vector], ...]
+
+    def make(self, name: str, seed: int) -> SimulatedScene:
+        """See :class:`Recipe`."""
+        rng = generator(name, seed)
+        parts: list[Placed] = [floor(), wall(1.05), upright_pipe(0.98, -0.75, 0.05)]
+        for pivot, along, length, direction in self.levers:
+            x, y, z = np.array(pivot) + rng.uniform(-0.03, 0.03, 3)
+            a, b, c = np.array(along) + rng.normal(0.0, 0.08, 3)
+            axis = tilted(rng.uniform(-12.0, 12.0), rng.uniform(-6.0, 12.0))
+            parts.append(LeverValve((x, y, z), axis, (a, b, c), length, pipe_direction=direction).placed())
+        return assembled(name, seed, parts, self.levers[0][0])
+
+
+SCENES: Mapping[str, Recipe] = {
+    "valve_small": Wheel((0.65, 0.1, 1.15), outer=0.075, tube=0.009, n_spokes=3, stem=0.1, pipe_radius=0.03),
+    "valve_upright": Wheel((0.7, 0.05, 0.85), (0.0, 88.0), 0.16, 0.014, 5, 0.22, _ACROSS, wall_x=1.1),
+    "valve_lever": BallValves((((0.75, 0.05, 1.1), _UP, 0.24, _ACROSS),)),
+}
