@@ -9,9 +9,11 @@ from perception.detect.valve import ValveDetection, detect_valves
 from perception.detect.valve_bodies import has_clear_spokes, stem_of, valve_bodies, wheel_points
 from perception.detect.wheel import wheel_basis
 from perception.errors import CloudError, PerceptionError
+from perception.files.npz import write_npz
+from perception.files.parse import SUFFIXES
 from perception.files.pcd import write_pcd
 from perception.files.placing import METRES_BY_UNIT, rigid_pose
-from perception.files.read import SUFFIXES, read_cloud, read_clouds
+from perception.files.read import read_cloud, read_clouds
 from perception.floor import FloorPlane, find_floor, floor_piece, on_floor
 from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 from perception.perceive import CONFIDENT, Perceived, perceive
@@ -54,5 +56,6 @@ __all__ = [
     "voxel_downsample",
     "wheel_basis",
     "wheel_points",
+    "write_npz",
     "write_pcd",
 ]

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from perception.errors import CloudError
 from perception.files import lzf
-from perception.limits import MAX_POINTS
+from perception.files.columns import NO_RETURN, missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
+from perception.files.scan import Scan
+from perception.files.text import read_rows
+from perception.limits import MAX_FILE_BYTES, MAX_POINTS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Shaped
 
 _HEADER_LIMIT = 8192
+_MAX_UNPACKED = 4 * MAX_FILE_BYTES
 _NUMPY_KIND = {"F": "f", "I": "i", "U": "u"}
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
 _ALLOWED_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
@@ -44,33 +52,28 @@ class PcdHeader:
         return np.dtype([(str(i), kind, (count,)) for i, (_, kind, count) in enumerate(self.fields)])
 
 
-def read_pcd(data: bytes, name: str) -> tuple[Float[np.ndarray, "N 3"], tuple[float, ...] | None]:
-    """Coordinates, NaN included, and the VIEWPOINT.
+def read_pcd(data: bytes, name: str) -> Scan:
+    """Rows as ``columns.scan_of`` takes them, NaN included, and the VIEWPOINT.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
     header = _parse_header(data, name)
-    columns = []
-    for axis in "xyz":
-        found = [i for i, (field, _, _) in enumerate(header.fields) if field == axis]
-        if not found:
-            names = " ".join(field for field, _, _ in header.fields)
-            raise CloudError(f"{name}: FIELDS '{names}' has no '{axis}'; x, y and z are needed")
-        columns.append(found[0])
-    body = data[header.size :]
-    if header.encoding == "ascii":
-        points = _ascii_points(body, header, columns, name)
-    else:
-        points = _binary_points(body, header, columns, name)
-    return points, header.viewpoint
+    names = [field for field, _, _ in header.fields]
+    found = places(names)
+    if missing := missing_coordinate(found):
+        raise CloudError(f"{name}: FIELDS '{shown(' '.join(names))}' has no '{missing}'; x, y and z are needed")
+    read = {"ascii": _ascii_columns, "binary": _binary_columns, "binary_compressed": _packed_columns}[header.encoding]
+    columns = read(data, header, list(found.values()), name)
+    return scan_of(dict(zip(found, columns, strict=True)), header.viewpoint)
 
 
 def write_pcd(
     path: Path | str,
     points: Float[np.ndarray, "N 3"],
-    viewpoint: tuple[float, ...] = IDENTITY_VIEWPOINT,
+    viewpoint: Sequence[float] = IDENTITY_VIEWPOINT,
     encoding: str = "binary_compressed",
+    misses: Float[np.ndarray, "M 3"] | None = None,
 ) -> None:
     """Write x y z as float32.
 
@@ -79,21 +82,31 @@ def write_pcd(
         points: (N, 3) [m].
         viewpoint: x y z qw qx qy qz of the sensor in the frame of the points.
         encoding: one of ``ascii``, ``binary``, ``binary_compressed``.
+        misses: (M, 3) places up to which rays met nothing [m]; they follow the points, told apart by a further field
+            ``no_return`` that is 1.
     """
     if encoding not in _ENCODINGS:
         raise ValueError(f"encoding '{encoding}' is unknown; one of {', '.join(_ENCODINGS)} is needed")
-    values = np.ascontiguousarray(points, dtype="<f4")
+    layout = [(axis, "<f4") for axis in "xyz"] + ([] if misses is None else [(NO_RETURN, "u1")])
+    rows = np.asarray(points) if misses is None else np.concatenate([points, misses])
+    table = np.zeros(len(rows), layout)
+    for i, axis in enumerate("xyz"):
+        table[axis] = rows[:, i]
+    if misses is not None:
+        table[NO_RETURN][len(points) :] = 1
+    flagged = "" if misses is None else " "
     header = (
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
-        f"WIDTH {len(values)}\nHEIGHT 1\nVIEWPOINT {' '.join(f'{v:.9g}' for v in viewpoint)}\n"
-        f"POINTS {len(values)}\nDATA {encoding}\n"
+        f"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {' '.join(name for name, _ in layout)}\n"
+        f"SIZE 4 4 4{flagged and ' 1'}\nTYPE F F F{flagged and ' U'}\nCOUNT 1 1 1{flagged and ' 1'}\n"
+        f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT {' '.join(f'{v:.9g}' for v in viewpoint)}\n"
+        f"POINTS {len(rows)}\nDATA {encoding}\n"
     )
     if encoding == "ascii":
-        body = "".join(f"{x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in values.tolist()).encode()
+        body = "".join(" ".join(f"{v:.9g}" for v in row) + "\n" for row in table.tolist()).encode()
     elif encoding == "binary":
-        body = values.tobytes()
+        body = table.tobytes()
     else:
-        raw = np.ascontiguousarray(values.T).tobytes()
+        raw = b"".join(table[field].tobytes() for field, _ in layout)
         packed = lzf.compress(raw)
         body = struct.pack("<II", len(packed), len(raw)) + packed
     Path(path).write_bytes(header.encode() + body)
@@ -114,7 +127,7 @@ def _parse_header(data: bytes, name: str) -> PcdHeader:
                 break
     encoding = " ".join(entries["DATA"]).lower()
     if encoding not in _ENCODINGS:
-        raise CloudError(f"{name}: DATA '{encoding}' is unknown; one of {', '.join(_ENCODINGS)} is needed")
+        raise CloudError(f"{name}: DATA '{shown(encoding)}' is unknown; one of {', '.join(_ENCODINGS)} is needed")
     return PcdHeader(
         _parse_fields(entries, name), _parse_count(entries, name), _parse_viewpoint(entries, name), encoding, at
     )
@@ -130,11 +143,15 @@ def _parse_fields(entries: dict[str, list[str]], name: str) -> tuple[tuple[str, 
         raise CloudError(f"{name}: {len(fields)} FIELDS but {len(counts)} COUNT; one each is needed")
     parsed = []
     for field, size, kind, count in zip(fields, entries["SIZE"], entries["TYPE"], counts, strict=True):
-        if kind not in _NUMPY_KIND or not size.isdigit() or int(size) not in _ALLOWED_SIZES[kind]:
-            raise CloudError(f"{name}: field '{field}' has TYPE {kind} SIZE {size}; F 4|8, I or U 1|2|4|8 are possible")
-        if not count.isdigit() or not 1 <= int(count) <= 65536:
-            raise CloudError(f"{name}: field '{field}' has COUNT {count}; a positive number is needed")
-        parsed.append((field, f"<{_NUMPY_KIND[kind]}{size}", int(count)))
+        if kind not in _NUMPY_KIND or natural(size) not in _ALLOWED_SIZES[kind]:
+            raise CloudError(
+                f"{name}: field '{shown(field)}' has TYPE {shown(kind)} SIZE {shown(size)}; "
+                "F 4|8, I or U 1|2|4|8 are possible"
+            )
+        repeats = natural(count) or 0
+        if not 1 <= repeats <= 65536:
+            raise CloudError(f"{name}: field '{shown(field)}' has COUNT {shown(count)}; a positive number is needed")
+        parsed.append((field, f"<{_NUMPY_KIND[kind]}{natural(size)}", repeats))
     return tuple(parsed)
 
 
@@ -143,9 +160,10 @@ def _parse_count(entries: dict[str, list[str]], name: str) -> int:
     for key in ("WIDTH", "HEIGHT", "POINTS"):
         if key in entries:
             word = " ".join(entries[key])
-            if not word.isdigit():
-                raise CloudError(f"{name}: {key} '{word}' is not a whole number of at least 0")
-            numbers[key] = int(word)
+            number = natural(word)
+            if number is None:
+                raise CloudError(f"{name}: {key} '{shown(word)}' is not a whole number of at least 0")
+            numbers[key] = number
     shape = numbers.get("WIDTH", 0) * numbers.get("HEIGHT", 1)
     n_points = numbers.get("POINTS", shape)
     if "WIDTH" in numbers and shape != n_points:
@@ -160,60 +178,56 @@ def _parse_count(entries: dict[str, list[str]], name: str) -> int:
 def _parse_viewpoint(entries: dict[str, list[str]], name: str) -> tuple[float, ...] | None:
     if "VIEWPOINT" not in entries:
         return None
-    try:
-        viewpoint = tuple(float(word) for word in entries["VIEWPOINT"])
-    except ValueError:
-        viewpoint = ()
-    if len(viewpoint) != 7 or not np.isfinite(viewpoint).all() or np.linalg.norm(viewpoint[3:]) < 1e-6:
-        text = " ".join(entries["VIEWPOINT"])
-        raise CloudError(f"{name}: VIEWPOINT '{text}' is not x y z and a quaternion w x y z")
-    return viewpoint
+    return parse_viewpoint(entries["VIEWPOINT"], name)
 
 
-def _ascii_points(body: bytes, header: PcdHeader, columns: list[int], name: str) -> Float[np.ndarray, "N 3"]:
+def _ascii_columns(data: bytes, header: PcdHeader, fields: list[int], name: str) -> list[Float[np.ndarray, "N"]]:
     offsets = np.concatenate([[0], np.cumsum([count for _, _, count in header.fields])])
-    width = int(offsets[-1])
-    words = body.split()
-    if len(words) < header.n_points * width:
+    first_line = data.count(b"\n", 0, header.size) + 1
+    columns = [int(offsets[i]) for i in fields]
+    rows = read_rows(
+        data[header.size :], columns, name, width=int(offsets[-1]), n_rows=header.n_points, first_line=first_line
+    )
+    if len(rows) < header.n_points:
+        raise CloudError(f"{name}: {header.n_points} points are announced, {len(rows)} lines are there")
+    return list(rows.T)
+
+
+def _binary_columns(data: bytes, header: PcdHeader, fields: list[int], name: str) -> list[Shaped[np.ndarray, "N"]]:
+    there, n, stride = len(data) - header.size, header.n_points, header.dtype.itemsize
+    if there < n * stride:
         raise CloudError(
-            f"{name}: {header.n_points} points of {width} numbers are announced, {len(words)} numbers are there"
+            f"{name}: {n} points of {stride} bytes are announced, but only {there} bytes follow the header"
         )
-    table = np.array(words[: header.n_points * width]).reshape(header.n_points, width)
-    try:
-        return table[:, offsets[columns]].astype(np.float64)
-    except ValueError as error:
-        raise CloudError(f"{name}: {str(error).replace('np.bytes_(b', '').rstrip(')')}; numbers are needed") from None
+    table = np.frombuffer(data, dtype=header.dtype, count=n, offset=header.size)
+    return [table[str(i)][:, 0] for i in fields]
 
 
-def _binary_points(body: bytes, header: PcdHeader, columns: list[int], name: str) -> Float[np.ndarray, "N 3"]:
-    n, stride = header.n_points, header.dtype.itemsize
-    if header.encoding == "binary":
-        if len(body) < n * stride:
-            raise CloudError(
-                f"{name}: {n} points of {stride} bytes are announced, but only {len(body)} bytes follow the header"
-            )
-        table = np.frombuffer(body, dtype=header.dtype, count=n)
-        return np.stack([table[str(i)][:, 0].astype(np.float64) for i in columns], axis=1)
-    raw = _unpack(body, n * stride, name)
-    # binary_compressed stores field after field, each for all points.
+def _packed_columns(data: bytes, header: PcdHeader, fields: list[int], name: str) -> list[Shaped[np.ndarray, "N"]]:
+    """``binary_compressed`` stores field after field, each for all points."""
+    n = header.n_points
+    raw = _unpack(data, header.size, n * header.dtype.itemsize, name)
     starts = np.concatenate([[0], np.cumsum([np.dtype(kind).itemsize * count for _, kind, count in header.fields])]) * n
-    out = []
-    for i in columns:
+    columns = []
+    for i in fields:
         _, kind, count = header.fields[i]
         column = np.frombuffer(raw, dtype=kind, count=n * count, offset=int(starts[i]))
-        out.append(column.reshape(n, count)[:, 0].astype(np.float64))
-    return np.stack(out, axis=1)
+        columns.append(column.reshape(n, count)[:, 0])
+    return columns
 
 
-def _unpack(body: bytes, size: int, name: str) -> bytes:
-    if len(body) < 8:
+def _unpack(data: bytes, start: int, size: int, name: str) -> bytes:
+    if len(data) < start + 8:
         raise CloudError(f"{name}: ends before the sizes of its compressed data")
-    packed_size, raw_size = struct.unpack("<II", body[:8])
+    packed_size, raw_size = struct.unpack_from("<II", data, start)
+    there = len(data) - start - 8
     if raw_size != size:
         raise CloudError(f"{name}: compressed data announce {raw_size} bytes, the header's points need {size}")
-    if len(body) - 8 < packed_size:
-        raise CloudError(f"{name}: {packed_size} compressed bytes are announced, {len(body) - 8} are there")
+    if size > _MAX_UNPACKED:
+        raise CloudError(f"{name}: unpacks to {size} bytes; at most {_MAX_UNPACKED} are read, leave out some fields")
+    if there < packed_size:
+        raise CloudError(f"{name}: {packed_size} compressed bytes are announced, {there} are there")
     try:
-        return lzf.decompress(body[8 : 8 + packed_size], size)
+        return lzf.decompress(data[start + 8 : start + 8 + packed_size], size)
     except ValueError as error:
         raise CloudError(f"{name}: the compressed data are damaged: {error}") from None

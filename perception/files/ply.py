@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from perception.errors import CloudError
+from perception.files.columns import missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
+from perception.files.scan import Scan
+from perception.files.text import read_rows
 from perception.limits import MAX_POINTS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _HEADER_LIMIT = 65536
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -35,8 +41,8 @@ class _Element:
         return any(kind == "list" for _, kind in self.properties)
 
 
-def read_ply(data: bytes, name: str) -> tuple[Float[np.ndarray, "N 3"], tuple[float, ...] | None]:
-    """Vertex coordinates, and the viewpoint when a ``comment viewpoint x y z qw qx qy qz`` gives it.
+def read_ply(data: bytes, name: str) -> Scan:
+    """Vertices as ``columns.scan_of`` takes them; a ``comment viewpoint x y z qw qx qy qz`` gives the sensor.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
@@ -44,23 +50,22 @@ def read_ply(data: bytes, name: str) -> tuple[Float[np.ndarray, "N 3"], tuple[fl
     lines, start = _header_lines(data, name)
     order = _byte_order(lines, name)
     before, vertex = _split_at_vertex(_parse_elements(lines, name), name)
-    names = [field for field, _ in vertex.properties]
-    missing = [axis for axis in "xyz" if axis not in names]
-    if missing:
-        raise CloudError(f"{name}: element vertex has no property '{missing[0]}'; x, y and z are needed")
-    columns = [names.index(axis) for axis in "xyz"]
-    body = data[start:]
+    found = places([field for field, _ in vertex.properties])
+    if missing := missing_coordinate(found):
+        raise CloudError(f"{name}: element vertex has no property '{missing}'; x, y and z are needed")
+    viewpoint = _viewpoint(lines, name)
     if order is None:
-        return _ascii_points(body, sum(e.count for e in before), vertex, columns, name), _viewpoint(lines, name)
-    skip = sum(e.count * _dtype(e, order).itemsize for e in before)
+        rows = _ascii_rows(data, start, sum(e.count for e in before), vertex, list(found.values()), name)
+        return scan_of({key: rows[:, i] for i, key in enumerate(found)}, viewpoint)
+    start += sum(e.count * _dtype(e, order).itemsize for e in before)
     dtype = _dtype(vertex, order)
-    if len(body) - skip < vertex.count * dtype.itemsize:
+    if len(data) - start < vertex.count * dtype.itemsize:
         raise CloudError(
             f"{name}: {vertex.count} vertices of {dtype.itemsize} bytes are announced, "
-            f"but only {max(len(body) - skip, 0)} bytes follow the header"
+            f"but only {max(len(data) - start, 0)} bytes are there for them"
         )
-    table = np.frombuffer(body, dtype=dtype, count=vertex.count, offset=skip)
-    return np.stack([table[str(i)].astype(np.float64) for i in columns], axis=1), _viewpoint(lines, name)
+    table = np.frombuffer(data, dtype=dtype, count=vertex.count, offset=start)
+    return scan_of({key: table[str(i)] for key, i in found.items()}, viewpoint)
 
 
 def _header_lines(data: bytes, name: str) -> tuple[list[list[str]], int]:
@@ -77,7 +82,9 @@ def _byte_order(lines: list[list[str]], name: str) -> str | None:
     """``<`` or ``>``; None for ascii."""
     formats = [words[1] for words in lines if words[0] == "format" and len(words) > 1]
     if not formats or formats[0] not in _FORMATS:
-        raise CloudError(f"{name}: format '{' '.join(formats)}' is unknown; one of {', '.join(_FORMATS)} is needed")
+        raise CloudError(
+            f"{name}: format '{shown(' '.join(formats))}' is unknown; one of {', '.join(_FORMATS)} is needed"
+        )
     return _FORMATS[formats[0]] or None
 
 
@@ -85,13 +92,13 @@ def _parse_elements(lines: list[list[str]], name: str) -> list[_Element]:
     elements: list[_Element] = []
     for words in lines:
         if words[0] == "element":
-            if len(words) != 3 or not words[2].isdigit():
-                raise CloudError(f"{name}: '{' '.join(words)}' is not an element with a name and a count")
-            elements.append(_Element(words[1], int(words[2]), ()))
+            if len(words) != 3 or natural(words[2]) is None:
+                raise CloudError(f"{name}: '{shown(' '.join(words))}' is not an element with a name and a count")
+            elements.append(_Element(words[1], natural(words[2]) or 0, ()))
         elif words[0] == "property":
             kind = "list" if words[1:2] == ["list"] else _TYPES.get(words[1] if len(words) == 3 else "", "")
             if not elements or not kind:
-                raise CloudError(f"{name}: '{' '.join(words)}' is not a property of a known type")
+                raise CloudError(f"{name}: '{shown(' '.join(words))}' is not a property of a known type")
             last = elements[-1]
             elements[-1] = _Element(last.name, last.count, (*last.properties, (words[-1], kind)))
     return elements
@@ -123,29 +130,18 @@ def _viewpoint(lines: list[list[str]], name: str) -> tuple[float, ...] | None:
     return None
 
 
-def parse_viewpoint(words: list[str], name: str) -> tuple[float, ...]:
-    """``x y z`` or ``x y z qw qx qy qz`` as seven numbers."""
-    try:
-        numbers = tuple(float(word) for word in words)
-    except ValueError:
-        numbers = ()
-    if len(numbers) == 3:
-        numbers = (*numbers, 1.0, 0.0, 0.0, 0.0)
-    if len(numbers) != 7 or not np.isfinite(numbers).all() or np.linalg.norm(numbers[3:]) < 1e-6:
-        raise CloudError(f"{name}: viewpoint '{' '.join(words)}' is not x y z, or x y z and a quaternion w x y z")
-    return numbers
-
-
-def _ascii_points(body: bytes, skip: int, vertex: _Element, columns: list[int], name: str) -> Float[np.ndarray, "N 3"]:
-    lines = [line for line in body.splitlines() if line.strip()][skip : skip + vertex.count]
-    width = len(vertex.properties)
-    if len(lines) < vertex.count:
-        raise CloudError(f"{name}: {vertex.count} vertices are announced, {len(lines)} lines are there")
-    rows = [line.split() for line in lines]
-    for i, row in enumerate(rows):
-        if len(row) != width:
-            raise CloudError(f"{name}: vertex {i} has {len(row)} numbers; {width} are needed")
-    try:
-        return np.array(rows)[:, columns].astype(np.float64)
-    except ValueError as error:
-        raise CloudError(f"{name}: {error}; numbers are needed") from None
+def _ascii_rows(
+    data: bytes, start: int, n_before: int, vertex: _Element, columns: list[int], name: str
+) -> Float[np.ndarray, "N C"]:
+    first_line = data.count(b"\n", 0, start) + 1
+    for _ in range(n_before):
+        at = data.find(b"\n", start) + 1
+        if not at:
+            raise CloudError(f"{name}: ends before its vertices")
+        start, first_line = at, first_line + 1
+    rows = read_rows(
+        data[start:], columns, name, width=len(vertex.properties), n_rows=vertex.count, first_line=first_line
+    )
+    if len(rows) < vertex.count:
+        raise CloudError(f"{name}: {vertex.count} vertices are announced, {len(rows)} lines are there")
+    return rows

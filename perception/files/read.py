@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,23 +11,10 @@ from jaxtyping import Float
 
 from perception.cloud import Cloud, make_cloud, merged
 from perception.errors import CloudError
-from perception.files.pcd import read_pcd
+from perception.files.bag import Message
 from perception.files.placing import Pose, metres_per, moved, pose_of_viewpoint, rigid_pose
-from perception.files.ply import read_ply
-from perception.files.scan import Scan
-from perception.files.table import read_npz, read_text
-from perception.limits import MAX_FILE_BYTES, MAX_POINTS
-
-_Reader = Callable[[bytes, str], tuple[Float[np.ndarray, "N 3"], tuple[float, ...] | None]]
-_READERS: dict[str, _Reader] = {
-    ".pcd": read_pcd,
-    ".ply": read_ply,
-    ".xyz": read_text,
-    ".txt": read_text,
-    ".csv": read_text,
-    ".npz": read_npz,
-}
-SUFFIXES = tuple(_READERS)
+from perception.files.worker import parse_in_worker
+from perception.limits import MAX_POINTS
 
 
 def read_cloud(
@@ -37,7 +24,7 @@ def read_cloud(
     transform: Pose | None = None,
     apply_viewpoint: bool = False,
     topic: str | None = None,
-    message: int | None = None,
+    message: Message = 0,
 ) -> Cloud:
     """Read a cloud file; the kind follows from its suffix.
 
@@ -50,7 +37,7 @@ def read_cloud(
         transform: pose_world_cloud, as ``rigid_pose`` takes it [m, rad]; None: the points are in the world.
         apply_viewpoint: move the points by the viewpoint pose, for files whose points are in the sensor's frame.
         topic: of a bag with several clouds, the one to read.
-        message: of a bag, the number of the message to read, the first being 0 and the last -1; None: all, merged.
+        message: of a bag, the number of the message to read, the first being 0 and the last -1, or ``all``, merged.
 
     Raises:
         CloudError: naming the file, what is wrong and what would do.
@@ -64,7 +51,7 @@ def read_clouds(
     unit: str = "m",
     apply_viewpoint: bool = False,
     topic: str | None = None,
-    message: int | None = None,
+    message: Message = 0,
 ) -> Cloud:
     """Read several files and merge them; every point knows where its own ray started.
 
@@ -91,11 +78,11 @@ def read_clouds(
 
 
 def _placed(
-    path: Path, unit: str, transform: Pose | None, apply_viewpoint: bool, topic: str | None, message: int | None
+    path: Path, unit: str, transform: Pose | None, apply_viewpoint: bool, topic: str | None, message: Message
 ) -> Cloud:
     scale = metres_per(unit)
     pose = np.eye(4) if transform is None else rigid_pose(transform)
-    scan = _scan(path)
+    scan = parse_in_worker(path, topic, message)
     notes = scan.notes
     viewpoint = np.eye(4)
     if scan.viewpoint is not None:
@@ -116,32 +103,8 @@ def _placed(
         notes,
         str(path),
         misses=moved(pose, scale * scan.misses),
-        miss_origin=origin if scan.miss_starts is None else moved(pose, scale * scan.miss_starts),
+        miss_origin=None if scan.miss_starts is None else moved(pose, scale * scan.miss_starts),
     )
-
-
-def _scan(path: Path) -> Scan:
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        raise CloudError(f"{path}: suffix '{path.suffix}' is unknown; one of {', '.join(SUFFIXES)} is needed")
-    points, viewpoint = reader(_content(path), str(path))
-    return Scan(points, viewpoint)
-
-
-def _content(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        if not path.is_file():  # a pipe or a device would never end
-            kind = "a folder" if path.is_dir() else "no regular file"
-            raise CloudError(f"{path}: is {kind}; a cloud file is needed")
-        if size > MAX_FILE_BYTES:
-            raise CloudError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are read, downsample it first")
-        data = path.read_bytes()
-    except OSError as error:
-        raise CloudError(f"{path}: cannot be read ({error.strerror})") from None
-    if not data:
-        raise CloudError(f"{path}: is empty; a cloud with at least one point is needed")
-    return data
 
 
 def _frame_hint(points: Float[np.ndarray, "N 3"], viewpoint: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:

@@ -19,14 +19,14 @@ class Scan:
         points: (N, 3) coordinates in the file's unit; a row with NaN is no point.
         viewpoint: x y z qw qx qy qz of the sensor; None when the file does not say.
         misses: (M, 3) places up to which rays met nothing.
-        starts: (N, 3) where each point's ray started; None: at the viewpoint.
-        miss_starts: (M, 3) where each of the others started; None: at the viewpoint.
+        starts: (3,) where all rays started, or (N, 3) where that of each point did; None: at the viewpoint.
+        miss_starts: (M, 3) where each of the others started; None: as the points' (3,), or at the viewpoint.
         notes: sentences a user should read.
     """
 
     points: Float[np.ndarray, "N 3"]
     viewpoint: tuple[float, ...] | None = None
     misses: Float[np.ndarray, "M 3"] = field(default_factory=lambda: np.zeros((0, 3)))
-    starts: Float[np.ndarray, "N 3"] | None = None
+    starts: Float[np.ndarray, "*N 3"] | None = None
     miss_starts: Float[np.ndarray, "M 3"] | None = None
     notes: tuple[str, ...] = ()

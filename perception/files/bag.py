@@ -1,0 +1,128 @@
+"""PointCloud2 messages of ROS bags, by rosbags: ROS 2 (folder, MCAP, SQLite) and ROS 1."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from perception.errors import CloudError
+from perception.files.columns import missing_coordinate, places, scan_of, shown
+from perception.files.scan import Scan
+from perception.limits import MAX_FILE_BYTES, MAX_POINTS
+
+if TYPE_CHECKING:
+    from jaxtyping import Shaped
+
+Message = int | Literal["all"]
+
+_TYPE = "sensor_msgs/msg/PointCloud2"
+_MAX_MERGED_BYTES = 4 * MAX_FILE_BYTES
+_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+def read_bag(path: Path, name: str, topic: str | None, message: Message) -> Scan:
+    """One message of a topic, or all of them merged, in the frame they were recorded in.
+
+    Raises:
+        CloudError: naming ``name`` and what is wrong.
+    """
+    from rosbags.rosbag1 import Reader as Reader1  # optional
+    from rosbags.rosbag2 import Reader as Reader2
+    from rosbags.typesys import Stores, get_typestore
+
+    is_ros1 = path.suffix.lower() == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    read = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+    with Reader1(path) if is_ros1 else Reader2(path) as reader:
+        connections = _of_topic(reader.connections, topic, name)
+        where = f"{name}: topic {shown(connections[0].topic)}"
+        n_messages = sum(int(connection.msgcount) for connection in connections)
+        raw = (bytes(data) for _, _, data in reader.messages(connections=connections))
+        clouds = [read(data, _TYPE) for data in _wanted(raw, message, n_messages, where)]
+    return _merged(clouds, message, n_messages, where)
+
+
+def _of_topic(connections: Sequence[Any], topic: str | None, name: str) -> list[Any]:
+    """The connections of the topic that is asked for, or of the only one with clouds."""
+    clouds = [connection for connection in connections if connection.msgtype == _TYPE]
+    topics = sorted({connection.topic for connection in clouds})
+    if not topics:
+        held = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in connections}))
+        raise CloudError(f"{name}: has no PointCloud2; its topics are {shown(held) or 'none'}")
+    if topic is None and len(topics) > 1:
+        raise CloudError(f"{name}: has clouds on {len(topics)} topics; name one: {shown(', '.join(topics))}")
+    if topic is not None and topic not in topics:
+        raise CloudError(f"{name}: has no clouds on topic '{shown(topic)}'; it has some on {shown(', '.join(topics))}")
+    return [connection for connection in clouds if connection.topic == (topic or topics[0])]
+
+
+def _wanted(raw: Iterator[bytes], message: Message, n_messages: int, where: str) -> list[bytes]:
+    if message == "all":
+        kept: list[bytes] = []
+        for data in raw:
+            kept.append(data)
+            if sum(map(len, kept)) > _MAX_MERGED_BYTES:
+                raise CloudError(f"{where}: {len(kept)} messages are more than is read at once; choose one message")
+        return kept
+    index = message if message >= 0 else n_messages + message
+    for data in islice(raw, max(index, 0), None):
+        if index >= 0:
+            return [data]
+    raise CloudError(f"{where}: has no message {message}; it has {n_messages}, 0 is the first and -1 the last")
+
+
+def _merged(clouds: Sequence[Any], message: Message, n_messages: int, where: str) -> Scan:
+    if not clouds:
+        raise CloudError(f"{where}: holds no message; at least one is needed")
+    frames = sorted({str(cloud.header.frame_id) for cloud in clouds})
+    if len(frames) > 1:
+        raise CloudError(
+            f"{where}: its messages are in different frames ({shown(', '.join(frames))}); choose one message"
+        )
+    scans = [_scan(cloud, where) for cloud in clouds]
+    notes = [
+        f"the points are in the frame '{shown(frames[0])}' with the sensor at its origin; what the bag says of frames "
+        "is not read, give a transform"
+    ]
+    if message == "all" and len(clouds) > 1:
+        notes.append(f"merged {len(clouds)} messages as they stand; that is right for a sensor that stood still")
+    elif n_messages > 1:
+        notes.append(f"message {message} of {n_messages} was read; another one or all can be asked for")
+    return Scan(
+        np.concatenate([scan.points for scan in scans]),
+        misses=np.concatenate([scan.misses for scan in scans]),
+        starts=np.zeros(3),
+        notes=tuple(notes),
+    )
+
+
+def _scan(cloud: Any, where: str) -> Scan:
+    """Rows of one PointCloud2."""
+    width, height, stride, row = (int(n) for n in (cloud.width, cloud.height, cloud.point_step, cloud.row_step))
+    n_points, there = width * height, int(cloud.data.nbytes)
+    if n_points > MAX_POINTS:
+        raise CloudError(f"{where}: a message announces {n_points} points; at most {MAX_POINTS} are read")
+    row = max(row, width * stride)
+    if height and (height - 1) * row + width * stride > there:
+        raise CloudError(f"{where}: {n_points} points of {stride} bytes are announced, {there} bytes are there")
+    found = places([str(field.name) for field in cloud.fields])
+    if missing := missing_coordinate(found):
+        raise CloudError(f"{where}: its fields have no '{missing}'; x, y and z are needed")
+    order = ">" if cloud.is_bigendian else "<"
+    columns: dict[str, Shaped[np.ndarray, "N"]] = {}
+    for key, i in found.items():
+        field = cloud.fields[i]
+        if int(field.datatype) not in _KINDS:
+            raise CloudError(f"{where}: field '{key}' has datatype {field.datatype}; 1 to 8 are possible")
+        kind = np.dtype(order + _KINDS[int(field.datatype)])
+        if int(field.offset) + kind.itemsize > stride:
+            raise CloudError(f"{where}: field '{key}' at byte {field.offset} lies outside points of {stride} bytes")
+        grid: Shaped[np.ndarray, "H W"] = np.ndarray(
+            (height, width), kind, cloud.data.tobytes(), int(field.offset), (row, stride)
+        )
+        columns[key] = grid.ravel()
+    return scan_of(columns, None)

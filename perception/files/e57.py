@@ -1,0 +1,128 @@
+"""E57 files (ASTM E2807), by pye57: all scans of a file, each placed by its pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from perception.errors import CloudError
+from perception.files.scan import Scan
+from perception.limits import MAX_POINTS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
+_SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+_VALID, _DIRECTION_ONLY = 0, 1
+
+
+def read_e57(path: Path, name: str) -> Scan:
+    """Points of all scans in the file's frame; where only a ray's direction is valid, it met nothing.
+
+    The file does not say how far such a ray would have seen; it counts up to the median range of its scan's points.
+
+    Raises:
+        CloudError: naming ``name`` and what is wrong.
+    """
+    from pye57 import ScanHeader, libe57  # optional
+
+    file = libe57.ImageFile(str(path), "r")
+    try:
+        headers = [ScanHeader(node) for node in file.root()["data3D"]]
+        n_points = sum(int(header.point_count) for header in headers)
+        if n_points == 0:
+            raise CloudError(f"{name}: holds {len(headers)} scans without points; at least one point is needed")
+        if n_points > MAX_POINTS:
+            raise CloudError(
+                f"{name}: its {len(headers)} scans announce {n_points} points; at most {MAX_POINTS} are read"
+            )
+        stations = [_station(libe57, file, header, name) for header in headers if header.point_count]
+    finally:
+        file.close()
+    points = np.concatenate([points for points, _, _ in stations])
+    misses = np.concatenate([misses for _, misses, _ in stations])
+    notes = (
+        (f"{len(misses)} rays without a return count as free up to their scan's median range",) if len(misses) else ()
+    )
+    if len(stations) == 1:
+        return Scan(points, misses=misses, starts=stations[0][2], notes=notes)
+    starts = np.concatenate([np.broadcast_to(start, points.shape) for points, _, start in stations])
+    miss_starts = np.concatenate([np.broadcast_to(start, misses.shape) for _, misses, start in stations])
+    return Scan(points, misses=misses, starts=starts, miss_starts=miss_starts, notes=notes)
+
+
+def _station(
+    libe57: Any, file: Any, header: Any, name: str
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "M 3"], Float[np.ndarray, "3"]]:
+    """Points, misses and the sensor's position of one scan in the file's frame."""
+    rotation, position = _pose(header, name)
+    columns, state = _columns(libe57, file, header, name)
+    local = columns if all(field in header.point_fields for field in _CARTESIAN) else _cartesian(columns)
+    points = local[state == _VALID]
+    directions = local[state == _DIRECTION_ONLY]
+    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+    reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 0.0
+    misses = reach * directions[lengths[:, 0] > 0.0] / lengths[lengths[:, 0] > 0.0]
+    return points @ rotation.T + position, misses @ rotation.T + position, position
+
+
+def _columns(libe57: Any, file: Any, header: Any, name: str) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N"]]:
+    """Coordinates as they stand, and which of them are valid."""
+    system = next((s for s in (_CARTESIAN, _SPHERICAL) if all(field in header.point_fields for field in s)), None)
+    if system is None:
+        raise CloudError(f"{name}: a scan has neither cartesian nor spherical coordinates")
+    n_points = int(header.point_count)
+    arrays = {field: np.zeros(n_points) for field in system}
+    flag = "cartesianInvalidState" if system is _CARTESIAN else "sphericalInvalidState"
+    state = np.zeros(n_points, dtype=np.int8)
+    buffers = libe57.VectorSourceDestBuffer()
+    for field, array in (arrays | ({flag: state} if flag in header.point_fields else {})).items():
+        buffers.append(libe57.SourceDestBuffer(file, field, array, n_points, True, True))
+    reader = header.points.reader(buffers)
+    n_read = int(reader.read())
+    reader.close()
+    if n_read != n_points:
+        raise CloudError(f"{name}: a scan announces {n_points} points, {n_read} are there")
+    columns = np.stack([arrays[field] for field in system], axis=1)
+    if system is _SPHERICAL:
+        columns[state == _DIRECTION_ONLY, 0] = 1.0  # a direction has no range
+    return columns, state.astype(np.int64)
+
+
+def _cartesian(spherical: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Range, azimuth and elevation to x y z."""
+    distance, azimuth, elevation = spherical.T
+    flat = distance * np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
+
+
+def _pose(header: Any, name: str) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Rotation and position of a scan in the file's frame; where it has none, its points stand in that frame."""
+    if not header.has_pose():
+        return np.eye(3), np.zeros(3)
+    pose = header.node["pose"]
+    w, x, y, z = (
+        (float(pose["rotation"][axis].value()) for axis in "wxyz")
+        if pose.isDefined("rotation")
+        else (1.0, 0.0, 0.0, 0.0)
+    )
+    position = (
+        np.array([float(pose["translation"][axis].value()) for axis in "xyz"])
+        if pose.isDefined("translation")
+        else np.zeros(3)
+    )
+    length = np.sqrt(w * w + x * x + y * y + z * z)
+    if not np.isfinite([length, *position]).all() or not length > 1e-6:
+        raise CloudError(f"{name}: a scan's pose is no finite position and quaternion")
+    w, x, y, z = w / length, x / length, y / length, z / length
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return rotation, position

@@ -1,0 +1,68 @@
+"""LAS and LAZ files (ASPRS), by laspy and lazrs."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from perception.errors import CloudError
+from perception.files.scan import Scan
+from perception.limits import MAX_POINTS
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+_CHUNK = 200_000
+_NOISE_CLASSES = (7, 18)
+
+
+def read_las(data: bytes, name: str) -> Scan:
+    """Points with scale and offset applied in double; those marked as withheld or as noise are left out.
+
+    Raises:
+        CloudError: naming ``name`` and what is wrong.
+    """
+    import laspy  # takes 0.1 s that other kinds of file need not wait for
+
+    if not data.startswith(b"LASF"):
+        raise CloudError(f"{name}: does not begin with 'LASF'")
+    selection = laspy.DecompressionSelection
+    source = laspy.open(
+        io.BytesIO(data),
+        laz_backend=laspy.LazBackend.Lazrs,  # on one thread, which needs no more memory than its chunk
+        read_evlrs=False,
+        decompression_selection=selection.XY_RETURNS_CHANNEL | selection.Z | selection.CLASSIFICATION | selection.FLAGS,
+    )
+    with source as reader:
+        n_points = _checked_count(reader.header, len(data), name)
+        chunks = [_valid_points(chunk) for chunk in reader.chunk_iterator(_CHUNK)]
+    points = np.concatenate([valid for valid, _ in chunks])
+    n_read, n_dropped = sum(n for _, n in chunks), sum(n - len(valid) for valid, n in chunks)
+    if n_read < n_points:
+        raise CloudError(f"{name}: {n_points} points are announced, {n_read} are there")
+    return Scan(points, notes=(f"left out {n_dropped} points marked as withheld or noise",) if n_dropped else ())
+
+
+def _checked_count(header: Any, n_bytes: int, name: str) -> int:
+    """How many points the header announces, when the file can hold them."""
+    n_points, stride = int(header.point_count), int(header.point_format.size)
+    if n_points == 0:
+        raise CloudError(f"{name}: the header announces no points; at least one is needed")
+    if n_points > MAX_POINTS:
+        raise CloudError(f"{name}: the header announces {n_points} points; at most {MAX_POINTS} are read")
+    there = max(n_bytes - int(header.offset_to_point_data), 0)
+    if not header.are_points_compressed and there < n_points * stride:
+        raise CloudError(
+            f"{name}: {n_points} points of {stride} bytes are announced, but only {there} bytes are there for them"
+        )
+    return n_points
+
+
+def _valid_points(chunk: Any) -> tuple[Float[np.ndarray, "C 3"], int]:
+    """The points of a chunk that count, and how many it has."""
+    points = np.stack([np.asarray(axis, dtype=np.float64) for axis in (chunk.x, chunk.y, chunk.z)], axis=1)
+    invalid: Bool[np.ndarray, "C"] = np.isin(np.asarray(chunk.classification), _NOISE_CLASSES)
+    invalid |= np.asarray(chunk.withheld) != 0
+    return points[~invalid], len(points)

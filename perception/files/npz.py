@@ -1,0 +1,149 @@
+"""Clouds as numpy archives (NPZ), read and written, and as single arrays (NPY)."""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+
+from perception.errors import CloudError
+from perception.files.columns import parse_viewpoint, shown
+from perception.files.scan import Scan
+from perception.limits import MAX_FILE_BYTES
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Shaped
+
+    from perception.cloud import Cloud
+
+_POINTS = ("points", "xyz", "positions", "arr_0")
+_ORIGIN = ("viewpoint", "origin")
+_OTHERS = ("no_return", "misses", "miss_origin")
+
+
+def read_npz(data: bytes, name: str) -> Scan:
+    """The array ``points`` (or ``xyz``, ``positions``, ``arr_0``) of shape (N, 3 or more).
+
+    Beside it may stand ``viewpoint`` or ``origin``: x y z, x y z qw qx qy qz, or (N, 3) where each ray started;
+    ``no_return`` (N,): other than 0 where a row is a place up to which a ray met nothing; ``misses`` (M, 3): more such
+    places, and their ``miss_origin``.  Pickled objects are never loaded, and declared sizes are checked before anything
+    is unpacked.
+
+    Raises:
+        CloudError: naming ``name`` and what is wrong.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            key = next((key for key in _POINTS if key in members), "")
+            if not key:
+                held = shown(", ".join(members)) or "nothing"
+                raise CloudError(f"{name}: holds {held}; an array 'points' of shape (N, 3) is needed")
+            origin_key = next((key for key in _ORIGIN if key in members), "")
+            wanted = [key for key in (key, origin_key, *_OTHERS) if key in members]
+            loaded = {key: _member(archive, members[key], name) for key in wanted}
+    except (zipfile.BadZipFile, ValueError, EOFError, OSError, NotImplementedError, RuntimeError, zlib.error) as error:
+        if isinstance(error, CloudError):
+            raise
+        raise CloudError(f"{name}: is not a readable npz archive ({shown(str(error))})") from None
+    return _scan(_rows(loaded.pop(key), key, name), loaded.pop(origin_key, None), loaded, name)
+
+
+def read_npy(data: bytes, name: str) -> Scan:
+    """One array of shape (N, 3 or more).
+
+    Raises:
+        CloudError: naming ``name`` and what is wrong.
+    """
+    try:
+        array = _load(io.BytesIO(data), len(data), "", name)
+    except (ValueError, EOFError, OSError) as error:
+        if isinstance(error, CloudError):
+            raise
+        raise CloudError(f"{name}: is not a readable npy array ({shown(str(error))})") from None
+    return Scan(_rows(array, "", name))
+
+
+def write_npz(path: Path | str, cloud: Cloud) -> None:
+    """Write a cloud with all its rays: ``points``, ``origin``, ``misses`` and ``miss_origin``, as double."""
+    arrays = {"points": cloud.points, "origin": cloud.origin}
+    if len(cloud.misses):
+        arrays["misses"] = cloud.misses
+        if cloud.miss_origin is not None:
+            arrays["miss_origin"] = cloud.miss_origin
+    with Path(path).open("wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+
+def _scan(
+    rows: Float[np.ndarray, "N 3"],
+    origin: Shaped[np.ndarray, "..."] | None,
+    others: Mapping[str, Shaped[np.ndarray, "..."]],
+    name: str,
+) -> Scan:
+    starts = viewpoint = None
+    if origin is not None and origin.ndim == 2 and len(origin) == len(rows):
+        starts = _rows(origin, "origin", name)
+    elif origin is not None:
+        viewpoint = parse_viewpoint([str(v) for v in origin.ravel()[:8]], name)
+    if "no_return" in others:
+        if "misses" in others:
+            raise CloudError(f"{name}: holds both no_return and misses; one of them is needed")
+        missed = _flags(others["no_return"], len(rows), name)
+        if starts is None:
+            return Scan(rows[~missed], viewpoint, rows[missed])
+        return Scan(rows[~missed], viewpoint, rows[missed], starts[~missed], starts[missed])
+    if "misses" not in others:
+        return Scan(rows, viewpoint, starts=starts)
+    misses = _rows(others["misses"], "misses", name)
+    if "miss_origin" not in others:
+        if starts is not None:
+            raise CloudError(f"{name}: misses need a miss_origin, since each point has an origin of its own")
+        return Scan(rows, viewpoint, misses)
+    behind = _rows(np.atleast_2d(others["miss_origin"]), "miss_origin", name)
+    if len(behind) not in (1, len(misses)):
+        raise CloudError(f"{name}: {len(misses)} misses but {len(behind)} rows of miss_origin; one each is needed")
+    return Scan(rows, viewpoint, misses, starts, np.broadcast_to(behind, misses.shape))
+
+
+def _flags(array: Shaped[np.ndarray, "..."], n_rows: int, name: str) -> Bool[np.ndarray, "N"]:
+    if array.shape != (n_rows,) or array.dtype.kind not in "biuf":
+        raise CloudError(f"{name}: array 'no_return' is {array.dtype} of shape {array.shape}; ({n_rows},) is needed")
+    return np.asarray(array != 0)
+
+
+def _rows(array: Shaped[np.ndarray, "..."], key: str, name: str) -> Float[np.ndarray, "N 3"]:
+    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
+        raise CloudError(f"{name}: array '{key}' is {array.dtype} of shape {array.shape}; numbers (N, 3) are needed")
+    return array[:, :3].astype(np.float64)
+
+
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> Shaped[np.ndarray, "..."]:
+    with archive.open(info) as file:
+        return _load(file, info.file_size, info.filename, name)
+
+
+def _load(file: IO[bytes], n_bytes: int, key: str, name: str) -> Shaped[np.ndarray, "..."]:
+    """One array, its declared size checked before anything of that size is made."""
+    version = np.lib.format.read_magic(file)
+    reader = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
+    if reader is None:
+        raise ValueError(f"npy version {version}")
+    shape, is_fortran, dtype = reader(file)
+    if dtype.hasobject:
+        raise CloudError(f"{name}: array '{key}' holds pickled objects; plain numbers are needed")
+    if min(shape, default=0) < 0:
+        raise ValueError(f"shape {shape}")
+    size = math.prod(shape) * dtype.itemsize
+    if max(size, n_bytes) > MAX_FILE_BYTES:
+        raise CloudError(f"{name}: array '{key}' claims {max(size, n_bytes)} bytes; at most {MAX_FILE_BYTES}")
+    content = file.read(size)
+    if len(content) < size:
+        raise ValueError(f"array '{key}' has {len(content)} of {size} bytes")
+    return np.frombuffer(content, dtype=dtype).reshape(shape, order="F" if is_fortran else "C")
