@@ -1,0 +1,148 @@
+"""The scans perception is measured on: recorded ones, simulated ones, and what is true about each."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks.cloud_truth import truth_of
+from perception import KINDS, Cloud, Reach, read_cloud
+from perception.simulate import Caster, Mesh, joined
+from perception.simulate.scenes import SCENES, SimulatedScene, Truth, make_scene
+
+# Axes of a camera (z forward, y down) in the robot's (x forward, z up), and axes that are those already.
+_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+_LEVEL = np.eye(3)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scan with what is known about it.
+
+    Attributes:
+        name: unique.
+        density: "dense" or "sparse": which targets hold.
+        load: gives the scan.
+        truth: objects in it.
+        lookalikes: (kind, places (K, 3)) of what a detector may take for a kind without being wrong.
+        unknown: kinds of which the truth says nothing.
+        surface: gives the true surfaces; None when nobody knows them.
+        judge: gives another scan of the same scene; None when there is none.
+        reach: where it is looked at.
+        is_heap: whether twice as many pieces are due.
+        is_room: whether it is a whole room, with targets of its own.
+        has_rays: whether where its rays started is known.
+    """
+
+    name: str
+    density: str
+    load: Callable[[], Cloud]
+    truth: tuple[Truth, ...] = ()
+    lookalikes: tuple[tuple[str, Float[np.ndarray, "K 3"]], ...] = ()
+    unknown: frozenset[str] = frozenset()
+    surface: Callable[[], Caster] | None = None
+    judge: Callable[[], Cloud] | None = None
+    reach: Reach = field(default_factory=Reach)
+    is_heap: bool = False
+    is_room: bool = False
+    has_rays: bool = True
+
+
+def data_folder() -> Path:
+    """Where recorded scans are: ``SCOPT_DATA``, or ``../shared/data`` beside the checkout."""
+    return Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+def scene_cases(folder: Path) -> Iterator[Case]:
+    """Scans of known scenes: ``scenes/<name>/scan*.pcd`` with ``gt.ply`` and ``gt.json``."""
+    for path in sorted((folder / "scenes").glob("*/scan*.pcd")):
+        document = json.loads((path.parent / "gt.json").read_text())
+        spin = next(one["spin_rev_s"] for one in document["scans"] if one["file"] == path.name)
+        mesh = _mesh(path.parent / "gt.ply")
+        truth, lookalikes, unknown = truth_of(document, mesh)
+        others = [other for other in sorted(path.parent.glob("scan*.pcd")) if other != path]
+        yield Case(
+            f"{path.parent.name}/{path.stem}",
+            "dense" if spin < 0.5 else "sparse",
+            partial(read_cloud, path),
+            truth,
+            lookalikes,
+            unknown,
+            partial(Caster, mesh),
+            partial(read_cloud, others[0]) if others else None,
+            is_heap=len(document.get("beams", ())) > 3,
+        )
+
+
+def recorded_cases(folder: Path) -> Iterator[Case]:
+    """Third-party clouds: ``clouds/*``; all that is known of them is that some kinds of objects are not there."""
+    frames: Mapping[str, tuple[np.ndarray, float, bool, bool]] = {
+        # axes, radius of the reach [m], whether it is a whole room, whether rays start at the file's zero
+        "room_scan1": (_LEVEL, 16.0, True, True),
+        "kinect_office_capture0001": (_OPTICAL, 4.0, False, True),
+        "eth_car_cloud400": (_LEVEL, 10.0, True, False),
+        "mit_octomap_scene1": (_LEVEL, 3.0, False, False),
+    }
+    for path in sorted((folder / "clouds").glob("*")):
+        axes, radius, is_room, has_rays = frames.get(path.stem, (_LEVEL, 3.0, False, False))
+        yield Case(
+            path.stem,
+            "dense",
+            partial(_stood, path, axes),
+            unknown=frozenset(KINDS) - {"drill", "hose", "valve"},
+            reach=Reach(radius=radius, top=4.0),
+            is_room=is_room,
+            has_rays=has_rays,
+        )
+
+
+def simulated_cases(variants: Sequence[str] = (), names: Sequence[str] = (), seed: int = 0) -> Iterator[Case]:
+    """Simulated scenes.
+
+    Args:
+        variants: sensors; by default dense and sparse lidar and, in turn, a solid-state lidar or a depth camera.
+        names: of the scenes; by default all.
+        seed: of their details.
+    """
+    for i, name in enumerate(SCENES):
+        if names and name not in names:
+            continue
+        for variant in variants or ("dense", "sparse", ("solid", "camera")[i % 2]):
+            scene = make_scene(name, seed)
+            yield Case(
+                f"{name}:{variant}",
+                "sparse" if "sparse" in variant else "dense",
+                partial(scene.scan, variant),
+                scene.truth,
+                tuple((kind, place[None, :]) for kind, place in scene.lookalikes),
+                frozenset(),
+                partial(_caster, scene),
+                partial(scene.scan, variant, 1),
+                is_heap=name.startswith("debris"),
+            )
+
+
+def _mesh(path: Path) -> Mesh:
+    import open3d as o3d
+
+    read = o3d.io.read_triangle_mesh(path)
+    return Mesh(np.asarray(read.vertices), np.asarray(read.triangles).astype(np.int64))
+
+
+def _caster(scene: SimulatedScene) -> Caster:
+    return Caster(joined(scene.meshes))
+
+
+def _stood(path: Path, axes: Float[np.ndarray, "3 3"]) -> Cloud:
+    """A recorded cloud turned upright, its lowest layer lifted to zero, without echoes from the sensor itself."""
+    cloud = read_cloud(path)
+    points = cloud.points[np.linalg.norm(cloud.points - cloud.starts, axis=1) > 0.1] @ axes.T
+    lift = np.array([0.0, 0.0, -np.percentile(points[:, 2], 1.0)])
+    return Cloud(points + lift, cloud.origin @ axes.T + lift, cloud.notes)
