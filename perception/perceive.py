@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,11 +12,12 @@ from jaxtyping import Bool, Float
 from costs.scene import ConvexPiece, Scene
 from perception.clean import Reach, voxel_downsample
 from perception.cloud import Cloud
+from perception.convex.piece import Piece
 from perception.convex.pieces import make_pieces
 from perception.detect.valve import ValveDetection, detect_in
 from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
 from perception.floor import FloorPlane, floor_piece
-from perception.view import make_view
+from perception.view import View, make_view
 
 CONFIDENT = 0.5
 _MOST_SHOWN = 60_000
@@ -29,7 +30,10 @@ class Perceived:
     """What a cloud shows.
 
     Attributes:
-        scene: pieces ``floor``, ``plane/i``, ``clutter/i`` and, with a valve, ``stem``; the wheel itself is not in it.
+        scene: pieces ``floor``, ``plane/i``, ``wall/i``, ``clutter/i`` and, with a valve, ``stem``; the wheel itself is
+            not in it.
+        pieces: those of the scene that were made of points, with their points and the evidence for them.
+        view: what they were made from; ``pieces[i].points`` are indices into ``view.obstacles``.
         floor: the floor's plane; None when none was seen.
         valves: detections, best first; empty unless a valve was asked for.
         shown: (M, 3) decimated points for a viewer, at most 60,000 [m].
@@ -38,6 +42,8 @@ class Perceived:
     """
 
     scene: Scene
+    pieces: tuple[Piece, ...]
+    view: View
     floor: FloorPlane | None
     valves: tuple[ValveDetection, ...]
     shown: Float[np.ndarray, "M 3"]
@@ -89,20 +95,21 @@ def perceive(
     """
     clock = _Clock()
     view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, soles=soles, seed=seed)
-    obstacles = view.obstacles
+    kept = np.arange(len(view.obstacles))
     clock.lap("view")
     valves = tuple(detect_in(view, hint)) if valve else ()
     stem = None
     if valves and valves[0].confidence >= CONFIDENT:
-        kept, stem = _without_valve(obstacles, valves[0])
-        obstacles = obstacles[kept]
+        is_other, stem = _without_valve(view.obstacles, valves[0])
+        kept = kept[is_other]
     clock.lap("valve")
-    made = make_pieces(obstacles, cloud.origin, cloud.points, seed)
+    made = make_pieces(view.obstacles[kept], view.starts[kept], cloud.rays, seed)
+    pieces = tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces)
     clock.lap("pieces")
     extra = ([] if view.floor is None else [floor_piece(view.floor, reach)]) + ([] if stem is None else [stem])
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
-    scene = Scene((*extra, *made.pieces))
-    return Perceived(scene, view.floor, valves, _shown(view.near.points), timings, view.notes)
+    scene = Scene((*extra, *(piece.shape for piece in pieces)))
+    return Perceived(scene, pieces, view, view.floor, valves, _shown(view.near.points), timings, view.notes)
 
 
 def _without_valve(

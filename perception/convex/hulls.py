@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 MAX_VERTICES = 64
 _SKIN = 0.005
+_FACES = 8
 # Corners of an octahedron: the smallest symmetric body that gives flat points a volume.
 _OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
 
@@ -20,12 +21,14 @@ class Hull:
 
     Attributes:
         vertices: (V, 3) [m].
-        faces: (F, 4) half-spaces ``a . x + b <= 0``.
+        triangles: (F, 3) indices of the vertices of its faces.
+        faces: (F, 4) half-spaces ``a . x + b <= 0``, one for each triangle.
         volume: [m^3].
         members: indices of the points it holds.
     """
 
     vertices: Float[np.ndarray, "V 3"]
+    triangles: Int[np.ndarray, "F 3"]
     faces: Float[np.ndarray, "F 4"]
     volume: float
     members: Int[np.ndarray, "K"]
@@ -40,6 +43,17 @@ class Hull:
         """Upper corner of the bounding box [m]."""
         return np.asarray(self.vertices.max(axis=0))
 
+    def is_within(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
+        """Which points lie behind all faces or at most ``margin`` before them."""
+        left = np.arange(len(points))
+        # Few points are left after few faces.
+        for first in range(0, len(self.faces), _FACES):
+            some = self.faces[first : first + _FACES]
+            left = left[(points[left] @ some[:, :3].T <= margin - some[:, 3]).all(axis=1)]
+        inside = np.zeros(len(points), dtype=bool)
+        inside[left] = True
+        return inside
+
 
 def hull_of(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"]) -> Hull:
     """Hull of the points; flat ones are given a skin of 5 mm."""
@@ -48,7 +62,9 @@ def hull_of(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"]) -> 
     except (QhullError, ValueError):
         points = thickened(points, _SKIN)
         hull = ConvexHull(points)
-    return Hull(points[hull.vertices], hull.equations, float(hull.volume), members)
+    number = np.zeros(len(points), dtype=np.int64)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    return Hull(points[hull.vertices], number[hull.simplices], hull.equations, float(hull.volume), members)
 
 
 def thickened(points: Float[np.ndarray, "N 3"], skin: float) -> Float[np.ndarray, "M 3"]:

@@ -23,6 +23,8 @@ class PlaneSettings:
         min_size: least extent of a region in its second direction [m].
         max_planes: at most so many.
         n_candidates: hypotheses per plane.
+        n_refined: so many of the best are fitted again,
+        n_refits: at most so many times.
         n_neighbours: points that make a normal.
         absorb: points this close to a plane may be its noise [m].
         noise_share: they are when there are fewer than this share of the members around them.
@@ -35,6 +37,8 @@ class PlaneSettings:
     min_size: float = 0.08
     max_planes: int = 60
     n_candidates: int = 160
+    n_refined: int = 4
+    n_refits: int = 10
     n_neighbours: int = 16
     absorb: float = 0.06
     noise_share: float = 0.5
@@ -67,15 +71,15 @@ class Plane:
 
 
 def point_normals(
-    points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], n_neighbours: int
+    points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], n_neighbours: int
 ) -> Float[np.ndarray, "N 3"]:
-    """Unit normals by principal components of the nearest neighbours, turned towards the sensor."""
+    """Unit normals by principal components of the nearest neighbours, turned to where each point's ray started."""
     k = min(n_neighbours, len(points))
     _, neighbours = cKDTree(points).query(points, k=k, workers=-1)
     near = points[np.reshape(neighbours, (len(points), k))]
     near = near - near.mean(axis=1, keepdims=True)
     normals = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))[1][:, :, 0]
-    away = ((origin - points) * normals).sum(axis=1) < 0.0
+    away = ((starts - points) * normals).sum(axis=1) < 0.0
     normals[away] *= -1.0
     return np.asarray(normals)
 
@@ -83,7 +87,7 @@ def point_normals(
 def find_planes(
     points: Float[np.ndarray, "N 3"],
     counts: Int[np.ndarray, "N"],
-    origin: Float[np.ndarray, "3"],
+    starts: Float[np.ndarray, "*N 3"],
     rng: np.random.Generator,
     settings: PlaneSettings | None = None,
 ) -> tuple[Plane, ...]:
@@ -92,7 +96,7 @@ def find_planes(
     Args:
         points: (N, 3) downsampled [m].
         counts: (N,) measured points each stands for.
-        origin: (3,) of the rays [m].
+        starts: (3,) or (N, 3), where the points' rays started [m].
         rng: for the hypotheses.
         settings: what counts as one plane.
     """
@@ -100,16 +104,17 @@ def find_planes(
     planes: list[Plane] = []
     if len(points) < settings.min_points:
         return ()
-    normals = point_normals(points, origin, settings.n_neighbours)
+    starts = np.broadcast_to(starts, points.shape)
+    normals = point_normals(points, starts, settings.n_neighbours)
     left = np.arange(len(points))
     misses = 0
     while len(planes) < settings.max_planes and len(left) >= settings.min_points and misses < 4:
-        members = _best_region(points, counts, normals, origin, left, rng, settings)
+        members = _best_region(points, counts, normals, starts, left, rng, settings)
         if members is None:
             misses += 1
             continue
         misses = 0
-        plane = Plane(*_fit(points[members], origin), members, members[:0])
+        plane = Plane(*_fit(points[members], starts[members]), members, members[:0])
         left = np.setdiff1d(left, members, assume_unique=True)
         noise = _noise_of(plane, points, counts, left, settings)
         distance = np.abs(points[left] @ plane.normal - plane.offset)
@@ -124,7 +129,7 @@ def _best_region(
     points: Float[np.ndarray, "N 3"],
     counts: Int[np.ndarray, "N"],
     normals: Float[np.ndarray, "N 3"],
-    origin: Float[np.ndarray, "3"],
+    starts: Float[np.ndarray, "N 3"],
     left: Int[np.ndarray, "K"],
     rng: np.random.Generator,
     settings: PlaneSettings,
@@ -135,22 +140,45 @@ def _best_region(
     offsets = (points[seeds] * normals[seeds]).sum(axis=1)
     agree = np.abs(points[sample] @ normals[seeds].T - offsets) < settings.distance
     agree &= normals[sample] @ normals[seeds].T > settings.normal_dot
-    best = int(np.argmax(agree.sum(axis=0)))
-    normal, offset, region = normals[seeds[best]], float(offsets[best]), sample[agree[:, best]]
-    for _ in range(3):
-        if len(region) < 10:
-            return None
-        normal, offset = _fit(points[region], origin)
-        near = np.abs(points[left] @ normal - offset) < settings.distance
-        region = left[near & (normals[left] @ normal > settings.normal_dot)]
+    best = np.argsort(-agree.sum(axis=0), kind="stable")[: settings.n_refined]
+    settled = [_settled(points, normals, starts, sample[agree[:, i]], sample, settings) for i in best]
+    region = _settled(points, normals, starts, max(settled, key=len), left, settings)
+    if len(region) < 10:
+        return None
+    normal, offset = _fit(points[region], starts[region])
     aligned = left[normals[left] @ normal > 0.5]
     region = _consistent(points, counts, aligned, Plane(normal, offset, region, region[:0]), settings)
-    region = _largest_connected(points, region, Plane(normal, offset, region, region[:0]), origin)
+    region = _largest_connected(points, region, Plane(normal, offset, region, region[:0]), starts)
     if len(region) < settings.min_points:
         return None
     flat = points[region] @ Plane(normal, offset, region, region[:0]).basis.T
     if np.sqrt(12.0 * np.linalg.eigvalsh(np.cov(flat.T))[0]) < settings.min_size:
         return None
+    return region
+
+
+def _settled(
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    starts: Float[np.ndarray, "N 3"],
+    region: Int[np.ndarray, "K"],
+    among: Int[np.ndarray, "L"],
+    settings: PlaneSettings,
+) -> Int[np.ndarray, "M"]:
+    """Members of the plane fitted to the region, fitted again until they no longer become more.
+
+    A single normal is off by many degrees where points are few, and its plane is a strip of the true one.
+    """
+    count = 0
+    for _ in range(settings.n_refits):
+        if len(region) < 10:
+            break
+        normal, offset = _fit(points[region], starts[region])
+        near = np.abs(points[among] @ normal - offset) < settings.distance
+        region = among[near & (normals[among] @ normal > settings.normal_dot)]
+        if len(region) <= 1.01 * count:
+            break
+        count = len(region)
     return region
 
 
@@ -178,10 +206,11 @@ def _consistent(
     return np.asarray(plane.members[np.abs(mean[tuple(mine.T)]) < settings.bias])
 
 
-def _fit(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], float]:
+def _fit(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "3"], float]:
+    """Least-squares plane; its normal points to where most of the rays came from."""
     centre = points.mean(axis=0)
     normal = np.linalg.eigh(np.cov((points - centre).T))[1][:, 0]
-    if normal @ (origin - centre) < 0.0:
+    if np.median((starts - centre) @ normal) < 0.0:
         normal = -normal
     return normal, float(normal @ centre)
 
@@ -242,13 +271,13 @@ def _counts(
 
 
 def _largest_connected(
-    points: Float[np.ndarray, "N 3"], region: Int[np.ndarray, "K"], plane: Plane, origin: Float[np.ndarray, "3"]
+    points: Float[np.ndarray, "N 3"], region: Int[np.ndarray, "K"], plane: Plane, starts: Float[np.ndarray, "N 3"]
 ) -> Int[np.ndarray, "M"]:
     """Members of the largest patch, linked over max(5 cm, 4.5 % of range) in the plane."""
     if not len(region):
         return region
     flat = points[region] @ plane.basis.T
-    link = max(0.05, 0.045 * float(np.median(np.linalg.norm(points[region] - origin, axis=1))))
+    link = max(0.05, 0.045 * float(np.median(np.linalg.norm(points[region] - starts[region], axis=1))))
     cells = np.floor((flat - flat.min(axis=0)) / (link / 2)).astype(int)
     grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     grid[tuple(cells.T)] = True

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
+from perception.convex.freespace import FreeSpace
 from perception.convex.planes import Plane
 
 _CELL = 0.02
@@ -47,19 +48,21 @@ class _Region:
 def slabs_of(
     plane: Plane,
     points: Float[np.ndarray, "N 3"],
-    origin: Float[np.ndarray, "3"],
-    ends: Float[np.ndarray, "M 3"],
+    starts: Float[np.ndarray, "*R 3"],
+    ends: Float[np.ndarray, "R 3"],
+    free: FreeSpace,
 ) -> list[Slab]:
     """Convex slabs that cover the plane's members and no opening.
 
     Args:
         plane: the flat region.
         points: (N, 3) the cloud its members index [m].
-        origin: (3,) of the rays [m].
-        ends: (M, 3) of all rays of the scan [m].
+        starts: (3,) or (R, 3), where all rays of the scan started [m].
+        ends: (R, 3) where they ended [m].
+        free: what they saw to be free.
     """
     flat = points[plane.members] @ plane.basis.T
-    region = _picture(plane, flat, origin, ends)
+    region = _picture(plane, flat, starts, ends, free)
     parts: list[Int[np.ndarray, "K"]] = []
     todo = [np.arange(len(flat))]
     while todo:
@@ -74,19 +77,40 @@ def slabs_of(
 
 
 def _picture(
-    plane: Plane, flat: Float[np.ndarray, "N 2"], origin: Float[np.ndarray, "3"], ends: Float[np.ndarray, "M 3"]
+    plane: Plane,
+    flat: Float[np.ndarray, "N 2"],
+    starts: Float[np.ndarray, "*R 3"],
+    ends: Float[np.ndarray, "R 3"],
+    free: FreeSpace,
 ) -> _Region:
-    """Cells of the region's rectangle that rays crossed and that hold no member, nor does a neighbour."""
+    """Cells of the region's rectangle that were seen free and that hold no member, nor does a neighbour."""
     lower = flat.min(axis=0) - 2 * _CELL
     shape = np.ceil((flat.max(axis=0) + 2 * _CELL - lower) / _CELL).astype(int) + 1
-    before = origin @ plane.normal - plane.offset
-    behind = ends @ plane.normal - plane.offset
-    through = (behind < -_BEHIND) if before > 0.0 else np.zeros(len(ends), dtype=bool)
-    t = before / (before - behind[through])
-    crossing = (origin + t[:, None] * (ends[through] - origin)) @ plane.basis.T
-    pierced = _raster(crossing, lower, shape)
+    opened = np.concatenate([_crossings(plane, starts, ends), _free_within(plane, flat, free)])
     hit = ndimage.binary_dilation(_raster(flat, lower, shape), structure=np.ones((3, 3), dtype=bool))
-    return _Region(flat, lower, pierced & ~hit)
+    return _Region(flat, lower, _raster(opened, lower, shape) & ~hit)
+
+
+def _crossings(
+    plane: Plane, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"]
+) -> Float[np.ndarray, "K 2"]:
+    """Where rays went through the plane, either way: a scan from behind sees an opening as well."""
+    before = np.broadcast_to(starts @ plane.normal - plane.offset, len(ends))
+    after = ends @ plane.normal - plane.offset
+    through = np.flatnonzero((np.minimum(before, after) < -_BEHIND) & (np.maximum(before, after) > _BEHIND))
+    t = before[through] / (before[through] - after[through])
+    first = np.broadcast_to(starts, ends.shape)[through]
+    return np.asarray((first + t[:, None] * (ends[through] - first)) @ plane.basis.T)
+
+
+def _free_within(plane: Plane, flat: Float[np.ndarray, "N 2"], free: FreeSpace) -> Float[np.ndarray, "K 2"]:
+    """Free cells that a slab over the whole region would hold: there the surface bends away from the plane."""
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    corners = np.array([[u, v] for u in (low[0], high[0]) for v in (low[1], high[1])]) @ plane.basis
+    corners = corners + plane.offset * plane.normal
+    cells = free.cells_in(corners.min(axis=0) - FRONT, corners.max(axis=0) + FRONT)
+    inside = np.abs(cells @ plane.normal - plane.offset) < FRONT - 0.25 * free.size
+    return np.asarray(cells[inside] @ plane.basis.T)
 
 
 def _raster(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,17 +16,18 @@ from perception.convex.hulls import Hull, hull_of
 _SMALLEST = 0.03
 _NEIGHBOURS = 10
 _MOST_FREE_CELLS = 2
+_PROBES = 12
 
 
 def clusters(
-    points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], floor_of_link: float = 0.05
+    points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], floor_of_link: float = 0.05
 ) -> list[Int[np.ndarray, "K"]]:
     """Indices of connected points, linked over max(5 cm, 4.5 % of range)."""
     if len(points) == 1:
         return [np.array([0])]
     k = min(_NEIGHBOURS, len(points))
     distance, neighbour = cKDTree(points).query(points, k=np.arange(1, k + 1), workers=-1)
-    link = np.maximum(floor_of_link, 0.045 * np.linalg.norm(points - origin, axis=1))
+    link = np.maximum(floor_of_link, 0.045 * np.linalg.norm(points - starts, axis=1))
     row, column = np.nonzero(np.asarray(distance) <= link[:, None])
     links = np.ones(len(row), dtype=bool), (row, np.asarray(neighbour)[row, column])
     graph = sparse.csr_matrix(links, shape=(len(points), len(points)))
@@ -51,8 +52,8 @@ def split(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"], free:
 
 def is_free_of(hull: Hull, free: FreeSpace) -> bool:
     """Whether the hull holds no more seen-free cells than noise explains."""
-    inside = free.count_inside(hull.faces, hull.vertices, 0.25 * free.size)
-    return inside <= _MOST_FREE_CELLS and inside * free.size**3 <= 0.01 * hull.volume
+    most = min(_MOST_FREE_CELLS, int(0.01 * hull.volume / free.size**3))
+    return free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, most) <= most
 
 
 def _cut(points: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
@@ -83,48 +84,66 @@ def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
     return np.asarray(first + second)
 
 
-def merge(hulls: Sequence[Hull], may_merge: Callable[[Hull], bool], gap: float) -> list[Hull]:
-    """Join neighbours, least added volume first, while ``may_merge`` accepts the joint hull.
+def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float) -> list[Hull]:
+    """Join neighbours, least added volume first, while the joint hull holds no seen-free space.
 
     Args:
         hulls: what to join.
-        may_merge: whether a joint hull may stand.
+        free: what was seen free.
         gap: boxes farther apart than this are not neighbours [m].
     """
-    alive: dict[int, Hull] = dict(enumerate(hulls))
-    queue: list[tuple[float, int, int, Hull]] = []
-    for i in alive:
-        _push_pairs(queue, alive, i, [j for j in alive if j < i], may_merge, gap)
-    serial = len(hulls)
-    while queue:
-        _, i, j, joint = heapq.heappop(queue)
-        if i not in alive or j not in alive:
-            continue
-        del alive[i], alive[j]
-        alive[serial] = joint
-        _push_pairs(queue, alive, serial, [k for k in alive if k != serial], may_merge, gap)
-        serial += 1
-    return list(alive.values())
+    merger = _Merger(list(hulls), free, gap)
+    for i in range(len(hulls)):
+        merger.propose(i, i)
+    while merger.queue:
+        _, i, j, joint = heapq.heappop(merger.queue)
+        if merger.is_alive[i] and merger.is_alive[j]:
+            merger.replace(i, j, joint)
+    return [hull for hull, is_alive in zip(merger.hulls, merger.is_alive, strict=True) if is_alive]
 
 
-def _push_pairs(
-    queue: list[tuple[float, int, int, Hull]],
-    alive: dict[int, Hull],
-    i: int,
-    others: list[int],
-    may_merge: Callable[[Hull], bool],
-    gap: float,
-) -> None:
-    """Queue the acceptable joints of hull ``i`` with its neighbours."""
-    if not others:
-        return
-    one = alive[i]
-    lower = np.array([alive[j].lower for j in others])
-    upper = np.array([alive[j].upper for j in others])
-    near = ((lower <= one.upper + gap) & (upper >= one.lower - gap)).all(axis=1)
-    for j in np.flatnonzero(near):
-        other = alive[others[j]]
-        joint = hull_of(np.concatenate([one.vertices, other.vertices]), np.concatenate([one.members, other.members]))
-        if may_merge(joint):
-            added = joint.volume - one.volume - other.volume
-            heapq.heappush(queue, (added, i, others[j], joint))
+class _Merger:
+    """Hulls, which of them still stand, and the joints that could take the place of two."""
+
+    def __init__(self, hulls: list[Hull], free: FreeSpace, gap: float) -> None:
+        self.hulls = hulls
+        self.queue: list[tuple[float, int, int, Hull]] = []
+        self.is_alive = np.ones(len(hulls), dtype=bool)
+        self._free, self._gap = free, gap
+        self._lower = np.array([hull.lower for hull in hulls]).reshape(-1, 3)
+        self._upper = np.array([hull.upper for hull in hulls]).reshape(-1, 3)
+
+    def replace(self, i: int, j: int, joint: Hull) -> None:
+        """Put the joint in the place of both and look for its neighbours."""
+        self.is_alive[[i, j]] = False
+        self.hulls.append(joint)
+        self.is_alive = np.append(self.is_alive, True)
+        self._lower = np.concatenate([self._lower, joint.lower[None]])
+        self._upper = np.concatenate([self._upper, joint.upper[None]])
+        self.propose(len(self.hulls) - 1, len(self.hulls) - 1)
+
+    def propose(self, i: int, before: int) -> None:
+        """Queue the acceptable joints of hull ``i`` with its neighbours among the first ones."""
+        near = (self._lower[:before] <= self._upper[i] + self._gap) & (
+            self._upper[:before] >= self._lower[i] - self._gap
+        )
+        one = self.hulls[i]
+        for j in np.flatnonzero(near.all(axis=1) & self.is_alive[:before]):
+            other = self.hulls[j]
+            if _is_open_between(one, other, self._free):
+                continue
+            members = np.concatenate([one.members, other.members])
+            joint = hull_of(np.concatenate([one.vertices, other.vertices]), members)
+            if is_free_of(joint, self._free):
+                heapq.heappush(self.queue, (joint.volume - one.volume - other.volume, i, int(j), joint))
+
+
+def _is_open_between(one: Hull, other: Hull, free: FreeSpace) -> bool:
+    """Whether free cells half-way between the two show without a joint hull that there can be none."""
+    a, b = (hull.vertices[:: -(-len(hull.vertices) // _PROBES)] for hull in (one, other))
+    centre = 0.5 * (a.mean(axis=0) + b.mean(axis=0))
+    halfway = 0.5 * (a[:, None] + b).reshape(-1, 3)
+    # Drawn in a little, so that none lies on the surface of the joint hull.
+    halfway = centre + 0.9 * (halfway - centre)
+    hits = halfway[free.contains(halfway)]
+    return len(np.unique(np.floor(hits / free.size), axis=0)) > _MOST_FREE_CELLS
