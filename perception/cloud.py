@@ -12,7 +12,8 @@ from perception.errors import CloudError
 from perception.limits import MAX_INVALID_FRACTION, MAX_POINTS
 
 # A scan of one place spans tens of metres; beyond these the numbers are in another unit or frame.
-_MILLIMETRE_SPAN = 400.0
+_LARGEST_SPAN = 400.0
+_SMALLEST_SPAN = 0.05
 _MAP_DISTANCE = 1_000.0
 
 
@@ -159,14 +160,20 @@ def _oddities(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"
     low, high = np.percentile(points, [1, 99], axis=0)
     span = float((high - low).max())
     notes = []
-    if span > _MILLIMETRE_SPAN:
+    if span > _LARGEST_SPAN:
         notes.append(
-            f"the cloud spans {span:.0f} m: are these millimetres? multiply by 0.001, since metres are taken as read"
+            f"the cloud spans {span:.0f} m: are these millimetres (it would be {0.001 * span:.1f} m) or centimetres "
+            f"({0.01 * span:.1f} m)? metres are taken as read, so give its unit"
         )
-    distance = float(np.linalg.norm(np.median(points, axis=0)))
-    if span <= _MILLIMETRE_SPAN and distance > _MAP_DISTANCE:
+    elif 0.0 < span < _SMALLEST_SPAN:
+        notes.append(f"the cloud spans only {span:.2g} m: is its unit right?")
+    middle = np.median(points, axis=0)
+    distance = float(np.linalg.norm(middle))
+    if span <= _LARGEST_SPAN and distance > _MAP_DISTANCE:
+        shift = " ".join(f"{-value:.0f}" for value in middle)
         notes.append(
-            f"the cloud lies {distance:.0f} m from the origin: map coordinates? subtract the robot's position first"
+            f"the cloud lies {distance:.0f} m from the origin: map coordinates? give a transform to where the robot "
+            f"stands; {shift} 0 0 0 would bring the cloud's middle to the origin"
         )
     if hint := _sensor_frame_hint(points, origin, low):
         notes.append(hint)

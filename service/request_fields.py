@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, StrictStr, model_validator
 from pydantic_core import PydanticCustomError
@@ -13,12 +13,15 @@ from service.errors import shown, would_do
 
 QUATERNION_NORM_TOLERANCE = 1e-3  # what rounding to a few digits explains
 WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
+MAP_M = 1e8  # map coordinates are offset from zero by thousands of kilometres
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Coordinate = Annotated[Number, Field(ge=-WORKSPACE_M, le=WORKSPACE_M)]
 Length = Annotated[Number, Field(gt=0.0, le=WORKSPACE_M)]
 Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
+_MapCoordinate = Annotated[Number, Field(ge=-MAP_M, le=MAP_M)]
+MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
 
 
 def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
@@ -42,6 +45,12 @@ def _flag_or_height(value: object) -> object:
     raise PydanticCustomError("floor", "true, false or a height in metres would do")
 
 
+def _number_or_all(value: object) -> object:
+    if value == "all" or (isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**9):
+        return value
+    raise PydanticCustomError("message", "a whole number or 'all' would do")
+
+
 def _single_line(name: str) -> str:
     if not name.isprintable():
         raise PydanticCustomError("name", "a name has no control characters")
@@ -50,6 +59,7 @@ def _single_line(name: str) -> str:
 
 Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
 Floor = Annotated[bool | float, BeforeValidator(_flag_or_height)]
+Message = Annotated[int | Literal["all"], BeforeValidator(_number_or_all)]
 Label = Annotated[Name, AfterValidator(_single_line)]
 FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
 

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, StrictBool
+from pydantic import Discriminator, Field, StrictBool, Tag
 from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import shown
-from service.request_fields import SECTION, FilePath, Floor, Label, Length, Point, Quaternion, Section
+from service.request_fields import (
+    SECTION,
+    FilePath,
+    Floor,
+    Label,
+    Length,
+    MapPoint,
+    Message,
+    Point,
+    Quaternion,
+    Section,
+)
 
 
 @dataclass(config=SECTION)
@@ -76,23 +87,67 @@ ObstacleRequest = Annotated[
 
 
 @dataclass(config=SECTION)
+class CloudFileRequest(Section):
+    """One of several cloud files, and the pose that takes its points to the world."""
+
+    file: FilePath
+    position: MapPoint = (0.0, 0.0, 0.0)
+    quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+    @property
+    def transform(self) -> tuple[float, ...] | None:
+        """Position and quaternion; None where the points are in the world as they stand."""
+        pose = (*self.position, *self.quaternion_wxyz)
+        return None if pose == (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0) else pose
+
+
+def _path_or_list(value: object) -> str | None:
+    return "path" if isinstance(value, str) else "list" if isinstance(value, list | tuple) and value else None
+
+
+CloudRequest = Annotated[
+    Annotated[FilePath, Tag("path")]
+    | Annotated[tuple[CloudFileRequest, ...], Tag("list"), Field(max_length=64)],
+    Discriminator(
+        _path_or_list,
+        custom_error_type="cloud",
+        custom_error_message="a file, or a list of {file, position, quaternion_wxyz}, is needed",
+    ),
+]
+
+
+@dataclass(config=SECTION)
 class SceneRequest(Section):
     """What surrounds the robot: a scan, obstacles, or both.
 
     Attributes:
-        cloud: point cloud file.
-        apply_viewpoint: whether the points are in the sensor's frame and its VIEWPOINT takes them to the world.
+        cloud: point cloud file, or several with their poses, merged.
+        unit: of the files' lengths.
+        apply_viewpoint: whether the points are in the sensor's frame and its VIEWPOINT takes them to the world (or to
+            what ``position`` and ``quaternion_wxyz`` take to the world).
+        topic: of a bag with several clouds.
+        message: of a bag, the number of the message, or all of them merged.
         hint: a point in the world near the object of the task.
         obstacles: shapes with unique names.
         floor: a height [m], or whether there is a floor at 0 (a scan brings its own); by default there is one for a
             robot with a free base.
     """
 
-    cloud: FilePath | None = None
+    cloud: CloudRequest | None = None
+    unit: Literal["m", "cm", "mm", "km", "in", "ft"] = "m"
     apply_viewpoint: StrictBool = False
+    topic: Label | None = None
+    message: Message = 0
     hint: Point | None = None
     obstacles: Annotated[tuple[ObstacleRequest, ...], Field(max_length=1000)] = ()
     floor: Floor | None = None
+
+    @property
+    def cloud_files(self) -> tuple[CloudFileRequest, ...]:
+        """The cloud's files; none without a cloud."""
+        if self.cloud is None:
+            return ()
+        return (CloudFileRequest(self.cloud),) if isinstance(self.cloud, str) else self.cloud
 
     def __post_init__(self) -> None:
         names = [obstacle.name for obstacle in self.obstacles]

@@ -230,13 +230,20 @@ def _perceive(
 ) -> Perceived | None:
     if request.scene.cloud is None:
         return None
-    from perception import PerceptionError, Reach, perceive, read_cloud  # takes a while, and most scenes need none
+    from perception import PerceptionError, Reach, perceive, read_clouds  # takes a while, and most scenes need none
 
+    scene = request.scene
     task = None if request.task is None else request.task.valve
-    hint = request.scene.hint if task is None or task.hint is None else task.hint
+    hint = scene.hint if task is None or task.hint is None else task.hint
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
     try:
-        cloud = read_cloud(request.resolve(request.scene.cloud), apply_viewpoint=request.scene.apply_viewpoint)
+        cloud = read_clouds(
+            [(request.resolve(one.file), one.transform) for one in scene.cloud_files],
+            unit=scene.unit,
+            apply_viewpoint=scene.apply_viewpoint,
+            topic=scene.topic,
+            message=scene.message,
+        )
         return perceive(
             cloud,
             reach=Reach(x=x, y=y),

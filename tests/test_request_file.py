@@ -126,7 +126,25 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
         ("options: {margin_m: -1}", "options.margin_m: at least 0 is needed, got -1"),
         ("options: {time_limit_s: .inf}", "options.time_limit_s: a finite number is needed, got inf"),
         ("options: {time_limit_s: 0}", "options.time_limit_s: more than 0 is needed, got 0"),
-        ("scene: {cloud: 3}", "scene.cloud: a text is needed, got 3"),
+        ("scene: {cloud: 3}", "scene.cloud: a file, or a list of {file, position, quaternion_wxyz}, is needed, got 3"),
+        ("scene: {cloud: ''}", "scene.cloud: a text with at least 1 character is needed, got ''"),
+        (
+            "scene: {cloud: []}",
+            "scene.cloud: a file, or a list of {file, position, quaternion_wxyz}, is needed, got []",
+        ),
+        ("scene: {cloud: [a.pcd]}", "scene.cloud[0]: a mapping is needed, got 'a.pcd'"),
+        ("scene: {cloud: [{}]}", "scene.cloud[0].file: is missing"),
+        (
+            "scene: {cloud: [{file: a.pcd, position: [0, 0, 2.0e+8]}]}",
+            "scene.cloud[0].position[2]: at most 1e+08 would do",
+        ),
+        (
+            "scene: {cloud: [{file: a.pcd, yaw: 1}]}",
+            "scene.cloud[0]: unknown key 'yaw'; file, position, quaternion_wxyz",
+        ),
+        ("scene: {cloud: a.pcd, unit: yard}", "scene.unit: 'm', 'cm', 'mm', 'km', 'in' or 'ft' would do, got 'yard'"),
+        ("scene: {cloud: a.bag, message: last}", "scene.message: a whole number or 'all' would do, got 'last'"),
+        ("scene: {cloud: a.bag, message: true}", "scene.message: a whole number or 'all' would do, got True"),
         ("scene: {floor: .nan}", "scene.floor: true, false or a height in metres would do, got nan"),
         ("scene: {obstacles: 3}", "scene.obstacles: a list is needed, got 3"),
         (
@@ -272,6 +290,15 @@ def test_json_of_a_request_is_a_request() -> None:
     data = json.loads(json.dumps(to_json(request), allow_nan=False))
     again = parse_request(data)
     assert request_hash(again) == request_hash(request)
+
+
+def test_several_clouds_come_with_their_poses() -> None:
+    scene: dict[str, Any] = {"cloud": [{"file": "a.pcd"}, {"file": "b.e57", "position": [4e5, 5e6, 0]}], "unit": "mm"}
+    request = parse_request({"robot": {"name": "atlas"}, "goal": {"posture": "stand"}, "scene": scene})
+    a, b = request.scene.cloud_files
+    assert (a.file, a.transform) == ("a.pcd", None)
+    assert (b.file, b.transform) == ("b.e57", (4e5, 5e6, 0.0, 1.0, 0.0, 0.0, 0.0))
+    assert parse_request(to_json(request)).scene == request.scene
 
 
 def test_another_cloud_is_found_from_the_request_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from perception.errors import CloudError
 
 METRES_BY_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _RIGID_TOLERANCE = 1e-4
+_LARGEST = 1e9
 
 Pose = Float[np.ndarray, "4 4"] | Sequence[float] | Sequence[Sequence[float]]
 
@@ -46,6 +47,8 @@ def rigid_pose(transform: Pose) -> Float[np.ndarray, "4 4"]:
             f"transform of {values.size} numbers; a 4x4 matrix, x y z yaw pitch roll, or x y z qw qx qy qz is needed"
         )
     values = values.ravel()
+    if np.abs(values).max() > _LARGEST:
+        raise CloudError(f"transform holds {np.abs(values).max():g}; at most {_LARGEST:g} m would do")
     if values.size == 16:
         return _checked(values.reshape(4, 4))
     if values.size == 7:
@@ -64,8 +67,14 @@ def pose_of_viewpoint(viewpoint: Sequence[float]) -> Float[np.ndarray, "4 4"]:
     return _pose(Rotation.from_quat(np.array(viewpoint[3:]), scalar_first=True), np.array(viewpoint[:3]))
 
 
-def moved(pose: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    """Points (N, 3), or one (3,), taken along by a pose."""
+def moved(
+    pose: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*N 3"], scale: float = 1.0
+) -> Float[np.ndarray, "*N 3"]:
+    """Points (N, 3), or one (3,), in units of ``scale`` metres, taken along by a pose [m]."""
+    if scale != 1.0:
+        points = scale * points
+    if np.array_equal(pose, np.eye(4)):
+        return points
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 

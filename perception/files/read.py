@@ -12,6 +12,7 @@ from jaxtyping import Float
 from perception.cloud import Cloud, make_cloud, merged
 from perception.errors import CloudError
 from perception.files.bag import Message
+from perception.files.oddities import rounding_note, without_empty_rows
 from perception.files.placing import Pose, metres_per, moved, pose_of_viewpoint, rigid_pose
 from perception.files.worker import parse_in_worker
 from perception.limits import MAX_POINTS
@@ -80,10 +81,11 @@ def read_clouds(
 def _placed(
     path: Path, unit: str, transform: Pose | None, apply_viewpoint: bool, topic: str | None, message: Message
 ) -> Cloud:
+    """One file's cloud in metres in the frame that is asked for."""
     scale = metres_per(unit)
     pose = np.eye(4) if transform is None else rigid_pose(transform)
-    scan = parse_in_worker(path, topic, message)
-    notes = scan.notes
+    scan = without_empty_rows(parse_in_worker(path, topic, message), str(path))
+    notes = (*scan.notes, *rounding_note(scan.points, scale))
     viewpoint = np.eye(4)
     if scan.viewpoint is not None:
         viewpoint = pose_of_viewpoint(scan.viewpoint)
@@ -92,18 +94,17 @@ def _placed(
         raise CloudError(f"{path}: gives no viewpoint to apply; add one or leave apply_viewpoint off")
     elif scan.starts is None:
         notes = (*notes, "the file gives no sensor position; rays are taken to start at (0, 0, 0)")
-    if apply_viewpoint:
-        pose = pose @ viewpoint
-    elif transform is None:
+    if transform is None and not apply_viewpoint:
         notes = (*notes, *_frame_hint(scale * scan.points, viewpoint))
-    origin = pose[:3, 3] if apply_viewpoint else moved(pose, viewpoint[:3, 3])
+    pose_world_rows = pose @ viewpoint if apply_viewpoint else pose
+    at_viewpoint = moved(pose, viewpoint[:3, 3])
     return make_cloud(
-        moved(pose, scale * scan.points),
-        origin if scan.starts is None else moved(pose, scale * scan.starts),
+        moved(pose_world_rows, scan.points, scale),
+        at_viewpoint if scan.starts is None else moved(pose_world_rows, scan.starts, scale),
         notes,
         str(path),
-        misses=moved(pose, scale * scan.misses),
-        miss_origin=None if scan.miss_starts is None else moved(pose, scale * scan.miss_starts),
+        misses=moved(pose_world_rows, scan.misses, scale),
+        miss_origin=None if scan.miss_starts is None else moved(pose_world_rows, scan.miss_starts, scale),
     )
 
 
