@@ -1,6 +1,6 @@
 """Clouds in, a world out: floor, convex pieces, detected valves, and a simulator of the sensor."""
 
-from perception.clean import Reach, inliers, inside_hulls, voxel_downsample
+from perception.clean import Reach, inside_hulls, voxel_downsample
 from perception.cloud import Cloud, make_cloud
 from perception.convex.pieces import Pieces, make_pieces
 from perception.detect import KINDS, detect
@@ -16,6 +16,7 @@ from perception.files.placing import METRES_BY_UNIT, rigid_pose
 from perception.files.read import read_cloud, read_clouds
 from perception.floor import FloorPlane, find_floor, floor_piece, on_floor
 from perception.limits import MAX_FILE_BYTES, MAX_POINTS
+from perception.outliers import inliers
 from perception.perceive import CONFIDENT, Perceived, perceive
 from perception.view import View, make_view
 

@@ -1,4 +1,4 @@
-"""Cleaning of points: crop to a reach, downsample, outliers, the robot's own points."""
+"""Cleaning of points: crop to a reach, exact copies, downsample, the robot's own points."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, QhullError
 
 from perception.errors import PerceptionError
 
@@ -64,28 +64,38 @@ def voxel_downsample(
     return np.asarray(sums / counts[:, None]), counts
 
 
-def inliers(
-    points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], n_neighbours: int = 5
-) -> Bool[np.ndarray, "N"]:
-    """Points with at least ``n_neighbours`` others within 3 cm plus 2 % of their range.
+def row_keys(rows: Float[np.ndarray, "N K"]) -> Int[np.ndarray, "N"]:
+    """A number for each row, the same for equal rows (and, once in 10^9 clouds of a million, for two others)."""
+    words = (np.ascontiguousarray(rows, dtype=np.float64) + 0.0).view(np.uint64)  # + 0.0: there is one zero
+    keys = np.full(len(rows), 0x9E3779B97F4A7C15, dtype=np.uint64)
+    for column in words.T:
+        keys = (keys ^ column) * np.uint64(0xBF58476D1CE4E5B9)
+        keys ^= keys >> np.uint64(31)
+        keys *= np.uint64(0x94D049BB133111EB)
+        keys ^= keys >> np.uint64(29)
+    return np.asarray(keys.view(np.int64))
 
-    A scanner's points thin out with range, so a fixed radius would eat the far ones.
+
+def first_of_equals(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Which points are not exact copies, ray start included, of one before them.
+
+    Args:
+        points: (N, 3) [m].
+        starts: (N, 3) where their rays started [m].
     """
-    if len(points) <= n_neighbours:
-        return np.zeros(len(points), dtype=bool)
-    radius = 0.03 + 0.02 * np.linalg.norm(points - origin, axis=1)
-    distance, _ = cKDTree(points).query(
-        points, k=[n_neighbours + 1], distance_upper_bound=float(radius.max()) + 1e-9, workers=-1
-    )
-    return np.asarray(np.asarray(distance)[:, 0] <= radius)
+    is_first = np.zeros(len(points), dtype=bool)
+    constant = bool((starts == starts[:1]).all())
+    is_first[np.unique(row_keys(points if constant else np.hstack([points, starts])), return_index=True)[1]] = True
+    return is_first
 
 
 def inside_hulls(
     points: Float[np.ndarray, "N 3"], hulls: Sequence[Float[np.ndarray, "V 3"]], margin: float = SELF_MARGIN
 ) -> Bool[np.ndarray, "N"]:
-    """Points that lie within ``margin`` of every face plane's inner side of any hull.
+    """Points within ``margin`` of any hull.
 
-    Near an edge this reaches a little farther than ``margin``, on the side of taking a point for the robot's own.
+    At an edge or corner this reaches a little farther (a tenth of the margin at a right-angled edge), on the side of
+    taking a point for the robot's own.
 
     Args:
         points: (N, 3) [m].
@@ -93,15 +103,43 @@ def inside_hulls(
         margin: [m].
     """
     inside = np.zeros(len(points), dtype=bool)
-    for vertices in hulls:
-        near = np.flatnonzero(
-            ((points >= vertices.min(axis=0) - margin) & (points <= vertices.max(axis=0) + margin)).all(axis=1)
-        )
-        if not len(near):
-            continue
-        faces = half_spaces(vertices)
-        inside[near] |= (points[near] @ faces[:, :3].T + faces[:, 3] <= margin).all(axis=1)
+    if not len(hulls) or not len(points):
+        return inside
+    boxes = [(vertices.min(axis=0) - margin, vertices.max(axis=0) + margin) for vertices in hulls]
+    around = np.flatnonzero(
+        _in_box(points, np.min([lower for lower, _ in boxes], axis=0), np.max([upper for _, upper in boxes], axis=0))
+    )
+    candidates = points[around]
+    for vertices, (lower, upper) in zip(hulls, boxes, strict=True):
+        bounds = _rounded(vertices)
+        near = np.flatnonzero(_in_box(candidates, lower, upper))
+        inside[around[near]] |= (candidates[near] @ bounds[:, :3].T + bounds[:, 3] <= margin).all(axis=1)
     return inside
+
+
+def _in_box(
+    points: Float[np.ndarray, "N 3"], lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "N"]:
+    mask = np.ones(len(points), dtype=bool)
+    for axis in range(3):
+        column = points[:, axis]
+        mask &= (column >= lower[axis]) & (column <= upper[axis])
+    return mask
+
+
+def _rounded(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
+    """Half-spaces of the hull's faces, and between those of faces that meet, so that a margin leaves no spikes."""
+    hull = _convex_hull(vertices)
+    faces, neighbours = hull.equations[:, :3], hull.neighbors
+    between = faces[:, None, :] + faces[neighbours]
+    length = np.linalg.norm(between, axis=2, keepdims=True)
+    between = (between / np.maximum(length, 1e-9))[length[..., 0] > 0.1]
+    corners = np.zeros_like(vertices)
+    np.add.at(corners, hull.simplices.ravel(), np.repeat(faces, 3, axis=0))
+    length = np.linalg.norm(corners, axis=1)
+    corners = corners[length > 0.1] / length[length > 0.1, None]
+    normals = np.unique(np.round(np.concatenate([faces, between, corners]), 9), axis=0)
+    return np.column_stack([normals, -(normals @ vertices.T).max(axis=1)])
 
 
 def half_spaces(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
@@ -110,10 +148,13 @@ def half_spaces(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
     Raises:
         PerceptionError: the vertices are flat.
     """
+    # Triangulated faces repeat their plane.
+    return np.asarray(np.unique(np.round(_convex_hull(vertices).equations, 9), axis=0))
+
+
+def _convex_hull(vertices: Float[np.ndarray, "V 3"]) -> ConvexHull:
     try:
-        faces = ConvexHull(vertices).equations
+        return ConvexHull(vertices)
     except (QhullError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise PerceptionError(f"a hull of {len(vertices)} vertices spans no volume: {reason}") from None
-    # Triangulated faces repeat their plane.
-    return np.asarray(np.unique(np.round(faces, 9), axis=0))

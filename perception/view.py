@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from perception.clean import Reach, inliers, inside_hulls
+from perception.clean import Reach, first_of_equals, inside_hulls
 from perception.cloud import Cloud
 from perception.errors import CloudError
 from perception.floor import FloorPlane, find_floor, on_floor
+from perception.outliers import surface_points
 
 _DEFAULT_REACH = Reach()
 
@@ -21,10 +22,10 @@ class View:
     """What detectors and the making of pieces start from.
 
     Attributes:
-        cloud: the whole scan; all its rays are evidence of what is free.
+        cloud: the whole scan without exact copies; all its rays are evidence of what is free.
         near: the points in reach that are not the robot's own.
         floor: the floor's plane; None when none was seen.
-        obstacles: (M, 3) points of ``near`` that are neither floor nor outliers [m].
+        obstacles: (M, 3) points of ``near`` that are neither floor, nor strays, nor mixed pixels [m].
         starts: (M, 3) where their rays started [m].
         reach: what matters.
         seed: of all random choices; the same scan and seed give the same result.
@@ -49,7 +50,7 @@ def make_view(
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
     seed: int = 0,
 ) -> View:
-    """Crop, drop the robot's own points, find the floor and drop outliers.
+    """Drop exact copies, crop, drop the robot's own points, find the floor, drop strays and mixed pixels.
 
     Args:
         cloud: the scan in world coordinates (z up).
@@ -61,7 +62,9 @@ def make_view(
     Raises:
         CloudError: nothing of the cloud lies in reach.
     """
-    near = _in_reach(cloud, reach)
+    _check_reach(cloud, reach)
+    cloud = without_copies(cloud)
+    near = cloud.selected(reach.contains(cloud.points))
     own = inside_hulls(near.points, robot_hulls)
     notes = cloud.notes
     if own.any():
@@ -72,20 +75,26 @@ def make_view(
     floor = find_floor(near.points, seed)
     if floor is None:
         notes = (*notes, "no floor was found; nothing stands for it in the scene")
-    points, starts = near.points, near.starts
-    if floor is not None:
-        above = ~on_floor(points, floor, soles)
-        points, starts = points[above], starts[above]
-    kept = inliers(points, starts)
-    return View(cloud, near, floor, points[kept], starts[kept], reach, seed, notes)
+    above = np.ones(len(near.points), dtype=bool) if floor is None else ~on_floor(near.points, floor, soles)
+    kept = surface_points(near.points, near.starts, above)
+    return View(cloud, near, floor, near.points[kept], near.starts[kept], reach, seed, notes)
 
 
-def _in_reach(cloud: Cloud, reach: Reach) -> Cloud:
-    inside = reach.contains(cloud.points)
-    if not inside.any():
+def without_copies(cloud: Cloud) -> Cloud:
+    """The cloud with exact copies of points left out and counted in its notes."""
+    is_first = first_of_equals(cloud.points, cloud.starts)
+    n_copies = int(len(is_first) - is_first.sum())
+    if not n_copies:
+        return cloud
+    share = 100.0 * n_copies / len(is_first)
+    note = f"dropped {n_copies} exact copies among {len(is_first)} points ({share:.1f} %)"
+    return replace(cloud.selected(is_first), notes=(*cloud.notes, note))
+
+
+def _check_reach(cloud: Cloud, reach: Reach) -> None:
+    if not reach.contains(cloud.points).any():
         centre = np.median(cloud.points, axis=0)
         raise CloudError(
             f"none of {len(cloud.points)} points lie within {reach.radius} m of ({reach.x}, {reach.y}); their middle "
             f"is ({', '.join(f'{value:.1f}' for value in centre)}): metres in the robot's start frame are needed"
         )
-    return cloud.selected(inside)
