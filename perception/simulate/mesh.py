@@ -3,33 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-
-@dataclass(frozen=True)
-class Mesh:
-    """Triangles.
-
-    Attributes:
-        vertices: (V, 3) world [m].
-        triangles: (F, 3) indices of their corners.
-    """
-
-    vertices: Float[np.ndarray, "V 3"]
-    triangles: Int[np.ndarray, "F 3"]
-
-    def moved(self, rotation: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]) -> Mesh:
-        """Turned about the origin, then shifted."""
-        return Mesh(self.vertices @ rotation.T + shift, self.triangles)
-
-    def placed(self, pose_world_mesh: Float[np.ndarray, "4 4"]) -> Mesh:
-        """In another frame; a pose that mirrors is allowed."""
-        return self.moved(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
+from perception.mesh import Mesh as Mesh  # the sensors and scenes take it from here
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
