@@ -103,23 +103,21 @@ def recorded_cases(folder: Path) -> Iterator[Case]:
         )
 
 
-def simulated_cases(variants: Sequence[str] = (), names: Sequence[str] = (), seed: int = 0) -> Iterator[Case]:
+def simulated_cases(variants: Sequence[str] = (), seed: int = 0, *, misses: bool = False) -> Iterator[Case]:
     """Simulated scenes.
 
     Args:
         variants: sensors; by default dense and sparse lidar and, in turn, a solid-state lidar or a depth camera.
-        names: of the scenes; by default all.
         seed: of their details.
+        misses: whether rays that met nothing are told.
     """
     for i, name in enumerate(SCENES):
-        if names and name not in names:
-            continue
         for variant in variants or ("dense", "sparse", ("solid", "camera")[i % 2]):
             scene = make_scene(name, seed)
             yield Case(
                 f"{name}:{variant}",
                 "sparse" if "sparse" in variant else "dense",
-                partial(scene.scan, variant),
+                partial(scene.scan, variant, misses=misses),
                 scene.truth,
                 tuple((kind, place[None, :]) for kind, place in scene.lookalikes),
                 frozenset(),

@@ -18,7 +18,8 @@ NAMES = (
     "two_hands",
     "ablations",
     "planning",
-    "clouds",
+    "cloud_pieces",
+    "cloud_detections",
     "certificate",
     "attack_certificate",
 )

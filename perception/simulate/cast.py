@@ -38,7 +38,7 @@ class Caster:
     def hits(self, origin: Float[np.ndarray, "*R 3"], direction: Float[np.ndarray, "R 3"]) -> Hits:
         """Follow rays of unit direction."""
         rays = np.concatenate([np.broadcast_to(origin, direction.shape), direction], axis=1).astype(np.float32)
-        answer = self._scene.cast_rays(self._tensor(rays))
+        answer = self._scene.cast_rays(self._tensor(rays), nthreads=1)
         distance = np.asarray(answer["t_hit"].numpy(), dtype=np.float64)
         normal = np.asarray(answer["primitive_normals"].numpy(), dtype=np.float64)
         cosine = np.abs((normal * direction).sum(axis=1))
@@ -46,7 +46,8 @@ class Caster:
 
     def distance(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
         """From each point to the nearest triangle [m]."""
-        return np.asarray(self._scene.compute_distance(self._tensor(points.astype(np.float32))).numpy(), dtype=float)
+        queries = self._tensor(points.astype(np.float32))
+        return np.asarray(self._scene.compute_distance(queries, nthreads=1).numpy(), dtype=float)
 
 
 def cast(world: Mesh, origin: Float[np.ndarray, "*R 3"], direction: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R"]:
