@@ -12,7 +12,7 @@ import numpy as np
 from perception.errors import CloudError
 from perception.files.columns import missing_coordinate, places, scan_of, shown
 from perception.files.scan import Scan
-from perception.limits import MAX_FILE_BYTES, MAX_POINTS
+from perception.limits import MAX_POINTS
 
 if TYPE_CHECKING:
     from jaxtyping import Shaped
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 Message = int | Literal["all"]
 
 _TYPE = "sensor_msgs/msg/PointCloud2"
-_MAX_MERGED_BYTES = 4 * MAX_FILE_BYTES
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
@@ -42,8 +41,8 @@ def read_bag(path: Path, name: str, topic: str | None, message: Message) -> Scan
         where = f"{name}: topic {shown(connections[0].topic)}"
         n_messages = sum(int(connection.msgcount) for connection in connections)
         raw = (bytes(data) for _, _, data in reader.messages(connections=connections))
-        clouds = [read(data, _TYPE) for data in _wanted(raw, message, n_messages, where)]
-    return _merged(clouds, message, n_messages, where)
+        clouds = (read(data, _TYPE) for data in _wanted(raw, message, n_messages, where))
+        return _merged(clouds, message, n_messages, where)
 
 
 def _of_topic(connections: Sequence[Any], topic: str | None, name: str) -> list[Any]:
@@ -60,36 +59,38 @@ def _of_topic(connections: Sequence[Any], topic: str | None, name: str) -> list[
     return [connection for connection in clouds if connection.topic == (topic or topics[0])]
 
 
-def _wanted(raw: Iterator[bytes], message: Message, n_messages: int, where: str) -> list[bytes]:
+def _wanted(raw: Iterator[bytes], message: Message, n_messages: int, where: str) -> Iterator[bytes]:
+    """The raw messages that are asked for."""
     if message == "all":
-        kept: list[bytes] = []
-        for data in raw:
-            kept.append(data)
-            if sum(map(len, kept)) > _MAX_MERGED_BYTES:
-                raise CloudError(f"{where}: {len(kept)} messages are more than is read at once; choose one message")
-        return kept
+        yield from raw
+        return
     index = message if message >= 0 else n_messages + message
-    for data in islice(raw, max(index, 0), None):
-        if index >= 0:
-            return [data]
-    raise CloudError(f"{where}: has no message {message}; it has {n_messages}, 0 is the first and -1 the last")
+    chosen = next(islice(raw, index, None), None) if index >= 0 else None
+    if chosen is None:
+        raise CloudError(f"{where}: has no message {message}; it has {n_messages}, 0 is the first and -1 the last")
+    yield chosen
 
 
-def _merged(clouds: Sequence[Any], message: Message, n_messages: int, where: str) -> Scan:
-    if not clouds:
+def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str) -> Scan:
+    scans, frames = [], set()
+    for cloud in clouds:
+        scans.append(_scan(cloud, where))
+        frames.add(shown(str(cloud.header.frame_id)))
+        if len(frames) > 1:
+            frame_list = ", ".join(sorted(frames))
+            raise CloudError(f"{where}: its messages are in different frames ({frame_list}); choose one message")
+        if sum(len(scan.points) + len(scan.misses) for scan in scans) > MAX_POINTS:
+            raise CloudError(
+                f"{where}: its first {len(scans)} messages have more than {MAX_POINTS} points together; choose one"
+            )
+    if not scans:
         raise CloudError(f"{where}: holds no message; at least one is needed")
-    frames = sorted({str(cloud.header.frame_id) for cloud in clouds})
-    if len(frames) > 1:
-        raise CloudError(
-            f"{where}: its messages are in different frames ({shown(', '.join(frames))}); choose one message"
-        )
-    scans = [_scan(cloud, where) for cloud in clouds]
     notes = [
-        f"the points are in the frame '{shown(frames[0])}' with the sensor at its origin; what the bag says of frames "
-        "is not read, give a transform"
+        f"the points are in the frame '{frames.pop()}' with the sensor at its origin; what the bag says of frames is "
+        "not read, so give a transform"
     ]
-    if message == "all" and len(clouds) > 1:
-        notes.append(f"merged {len(clouds)} messages as they stand; that is right for a sensor that stood still")
+    if len(scans) > 1:
+        notes.append(f"merged {len(scans)} messages as they stand; that is right for a sensor that stood still")
     elif n_messages > 1:
         notes.append(f"message {message} of {n_messages} was read; another one or all can be asked for")
     return Scan(
@@ -113,6 +114,7 @@ def _scan(cloud: Any, where: str) -> Scan:
     if missing := missing_coordinate(found):
         raise CloudError(f"{where}: its fields have no '{missing}'; x, y and z are needed")
     order = ">" if cloud.is_bigendian else "<"
+    data = np.ascontiguousarray(cloud.data)
     columns: dict[str, Shaped[np.ndarray, "N"]] = {}
     for key, i in found.items():
         field = cloud.fields[i]
@@ -121,8 +123,6 @@ def _scan(cloud: Any, where: str) -> Scan:
         kind = np.dtype(order + _KINDS[int(field.datatype)])
         if int(field.offset) + kind.itemsize > stride:
             raise CloudError(f"{where}: field '{key}' at byte {field.offset} lies outside points of {stride} bytes")
-        grid: Shaped[np.ndarray, "H W"] = np.ndarray(
-            (height, width), kind, cloud.data.tobytes(), int(field.offset), (row, stride)
-        )
+        grid: Shaped[np.ndarray, "H W"] = np.ndarray((height, width), kind, data.data, int(field.offset), (row, stride))
         columns[key] = grid.ravel()
     return scan_of(columns, None)

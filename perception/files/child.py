@@ -31,10 +31,15 @@ def main() -> None:
 
 def _limit(max_bytes: int, max_cpu_s: int, max_wall_s: float) -> None:
     """Bound this process, which nobody else may be there to end."""
-    resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, max_bytes))
-    resource.setrlimit(resource.RLIMIT_CPU, (max_cpu_s, max_cpu_s + 1))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    limits = {
+        resource.RLIMIT_AS: max_bytes,
+        resource.RLIMIT_FSIZE: max_bytes,
+        resource.RLIMIT_CPU: max_cpu_s,
+        resource.RLIMIT_CORE: 0,
+    }
+    for kind, limit in limits.items():
+        _, hardest = resource.getrlimit(kind)  # whoever started us may have set a lower one, which is not ours to raise
+        resource.setrlimit(kind, (limit if hardest == resource.RLIM_INFINITY else min(limit, hardest), hardest))
     signal.setitimer(signal.ITIMER_REAL, max_wall_s)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 
 _CHUNK = 200_000
 _NOISE_CLASSES = (7, 18)
+# Variable length records: where the header says how many there are, and how long each is at least.
+_N_RECORDS_AT = 100
+_RECORD_BYTES = 54
 
 
 def read_las(data: bytes, name: str) -> Scan:
@@ -28,6 +32,9 @@ def read_las(data: bytes, name: str) -> Scan:
 
     if not data.startswith(b"LASF"):
         raise CloudError(f"{name}: does not begin with 'LASF'")
+    n_records = struct.unpack_from("<I", data, _N_RECORDS_AT)[0] if len(data) >= _N_RECORDS_AT + 4 else 0
+    if n_records * _RECORD_BYTES > len(data):  # laspy would make them all, of nothing
+        raise CloudError(f"{name}: {n_records} records of {_RECORD_BYTES} bytes are announced in {len(data)} bytes")
     selection = laspy.DecompressionSelection
     source = laspy.open(
         io.BytesIO(data),

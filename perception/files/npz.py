@@ -135,7 +135,10 @@ def _load(file: IO[bytes], n_bytes: int, key: str, name: str) -> Shaped[np.ndarr
     reader = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
     if reader is None:
         raise ValueError(f"npy version {version}")
-    shape, is_fortran, dtype = reader(file)
+    try:
+        shape, is_fortran, dtype = reader(file)
+    except Exception as error:  # the header is Python source: numpy's reader of it raises of every kind
+        raise ValueError(f"header of '{key}': {error}") from None
     if dtype.hasobject:
         raise CloudError(f"{name}: array '{key}' holds pickled objects; plain numbers are needed")
     if min(shape, default=0) < 0:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from perception.errors import CloudError
 from perception.files.bag import Message, read_bag
 from perception.files.columns import shown
@@ -56,11 +58,12 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
         kind = f"suffix '{path.suffix}' is unknown" if not path.is_dir() else "is a folder"
         raise CloudError(f"{path}: {kind}; one of {', '.join(SUFFIXES)} or the folder of a ROS 2 bag is needed")
     try:
-        if is_bag:
-            _check_file(path / _BAG_FOLDER_HAS if path.is_dir() else path, None)
-            return read_bag(path, str(path), topic, message)
-        _check_file(path, MAX_FILE_BYTES)
-        return read_e57(path, str(path)) if suffix == ".e57" else _READERS[suffix](path.read_bytes(), str(path))
+        with np.errstate(all="ignore"):  # damaged numbers overflow; what is too large to be a place is dropped later
+            if is_bag:
+                _check_file(path / _BAG_FOLDER_HAS if path.is_dir() else path, None)
+                return read_bag(path, str(path), topic, message)
+            _check_file(path, MAX_FILE_BYTES)
+            return read_e57(path, str(path)) if suffix == ".e57" else _READERS[suffix](path.read_bytes(), str(path))
     except (CloudError, MemoryError, KeyboardInterrupt, SystemExit):
         raise
     except ImportError as error:
@@ -69,7 +72,7 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
             raise
         raise CloudError(f"{path}: reading this kind of file needs a further library: pip install '{extra}'") from None
     except BaseException as error:  # libraries raise of every kind on damaged files; a panic is not even an Exception
-        words = shown(str(error)) or type(error).__name__
+        words = shown(str(error).partition("****")[0]) or type(error).__name__
         raise CloudError(f"{path}: is damaged, or no {suffix.removeprefix('.') or 'bag'} file ({words})") from None
 
 

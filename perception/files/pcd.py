@@ -135,6 +135,8 @@ def _parse_header(data: bytes, name: str) -> PcdHeader:
 
 def _parse_fields(entries: dict[str, list[str]], name: str) -> tuple[tuple[str, str, int], ...]:
     fields = entries.get("FIELDS", entries.get("COLUMNS", []))
+    if not fields:
+        raise CloudError(f"{name}: the header has no FIELDS; x, y and z are needed")
     for key in ("SIZE", "TYPE"):
         if len(entries.get(key, [])) != len(fields):
             raise CloudError(f"{name}: {len(fields)} FIELDS but {len(entries.get(key, []))} {key}; one each is needed")

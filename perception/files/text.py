@@ -17,6 +17,7 @@ from perception.limits import MAX_POINTS
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+_LONGEST_LINE = 2**16
 COMMENTS = ("#", "//", "%")
 
 
@@ -55,6 +56,9 @@ def read_rows(
     Raises:
         CloudError: naming the line that is short, long or no number, or when there are too many.
     """
+    first = body.find(b"\n")
+    if (len(body) if first < 0 else first) > _LONGEST_LINE:
+        raise CloudError(f"{name}: line {first_line} is longer than {_LONGEST_LINE} bytes; one row a line is needed")
     if separator == ";":
         body = body.replace(b",", b".")
     table = _plain_numbers(body, separator, n_rows)
@@ -69,6 +73,7 @@ def read_rows(
 
 def _plain_numbers(body: bytes, separator: str | None, n_rows: int | None) -> Float[np.ndarray, "R C"] | None:
     """All columns, when every row has as many numbers as the first."""
+    n_lines = body.count(b"\n") + 1  # a larger max_rows would be set aside in advance
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an empty table: whoever asked for it tells
@@ -78,7 +83,7 @@ def _plain_numbers(body: bytes, separator: str | None, n_rows: int | None) -> Fl
                 delimiter=separator,
                 ndmin=2,
                 encoding="latin-1",
-                max_rows=MAX_POINTS + 1 if n_rows is None else n_rows,
+                max_rows=min(MAX_POINTS + 1 if n_rows is None else n_rows, n_lines),
             )
     except ValueError:
         return None
