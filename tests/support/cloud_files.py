@@ -55,8 +55,9 @@ def cloud_message(store: object, points: np.ndarray, frame: str = "lidar", **cha
     for i, axis in enumerate("xyz"):
         table[axis] = points[:, i]
     stamp = types["builtin_interfaces/msg/Time"](sec=1, nanosec=0)
+    header = changes.pop("header", None) or types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
     content: dict[str, object] = {
-        "header": types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame),
+        "header": header,
         "height": 1,
         "width": len(points),
         "fields": [field("intensity", 0, 7, 1), *(field(axis, 4 + 4 * i, 7, 1) for i, axis in enumerate("xyz"))],
