@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
 from perception import PerceptionError
 from perception.simulate import Caster, DepthCamera, Pose, Scanner, Sensor, SolidState, box, joined, scan
 from perception.simulate.mesh import capsule, lathe, pipe
+from perception.simulate.objects.doors import Door
 from perception.simulate.scenes import SCENES, VARIANTS, SimulatedScene, make_scene
 
 FLOOR = box((-4.0, -4.0, -0.1), (4.0, 4.0, 0.0))
@@ -18,6 +21,9 @@ SENSORS: dict[str, Sensor] = {
     "solid": SolidState(n_points=30_000, mixed_share=0.0),
     "camera": DepthCamera(width=200, height=150, mixed_share=0.0),
 }
+
+
+made = functools.cache(make_scene)
 
 
 def deviation(sensor: Sensor, cloud_points: np.ndarray, caster: Caster) -> tuple[np.ndarray, np.ndarray]:
@@ -152,7 +158,7 @@ def test_unknown_scenes_are_refused_by_name() -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_scene_is_the_same_each_time_and_another_with_another_seed(name: str) -> None:
-    first, again, other = make_scene(name, 0), make_scene(name, 0), make_scene(name, 1)
+    first, again, other = made(name, 0), make_scene(name, 0), made(name, 1)
     vertices = [joined(scene.meshes).vertices for scene in (first, again, other)]
     assert np.array_equal(vertices[0], vertices[1])
     assert vertices[0].shape != vertices[2].shape or not np.array_equal(vertices[0], vertices[2])
@@ -181,19 +187,31 @@ def expected_keys(kind: str, sizes: dict[str, float]) -> set[str]:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_truth_is_in_a_right_handed_frame_with_the_sizes_of_its_kind(name: str) -> None:
-    for truth in make_scene(name).truth:
+    for truth in made(name, 0).truth:
         rotation = truth.pose_world_object[:3, :3]
         assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
         assert np.linalg.det(rotation) == pytest.approx(1.0)
         assert set(truth.sizes) == expected_keys(truth.kind, dict(truth.sizes))
 
 
-def kinds() -> set[str]:
-    return {truth.kind for name in SCENES for truth in make_scene(name).truth}
+def test_every_kind_has_a_scene_and_many_have_none() -> None:
+    recipes = [name for name in SCENES if not name.startswith("debris")]
+    kinds = [{truth.kind for truth in made(name, 0).truth} for name in (*recipes, "debris_one")]
+    assert set.union(*kinds) == {"valve", "door", "panel", "lever", "drill", "beam", "hose", "seat", "opening"}
+    assert sum(not found for found in kinds) >= 6
+    assert len(SCENES) >= 30
 
 
-def test_every_kind_has_a_scene() -> None:
-    assert kinds() == {"valve", "door", "panel", "lever", "drill", "beam", "hose", "seat", "opening"}
+def test_an_open_leaf_seen_from_behind_is_told_by_the_face_that_is_seen() -> None:
+    truth = make_scene("door_left_wide_open").truth[0]
+    door = Door((1.45, 0.45), -np.pi / 2, "left", ajar=np.radians(80.0))
+    assert truth.sizes["side"] == 1.0
+    assert door.placed().truth[0].sizes["side"] == 1.0
+    ahead = Door((1.45, 0.45), -np.pi / 2, "left", ajar=np.radians(10.0)).placed().truth[0]
+    assert ahead.sizes["side"] == -1.0
+    behind = door.placed().truth[0].pose_world_object
+    pin = np.array([1.45, 0.45, 0.0])
+    assert np.linalg.norm(behind[:3, 3] - pin) == pytest.approx(door.thickness)
 
 
 def on_surface(scene: SimulatedScene, pose: np.ndarray, local: list[tuple[float, float, float]]) -> np.ndarray:
@@ -231,7 +249,7 @@ def surface_places(kind: str, s: dict[str, float]) -> list[tuple[float, float, f
 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_meshes_are_where_the_truth_says(name: str) -> None:
-    scene = make_scene(name, 2)
+    scene = made(name, 1)
     for truth in scene.truth:
         apart = on_surface(scene, truth.pose_world_object, surface_places(truth.kind, dict(truth.sizes)))
         assert apart.max() < 0.006, (truth.kind, apart)
@@ -239,8 +257,8 @@ def test_the_meshes_are_where_the_truth_says(name: str) -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_what_is_to_be_found_faces_the_sensor_and_is_in_view(name: str) -> None:
-    scene = make_scene(name, 0)
-    points = {variant: scene.scan(variant).points for variant in ("dense", "camera")}
+    scene = made(name, 0)
+    points = {variant: scene.scan(variant).points for variant in ("sparse", "camera_sparse")}
     for truth in scene.truth:
         position, rotation = truth.pose_world_object[:3, 3], truth.pose_world_object[:3, :3]
         towards = np.array(scene.poses[0].position) - position
@@ -254,7 +272,7 @@ def test_what_is_to_be_found_faces_the_sensor_and_is_in_view(name: str) -> None:
         if truth.kind in ("beam", "seat", "opening"):
             continue
         near = [int((np.linalg.norm(cloud - position, axis=1) < 0.15).sum()) for cloud in points.values()]
-        assert min(near) > 40, (truth.kind, near)
+        assert min(near) > 12, (truth.kind, near)
 
 
 def test_variants_hold_dense_and_sparse_of_three_sensors() -> None:

@@ -15,6 +15,7 @@ _GAP = 0.004
 _OVER_FLOOR = 0.008
 _CASING = 0.065
 _CASING_DEPTH = 0.016
+_BEHIND = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Door:
         wall_thickness: [m].
         wall_reach: how far the wall goes on beside the frame, hinge side and latch side [m].
         wall_height: [m].
+        eye: x, y it is looked at from, which decides which face of an open leaf is the seen one [m].
     """
 
     hinge: tuple[float, float] = (0.9, 0.45)
@@ -54,6 +56,7 @@ class Door:
     wall_thickness: float = 0.12
     wall_reach: tuple[float, float] = (1.2, 1.2)
     wall_height: float = 2.6
+    eye: tuple[float, float] = (0.1, 0.0)
 
     def placed(self) -> Placed:
         """Wall, frame, leaf and furniture on both sides; truth in the detector's frame."""
@@ -61,7 +64,11 @@ class Door:
         leaf_frame = to_world @ self._leaf_in_wall()
         meshes = [mesh.placed(to_world) for mesh in self._surround()]
         meshes += [mesh.placed(leaf_frame) for mesh in self._leaf()]
-        return Placed(tuple(meshes), (self._truth(leaf_frame),), self._lookalikes(leaf_frame))
+        seen = leaf_frame
+        if (np.linalg.inv(leaf_frame) @ [*self.eye, 0.0, 1.0])[1] < -0.5 * self.thickness:
+            seen = leaf_frame @ _BEHIND
+            seen[:3, 3] -= self.thickness * leaf_frame[:3, 1]
+        return Placed(tuple(meshes), (self._truth(seen),), self._lookalikes(seen))
 
     def _wall_frame(self) -> Float[np.ndarray, "4 4"]:
         """Columns: along the wall from hinge to latch, out of it towards who looks, up; may be left-handed."""
@@ -122,8 +129,7 @@ class Door:
         pin = 0.006 if self.side == "pull" else -self.thickness - 0.006
         for z in (0.22, 0.5 * self.height, self.height - 0.2):
             parts.append(cylinder((-0.002, pin, z - 0.05), (-0.002, pin, z + 0.05), 0.007, 16))
-        for face, out in ((0.0, 1.0), (-self.thickness, -1.0)):
-            parts += self._furniture(face, out)
+        parts += self._furniture(0.0, 1.0) + self._furniture(-self.thickness, -1.0)
         return parts
 
     @property

@@ -162,17 +162,41 @@ def chair(place: Sequence[float], yaw: float = 0.0) -> Placed:
 
 
 def cart(place: Sequence[float], yaw: float = 0.0, wheel: float = 0.15) -> Placed:
-    """A flat cart on four spoked wheels with a push bar."""
+    """A flat cart on four wheels, whose discs lie back between their tyres, with a push bar."""
     parts: list[Mesh] = [box((-0.45, -0.28, wheel + 0.03), (0.45, 0.28, wheel + 0.07))]
+    half = [(0.0, 0.015), (0.025, 0.015), (0.025, 0.006), (0.72 * wheel, 0.006), (0.75 * wheel, 0.025), (wheel, 0.025)]
+    tyre = [*half, *((radius, -height) for radius, height in reversed(half))]
     for x in (-0.3, 0.3):
-        for y in (-0.32, 0.32):
-            parts.append(torus((x, y, wheel), (0, 1, 0), wheel - 0.02, 0.02, 48, 16))
-            parts.append(cylinder((x, y - 0.03, wheel), (x, y + 0.03, wheel), 0.03, 24))
-            for angle in np.arange(6) * np.pi / 3.0:
-                end = (x + (wheel - 0.02) * np.cos(angle), y, wheel + (wheel - 0.02) * np.sin(angle))
-                parts.append(cylinder((x, y, wheel), end, 0.005, 8))
+        parts += [lathe(tyre, (x, y, wheel), (0.0, 1.0, 0.0)) for y in (-0.32, 0.32)]
         parts.append(cylinder((x, -0.32, wheel), (x, 0.32, wheel), 0.012, 16))
     parts.append(
         bent_bar([(-0.44, -0.25, wheel), (-0.55, -0.25, 0.95), (-0.55, 0.25, 0.95), (-0.44, 0.25, wheel)], 0.015)
     )
     return Placed(tuple(mesh.placed(pose_of(place, yaw=yaw)) for mesh in parts))
+
+
+def tyre(place: Sequence[float], axis: Sequence[float], radius: float = 0.32, width: float = 0.2) -> Placed:
+    """A car tyre without its wheel."""
+    inner, half = 0.6 * radius, 0.5 * width
+    section = [(inner, -0.8 * half), (0.95 * radius, -half), (radius, -0.7 * half), (radius, 0.7 * half)]
+    section += [(0.95 * radius, half), (inner, 0.8 * half), (inner, 0.7 * half), (0.9 * radius, 0.85 * half)]
+    section += [(0.93 * radius, 0.0), (0.9 * radius, -0.85 * half), (inner, -0.7 * half), (inner, -0.8 * half)]
+    return things(lathe(section, place, axis))
+
+
+def cupboard(corner: Sequence[float], width: float = 0.8, depth: float = 0.4, height: float = 1.9) -> Placed:
+    """A plain cupboard with two flush fronts and a gap between; ``corner`` is its front right foot, x into it."""
+    x, y, z = corner
+    middle = y + 0.5 * width
+    fronts = [
+        box((x, a, z + 0.08), (x + 0.02, b, z + height)) for a, b in ((y, middle - 0.003), (middle + 0.003, y + width))
+    ]
+    return things(box((x + 0.02, y, z), (x + depth, y + width, z + height)), *fronts)
+
+
+def radiator(corner: Sequence[float], length: float = 1.0, height: float = 0.6) -> Placed:
+    """Upright ribs along y between two pipes; ``corner`` is its right foot."""
+    x, y, z = corner
+    ribs = [capsule((x, y + at, z), (x, y + at, z + height), 0.018) for at in np.arange(0.0, length, 0.055)]
+    ends = [cylinder((x, y, h), (x, y + length, h), 0.02, 24) for h in (z + 0.04, z + height - 0.04)]
+    return things(*ribs, *ends)

@@ -60,5 +60,8 @@ class FromOutside:
 
 SCENES: Mapping[str, Recipe] = {
     "car_inside": FromSeat(),
+    "car_inside_narrow": FromSeat(0.45, 0.8, (0.4, -0.5, 0.4)),
     "car_outside": FromOutside(90.0),
+    "car_outside_left": FromOutside(-90.0, 1.7),
+    "car_outside_oblique": FromOutside(55.0, 1.8),
 }

@@ -36,5 +36,8 @@ class Debris:
 
 
 SCENES: Mapping[str, Recipe] = {
+    "debris_one": Debris(1, (0.9, 0.1), 0.1),
+    "debris_strewn": Debris(4, (1.0, 0.0), 0.5),
     "debris_heap": Debris(8),
+    "debris_large_heap": Debris(14, (1.2, 0.0), 0.35, 2),
 }

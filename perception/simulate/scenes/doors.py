@@ -61,5 +61,18 @@ class Doorway:
 
 SCENES: Mapping[str, Recipe] = {
     "door_left_shut": Doorway("left"),
+    "door_right_shut": Doorway("right"),
+    "door_left_ajar": Doorway("left", ajar_deg=20.0, distance=1.0),
+    "door_right_half_open": Doorway("right", ajar_deg=45.0, distance=1.15),
+    "door_left_wide_open": Doorway("left", ajar_deg=75.0, distance=1.45),
+    "door_left_push_shut": Doorway("left", "push"),
     "door_right_push_ajar_knob": Doorway("right", "push", 25.0, "knob"),
+    "door_left_push_half_open": Doorway("left", "push", 50.0),
+    "door_right_bar": Doorway("right", "push", furniture="bar"),
+    "door_left_bar_ajar": Doorway("left", "push", 15.0, "bar", width=1.0),
+    "door_right_knob": Doorway("right", furniture="knob", width=0.82),
+    "door_oblique": Doorway("left", distance=1.1, turned_deg=25.0),
+    "door_oblique_ajar": Doorway("right", "push", 12.0, distance=1.1, turned_deg=-30.0),
+    "door_corridor": Doorway("left", distance=1.2, corridor=0.8, width=0.85),
+    "door_far": Doorway("right", distance=1.8, width=0.95),
 }

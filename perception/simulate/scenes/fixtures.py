@@ -93,8 +93,19 @@ class HoseEnd:
         return assembled(name, seed, parts, (x, y, z))
 
 
+_GRID = tuple((x, y, 0.019) for y in (0.09, 0.0, -0.09) for x in (-0.05, 0.05))
 SCENES: Mapping[str, Recipe] = {
     "panel_two": ButtonPanel(((0.0, 0.065, 0.032), (0.0, -0.065, 0.032))),
+    "panel_grid": ButtonPanel(_GRID, (0.2, 0.3)),
+    "panel_one": ButtonPanel(((0.0, 0.0, 0.045),), (0.15, 0.15)),
+    "panel_oblique": ButtonPanel(((-0.09, 0.0, 0.028), (0.0, 0.0, 0.028), (0.09, 0.0, 0.028)), (0.34, 0.14), 35.0),
     "lever_box": SwitchBox(1.2),
+    "lever_box_down": SwitchBox(-1.3, 0.16),
+    "lever_box_across": SwitchBox(2.9, 0.24),
+    "lever_box_oblique": SwitchBox(0.6, 0.2, -35.0),
     "hose_standpipe": HoseEnd((0.7, 0.1, 1.0)),
+    "hose_tilted": HoseEnd((0.65, -0.1, 0.8), (-0.7, 0.0, 0.7)),
+    "hose_aside": HoseEnd((0.75, 0.15, 1.0), (-0.8, -0.6, 0.0), 0.045),
+    "hose_up": HoseEnd((0.65, 0.0, 0.7), (-0.2, 0.0, 1.0), 0.05),
+    "hose_wide": HoseEnd((0.8, -0.05, 1.15), (-1.0, 0.1, 0.1), 0.06),
 }

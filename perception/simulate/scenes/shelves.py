@@ -70,4 +70,8 @@ class Workbench:
 
 SCENES: Mapping[str, Recipe] = {
     "drill_shelf": ToolRack(((0.02, 0.9, 70.0),)),
+    "drill_shelf_away": ToolRack(((-0.1, 0.9, 20.0),)),
+    "drill_shelf_two": ToolRack(((0.0, 0.9, -80.0), (-0.2, 1.35, 120.0))),
+    "drill_bench": Workbench(100.0),
+    "drill_bench_towards": Workbench(200.0),
 }

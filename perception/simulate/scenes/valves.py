@@ -37,6 +37,7 @@ class Wheel:
         pipe: direction of the pipe.
         pipe_radius: [m].
         wall_x: where the wall is; None: 20 cm behind the pipe [m].
+        is_crossed: whether a thin pipe stands before the wheel.
     """
 
     centre: Vector
@@ -48,6 +49,7 @@ class Wheel:
     pipe: Vector = _UP
     pipe_radius: float = 0.045
     wall_x: float | None = None
+    is_crossed: bool = False
 
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
@@ -62,6 +64,8 @@ class Wheel:
         parts = [PipedWheel(wheel, self.pipe, self.pipe_radius).placed(), floor(), wall(face)]
         for side in (-1.0, 1.0):
             parts.append(upright_pipe(face - 0.1, y + side * rng.uniform(0.5, 0.8), rng.uniform(0.03, 0.07)))
+        if self.is_crossed:
+            parts.append(upright_pipe(x - 0.12, y + 0.45 * self.outer, 0.016))
         parts += cartons(rng, 2, (face - 0.4, y - 1.2), 0.25)
         return assembled(name, seed, parts, (x, y, z))
 
@@ -115,7 +119,23 @@ class BallValves:
 
 
 SCENES: Mapping[str, Recipe] = {
+    "valve_tiny": Wheel((0.6, 0.05, 1.2), outer=0.055, tube=0.007, n_spokes=3, stem=0.08, pipe_radius=0.025),
     "valve_small": Wheel((0.65, 0.1, 1.15), outer=0.075, tube=0.009, n_spokes=3, stem=0.1, pipe_radius=0.03),
+    "valve_plain": Wheel((0.65, -0.05, 1.1)),
+    "valve_large": Wheel((0.75, 0.0, 1.1), (5.0, 5.0), 0.28, 0.016, 6, 0.25, _ACROSS, 0.08),
+    "valve_huge": Wheel((0.85, 0.05, 1.1), (-8.0, 0.0), 0.38, 0.019, 5, 0.3, _UP, 0.1),
+    "valve_tilted": Wheel((0.65, 0.0, 1.0), (0.0, 45.0), 0.16, 0.013, 5, 0.2, _ACROSS),
+    "valve_aside": Wheel((0.7, 0.25, 1.1), (40.0, 0.0), 0.15),
+    "valve_overhead": Wheel((0.7, -0.2, 1.75), (-30.0, -15.0), 0.14, 0.012, 4, 0.15, _ACROSS),
     "valve_upright": Wheel((0.7, 0.05, 0.85), (0.0, 88.0), 0.16, 0.014, 5, 0.22, _ACROSS, wall_x=1.1),
+    "valve_low": Wheel((0.75, -0.1, 0.45), (10.0, 75.0), 0.2, 0.015, 4, 0.2, _ACROSS, wall_x=1.2),
+    "valve_near_wall": Wheel((0.7, 0.1, 1.15), (0.0, 0.0), 0.12, 0.012, 5, 0.09, _ACROSS, 0.03, wall_x=0.84),
+    "valve_far": Wheel((1.5, 0.2, 1.2), (10.0, 0.0), 0.17, 0.014),
+    "valve_crossed": Wheel((0.7, 0.0, 1.1), (0.0, 10.0), 0.15, n_spokes=5, is_crossed=True),
+    "valve_manifold": Manifold(),
     "valve_lever": BallValves((((0.75, 0.05, 1.1), _UP, 0.24, _ACROSS),)),
+    "valve_lever_along": BallValves((((0.7, -0.1, 1.0), _ACROSS, 0.2, _ACROSS),)),
+    "valve_levers": BallValves(
+        (((0.75, 0.3, 1.1), _UP, 0.2, _UP), ((0.75, -0.15, 1.1), (0.0, -1.0, 0.0), 0.26, _UP)),
+    ),
 }
