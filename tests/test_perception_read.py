@@ -120,6 +120,24 @@ def pcd_header(**changes: object) -> bytes:
         ({"DATA": "ascii"}, b"1 2 3\n4 five 6\n", "five"),
         ({"DATA": "binary_compressed"}, b"\1\0", "ends before the sizes"),
         ({"DATA": "binary_compressed"}, struct.pack("<II", 9, 2**31), "announce 2147483648 bytes"),
+        (
+            {
+                "FIELDS": "x y z rest",
+                "SIZE": "4 4 4 8",
+                "TYPE": "F F F U",
+                "COUNT": "1 1 1 65536",
+                "WIDTH": 600,
+                "POINTS": 600,
+                "DATA": "binary_compressed",
+            },
+            struct.pack("<II", 9, 600 * (12 + 8 * 65536)),
+            "unpacks to 314580000 bytes; at most 268435456",
+        ),
+        (
+            {"FIELDS": None, "SIZE": None, "TYPE": None, "COUNT": None},
+            b"",
+            "header has no FIELDS; x, y and z are needed",
+        ),
         ({"DATA": "binary_compressed"}, struct.pack("<II", 900, 24) + b"\0" * 20, "900 compressed bytes"),
         ({"DATA": "binary_compressed"}, struct.pack("<II", 4, 24) + b"\x20\0\0\0", "damaged"),
     ],
@@ -207,10 +225,23 @@ def test_text_round_trip_with_any_separator_and_header(points, mark, header) -> 
         ("//X Y Z\n1 2 3\n\n4 5 6\n", [[1, 2, 3], [4, 5, 6]]),
         ("1,5;2,5;3\n", [[1.5, 2.5, 3]]),
         ("1,2,3,\n", [[1, 2, 3]]),
+        ("1,2,3\n4,,6\n7,8,9\n", [[1, 2, 3], [4, np.nan, 6], [7, 8, 9]]),
+        ("x;y;z;what\n1,5;2;3;car\n", [[1.5, 2, 3]]),
+        ("X [m],Y [m],Z (m)\r\n1,2,3\r\n", [[1, 2, 3]]),
+        ("\ufeff1\t2\t3\n", [[1, 2, 3]]),
+        ("1 2 3\r4 5 6\r", [[1, 2, 3], [4, 5, 6]]),
+        ("1 2 3\n# between\n4 5 6\n", [[1, 2, 3], [4, 5, 6]]),
+        ('"1.0","2.0","3.0"\n', [[1, 2, 3]]),
+        ("1e0 2E0 +3\n", [[1, 2, 3]]),
     ],
 )
 def test_text_of_the_field_is_understood(text: str, expected: list[list[float]]) -> None:
     np.testing.assert_array_equal(read_text(text.encode(), "cloud.csv").points, expected)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig"])
+def test_a_table_may_begin_with_a_byte_order_mark(encoding: str) -> None:
+    np.testing.assert_array_equal(read_text("x,y,z\n1,2,3\n".encode(encoding), "cloud.csv").points, [[1, 2, 3]])
 
 
 @pytest.mark.parametrize(
@@ -220,6 +251,8 @@ def test_text_of_the_field_is_understood(text: str, expected: list[list[float]])
         ("# nothing\n", "holds no points"),
         ("1 2\n3 4\n", "line 1 has 2 columns; at least 3"),
         ("1 2 3\n4 5\n", "line 2 has 2 columns, the first has 3"),
+        ("# a\n\n1 2 3\n4 5 6 7\n", "line 4 has 4 columns, the first has 3"),
+        ("1 " * 40_000, "line 1 is longer than 65536 bytes; one row a line is needed"),
         ("1,2,3\n4,abc,6\n", "line 2: 'abc' is not a number"),
         ("a,b,c\n1,2,3\n", "line 1: 'a' is not a number"),
         ("# viewpoint a b\n1 2 3\n", "viewpoint 'a b'"),

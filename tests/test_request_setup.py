@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+import perception
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.errors import RequestError
@@ -209,6 +210,22 @@ def test_a_lying_cloud_is_refused_by_its_field(tmp_path: Path, content: bytes, p
     (line,) = _problems(tmp_path, scene={"cloud": "scan.pcd"})
     assert line.startswith("scene.cloud: ")
     assert problem in line
+
+
+def test_several_clouds_are_read_with_their_poses_and_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = {}
+
+    def read_clouds(files: object, **options: object) -> None:
+        asked.update(options, files=files)
+        raise perception.CloudError("enough")
+
+    monkeypatch.setattr(perception, "read_clouds", read_clouds)
+    cloud = [{"file": "a.pcd"}, {"file": "/scans/b.e57", "position": [1, 2, 3]}]
+    options = {"unit": "mm", "apply_viewpoint": True, "topic": "/points", "message": "all"}
+    (line,) = _problems(scene={"cloud": cloud, **options})
+    assert line == "scene.cloud: enough"
+    files = [(Path("a.pcd"), None), (Path("/scans/b.e57"), (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))]
+    assert asked == {"files": files, **options}
 
 
 def test_round_obstacles_are_contained_in_their_pieces() -> None:
