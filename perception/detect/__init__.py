@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.detection import Detection
+from perception.detect.door import detect_door
 from perception.detect.valve import as_detection, detect_in
 from perception.errors import PerceptionError
 from perception.view import View
@@ -17,7 +18,7 @@ def _valves(view: View, hint: Float[np.ndarray, "3"] | None) -> list[Detection]:
     return [as_detection(valve) for valve in detect_in(view, hint)]
 
 
-_DETECTORS: Mapping[str, Detector] = {"valve": _valves}
+_DETECTORS: Mapping[str, Detector] = {"valve": _valves, "door": detect_door}
 KINDS = tuple(_DETECTORS)
 
 
