@@ -14,7 +14,7 @@ from perception.limits import MAX_INVALID_FRACTION, MAX_POINTS
 # A scan of one place spans tens of metres; beyond these the numbers are in another unit or frame.
 _LARGEST_SPAN = 400.0
 _SMALLEST_SPAN = 0.05
-_MAP_DISTANCE = 1_000.0
+MAP_DISTANCE = 1_000.0
 
 
 def _no_points() -> Float[np.ndarray, "0 3"]:
@@ -169,7 +169,7 @@ def _oddities(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"
         notes.append(f"the cloud spans only {span:.2g} m: is its unit right?")
     middle = np.median(points, axis=0)
     distance = float(np.linalg.norm(middle))
-    if span <= _LARGEST_SPAN and distance > _MAP_DISTANCE:
+    if span <= _LARGEST_SPAN and distance > MAP_DISTANCE:
         shift = " ".join(f"{-value:.0f}" for value in middle)
         notes.append(
             f"the cloud lies {distance:.0f} m from the origin: map coordinates? give a transform to where the robot "
@@ -189,10 +189,13 @@ def _sensor_frame_hint(
     depth = points[:, 2]
     in_front = np.mean((depth > 0.1) & (np.abs(points[:, :2]) < 1.3 * depth[:, None]).all(axis=1))
     if in_front > 0.99:
-        return "looks like a camera's own frame (z forward, rays from zero): give it in world coordinates, z up"
+        return (
+            "looks like a camera's own frame (x right, y down, z forward): give a transform to the world, z up; for a "
+            "camera that looks ahead, level, h metres up it is 0 0 h -1.5708 0 -1.5708"
+        )
     if low[2] < -0.4:
         return (
             f"looks sensor-framed: rays start at zero and points reach {-low[2]:.2f} m below it; "
-            "apply the viewpoint or give world coordinates"
+            "apply the viewpoint, or give a transform to the world"
         )
     return ""

@@ -106,8 +106,7 @@ def _path_or_list(value: object) -> str | None:
 
 
 CloudRequest = Annotated[
-    Annotated[FilePath, Tag("path")]
-    | Annotated[tuple[CloudFileRequest, ...], Tag("list"), Field(max_length=64)],
+    Annotated[FilePath, Tag("path")] | Annotated[tuple[CloudFileRequest, ...], Tag("list"), Field(max_length=64)],
     Discriminator(
         _path_or_list,
         custom_error_type="cloud",
@@ -125,6 +124,7 @@ class SceneRequest(Section):
         unit: of the files' lengths.
         apply_viewpoint: whether the points are in the sensor's frame and its VIEWPOINT takes them to the world (or to
             what ``position`` and ``quaternion_wxyz`` take to the world).
+        sensor: where the rays of a file that does not say so started.
         topic: of a bag with several clouds.
         message: of a bag, the number of the message, or all of them merged.
         hint: a point in the world near the object of the task.
@@ -136,6 +136,7 @@ class SceneRequest(Section):
     cloud: CloudRequest | None = None
     unit: Literal["m", "cm", "mm", "km", "in", "ft"] = "m"
     apply_viewpoint: StrictBool = False
+    sensor: Point | None = None
     topic: Label | None = None
     message: Message = 0
     hint: Point | None = None

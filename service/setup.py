@@ -241,6 +241,7 @@ def _perceive(
             [(request.resolve(one.file), one.transform) for one in scene.cloud_files],
             unit=scene.unit,
             apply_viewpoint=scene.apply_viewpoint,
+            sensor=scene.sensor,
             topic=scene.topic,
             message=scene.message,
         )

@@ -132,6 +132,41 @@ def test_the_viewpoint_comes_before_the_transform(tmp_path: Path) -> None:
     np.testing.assert_allclose(cloud.origin, [-0.1, 0.0, 1.0], atol=1e-7)
 
 
+def test_rays_start_where_the_user_says_when_the_file_does_not(tmp_path: Path) -> None:
+    silent, telling = tmp_path / "silent.npy", npz(tmp_path, ROOM)
+    np.save(silent, ROOM)
+    cloud = read_cloud(silent, transform=[1, 2, 0, 0, 0, 0], sensor=[1, 2, 1.6])
+    np.testing.assert_array_equal(cloud.origin, [1, 2, 1.6])
+    assert cloud.notes == ()
+    cloud = read_cloud(silent, transform=[1, 2, 0, 0, 0, 0])
+    np.testing.assert_array_equal(cloud.origin, [1, 2, 0])
+    assert "rays are taken to start at (1, 2, 0)" in cloud.notes[0]
+    np.testing.assert_array_equal(read_cloud(telling, sensor=[1, 2, 1.6]).origin, SENSOR)
+    for sensor in ([1, 2], [1, 2, np.nan]):
+        with pytest.raises(CloudError, match="is no position; three finite numbers are needed"):
+            read_cloud(silent, sensor=sensor)
+
+
+def test_no_ray_starts_at_the_zero_of_a_map(tmp_path: Path) -> None:
+    far = np.array([412_345.678, 5_318_008.135, 512.25])
+    np.save(tmp_path / "map.npy", ROOM + far)
+    cloud = read_cloud(tmp_path / "map.npy", transform=[*-far, 0, 0, 0])
+    np.testing.assert_array_equal(cloud.origin, np.zeros(3))
+    assert "its zero lies 5333970 m away; rays are taken to start at the world's (0, 0, 0)" in cloud.notes[0]
+
+
+def test_a_level_cameras_frame_is_turned_as_its_note_says(tmp_path: Path) -> None:
+    ahead = np.column_stack([ROOM[:, 0] / 4, ROOM[:, 1] / 4, ROOM[:, 2] + 1.0])  # right, down, forward
+    np.save(tmp_path / "camera.npy", ahead)
+    assert any(
+        "for a camera that looks ahead" in note and "0 0 h -1.5708 0 -1.5708" in note
+        for note in read_cloud(tmp_path / "camera.npy").notes
+    )
+    cloud = read_cloud(tmp_path / "camera.npy", transform=[0, 0, 1.5, -np.pi / 2, 0, -np.pi / 2])
+    right, down, forward = ahead.T
+    np.testing.assert_allclose(cloud.points, np.column_stack([forward, -right, 1.5 - down]), atol=1e-12)
+
+
 def test_merged_files_know_where_each_ray_started(tmp_path: Path) -> None:
     a, b = tmp_path / "a.pcd", tmp_path / "b.npz"
     write_pcd(a, ROOM, (*SENSOR, 1, 0, 0, 0), misses=HIGH)
@@ -152,7 +187,10 @@ def test_notes_of_merged_files_name_their_file(tmp_path: Path) -> None:
     a.write_text("1 2 3\n4 5 6\n")
     b.write_text("1 2 3\n4 5 nan\n")
     notes = read_clouds([(a, None), (b, None)]).notes
-    assert f"{a}: the file gives no sensor position; rays are taken to start at (0, 0, 0)" in notes
+    assert any(
+        note.startswith(f"{a}: the file gives no sensor position; rays are taken to start at (0, 0, 0)")
+        for note in notes
+    )
     assert f"{b}: dropped 1 NaN or infinite points of 2 (50.0 %)" in notes
 
 

@@ -221,7 +221,7 @@ def test_several_clouds_are_read_with_their_poses_and_unit(monkeypatch: pytest.M
 
     monkeypatch.setattr(perception, "read_clouds", read_clouds)
     cloud = [{"file": "a.pcd"}, {"file": "/scans/b.e57", "position": [1, 2, 3]}]
-    options = {"unit": "mm", "apply_viewpoint": True, "topic": "/points", "message": "all"}
+    options = {"unit": "mm", "apply_viewpoint": True, "sensor": (0.0, 0.0, 1.6), "topic": "/points", "message": "all"}
     (line,) = _problems(scene={"cloud": cloud, **options})
     assert line == "scene.cloud: enough"
     files = [(Path("a.pcd"), None), (Path("/scans/b.e57"), (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))]

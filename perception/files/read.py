@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from perception.cloud import Cloud, make_cloud, merged
+from perception.cloud import MAP_DISTANCE, Cloud, make_cloud, merged
 from perception.errors import CloudError
 from perception.files.bag import Message
 from perception.files.oddities import rounding_note, without_empty_rows
 from perception.files.placing import Pose, metres_per, moved, pose_of_viewpoint, rigid_pose
+from perception.files.scan import Scan
 from perception.files.worker import parse_in_worker
 from perception.limits import MAX_POINTS
 
@@ -24,6 +25,7 @@ def read_cloud(
     unit: str = "m",
     transform: Pose | None = None,
     apply_viewpoint: bool = False,
+    sensor: Sequence[float] | None = None,
     topic: str | None = None,
     message: Message = 0,
 ) -> Cloud:
@@ -37,13 +39,16 @@ def read_cloud(
         unit: of the file's lengths: m, cm, mm, km, in, ft.
         transform: pose_world_cloud, as ``rigid_pose`` takes it [m, rad]; None: the points are in the world.
         apply_viewpoint: move the points by the viewpoint pose, for files whose points are in the sensor's frame.
+        sensor: where the rays of a file that does not say so started, in the world [m]; None: at the file's zero.
         topic: of a bag with several clouds, the one to read.
         message: of a bag, the number of the message to read, the first being 0 and the last -1, or ``all``, merged.
 
     Raises:
         CloudError: naming the file, what is wrong and what would do.
     """
-    return _placed(Path(path), unit, transform, apply_viewpoint, topic, message)
+    return read_clouds(
+        [(path, transform)], unit=unit, apply_viewpoint=apply_viewpoint, sensor=sensor, topic=topic, message=message
+    )
 
 
 def read_clouds(
@@ -51,6 +56,7 @@ def read_clouds(
     *,
     unit: str = "m",
     apply_viewpoint: bool = False,
+    sensor: Sequence[float] | None = None,
     topic: str | None = None,
     message: Message = 0,
 ) -> Cloud:
@@ -58,7 +64,7 @@ def read_clouds(
 
     Args:
         files: each file with its pose_world_cloud (None: its points are in the world already).
-        unit, apply_viewpoint, topic, message: of all files, as for ``read_cloud``.
+        unit, apply_viewpoint, sensor, topic, message: of all files, as for ``read_cloud``.
 
     Raises:
         CloudError: no file, too many points together, or what ``read_cloud`` has to say of one of them.
@@ -68,7 +74,8 @@ def read_clouds(
     clouds = []
     n_rays = 0
     for path, transform in files:
-        cloud = _placed(Path(path), unit, transform, apply_viewpoint, topic, message)
+        scan = parse_in_worker(Path(path), topic, message)
+        cloud = _placed(scan, str(path), unit, transform, apply_viewpoint, sensor)
         n_rays += len(cloud.points) + len(cloud.misses)
         if n_rays > MAX_POINTS:
             raise CloudError(
@@ -79,33 +86,71 @@ def read_clouds(
 
 
 def _placed(
-    path: Path, unit: str, transform: Pose | None, apply_viewpoint: bool, topic: str | None, message: Message
+    scan: Scan,
+    name: str,
+    unit: str,
+    transform: Pose | None,
+    apply_viewpoint: bool,
+    sensor: Sequence[float] | None,
 ) -> Cloud:
     """One file's cloud in metres in the frame that is asked for."""
     scale = metres_per(unit)
     pose = np.eye(4) if transform is None else rigid_pose(transform)
-    scan = without_empty_rows(parse_in_worker(path, topic, message), str(path))
+    scan = without_empty_rows(scan, name)
     notes = (*scan.notes, *rounding_note(scan.points, scale))
     viewpoint = np.eye(4)
     if scan.viewpoint is not None:
         viewpoint = pose_of_viewpoint(scan.viewpoint)
         viewpoint[:3, 3] *= scale
     elif apply_viewpoint:
-        raise CloudError(f"{path}: gives no viewpoint to apply; add one or leave apply_viewpoint off")
-    elif scan.starts is None:
-        notes = (*notes, "the file gives no sensor position; rays are taken to start at (0, 0, 0)")
+        raise CloudError(f"{name}: gives no viewpoint to apply; add one or leave apply_viewpoint off")
     if transform is None and not apply_viewpoint:
         notes = (*notes, *_frame_hint(scale * scan.points, viewpoint))
     pose_world_rows = pose @ viewpoint if apply_viewpoint else pose
-    at_viewpoint = moved(pose, viewpoint[:3, 3])
+    points = moved(pose_world_rows, scan.points, scale)
+    if scan.starts is not None:
+        origin = moved(pose_world_rows, scan.starts, scale)
+    elif scan.viewpoint is not None:
+        origin = moved(pose, viewpoint[:3, 3])
+    else:
+        origin, more = _unknown_sensor(points, pose[:3, 3], sensor)
+        notes = (*notes, *more)
     return make_cloud(
-        moved(pose_world_rows, scan.points, scale),
-        at_viewpoint if scan.starts is None else moved(pose_world_rows, scan.starts, scale),
+        points,
+        origin,
         notes,
-        str(path),
+        name,
         misses=moved(pose_world_rows, scan.misses, scale),
         miss_origin=None if scan.miss_starts is None else moved(pose_world_rows, scan.miss_starts, scale),
     )
+
+
+def _unknown_sensor(
+    points: Float[np.ndarray, "N 3"], zero: Float[np.ndarray, "3"], sensor: Sequence[float] | None
+) -> tuple[Float[np.ndarray, "3"], tuple[str, ...]]:
+    """Where rays are taken to start when the file does not say, and what to tell about it.
+
+    Args:
+        points: in the world [m].
+        zero: the file's zero in the world [m].
+        sensor: what the user says [m].
+    """
+    if sensor is not None:
+        position = np.asarray(sensor, dtype=np.float64)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise CloudError(f"sensor {list(sensor)} is no position; three finite numbers are needed")
+        return position, ()
+    valid = points[np.isfinite(points).all(axis=1)]
+    distance = float(np.linalg.norm(np.median(valid, axis=0) - zero)) if len(valid) else 0.0
+    if distance > MAP_DISTANCE and np.any(zero):
+        # No ray is that long: these were map coordinates.
+        note = (
+            f"the file gives no sensor position, and its zero lies {distance:.0f} m away; "
+            "rays are taken to start at the world's (0, 0, 0), give the sensor's position"
+        )
+        return np.zeros(3), (note,)
+    where = ", ".join(f"{value:g}" for value in np.round(zero, 3) + 0.0)
+    return zero, (f"the file gives no sensor position; rays are taken to start at ({where}), give it if they did not",)
 
 
 def _frame_hint(points: Float[np.ndarray, "N 3"], viewpoint: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:
