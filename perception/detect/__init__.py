@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.beam import detect_beam
 from perception.detect.detection import Detection
 from perception.detect.door import detect_door
 from perception.detect.valve import as_detection, detect_in
@@ -18,7 +19,7 @@ def _valves(view: View, hint: Float[np.ndarray, "3"] | None) -> list[Detection]:
     return [as_detection(valve) for valve in detect_in(view, hint)]
 
 
-_DETECTORS: Mapping[str, Detector] = {"valve": _valves, "door": detect_door}
+_DETECTORS: Mapping[str, Detector] = {"valve": _valves, "door": detect_door, "beam": detect_beam}
 KINDS = tuple(_DETECTORS)
 
 

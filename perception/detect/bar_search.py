@@ -1,0 +1,144 @@
+"""The bar that explains best what is seen about a straight run of points, and how sure its size is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from perception.detect.bar_fit import SIGMA_USUAL, BarFit, fit_bars
+from perception.detect.bar_starts import Run, misfits, run_of, sample_about, starts_about
+from perception.detect.bars import Bar, Section, SurroundingRays
+from perception.detect.sightlines import SightIndex
+from perception.floor import FloorPlane
+
+_SPACING = 0.06
+_AROUND = 0.13
+_ON_FLOOR = 0.02
+_HOVER = 0.03
+_SIGMA_FLOOR = 0.005
+_WORST_HOVER = 16.0
+_FOR_STARTS = 200
+_FOR_CHOICE = 900
+_UNDECIDED = 10.0
+_MOST_RAYS = 4000
+
+
+@dataclass(frozen=True)
+class Stock:
+    """What sizes a kind of bar comes in.
+
+    Attributes:
+        section: outline across the axis.
+        halves: half width and half thickness of each [m].
+        rarity: squared standard deviations by which one has to explain better to be believed, in the order of halves.
+    """
+
+    section: Section
+    halves: tuple[tuple[float, float], ...]
+    rarity: tuple[float, ...]
+
+    def rarity_of(self, half: tuple[float, float]) -> float:
+        """Of the size."""
+        return self.rarity[self.halves.index(half)]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The bar that explains best.
+
+    Attributes:
+        fit: it.
+        doubt: how far across the axis the centres of others lie that explain nearly as well [m].
+    """
+
+    fit: BarFit
+    doubt: float
+
+
+def rays_about(index: SightIndex, run: Run, beyond: float, floor: FloorPlane | None) -> SurroundingRays:
+    """Rays that pass near a run, those that ended on the floor told apart."""
+    rays = index.passing(run.places(_SPACING, beyond), _AROUND).thinned(_MOST_RAYS)
+    elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(rays.ends) < _ON_FLOOR
+    return SurroundingRays(rays.start, rays.direction, rays.length, elsewhere)
+
+
+def choose_bar(
+    rays: SurroundingRays,
+    run: Run,
+    radius: float,
+    stock: Stock,
+    floor: FloorPlane | None,
+    n_starts: int,
+    most_rays: int,
+    also: BarFit | None = None,
+) -> Choice | None:
+    """Fit bars of all sizes about a run and take the one that explains best.
+
+    Args:
+        rays: that pass near the run.
+        run: where to look.
+        radius: of the tube about the run whose points are to be explained [m].
+        stock: sizes to try.
+        floor: nothing lies in it, and hardly anything just over it.
+        n_starts: how many to fit.
+        most_rays: for each fit.
+        also: a further start.
+    """
+    few, many = (sample_about(rays, run, radius, most) for most in (_FOR_STARTS, _FOR_CHOICE))
+    if few is None or many is None:
+        return None
+    starts = starts_about(few, run, stock.halves, stock.section, n_starts)
+    if also is not None:
+        starts.append((replace(also.bar, centre=run.place, first=run.first, last=run.last), also.usual))
+    fits = fit_bars(rays, starts, most_rays)
+    prior = [stock.rarity_of(fit.usual) + _unusual(fit) + _unsupported(fit.bar, floor) for fit in fits]
+    cost = misfits(many, [fit.bar for fit in fits]) + prior
+    best = int(np.argmin(cost))
+    # A model is never quite true; what is left unexplained makes small differences mean less.
+    tolerance = _UNDECIDED * max(1.0, float(cost[best]) / max(1, int(many.mine.sum())))
+    doubt = max(
+        _apart(fit.bar, fits[best].bar) for fit, one in zip(fits, cost, strict=True) if one <= cost[best] + tolerance
+    )
+    return Choice(fits[best], doubt)
+
+
+def _unusual(fit: BarFit) -> float:
+    """How far a bar's sizes are from those it was drawn towards, in squared standard deviations."""
+    return float((((np.array(fit.bar.half) - fit.usual) / SIGMA_USUAL) ** 2).sum())
+
+
+def _unsupported(bar: Bar, floor: FloorPlane | None) -> float:
+    """How far a bar reaches into the floor or hovers just over it, in squared standard deviations.
+
+    Where a bar touches the floor its lowest two centimetres cannot be told from it.
+    """
+    if floor is None:
+        return 0.0
+    lowest = float(floor.above(bar.corners).min())
+    hovering = max(0.0, lowest) if lowest < _HOVER else 0.0
+    return min(_WORST_HOVER, (hovering / _SIGMA_FLOOR) ** 2) + (min(lowest, 0.0) / _SIGMA_FLOOR) ** 2
+
+
+def _apart(one: Bar, other: Bar) -> float:
+    """How far the middle of one is from the axis of the other [m]."""
+    offset = one.middle - other.middle
+    return float(np.linalg.norm(offset - (offset @ other.axis) * other.axis))
+
+
+def likelier(rays: SurroundingRays, bar: Bar, rivals: Sequence[tuple[float, float]], section: Section) -> float:
+    """By how many squared standard deviations a bar explains better than the best rival of another section.
+
+    Args:
+        rays: that pass near the bar.
+        bar: fitted.
+        rivals: half sizes to start from [m].
+        section: of the rivals.
+    """
+    run, radius = run_of(bar), max(bar.half) + 0.02
+    few, many = (sample_about(rays, run, radius, most) for most in (_FOR_STARTS, _FOR_CHOICE))
+    if few is None or many is None:
+        return 0.0
+    fits = fit_bars(rays, starts_about(few, run, rivals, section, len(rivals)), _FOR_STARTS)
+    return float(misfits(many, [fit.bar for fit in fits]).min() - misfits(many, [bar])[0])

@@ -1,0 +1,201 @@
+"""Detection of sawn beams (2x4 and the like) in debris: straight runs of points, cuboids fitted to the rays, evidence
+weighed into a confidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from threadpoolctl import threadpool_limits
+
+from perception.clean import voxel_downsample
+from perception.detect.bar_evidence import Ends, Evidence, find_ends, weigh_bar
+from perception.detect.bar_fit import BarFit
+from perception.detect.bar_search import Stock, choose_bar, likelier, rays_about
+from perception.detect.bar_starts import Run, run_of
+from perception.detect.bars import Bar
+from perception.detect.detection import Detection
+from perception.detect.lines import Line, find_lines
+from perception.detect.sightlines import SightIndex, sight_index
+from perception.detect.slender import is_slender
+from perception.floor import FloorPlane
+from perception.view import View
+
+# 2x4, 4x4, 2x6 and 2x2 as sawn.
+_TIMBER = Stock("box", ((0.0445, 0.019), (0.0445, 0.0445), (0.07, 0.019), (0.019, 0.019)), rarity=(0.0, 4.0, 4.0, 12.0))
+_PIPES = ((0.02, 0.02), (0.03, 0.03), (0.045, 0.045))
+_VOXEL = 0.015
+_RADII = (0.035, 0.055, 0.08)
+_LEAST_LENGTH = 0.25
+_TUBE = 0.1
+_ROUNDS = 3
+_PER_ROUND = 12
+_HINT_RADIUS = 0.7
+_REPORTED = 0.05
+_EXPLAINS = 0.25
+_MOST_POINTS = 200
+
+
+@dataclass(frozen=True)
+class _Beam:
+    """A cuboid and what speaks for it."""
+
+    fit: BarFit
+    ends: Ends
+    doubt: float
+    evidence: Evidence
+    flatter: float
+    confidence: float
+    points: Float[np.ndarray, "K 3"]
+
+    @property
+    def bar(self) -> Bar:
+        """With its ends."""
+        return self.ends.bar
+
+
+def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+    """Beams, best first; origin the centre, x along the length, z along the smallest side.
+
+    Sizes are length, width and thickness.  A beam of which one face is seen may be thicker than it looks: residuals
+    hold ``doubt``, how far off its centre may then be.
+
+    Args:
+        view: the scan.
+        hint: (3,) a point near the beam: only what lies within 0.7 m of it is looked at [m].
+    """
+    if not len(view.obstacles):
+        return []
+    rng = np.random.default_rng(view.seed)
+    index = sight_index(view.cloud)
+    points, _ = voxel_downsample(view.obstacles, _VOXEL)
+    points = points[is_slender(points)]
+    if hint is not None:
+        points = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
+    found: list[_Beam] = []
+    looked_at: list[Line] = []
+    # The fits are many and small: with several threads BLAS spends its time on handing them out.
+    with threadpool_limits(limits=1, user_api="blas"):
+        for _ in range(_ROUNDS):
+            lines = find_lines(points, rng, _RADII, _LEAST_LENGTH, looked_at)[:_PER_ROUND]
+            if not lines:
+                break
+            looked_at += lines
+            new = [one for line in lines if (one := _examine(index, line, view.floor)) is not None]
+            found += [one for one in new if one.confidence > _REPORTED]
+            for one in new:
+                # What a beam explains hides what lies across it.
+                if one.confidence > _EXPLAINS:
+                    points = points[~_on_bar(one.bar, points, 0.02)]
+    found.sort(key=lambda one: -one.confidence)
+    return [_as_detection(one) for one in _apart(found)]
+
+
+def _examine(index: SightIndex, line: Line, floor: FloorPlane | None) -> _Beam | None:
+    """Fit a cuboid about a line and weigh it; None when it is hopeless."""
+    run = Run(line.place, line.axis, line.first, line.last)
+    rays = rays_about(index, run, 0.1, floor)
+    choice = choose_bar(rays, run, 1.3 * line.radius, _TIMBER, floor, 5, 200)
+    if choice is None:
+        return None
+    bar = find_ends(rays, choice.fit.bar).bar
+    rays = rays_about(index, run_of(bar), 0.15, floor)
+    bar = find_ends(rays, bar).bar
+    early = weigh_bar(rays, bar)
+    if bar.length < _LEAST_LENGTH or early.solid < 0.5 or early.air < 0.1:
+        return None
+    choice = choose_bar(rays, run_of(bar), _TUBE, _TIMBER, floor, 7, 350, choice.fit)
+    if choice is None:
+        return None
+    ends = find_ends(rays, choice.fit.bar)
+    if ends.bar.length < _LEAST_LENGTH:
+        return None
+    evidence = weigh_bar(rays, ends.bar)
+    flatter = likelier(rays, ends.bar, _PIPES, "round")
+    points = rays.ends[evidence.hits]
+    return _Beam(
+        replace(choice.fit, bar=ends.bar),
+        ends,
+        choice.doubt,
+        evidence,
+        flatter,
+        _confidence(ends, choice.doubt, evidence, flatter),
+        points[:: max(1, len(points) // _MOST_POINTS)],
+    )
+
+
+def _confidence(ends: Ends, doubt: float, evidence: Evidence, flatter: float) -> float:
+    """Product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths that agree,
+    flat rather than round, a centre that is sure, and an end that is seen."""
+    bar, ends_seen = ends.bar, sum(ends.seen)
+    width, thickness = 2.0 * max(bar.half), 2.0 * min(bar.half)
+    return float(
+        _rising(evidence.solid, 0.85, 0.965)
+        * _rising(evidence.air, 0.35, 0.7)
+        * _rising(evidence.known, 0.2, 0.5)
+        * _rising(evidence.visible, 0.25, 0.6)
+        * _rising(bar.length / width, 2.5, 4.5)
+        * _rising(width, 0.055, 0.075)
+        * _rising(-width, -0.19, -0.155)
+        * _rising(thickness, 0.018, 0.028)
+        * _rising(-evidence.rms, -0.02, -0.015)
+        * _rising(evidence.n_hits, 20.0, 80.0)
+        * _rising(flatter, -6.0, 10.0)
+        * _rising(-_off_size(width, thickness), -0.025, -0.012)
+        * (1.0 - 0.4 * _rising(doubt, 0.01, 0.03))
+        * (0.7 if ends_seen == 0 else 1.0)
+    )
+
+
+def _off_size(width: float, thickness: float) -> float:
+    """How far both sizes are from those of the nearest timber, the farther of the two [m]."""
+    halves = np.array(_TIMBER.halves)
+    nearest = np.abs(2.0 * np.column_stack([halves.max(axis=1), halves.min(axis=1)]) - (width, thickness))
+    return float(nearest.max(axis=1).min())
+
+
+def _rising(value: float, low: float, high: float) -> float:
+    """0 up to ``low``, 1 from ``high`` on, smooth between."""
+    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
+    return x * x * (3.0 - 2.0 * x)
+
+
+def _on_bar(bar: Bar, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
+    """Points within ``margin`` of the bar."""
+    local = (points - bar.middle) @ bar.frame.T
+    return np.asarray((np.abs(local) < np.array([0.5 * bar.length, *bar.half]) + margin).all(axis=1))
+
+
+def _apart(found: list[_Beam]) -> list[_Beam]:
+    """Without those that lie in a surer one, or just beside it in the same direction."""
+    kept: list[_Beam] = []
+    for one in found:
+        if not any(_same(one.bar, other.bar) or _same(other.bar, one.bar) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _same(one: Bar, other: Bar) -> bool:
+    margin = 0.5 * min(one.half) if abs(one.axis @ other.axis) > 0.98 else 0.0
+    return bool(_on_bar(other, one.places(0.02), margin).mean() > 0.5)
+
+
+def _as_detection(one: _Beam) -> Detection:
+    bar, evidence = one.bar, one.evidence
+    axes = bar.frame if bar.half[0] >= bar.half[1] else bar.frame[[0, 2, 1]]
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([axes[0], np.cross(axes[2], axes[0]), axes[2]])
+    pose[:3, 3] = bar.middle
+    sizes = {"length": bar.length, "width": 2.0 * max(bar.half), "thickness": 2.0 * min(bar.half)}
+    residuals = {
+        "rms": evidence.rms,
+        "axis_spread_rad": one.fit.spread[0],
+        "centre_spread": one.fit.spread[1],
+        "doubt": one.doubt,
+        "solid_share": evidence.solid,
+        "air_share": evidence.air,
+        "visible_share": evidence.visible,
+        "ends_seen": float(sum(one.ends.seen)),
+    }
+    return Detection("beam", pose, sizes, one.confidence, residuals, one.points)

@@ -1,0 +1,199 @@
+"""Hypotheses of straight long things in a cloud: random pairs of neighbours, scored by how much the points about their
+line stand out from what is around them, grown along it as far as points go on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+_BALL = 0.32
+_LEAST_PAIR = 0.1
+_BIN = 0.04
+_GAP = 5
+_MOST_NEAR = 400
+_SHARED = 0.6
+_MOST_BINS = 20
+# A line begun at a few points is off by this much at most where it ends.
+_CORRIDOR = 0.25
+
+
+@dataclass(frozen=True)
+class Line:
+    """A straight run of points.
+
+    Attributes:
+        place: (3,) on it [m].
+        axis: (3,) unit.
+        first, last: where it begins and ends, from ``place`` along ``axis`` [m].
+        radius: of the tube its points lie in [m].
+        members: indices of its points.
+        score: number of bins along it that hold points (no more than 20), times how much they stand out.
+    """
+
+    place: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    first: float
+    last: float
+    radius: float
+    members: Int[np.ndarray, "K"]
+    score: float
+
+
+def find_lines(
+    points: Float[np.ndarray, "N 3"],
+    rng: np.random.Generator,
+    radii: tuple[float, ...],
+    least_length: float,
+    known: Sequence[Line] = (),
+    n_seeds: int = 250,
+    n_pairs: int = 14,
+    most: int = 60,
+) -> list[Line]:
+    """The best lines, best first; no two that run through much the same place.
+
+    Args:
+        points: (N, 3) thinned evenly, without large planes [m].
+        rng: for the pairs.
+        radii: of the tubes to try [m].
+        least_length: [m].
+        known: lines that are not wanted again.
+        n_seeds: places to look at.
+        n_pairs: directions tried at each.
+        most: how many to return.
+    """
+    if len(points) < 12:
+        return []
+    tree = cKDTree(points)
+    taken = np.zeros(len(points), dtype=bool)
+    for one in known:
+        taken |= _of_line(points, one)
+    untaken = np.flatnonzero(~taken)
+    if not len(untaken):
+        return []
+    seeds = np.sort(rng.choice(untaken, min(n_seeds, len(untaken)), replace=False))
+    starts: list[tuple[float, Line]] = []
+    for seed, near in zip(seeds, tree.query_ball_point(points[seeds], _BALL, return_sorted=True), strict=True):
+        local = np.asarray(near, dtype=np.int64)
+        if len(local) >= 10:
+            starts += _at_seed(points, int(seed), local, rng, radii, n_pairs)
+    starts.sort(key=lambda start: -start[0])
+    found: list[Line] = []
+    for _, start in starts[: 6 * most]:
+        # What one line explains is not begun at again.
+        if taken[start.members].mean() > _SHARED:
+            continue
+        line = _grown(points, start)
+        if line is None or line.last - line.first < least_length:
+            continue
+        if not any(_same(line, other) for other in (*known, *found)):
+            found.append(line)
+            taken[line.members] = True
+            if len(found) == most:
+                break
+    return sorted(found, key=lambda line: -line.score)
+
+
+def _at_seed(
+    points: Float[np.ndarray, "N 3"],
+    seed: int,
+    local: Int[np.ndarray, "K"],
+    rng: np.random.Generator,
+    radii: tuple[float, ...],
+    n_pairs: int,
+) -> list[tuple[float, Line]]:
+    """The best line through a seed for each radius."""
+    if len(local) > _MOST_NEAR:
+        local = np.sort(rng.choice(local, _MOST_NEAR, replace=False))
+    offset = points[local] - points[seed]
+    distance = np.linalg.norm(offset, axis=1)
+    partners = np.flatnonzero(distance > _LEAST_PAIR)
+    if not len(partners):
+        return []
+    partners = rng.choice(partners, min(n_pairs, len(partners)), replace=False)
+    axes = offset[partners] / distance[partners, None]
+    along = offset @ axes.T
+    apart = np.sqrt(np.maximum(distance[:, None] ** 2 - along**2, 0.0))
+    n_bins = int(2 * _BALL / _BIN)
+    bins = np.clip(((along + _BALL) / _BIN).astype(np.int64), 0, n_bins - 1)
+    best = []
+    for radius in radii:
+        inside, around = apart < radius, apart < 2.0 * radius
+        filled = np.zeros((len(axes), n_bins), dtype=bool)
+        rows, columns = np.nonzero(inside.T)
+        filled[rows, bins[columns, rows]] = True
+        share = inside.sum(axis=0) / np.maximum(around.sum(axis=0), 1)
+        score = filled.sum(axis=1) * _contrast(share)
+        i = int(np.argmax(score))
+        members = local[inside[:, i]]
+        best.append((float(score[i]), Line(points[seed], axes[i], -_BALL, _BALL, radius, members, float(score[i]))))
+    return best
+
+
+def _contrast(share: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
+    """0 where points lie about the tube as densely as in it, as on a wall; 1 where there are none about it."""
+    return np.asarray(np.maximum(share - 0.4, 0.0) / 0.6)
+
+
+def _grown(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
+    """The line refitted to its points and extended as far as they go on; None when too few are left."""
+    _, apart = _about(points, line.place, line.axis)
+    corridor = np.flatnonzero(apart < _CORRIDOR)
+    local = points[corridor]
+    place, axis = points[line.members].mean(axis=0), line.axis
+    low, high = -_BALL, _BALL
+    for _ in range(4):
+        along, apart = _about(local, place, axis)
+        inside = apart < line.radius
+        low, high = _run(along[inside])
+        members = local[inside & (along >= low) & (along <= high)]
+        if len(members) < 8:
+            return None
+        place = members.mean(axis=0)
+        new = np.linalg.eigh(np.cov((members - place).T))[1][:, 2]
+        axis = new * np.sign(new @ axis)
+    along, apart = _about(local, place, axis)
+    inside = apart < line.radius
+    if not inside.any():
+        return None
+    low, high = _run(along[inside])
+    beside = (along >= low) & (along <= high)
+    inside &= beside
+    share = inside.sum() / max(1, int((beside & (apart < 2.0 * line.radius)).sum()))
+    filled = len(np.unique(np.floor(along[inside] / _BIN)))
+    return Line(
+        place, axis, low, high, line.radius, corridor[inside], float(min(filled, _MOST_BINS) * _contrast(share))
+    )
+
+
+def _about(
+    points: Float[np.ndarray, "N 3"], place: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+    """Where along a line each point is, and how far from it [m]."""
+    offset = points - place
+    along = offset @ axis
+    return along, np.sqrt(np.maximum(np.einsum("ni,ni->n", offset, offset) - along**2, 0.0))
+
+
+def _run(along: Float[np.ndarray, "K"]) -> tuple[float, float]:
+    """Ends of the run of filled bins through the middle, gaps of up to five bins included."""
+    bins = np.unique(np.floor(along / _BIN).astype(np.int64))
+    breaks = np.flatnonzero(np.diff(bins) > _GAP)
+    begins, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(bins) - 1]])
+    distance = np.maximum(np.maximum(bins[begins], -1 - bins[ends]), 0)
+    best = int(np.argmin(distance))
+    return float(bins[begins[best]] * _BIN), float((bins[ends[best]] + 1) * _BIN)
+
+
+def _of_line(points: Float[np.ndarray, "N 3"], line: Line) -> Bool[np.ndarray, "N"]:
+    along, apart = _about(points, line.place, line.axis)
+    return np.asarray((apart < line.radius) & (along >= line.first) & (along <= line.last))
+
+
+def _same(one: Line, other: Line) -> bool:
+    """Whether a line runs in another's tube for most of its length."""
+    places = one.place + np.linspace(one.first, one.last, 9)[:, None] * one.axis
+    return bool(_of_line(places, other).mean() > 0.6)

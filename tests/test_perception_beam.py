@@ -1,0 +1,189 @@
+"""Beams in debris: pose and size against the truth, honesty where there is none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from perception import CONFIDENT, Cloud, Detection, View, make_view, read_cloud
+from perception.detect.bar_fit import _linearized, _moved, _State
+from perception.detect.bars import Bar, Section, cross_bar
+from perception.detect.beam import detect_beam
+from perception.detect.lines import find_lines
+from perception.detect.sightlines import Sightlines
+from perception.detect.slender import is_slender
+from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
+
+SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.6)
+SCANNER = Scanner(n_beams=541, fan_deg=160.0, n_lines=60)
+
+
+def posed(centre: object, yaw: float, pitch: float, roll: float) -> np.ndarray:
+    """x along the beam, turned by yaw, pitch, roll [deg]."""
+    pose = np.eye(4)
+    pose[:3, :3] = Pose(yaw=np.radians(yaw), pitch=np.radians(pitch), roll=np.radians(roll)).rotation
+    pose[:3, 3] = np.asarray(centre)
+    return pose
+
+
+def timber(pose: np.ndarray, length: float, width: float, thickness: float) -> Mesh:
+    half = 0.5 * np.array([length, width, thickness])
+    return box((-half).tolist(), half.tolist()).moved(pose[:3, :3], pose[:3, 3])
+
+
+def view_of(*meshes: Mesh, seed: int = 0) -> View:
+    room = [box((-5.0, -5.0, -0.1), (5.0, 5.0, 0.0)), box((2.2, -3.0, 0.0), (2.3, 3.0, 2.5))]
+    return make_view(scan([*room, *meshes], SENSOR, SCANNER, seed))
+
+
+LEANING = posed((1.0, 0.1, 0.45), 40.0, -30.0, 70.0)
+LYING = posed((1.0, -0.35, 0.045), 70.0, 0.0, 0.0)
+
+
+def misses(found: Detection, pose: np.ndarray) -> tuple[float, float]:
+    """Angle between the axes [deg] and distance of the centre from the true axis [m]."""
+    axis, offset = pose[:3, 0], found.pose_world_object[:3, 3] - pose[:3, 3]
+    angle = np.degrees(np.arccos(min(1.0, abs(float(found.pose_world_object[:3, 0] @ axis)))))
+    return float(angle), float(np.linalg.norm(offset - (offset @ axis) * axis))
+
+
+def test_a_leaning_two_by_four_is_found_within_the_targets() -> None:
+    view = view_of(timber(LEANING, 1.1, 0.089, 0.038))
+    found = detect_beam(view)[0]
+    angle, off = misses(found, LEANING)
+    assert found.confidence >= CONFIDENT
+    assert angle <= 2.0
+    assert off <= 0.010
+    assert abs(found.sizes["length"] - 1.1) <= 0.05
+    assert found.residuals["ends_seen"] == 2.0
+    assert np.allclose(found.pose_world_object[:3, :3] @ found.pose_world_object[:3, :3].T, np.eye(3), atol=1e-9)
+    again = detect_beam(view)[0]
+    assert np.array_equal(found.pose_world_object, again.pose_world_object)
+
+
+def test_a_four_by_four_on_the_floor_is_found_and_not_mistaken_for_a_plank() -> None:
+    found = detect_beam(view_of(timber(LYING, 1.2, 0.089, 0.089)))[0]
+    angle, off = misses(found, LYING)
+    assert found.confidence >= CONFIDENT
+    assert angle <= 2.0
+    assert off <= 0.015
+    assert found.sizes["thickness"] > 0.06
+
+
+def test_crossed_beams_are_told_apart() -> None:
+    under, over = posed((1.0, 0.0, 0.045), 60.0, 0.0, 0.0), posed((1.0, 0.0, 0.13), -20.0, 0.0, 0.0)
+    view = view_of(timber(under, 1.2, 0.089, 0.089), timber(over, 0.9, 0.089, 0.038))
+    found = [one for one in detect_beam(view) if one.confidence >= CONFIDENT]
+    assert len(found) == 2
+    for pose in (under, over):
+        angle, off = min(misses(one, pose) for one in found)
+        assert angle <= 2.0
+        assert off <= 0.015
+
+
+@pytest.mark.parametrize("radius", [0.025, 0.045])
+def test_a_pipe_is_no_beam(radius: float) -> None:
+    view = view_of(cylinder((0.9, -0.4, 0.3), (1.1, 0.5, 0.9), radius))
+    assert all(one.confidence < CONFIDENT for one in detect_beam(view))
+
+
+def test_walls_cartons_and_their_edges_are_no_beams() -> None:
+    view = view_of(box((0.9, -0.5, 0.0), (1.3, 0.0, 0.4)), box((1.0, 0.3, 0.0), (1.3, 0.7, 0.9)))
+    assert all(one.confidence < CONFIDENT for one in detect_beam(view))
+
+
+def test_a_hint_leaves_out_what_is_far_from_it() -> None:
+    far = posed((1.3, 1.2, 0.3), 60.0, -20.0, 0.0)
+    view = view_of(timber(LEANING, 1.1, 0.089, 0.038), timber(far, 0.9, 0.089, 0.038))
+    found = detect_beam(view, hint=far[:3, 3])
+    assert misses(found[0], far)[1] <= 0.015
+    assert all(np.linalg.norm(one.pose_world_object[:3, 3] - LEANING[:3, 3]) > 0.5 for one in found)
+
+
+def test_a_view_without_obstacles_holds_no_beam() -> None:
+    points = np.random.default_rng(0).uniform((-2.0, -2.0, 0.0), (2.0, 2.0, 0.0), (5000, 3))
+    assert detect_beam(make_view(Cloud(points, np.array([0.0, 0.0, 1.5])))) == []
+
+
+def test_most_beams_of_the_debris_scan_are_found_and_its_pipes_are_none(shared_data: Path) -> None:
+    folder = shared_data / "scenes" / "debris"
+    truth = json.loads((folder / "gt.json").read_text())["beams"]
+    found = [one for one in detect_beam(make_view(read_cloud(folder / "scan0.pcd"))) if one.confidence >= CONFIDENT]
+    n_found = 0
+    for beam in truth:
+        pose = np.eye(4)
+        pose[:3, 0], pose[:3, 3] = beam["axis"], beam["centre"]
+        figures = [misses(one, pose) for one in found]
+        n_found += any(angle <= 2.0 and off <= 0.012 for angle, off in figures)
+    assert n_found >= 4
+
+
+def rays_into(bar: Bar, rng: np.random.Generator) -> Sightlines:
+    """Rays well inside its outline: moved to its edge, others have derivatives that are only nearly right."""
+    start = np.zeros((60, 3))
+    target = np.array([1.0, 0.0, 1.0]) + rng.uniform(-0.3, 0.3, (60, 1)) * np.array([0.0, 1.0, 0.0])
+    target = target + rng.uniform(-0.02, 0.02, (60, 3))
+    length = np.linalg.norm(target, axis=1)
+    rays = Sightlines(start, target / length[:, None], length)
+    return rays.selected(cross_bar(rays, bar).outside < -0.004)
+
+
+@settings(max_examples=10)
+@pytest.mark.parametrize(("section", "n"), [("box", 7), ("round", 5)])
+@given(seed=st.integers(0, 1000))
+def test_the_fits_derivatives_are_those_of_central_differences(section: Section, n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    frame = Pose(yaw=float(rng.uniform(1.2, 1.9)), pitch=float(rng.uniform(-0.3, 0.3))).rotation.T
+    bar = Bar(frame, np.array([1.0, 0.0, 1.0]), (0.045, 0.045 if section == "round" else 0.019), -0.5, 0.5, section)
+    rays = rays_into(bar, rng)
+    half = np.array([bar.half])
+    state = _State(frame[None], bar.centre[None], half)
+    hit = rng.random((1, len(rays))) < 0.6
+    here, jacobian = _linearized(rays, hit, np.ones_like(hit), state, half, section)
+    for i in range(n):
+        change = np.zeros((1, n))
+        change[0, i] = 1e-6
+        ahead, behind = (
+            _linearized(rays, hit, np.ones_like(hit), _moved(state, sign * change, section), half, section)[0]
+            for sign in (1.0, -1.0)
+        )
+        numeric = (ahead - behind)[0] / 2e-6
+        # Edges and corners of the outline have no derivative: there the two sides differ.
+        smooth = np.abs(ahead + behind - 2.0 * here)[0] < 1e-7
+        assert smooth.mean() > 0.8
+        assert np.allclose(numeric[smooth], jacobian[0, i][smooth], rtol=1e-3, atol=2e-2)
+
+
+def test_a_ray_through_a_box_enters_where_the_box_begins() -> None:
+    bar = Bar(np.eye(3), np.array([0.0, 0.0, 0.0]), (0.1, 0.05), -1.0, 1.0)
+    rays = Sightlines(
+        np.array([[0.3, -1.0, 0.0], [0.3, -1.0, 0.12]]), np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]), np.ones(2)
+    )
+    crossing = cross_bar(rays, bar)
+    assert crossing.depth[0] == pytest.approx(0.9)
+    assert crossing.along[0] == pytest.approx(0.3)
+    assert crossing.outside == pytest.approx([-0.05, 0.07])
+
+
+def test_a_wall_is_not_slender_and_a_board_is() -> None:
+    rng = np.random.default_rng(0)
+    wall = rng.uniform((0.0, -1.0, 0.0), (0.0, 1.0, 2.0), (20_000, 3))
+    board = rng.uniform((1.0, -0.6, 0.0), (1.04, 0.6, 0.09), (900, 3))
+    slender = is_slender(np.concatenate([wall, board]))
+    middle = (np.abs(wall[:, 1]) < 0.7) & (np.abs(wall[:, 2] - 1.0) < 0.7)
+    assert not slender[:20_000][middle].any()
+    assert slender[20_000:].mean() > 0.9
+
+
+def test_a_line_of_points_is_found_with_its_ends() -> None:
+    rng = np.random.default_rng(1)
+    along = rng.uniform(-0.5, 0.5, (300, 1)) * np.array([0.6, 0.0, 0.8]) + rng.normal(0.0, 0.01, (300, 3))
+    noise = rng.uniform(-1.0, 1.0, (300, 3))
+    line = find_lines(np.concatenate([along, noise]), rng, (0.035,), 0.3)[0]
+    assert abs(line.axis @ np.array([0.6, 0.0, 0.8])) > 0.999
+    assert line.last - line.first == pytest.approx(1.0, abs=0.1)
