@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
+import struct
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cloud_files import las_bytes
+from cloud_files import las_bytes, write_bag
 
 from perception import Cloud, CloudError, read_cloud, write_npz, write_pcd
 from perception.files import parse
@@ -81,6 +84,39 @@ def test_a_crash_of_a_reader_is_one_clear_line(
         read_cloud(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_a_laz_that_announces_billions_of_chunks_is_refused(tmp_path: Path) -> None:
+    content = bytearray(las_bytes(POINTS, is_compressed=True))
+    (first_point,) = struct.unpack_from("<I", content, 96)
+    (chunk_table,) = struct.unpack_from("<q", content, first_point)
+    struct.pack_into("<I", content, chunk_table + 4, 2**31)
+    path = tmp_path / "scan.laz"
+    path.write_bytes(content)
+    with pytest.raises(CloudError, match=r"made its reader stop \(SIGABRT\).* needs more than 1024 MB"):
+        read_cloud(path)
+
+
+def zeros_packed(n_bytes: int) -> bytes:
+    """So many zeros in a few kilobytes."""
+    zstd = pytest.importorskip("backports.zstd")
+    packer, block = zstd.ZstdCompressor(), bytes(2**24)
+    return b"".join([*(packer.compress(block) for _ in range(n_bytes // len(block))), packer.flush()])
+
+
+@pytest.mark.parametrize(("mode", "says"), [("MESSAGE", "needs more than 384 MB"), ("FILE", "File too large")])
+def test_a_bomb_in_a_bag_is_refused(tmp_path: Path, mode: str, says: str) -> None:
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    folder = tmp_path / "bag"
+    write_bag(folder, {"/points": [(POINTS, "lidar")]}, "sqlite3", rosbag2.CompressionMode[mode])
+    assert len(parse_in_worker(folder).points) == 200
+    if mode == "FILE":
+        (folder / "bag.db3.zstd").write_bytes(zeros_packed(2**29))
+    else:
+        with contextlib.closing(sqlite3.connect(folder / "bag.db3")) as database, database:
+            database.execute("UPDATE messages SET data = ?", (zeros_packed(2**29),))
+    with pytest.raises(CloudError, match=says):
+        parse_in_worker(folder, limits=Limits(max_bytes=384 * 2**20))
 
 
 def test_a_reader_that_works_without_end_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

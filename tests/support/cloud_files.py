@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -70,14 +71,19 @@ def cloud_message(store: object, points: np.ndarray, frame: str = "lidar", **cha
     return types[CLOUD](**{**content, **changes})
 
 
-def write_bag(folder: Path, clouds: dict[str, Sequence[tuple[np.ndarray, str]]], storage: str = "mcap") -> None:
-    """A ROS 2 bag folder with the clouds (points, frame) of each topic."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
+def write_bag(
+    folder: Path, clouds: dict[str, Sequence[tuple[np.ndarray, str]]], storage: str = "mcap", compression: Any = None
+) -> None:
+    """A ROS 2 bag folder with the clouds (points, frame) of each topic; ``compression`` is one of rosbags' modes."""
+    from rosbags.rosbag2 import CompressionFormat, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+    bag = Writer(folder, version=9, storage_plugin=plugin)
+    if compression is not None:
+        bag.set_compression(compression, CompressionFormat.ZSTD)
+    with bag as writer:
         for topic, messages in clouds.items():
             connection = writer.add_connection(topic, CLOUD, typestore=store)
             for i, (points, frame) in enumerate(messages):
