@@ -14,7 +14,8 @@ from perception.files.parse import SUFFIXES
 from perception.files.pcd import write_pcd
 from perception.files.placing import METRES_BY_UNIT, rigid_pose
 from perception.files.read import read_cloud, read_clouds
-from perception.floor import FloorPlane, find_floor, floor_piece, on_floor
+from perception.floor import FloorPlane, floor_piece, floor_pieces, on_floor, on_floors
+from perception.levels import find_floor, find_floors
 from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 from perception.outliers import inliers
 from perception.perceive import CONFIDENT, Perceived, perceive
@@ -40,7 +41,9 @@ __all__ = [
     "detect",
     "detect_valves",
     "find_floor",
+    "find_floors",
     "floor_piece",
+    "floor_pieces",
     "has_clear_spokes",
     "inliers",
     "inside_hulls",
@@ -48,6 +51,7 @@ __all__ = [
     "make_pieces",
     "make_view",
     "on_floor",
+    "on_floors",
     "perceive",
     "read_cloud",
     "read_clouds",

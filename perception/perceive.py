@@ -16,7 +16,7 @@ from perception.convex.piece import Piece
 from perception.convex.pieces import make_pieces
 from perception.detect.valve import ValveDetection, detect_in
 from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
-from perception.floor import FloorPlane, floor_piece
+from perception.floor import FloorPlane, floor_pieces
 from perception.view import View, make_view
 
 CONFIDENT = 0.5
@@ -106,7 +106,7 @@ def perceive(
     made = make_pieces(view.obstacles[kept], view.starts[kept], cloud.rays, seed)
     pieces = tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces)
     clock.lap("pieces")
-    extra = ([] if view.floor is None else [floor_piece(view.floor, reach)]) + ([] if stem is None else [stem])
+    extra = [*floor_pieces(view.floors, reach), *([] if stem is None else [stem])]
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
     scene = Scene((*extra, *(piece.shape for piece in pieces)))
     return Perceived(scene, pieces, view, view.floor, valves, _shown(view.near.points), timings, view.notes)

@@ -11,10 +11,12 @@ from jaxtyping import Float
 from perception.clean import Reach, first_of_equals, inside_hulls
 from perception.cloud import Cloud
 from perception.errors import CloudError
-from perception.floor import FloorPlane, find_floor, on_floor
+from perception.floor import FloorPlane, on_floors
+from perception.levels import find_floors
 from perception.outliers import surface_points
 
 _DEFAULT_REACH = Reach()
+_BEYOND = 1.0
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class View:
     Attributes:
         cloud: the whole scan without exact copies; all its rays are evidence of what is free.
         near: the points in reach that are not the robot's own.
-        floor: the floor's plane; None when none was seen.
+        floors: levels of the floor, the one under the robot first.
         obstacles: (M, 3) points of ``near`` that are neither floor, nor strays, nor mixed pixels [m].
         starts: (M, 3) where their rays started [m].
         reach: what matters.
@@ -34,12 +36,17 @@ class View:
 
     cloud: Cloud
     near: Cloud
-    floor: FloorPlane | None
+    floors: tuple[FloorPlane, ...]
     obstacles: Float[np.ndarray, "M 3"]
     starts: Float[np.ndarray, "M 3"]
     reach: Reach
     seed: int
     notes: tuple[str, ...]
+
+    @property
+    def floor(self) -> FloorPlane | None:
+        """The level under the robot; None when none was seen."""
+        return self.floors[0] if self.floors else None
 
 
 def make_view(
@@ -72,12 +79,21 @@ def make_view(
         if own.all():
             raise CloudError("all points in reach lie on the robot itself; is the robot's posture the scan's?")
         near = near.selected(~own)
-    floor = find_floor(near.points, seed)
-    if floor is None:
+    floors = find_floors(near.points, cloud.rays, stand=_stand(reach, soles), extent=reach.radius + _BEYOND, seed=seed)
+    if not floors:
         notes = (*notes, "no floor was found; nothing stands for it in the scene")
-    above = np.ones(len(near.points), dtype=bool) if floor is None else ~on_floor(near.points, floor, soles)
+    elif len(floors) > 1:
+        notes = (*notes, f"the floor has {len(floors)} levels; the robot is taken to stand on 'floor'")
+    above = ~on_floors(near.points, floors, soles)
     kept = surface_points(near.points, near.starts, above)
-    return View(cloud, near, floor, near.points[kept], near.starts[kept], reach, seed, notes)
+    return View(cloud, near, floors, near.points[kept], near.starts[kept], reach, seed, notes)
+
+
+def _stand(reach: Reach, soles: Sequence[Float[np.ndarray, "S 3"]]) -> Float[np.ndarray, "3"]:
+    """Where the robot stands: between its soles, else at zero height in the middle of the reach."""
+    if not len(soles):
+        return np.array([reach.x, reach.y, 0.0])
+    return np.asarray(np.mean([np.mean(sole, axis=0) for sole in soles], axis=0))
 
 
 def without_copies(cloud: Cloud) -> Cloud:

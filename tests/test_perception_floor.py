@@ -4,8 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from perception import Reach, find_floor, floor_piece, on_floor
+from perception import (
+    Cloud,
+    FloorPlane,
+    Reach,
+    find_floor,
+    find_floors,
+    floor_piece,
+    floor_pieces,
+    make_view,
+    on_floor,
+    on_floors,
+)
+
+EYE = np.array([0.0, 0.0, 1.6])
+NOISE = 0.007
 
 
 def floor_points(slope_deg: float, height: float, rng: np.random.Generator, n: int = 6000) -> np.ndarray:
@@ -66,3 +83,151 @@ def test_the_floor_piece_lies_under_the_plane_and_reaches_beyond_the_reach() -> 
     assert piece.lower[0] == -2.5
     assert piece.upper[0] == 3.5
     assert piece.name == piece.kind == "floor"
+
+
+def patch(
+    rng: np.random.Generator, x: tuple[float, float], y: tuple[float, float], z: float, slope_deg: float = 0.0
+) -> np.ndarray:
+    """Noisy points of a rectangle, 1,500 per square metre, that rises along x from its near side."""
+    n = int(1500 * (x[1] - x[0]) * (y[1] - y[0]))
+    xy = rng.uniform([x[0], y[0]], [x[1], y[1]], (n, 2))
+    rise = np.tan(np.radians(slope_deg)) * (xy[:, 0] - x[0])
+    return np.column_stack([xy, z + rise + rng.normal(0.0, NOISE, n)])
+
+
+def upright(rng: np.random.Generator, x: float, y: tuple[float, float], z: tuple[float, float]) -> np.ndarray:
+    n = int(1500 * (y[1] - y[0]) * (z[1] - z[0]))
+    return np.column_stack([x + rng.normal(0, NOISE, n), rng.uniform(*y, n), rng.uniform(*z, n)])
+
+
+def stairs(rng: np.random.Generator, rise: float, depth: float, n_steps: int) -> np.ndarray:
+    """Ground up to 0.8 m ahead, then treads and risers 1.2 m wide."""
+    parts = [patch(rng, (-2, 0.8), (-2, 2), 0.0), patch(rng, (0.8, 3), (0.6, 2), 0.0)]
+    for i in range(n_steps):
+        x = 0.8 + depth * i
+        parts.append(upright(rng, x, (-0.6, 0.6), (rise * i, rise * (i + 1))))
+        parts.append(patch(rng, (x, x + depth), (-0.6, 0.6), rise * (i + 1)))
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("slope_deg", [5.0, 10.0, 14.5])
+def test_a_ramp_is_a_level_as_far_as_it_goes(slope_deg: float) -> None:
+    rng = np.random.default_rng(1)
+    ground, ramp = patch(rng, (-2, 1), (-2, 2), 0.0), patch(rng, (1, 2.6), (-0.6, 0.6), 0.0, slope_deg)
+    floors = find_floors(np.concatenate([ground, ramp]))
+    assert len(floors) == 2
+    assert floors[0].slope_deg < 0.3
+    assert floors[0].outlines == ()
+    assert floors[1].slope_deg == pytest.approx(slope_deg, abs=0.4)
+    corners = np.concatenate(floors[1].outlines)
+    assert 0.7 < corners[:, 0].min() < 1.2
+    np.testing.assert_allclose([corners[:, 0].max(), np.abs(corners[:, 1]).max()], [2.6, 0.6], atol=0.08)
+    # No kerb is left where the ramp begins.
+    assert on_floors(ramp, floors).mean() > 0.98
+
+
+def test_a_ramp_steeper_than_a_robot_walks_is_no_floor() -> None:
+    rng = np.random.default_rng(2)
+    steep = patch(rng, (1, 2.6), (-0.6, 0.6), 0.0, 22.0)
+    floors = find_floors(np.concatenate([patch(rng, (-2, 1), (-2, 2), 0.0), steep]))
+    assert len(floors) == 1
+    assert on_floors(steep, floors).mean() < 0.15
+
+
+@pytest.mark.parametrize(("rise", "depth"), [(0.1, 0.3), (0.2, 0.28), (0.3, 0.4)])
+def test_every_tread_of_stairs_is_a_level_at_its_height(rise: float, depth: float) -> None:
+    floors = find_floors(stairs(np.random.default_rng(3), rise, depth, 4))
+    heights = sorted(float(floor.height(np.array([[1.0, 0.0]]))[0]) for floor in floors)
+    np.testing.assert_allclose(heights, rise * np.arange(5), atol=0.006)
+    assert max(floor.slope_deg for floor in floors) < 1.5
+    for floor in floors[1:]:
+        corners = np.concatenate(floor.outlines)
+        near = 0.8 + depth * (round(floor.height(np.array([[1.0, 0.0]]))[0] / rise) - 1)
+        np.testing.assert_allclose(corners[:, 0].min(), near, atol=0.05)
+        np.testing.assert_allclose(corners[:, 0].max(), near + depth, atol=0.05)
+
+
+@settings(max_examples=8)
+@given(st.floats(-3.1, 3.1), st.integers(0, 3))
+def test_stairs_are_stairs_from_any_side(yaw: float, seed: int) -> None:
+    turned = stairs(np.random.default_rng(seed), 0.18, 0.3, 3) @ Rotation.from_euler("z", yaw).as_matrix().T
+    floors = find_floors(turned)
+    np.testing.assert_allclose(
+        sorted(float(floor.height(np.zeros((1, 2)))[0]) for floor in floors), 0.18 * np.arange(4), atol=0.02
+    )
+    covered = sum(_area(outline) for floor in floors[1:] for outline in floor.outlines)
+    assert covered == pytest.approx(3 * 0.3 * 1.2, rel=0.25)
+
+
+def _area(outline: np.ndarray) -> float:
+    x, y = outline.T
+    return float(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def test_a_step_too_high_to_take_is_no_level() -> None:
+    rng = np.random.default_rng(4)
+    bench = patch(rng, (1, 2), (-0.6, 0.6), 0.5)
+    floors = find_floors(np.concatenate([patch(rng, (-2, 1), (-2, 2), 0.0), bench]))
+    assert len(floors) == 1
+    assert not on_floors(bench, floors).any()
+
+
+def test_a_platform_ends_where_rays_go_down_beside_it() -> None:
+    rng = np.random.default_rng(5)
+    top = patch(rng, (-1.5, 1.0), (-1.2, 1.2), 0.0)
+    below = patch(rng, (-3.5, 3.5), (-3.5, 3.5), -0.6)
+    hidden = (np.abs(below[:, 1]) < 1.9) & (below[:, 0] > -2.3) & (below[:, 0] < 1.6)
+    view = make_view(Cloud(np.concatenate([top, below[~hidden]]), EYE), reach=Reach(radius=4.0, bottom=-1.0))
+    assert len(view.floors) == 2
+    assert view.floor is view.floors[0]
+    corners = np.concatenate(view.floors[0].outlines)
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[-1.5, -1.2], [1.0, 1.2]], atol=0.06)
+    assert any("2 levels" in note for note in view.notes)
+    pieces = floor_pieces(view.floors, view.reach)
+    assert [piece.kind for piece in pieces] == ["floor"] * len(pieces)
+    assert [piece.name for piece in pieces[:2]] == ["floor", "floor/1"]
+    assert pieces[0].upper[0] < 1.07
+
+
+def test_the_floor_goes_on_in_a_shadow() -> None:
+    rng = np.random.default_rng(6)
+    ground = patch(rng, (-2, 3), (-2, 2), 0.0)
+    shadow = (ground[:, 0] > 1.0) & (np.abs(ground[:, 1]) < 0.5)
+    crate = upright(rng, 1.0, (-0.4, 0.4), (0.0, 0.8))
+    view = make_view(Cloud(np.concatenate([ground[~shadow], crate]), EYE))
+    assert len(view.floors) == 1
+    assert view.floors[0].outlines == ()
+    assert floor_pieces(view.floors, view.reach)[0].upper[0] == 4.0
+
+
+def test_a_table_alone_is_no_floor_whatever_its_size() -> None:
+    assert floor_pieces((), Reach()) == []
+    assert find_floors(patch(np.random.default_rng(7), (0.5, 2.5), (-1.5, 1.5), 0.75)) == ()
+
+
+def test_the_robot_stands_where_its_soles_are() -> None:
+    rng = np.random.default_rng(8)
+    low, high = patch(rng, (-2, 0.4), (-2, 2), 0.0), patch(rng, (0.4, 3), (-2, 2), 0.3)
+    points = np.concatenate([low, high])
+    soles = [np.array([[1.5, y, 0.3], [1.8, y, 0.3], [1.8, y + 0.1, 0.3], [1.5, y + 0.1, 0.3]]) for y in (-0.2, 0.1)]
+    on_top = make_view(Cloud(points, EYE + np.array([1.6, 0, 0.3])), reach=Reach(x=1.6), soles=soles)
+    on_ground = make_view(Cloud(points, EYE))
+    assert on_top.floor is not None
+    assert on_ground.floor is not None
+    assert float(on_top.floor.height(np.array([[1.6, 0.0]]))[0]) == pytest.approx(0.3, abs=0.01)
+    assert float(on_ground.floor.height(np.zeros((1, 2)))[0]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_slope_under_the_robot_is_its_floor() -> None:
+    slope = patch(np.random.default_rng(9), (-2, 2), (-2, 2), -np.tan(np.radians(10.0)) * 2.0, 10.0)
+    floors = find_floors(slope)
+    assert len(floors) == 1
+    assert floors[0].slope_deg == pytest.approx(10.0, abs=0.2)
+
+
+def test_what_stands_under_a_tread_is_no_floor() -> None:
+    square = np.array([[1.0, -0.5], [1.5, -0.5], [1.5, 0.5], [1.0, 0.5]])
+    up = np.array([0.0, 0.0, 1.0])
+    floors = (FloorPlane(up, 0.0, 0.01, 4.0), FloorPlane(up, 0.3, 0.01, 0.5, (square,)))
+    points = np.array([[1.2, 0, 0.31], [1.2, 0, 0.15], [1.2, 0.52, 0.3], [1.2, 0.6, 0.3], [0, 0, 0.01], [0, 0, 0.05]])
+    assert on_floors(points, floors).tolist() == [True, False, True, False, True, False]

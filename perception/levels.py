@@ -1,0 +1,278 @@
+"""The levels of the floor that a scan shows: ground, ramps, steps; which one the robot stands on; how far each goes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from perception.extent import convex_patches, pierced_cells
+from perception.floor import FloorPlane
+from perception.patches import MAX_SLOPE_DEG, PATCH, Patches, candidates, least_squares, patches_of, plane_of
+
+_BAND = 0.025
+_AROUND = np.ones((3, 3), dtype=bool)
+_CELL = 0.1
+_SAME_WAY_DEG = 5.0
+_LARGE = 0.25
+_SMALL = 0.12
+_TRIES = 24
+_ALIKE = 0.7
+_MOST_BELOW = 0.05
+_HIGHEST = 0.4
+_STEP = 0.36
+_GAP = 0.35
+_AS_NEAR = 0.5
+_FOOTHOLD = 0.3
+_GOES_ON = 0.35
+_NO_WORSE = 1.1
+_FEWEST_POINTS = 50
+_MOST_POINTS = 80_000
+_UPRIGHT_SHARE = 0.06
+_ROUGH = 0.0125
+_ROUGHER = 1.3
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A plane and where it was seen: ``cells`` (C, 2) integer places in a grid of 10 cm."""
+
+    plane: FloorPlane
+    cells: Int[np.ndarray, "C 2"]
+    members: Int[np.ndarray, "K"]
+
+    @property
+    def places(self) -> Float[np.ndarray, "C 3"]:
+        """Centres of the cells, on the plane [m]."""
+        xy = (self.cells + 0.5) * _CELL
+        return np.column_stack([xy, self.plane.height(xy)])
+
+
+def find_floor(points: Float[np.ndarray, "N 3"], seed: int = 0) -> FloorPlane | None:
+    """The level that is the floor of a robot at the world's origin; None when there is none."""
+    found = find_floors(points, seed=seed)
+    return found[0] if found else None
+
+
+def find_floors(
+    points: Float[np.ndarray, "N 3"],
+    rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]] | None = None,
+    *,
+    stand: Float[np.ndarray, "3"] | None = None,
+    extent: float = 4.0,
+    seed: int = 0,
+) -> tuple[FloorPlane, ...]:
+    """Planes that slope by at most 15 degrees and hang together by steps, the one under the robot first.
+
+    A plane above knee height over the place where the robot stands is a table and no floor, however large; so is one
+    with things under it.  Treads, ramps and platforms must be met by steps of at most 36 cm from level to level;
+    large ground below belongs to the floor at any depth.
+
+    Args:
+        points: (N, 3) in reach, without the robot's own [m].
+        rays: starts and ends (R, 3) of all rays [m]; those that went through the plane tell where it ends.
+        stand: (3,) where the robot stands [m], the world's origin by default.
+        extent: how far from there the first level is held against the rays [m].
+        seed: of the choice of candidates.
+
+    Returns:
+        The first without outlines when nothing says that it ends; all others with outlines.
+    """
+    stand = np.zeros(3) if stand is None else stand
+    if len(points) < _FEWEST_POINTS:
+        return ()
+    points = points[:: -(-len(points) // _MOST_POINTS)]
+    patches = patches_of(points)
+    levels = list(_levels(points, patches, np.random.default_rng(seed)))
+    main = _under_robot(points, levels, stand)
+    if main is None:
+        return ()
+    kept = [main, *_reached(main, [level for level in levels if level is not main])]
+    first = main.plane if rays is None else _bounded(points, main, rays, stand, extent)
+    return (first, *(_outlined(points, level) for level in kept[1:]))
+
+
+def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.Generator) -> Iterator[_Level]:
+    """Planes of the patches, the largest first, each with what no larger one has taken."""
+    free = patches.is_upright | patches.is_bare
+    normals, offsets = candidates(patches, rng)
+    if not len(normals):
+        return
+    ground = np.flatnonzero(free)
+    # Near the plane counts more than at the band's border, or a plane between two low steps would win.
+    near = 1.0 - ((patches.centre[ground] @ normals.T - offsets) / _BAND) ** 2
+    np.maximum(near, 0.0, out=near)
+    weight = np.where(patches.is_upright[ground], 1.0, 0.3)
+    for _ in range(_TRIES):
+        score = (weight * free[ground]) @ near
+        best = int(np.argmax(score))
+        if score[best] * PATCH**2 < 0.4 * _SMALL:
+            return
+        fitted = _fitted(points, patches, free, normals[best], float(offsets[best]))
+        level = None if fitted is None else _seen(points, patches, *fitted)
+        if level is not None:
+            free[np.unique(patches.of_point[level.members])] = False
+            yield level
+        # Whatever it was, its likes are no better.
+        common = (weight * (near[:, best] > 0.0)) @ near
+        near[:, common > _ALIKE * (weight @ near)] = 0.0
+
+
+def _fitted(
+    points: Float[np.ndarray, "N 3"],
+    patches: Patches,
+    free: Bool[np.ndarray, "P"],
+    normal: Float[np.ndarray, "3"],
+    offset: float,
+) -> tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, "K"]] | None:
+    """The better least-squares plane of the points near the candidate, and their indices."""
+    beside = np.abs(patches.centre @ normal - offset) < 2 * _BAND + PATCH
+    usable = np.flatnonzero((free & beside)[patches.of_point])
+    mine = points[usable]
+    best: tuple[float, Float[np.ndarray, "3"], float] | None = None
+    # A rough candidate needs a wide band at first; an exact one would be drawn away by the next step in it.
+    for bands in ((2 * _BAND, _BAND, _BAND), (0.8 * _BAND, 0.8 * _BAND)):
+        plane = least_squares(mine, normal, offset, bands)
+        if plane is not None and plane[0][2] >= np.cos(np.radians(MAX_SLOPE_DEG)):
+            score = float(np.maximum(1.0 - ((mine @ plane[0] - plane[1]) / _BAND) ** 2, 0.0).sum())
+            best = (score, *plane) if best is None or score > best[0] else best
+    if best is None:
+        return None
+    return best[1], best[2], usable[np.abs(mine @ best[1] - best[2]) < _BAND]
+
+
+def _seen(
+    points: Float[np.ndarray, "N 3"],
+    patches: Patches,
+    normal: Float[np.ndarray, "3"],
+    offset: float,
+    members: Int[np.ndarray, "K"],
+) -> _Level | None:
+    """The parts of a plane that are large enough to stand on; None without any, or where its patches tilt otherwise."""
+    cells = np.floor(points[members, :2] / _CELL).astype(int)
+    lower = cells.min(axis=0) - 2
+    picture = np.zeros(cells.max(axis=0) - lower + 3, dtype=bool)
+    picture[tuple((cells - lower).T)] = True
+    # Scan lines are a hand apart where the floor is seen flatly.
+    closed = ndimage.binary_closing(picture, structure=_AROUND, iterations=2)
+    broad = ndimage.binary_opening(closed, structure=_AROUND[:2, :2])
+    label, n_parts = ndimage.label(broad, structure=_AROUND)
+    sizes = np.bincount(label.ravel(), weights=(picture & broad).ravel(), minlength=n_parts + 1) * _CELL**2
+    large = sizes >= _SMALL
+    large[0] = False
+    inside = large[label[tuple((cells - lower).T)]]
+    if not inside.any():
+        return None
+    members, cells = members[inside], cells[inside]
+    held = np.unique(patches.of_point[members])
+    tilts = patches.normal[held[patches.is_upright[held]]]
+    if len(tilts) < _UPRIGHT_SHARE * len(held):
+        return None
+    usual = np.median(tilts, axis=0)  # patches at an edge are tilted by what goes up or down there
+    if normal @ usual < np.cos(np.radians(_SAME_WAY_DEG)) * np.linalg.norm(usual):
+        return None
+    normal, offset = _from_within(points[members], normal, offset)
+    own = np.unique(cells, axis=0)
+    rms = float(np.std(points[members] @ normal - offset))
+    return _Level(FloorPlane(normal, offset, rms, float(len(own) * _CELL**2)), own, members)
+
+
+def _from_within(
+    points: Float[np.ndarray, "K 3"], normal: Float[np.ndarray, "3"], offset: float
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """The plane anew, without the border, where points of what goes up or down from there are taken for its own."""
+    fine = np.floor(points[:, :2] / (_CELL / 2)).astype(int)
+    lower = fine.min(axis=0) - 2
+    picture = np.zeros(fine.max(axis=0) - lower + 3, dtype=bool)
+    picture[tuple((fine - lower).T)] = True
+    closed = ndimage.binary_closing(picture, structure=_AROUND)
+    inner = points[ndimage.binary_erosion(closed, structure=_AROUND)[tuple((fine - lower).T)]]
+    if len(inner) < 30:
+        return normal, offset
+    fitted, height = plane_of(inner)
+    if fitted[2] < np.cos(np.radians(MAX_SLOPE_DEG)):
+        return normal, offset
+    # The tilt of a tread is known poorly: it is level unless the points say otherwise.
+    if np.std(inner[:, 2]) <= _NO_WORSE * np.std(inner @ fitted - height):
+        return np.array([0.0, 0.0, 1.0]), float(inner[:, 2].mean())
+    return fitted, height
+
+
+def _under_robot(
+    points: Float[np.ndarray, "N 3"], levels: list[_Level], stand: Float[np.ndarray, "3"]
+) -> _Level | None:
+    """The largest of those that come about nearest to where the robot stands."""
+    able = [
+        level
+        for level in levels
+        if level.plane.area >= _LARGE
+        and float(level.plane.height(stand[None, :2])[0]) <= stand[2] + _HIGHEST
+        and not _has_things_below(points, level)
+    ]
+    if not able:
+        return None
+    apart = [float(np.linalg.norm((level.cells + 0.5) * _CELL - stand[:2], axis=1).min()) for level in able]
+    near = [level for level, distance in zip(able, apart, strict=True) if distance <= min(apart) + _AS_NEAR]
+    return max(near, key=lambda level: level.plane.area)
+
+
+def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
+    """Whether in the midst of the plane many points lie under it, as under a table."""
+    lower = level.cells.min(axis=0) - 1
+    picture = np.zeros(level.cells.max(axis=0) - lower + 2, dtype=bool)
+    picture[tuple((level.cells - lower).T)] = True
+    inner = ndimage.binary_erosion(ndimage.binary_closing(picture, structure=_AROUND), structure=_AROUND)
+    cells = np.floor(points[:, :2] / _CELL).astype(int) - lower
+    valid = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
+    here = np.flatnonzero(valid)[inner[tuple(cells[valid].T)]]
+    return bool(len(here)) and float((level.plane.above(points[here]) < -2 * _BAND).mean()) > _MOST_BELOW
+
+
+def _reached(main: _Level, others: list[_Level]) -> Iterator[_Level]:
+    """Levels a robot could step to from level to level, and large ground below."""
+    open_ends = [main]
+    lowest = main.places[:, 2].min()
+    # Rougher ones are slices through heaps, or two low steps at once.
+    roughest = max(_ROUGH, _ROUGHER * main.plane.rms)
+    waiting = [level for level in others if level.plane.rms <= roughest]
+    while open_ends:
+        here = open_ends.pop(0)
+        tree = cKDTree(here.places[:, :2])
+        for level in waiting:
+            apart, nearest = map(np.asarray, tree.query(level.places[:, :2], distance_upper_bound=_GAP))
+            meet = np.isfinite(apart)
+            rise = np.abs(level.places[meet, 2] - here.places[nearest[meet], 2])
+            is_ground = level.plane.area >= 4 * _LARGE and level.places[:, 2].max() < lowest
+            if is_ground or (meet.any() and float(rise.min()) <= _STEP):
+                waiting = [other for other in waiting if other is not level]
+                open_ends.append(level)
+                yield level
+
+
+def _outlined(points: Float[np.ndarray, "N 3"], level: _Level) -> FloorPlane:
+    """The level with its extent; where it runs into another, as a ramp does into the ground, it goes on a little."""
+    near = points[np.abs(level.plane.above(points)) < _BAND]
+    apart, _ = cKDTree((level.cells + 0.5) * _CELL).query(near[:, :2], distance_upper_bound=_GOES_ON)
+    return replace(level.plane, outlines=convex_patches(near[np.isfinite(apart), :2], 0.05))
+
+
+def _bounded(
+    points: Float[np.ndarray, "N 3"],
+    main: _Level,
+    rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
+    stand: Float[np.ndarray, "3"],
+    extent: float,
+) -> FloorPlane:
+    """The first level; where rays went through it, as over a hole, a step down or a slope away, with its extent."""
+    plane = main.plane
+    foothold = stand[:2] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([[1.0, 0.0]])
+    foothold = (foothold[:, None, :] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([0.0, 1.0])).reshape(
+        -1, 2
+    )
+    seen = np.concatenate([points[main.members, :2], foothold])
+    holes = pierced_cells(plane.normal, plane.offset, rays, seen, stand[:2], extent)
+    return replace(plane, outlines=convex_patches(seen, 0.1, holes)) if len(holes) else plane
