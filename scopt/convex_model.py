@@ -55,21 +55,6 @@ class ConvexModel:
             + sum(term.merit(dx) for term in self.exact)
         )
 
-    def corrected(self, dx: Float[np.ndarray, "N"], values: Mapping[str, Float[np.ndarray, "m"]]) -> ConvexModel:
-        """The model with constraint rows moved to agree with their exact ``values`` after the step ``dx``.
-
-        The second-order correction of Nocedal and Wright, Numerical Optimization, 2006, sec. 18.3: the Jacobian is
-        kept, the curvature met on the step is added.  Constraints whose number of rows has changed are left alone.
-        """
-        moved = {Penalty.ABS: self.absolute.rows.value.copy(), Penalty.HINGE: self.hinge.rows.value.copy()}
-        after = {Penalty.ABS: self.absolute.rows.at(dx), Penalty.HINGE: self.hinge.rows.at(dx)}
-        for name, (kind, rows) in self.constraint_rows.items():
-            if len(values[name]) == rows.stop - rows.start:
-                moved[kind][rows] += values[name] - after[kind][rows]
-        absolute = replace(self.absolute, rows=replace(self.absolute.rows, value=moved[Penalty.ABS]))
-        hinge = replace(self.hinge, rows=replace(self.hinge.rows, value=moved[Penalty.HINGE]))
-        return replace(self, absolute=absolute, hinge=hinge)
-
 
 def convexify(problem: Problem[Any], state: Any, penalty: float, *, is_affine: bool = False) -> ConvexModel:
     """Linearise every term of the problem at ``state``; constraints enter as l1 penalties, ``mu = penalty``.
@@ -128,10 +113,6 @@ class Subproblem:
     step_index: Int[np.ndarray, "F"]
     is_free: Bool[np.ndarray, "N"]
     row_order: Int[np.ndarray, "M"]
-
-    def with_values_of(self, model: ConvexModel) -> Subproblem:
-        """The subproblem of a model that differs in the values of its l1 rows only."""
-        return replace(self, program=replace(self.program, h=_bounds(model)[self.row_order]))
 
     def within(self, lower: Float[np.ndarray, "N"], upper: Float[np.ndarray, "N"]) -> QuadraticProgram:
         """The program for the step bounds ``lower <= dx <= upper``."""

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from scopt.convex_model import ConvexModel, Subproblem, assemble, convexify
+from scopt.correction import Correction
 from scopt.errors import ProblemError
 from scopt.problem import Problem
 from scopt.qp import ConicProgram, backend, solve_clarabel
@@ -41,7 +42,7 @@ class Settings:
         min_improvement, min_improvement_fraction: the middle loop ends when the model promises less than this,
             absolutely or as a fraction of the merit; ``min_improvement_feasible`` is the fraction that counts once the
             iterate is feasible.
-        is_corrected: whether a rejected step gets a second-order correction before the box shrinks.
+        is_corrected: whether trial steps are corrected for the curvature of smooth constraints.
         acceptable_steps: trial steps after which an iterate whose violations are acceptable is left at that.
         patience: trial steps within which the largest violation (relative to its tolerance) must fall by a tenth; the
             solve is given up where it does not.
@@ -205,7 +206,7 @@ class TrustRegionSQP:
     ) -> bool:
         """The inner loop: try steps in a shrinking box; whether one was taken."""
         settings = self.settings
-        is_first = True
+        correction = Correction.of(problem, run.current.x, model) if settings.is_corrected else None
         while run.trust_radius >= settings.min_trust_radius:
             self._check_interrupts(run, should_stop)
             before = time.perf_counter()
@@ -218,11 +219,8 @@ class TrustRegionSQP:
             merit, model_merit = run.current.merit(run.penalty), model.merit(dx)
             if merit - model_merit < self._worthwhile(run, merit):
                 return False
-            trial = _step(problem, run.current, dx)
+            trial = _step(problem, run.current, dx if correction is None else correction(dx))
             is_accepted = self._is_good(run, model_merit, trial)
-            if not is_accepted and settings.is_corrected and is_first:
-                trial, is_accepted = self._correct(problem, run, model, subproblem, dx, trial, model_merit)
-            is_first = False
             timings = (convexify_s, solved - before, time.perf_counter() - solved)
             convexify_s = 0.0
             self._record(run, trial, model_merit, is_accepted, timings, on_iteration)
@@ -236,6 +234,8 @@ class TrustRegionSQP:
             little = SEARCHED_GAIN * settings.min_improvement_feasible * abs(merit)
             if run.current.is_feasible and merit - model_merit < little:
                 return False
+            if run.current.is_acceptable and not run.current.is_feasible:
+                raise _InterruptedError(Status.ACCEPTABLE)
         return False
 
     def _travel(self, problem: Problem[StateT], dx: Float[np.ndarray, "N"]) -> float:
@@ -254,24 +254,6 @@ class TrustRegionSQP:
         """Whether the exact merit fell by enough of what the model promised."""
         merit = run.current.merit(run.penalty)
         return merit - trial.merit(run.penalty) >= self.settings.accept_ratio * (merit - model_merit)
-
-    def _correct(
-        self,
-        problem: Problem[StateT],
-        run: _Run[StateT],
-        model: ConvexModel,
-        subproblem: Subproblem,
-        dx: Float[np.ndarray, "N"],
-        trial: _Iterate[StateT],
-        model_merit: float,
-    ) -> tuple[_Iterate[StateT], bool]:
-        """Second-order correction of a rejected step: the corrected trial if it is good, else the rejected one."""
-        values = {c.name: c.residual.value(trial.state) for c in problem.constraints}
-        corrected = self._solve_in_box(problem, run, subproblem.with_values_of(model.corrected(dx, values)))
-        if corrected is None:
-            return trial, False
-        second = _step(problem, run.current, corrected)
-        return (second, True) if self._is_good(run, model_merit, second) else (trial, False)
 
     def _record(
         self,
