@@ -12,7 +12,8 @@ from scopt.affine import AffineRows
 from scopt.convex_model import ConvexModel
 from scopt.problem import Constraint, Penalty, Problem, Sense
 
-ROUNDS = 2  # each leaves of the error what the correction's own curvature makes
+ROUNDS = 3  # each leaves of the error what the correction's own curvature makes
+MOST_ROUNDS = 8  # those in which variables meet their bounds included
 NEGLIGIBLE = 1e-9  # errors below it are left [unit of the residual]
 DAMPING = 1e-9  # of the normal equations, for rows that depend on one another
 MOST = 0.5  # a correction longer than this share of the step is no small correction
@@ -33,8 +34,8 @@ class Correction:
         rows: (m,) their rows in the model.
         is_equal: (m,) whether a row is to be zero; else at most zero.
         place: (m,) where each row stands in the (T, K) rows of all waypoints.
-        moved: (T, n, K) how the variables follow the rows, ``M J^T``.
-        normal: (T, K, K) ``J M J^T``.
+        jacobian: (T, K, n) of each waypoint's rows, zero for places without one.
+        mobility: (T, n) the metric ``M``, zero for fixed variables.
     """
 
     problem: Problem[Any]
@@ -43,8 +44,8 @@ class Correction:
     rows: AffineRows
     is_equal: Bool[np.ndarray, "m"]
     place: Int[np.ndarray, "m"]
-    moved: Float[np.ndarray, "T n K"]
-    normal: Float[np.ndarray, "T K K"]
+    jacobian: Float[np.ndarray, "T K n"]
+    mobility: Float[np.ndarray, "T n"]
 
     @staticmethod
     def of(problem: Problem[Any], x: Float[np.ndarray, "T n"], model: ConvexModel) -> Correction | None:
@@ -58,40 +59,52 @@ class Correction:
         place, jacobian = _by_waypoint(rows, *x.shape)
         mobility = np.ones(x.shape[1]) if problem.mobility is None else problem.mobility
         mobility = np.where(problem.upper > problem.lower, mobility, 0.0)
-        moved = mobility[:, :, None] * jacobian.transpose(0, 2, 1)
-        return Correction(problem, x, smooth, rows, is_equal, place, moved, jacobian @ moved)
+        return Correction(problem, x, smooth, rows, is_equal, place, jacobian, mobility)
 
     def __call__(self, dx: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
         """The step ``dx`` bent, or as it is where the least change would not be small."""
-        problem, bent = self.problem, dx.reshape(self.x.shape)
+        problem = self.problem
         measure = problem.state if problem.smooth_state is None else problem.smooth_state
+        lower, upper = problem.lower - self.x, problem.upper - self.x
         promised = self.rows.at(dx)
         allowed = np.maximum(promised, 0.0)
         most = MOST * float(np.abs(dx).max(initial=0.0))
-        for _ in range(ROUNDS):
-            state = measure(np.clip(self.x + bent, problem.lower, problem.upper))
+        bent: Float[np.ndarray, "T n"] = np.clip(dx.reshape(self.x.shape), lower, upper)
+        mobility = self.mobility
+        rounds = 0
+        for _ in range(MOST_ROUNDS):
+            state = measure(self.x + bent)
             value = np.concatenate([constraint.residual.value(state) for constraint in self.smooth])
             error = np.where(self.is_equal, value - promised, np.maximum(value - allowed, 0.0))
             if np.abs(error).max() < NEGLIGIBLE:
                 break
-            change = self._least_change(error)
+            change = self._least_change(error, mobility)
             if not np.abs(change).max() <= most:  # nor is a change that is no number
                 return dx
-            bent = bent - change
-        return bent.ravel()
+            wanted = bent - change
+            bent = np.clip(wanted, lower, upper)
+            is_free = bent == wanted
+            mobility = np.where(is_free, mobility, 0.0)  # what has met its bound is of no more help
+            rounds += int(is_free.all())
+            if rounds == ROUNDS:
+                break
+        return np.asarray(bent.ravel())
 
-    def _least_change(self, error: Float[np.ndarray, "m"]) -> Float[np.ndarray, "T n"]:
+    def _least_change(
+        self, error: Float[np.ndarray, "m"], mobility: Float[np.ndarray, "T n"]
+    ) -> Float[np.ndarray, "T n"]:
         """The least change that the linear model answers with ``error``; rows without one are left free."""
-        normal = self.normal
-        wanted = np.zeros(normal.shape[0] * normal.shape[1])
+        n_waypoints, most, _ = self.jacobian.shape
+        wanted = np.zeros(n_waypoints * most)
         wanted[self.place] = error
-        wanted = wanted.reshape(normal.shape[:2])
-        is_off = (np.abs(wanted) >= NEGLIGIBLE).astype(float)
-        system = normal * is_off[:, :, None] * is_off[:, None, :]
-        diagonal = np.arange(normal.shape[1])
-        system[:, diagonal, diagonal] += DAMPING + 1.0 - is_off
-        multiplier = np.linalg.solve(system, (wanted * is_off)[:, :, None])
-        return np.asarray((self.moved @ multiplier)[:, :, 0])
+        wanted = wanted.reshape(n_waypoints, most, 1)
+        is_off = np.abs(wanted) >= NEGLIGIBLE
+        jacobian = self.jacobian * is_off
+        moved = mobility[:, :, None] * jacobian.transpose(0, 2, 1)
+        system = jacobian @ moved
+        diagonal = np.arange(most)
+        system[:, diagonal, diagonal] += np.where(is_off[:, :, 0], DAMPING, 1.0)
+        return np.asarray((moved @ np.linalg.solve(system, wanted * is_off))[:, :, 0])
 
 
 def _rows_of(model: ConvexModel, name: str) -> AffineRows:
@@ -99,9 +112,7 @@ def _rows_of(model: ConvexModel, name: str) -> AffineRows:
     return (model.absolute if kind is Penalty.ABS else model.hinge).rows.part(rows.start, rows.stop)
 
 
-def _by_waypoint(
-    rows: AffineRows, n_waypoints: int, n: int
-) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "T K n"]]:
+def _by_waypoint(rows: AffineRows, n_waypoints: int, n: int) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "T K n"]]:
     """Rows sorted to the waypoint they touch: where each stands, and the Jacobians (those of their first waypoint)."""
     jacobian = rows.jacobian
     counts = np.diff(jacobian.indptr)

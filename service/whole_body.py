@@ -40,7 +40,7 @@ UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
 BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
 SAMPLING_CLEARANCE = 5e-3  # kept by a sampled start; the optimiser finds the margin [m]
-BASE_MOBILITY = 1e-3  # of the base where a step is corrected: legs and arms give way
+BASE_MOBILITY = 0.01  # of the base where a step is corrected: legs and arms give way
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
 
 
