@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from typing import Any, Generic
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from scopt.convex_model import ConvexModel, Subproblem, assemble, convexify
 from scopt.correction import Correction
 from scopt.errors import ProblemError
-from scopt.problem import Problem
+from scopt.problem import Penalty, Problem
 from scopt.qp import ConicProgram, backend, solve_clarabel
 from scopt.residual import StateT
 from scopt.result import Iteration, Result, Status
@@ -25,6 +25,8 @@ from scopt.result import Iteration, Result, Status
 SEARCHED_GAIN = 5.0  # times the gain at which a feasible solve ends
 LEAST_PROGRESS = 0.9  # of the violation some steps ago
 AT_THE_EDGE = 0.9  # a step of this share of the trust radius shows that the box held it
+
+ALL_BUT_MET = 2e-3  # of a row whose penalty is written as an equality [unit of the row]
 
 OnIteration = Callable[[Iteration, Float[np.ndarray, "T n"]], None]
 
@@ -189,7 +191,7 @@ class TrustRegionSQP:
         while True:
             before = time.perf_counter()
             model = convexify(problem, run.current.state, run.penalty)
-            subproblem = assemble(model, is_free)
+            subproblem = assemble(model, is_free, _hard_rows(problem, model) if self.settings.is_corrected else None)
             convexify_s = time.perf_counter() - before
             if not self._improve(problem, run, model, subproblem, convexify_s, on_iteration, should_stop):
                 return
@@ -307,6 +309,8 @@ class TrustRegionSQP:
             solution = solve_clarabel(program)
             return np.asarray(np.clip(subproblem.step(solution.x), lower, upper)) if solution.is_usable else None
         solution = self._solve_qp(program)
+        if not solution.is_usable and subproblem.softened is not None:
+            return self._solve_in_box(problem, run, subproblem.softened())
         if not solution.is_usable:
             solution = self._solve_qp_fallback(program)
         if not solution.is_usable:
@@ -326,6 +330,18 @@ class TrustRegionSQP:
                 raise _InterruptedError(Status.STALLED)
         if len(run.history) >= self.settings.max_iterations:
             raise _InterruptedError(Status.ITERATION_LIMIT)
+
+
+def _hard_rows(problem: Problem[Any], model: ConvexModel) -> Bool[np.ndarray, "A"] | None:
+    """Absolute rows of smooth constraints that are all but met: the correction keeps them there."""
+    if model.exact:
+        return None
+    is_hard = np.zeros(len(model.absolute.weight), dtype=bool)
+    for constraint in problem.constraints:
+        kind, rows = model.constraint_rows[constraint.name]
+        if constraint.residual.is_smooth and kind is Penalty.ABS:
+            is_hard[rows] = bool((np.abs(model.absolute.rows.value[rows]) < ALL_BUT_MET).all())
+    return is_hard
 
 
 def _step(problem: Problem[StateT], current: _Iterate[StateT], dx: Float[np.ndarray, "N"]) -> _Iterate[StateT]:
