@@ -25,15 +25,30 @@ def cross(u: Float[np.ndarray, "m 3"], v: Float[np.ndarray, "m 3"]) -> Float[np.
 def log_rotation(rotation: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
     """Rotation vectors with angles in [0, pi]; accurate near both ends.
 
-    Goes through unit quaternions with a non-negative scalar part, which stay well conditioned where the trace formula
-    loses the axis (Shepperd, J. Guidance and Control 1978).
+    Where a turn is larger than 120 degrees, all go through unit quaternions with a non-negative scalar part, which stay
+    well conditioned where the sine of the angle loses the axis (Shepperd, J. Guidance and Control 1978).
     """
+    cosine = 0.5 * (rotation[:, 0, 0] + rotation[:, 1, 1] + rotation[:, 2, 2] - 1.0)
+    if (cosine > -0.5).all():
+        return _log_by_sine(rotation, cosine)
     w, v = _quaternion(rotation)
     sine = np.linalg.norm(v, axis=1)
     angle = 2.0 * np.arctan2(sine, w)
     small = sine < 1e-12
     scale = np.where(small, 2.0, angle / np.where(small, 1.0, sine))
     return np.asarray(scale[:, None] * v)
+
+
+def _log_by_sine(R: Float[np.ndarray, "m 3 3"], cosine: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m 3"]:
+    """Rotation vectors from the antisymmetric part, whose length is the sine of the angle."""
+    v = np.empty((len(R), 3))
+    v[:, 0] = R[:, 2, 1] - R[:, 1, 2]
+    v[:, 1] = R[:, 0, 2] - R[:, 2, 0]
+    v[:, 2] = R[:, 1, 0] - R[:, 0, 1]
+    v *= 0.5
+    sine = np.sqrt((v * v).sum(axis=1))
+    small = sine < 1e-12
+    return np.asarray(np.where(small, 1.0, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))[:, None] * v)
 
 
 def _quaternion(R: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 3"]]:

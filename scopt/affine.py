@@ -26,6 +26,13 @@ class AffineRows:
         """The model's value after a step ``dx``."""
         return np.asarray(self.value + self.jacobian @ dx)
 
+    def part(self, start: int, stop: int) -> AffineRows:
+        """The rows ``start`` to ``stop - 1``."""
+        jacobian = self.jacobian
+        first, last = int(jacobian.indptr[start]), int(jacobian.indptr[stop])
+        stored = jacobian.data[first:last], jacobian.indices[first:last], jacobian.indptr[start : stop + 1] - first
+        return AffineRows(self.value[start:stop], sparse.csr_array(stored, shape=(stop - start, jacobian.shape[1])))
+
     @staticmethod
     def empty(n_variables: int) -> AffineRows:
         """No rows."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeGuard
 
@@ -54,21 +54,6 @@ class ConvexModel:
             + self.hinge.weight @ np.maximum(self.hinge.rows.at(dx), 0.0)
             + sum(term.merit(dx) for term in self.exact)
         )
-
-    def corrected(self, dx: Float[np.ndarray, "N"], values: Mapping[str, Float[np.ndarray, "m"]]) -> ConvexModel:
-        """The model with constraint rows moved to agree with their exact ``values`` after the step ``dx``.
-
-        The second-order correction of Nocedal and Wright, Numerical Optimization, 2006, sec. 18.3: the Jacobian is
-        kept, the curvature met on the step is added.  Constraints whose number of rows has changed are left alone.
-        """
-        moved = {Penalty.ABS: self.absolute.rows.value.copy(), Penalty.HINGE: self.hinge.rows.value.copy()}
-        after = {Penalty.ABS: self.absolute.rows.at(dx), Penalty.HINGE: self.hinge.rows.at(dx)}
-        for name, (kind, rows) in self.constraint_rows.items():
-            if len(values[name]) == rows.stop - rows.start:
-                moved[kind][rows] += values[name] - after[kind][rows]
-        absolute = replace(self.absolute, rows=replace(self.absolute.rows, value=moved[Penalty.ABS]))
-        hinge = replace(self.hinge, rows=replace(self.hinge.rows, value=moved[Penalty.HINGE]))
-        return replace(self, absolute=absolute, hinge=hinge)
 
 
 def convexify(problem: Problem[Any], state: Any, penalty: float, *, is_affine: bool = False) -> ConvexModel:
@@ -122,16 +107,14 @@ class Subproblem:
         step_index: (F,) where each free step variable stands in the program.
         is_free: (N,) which step variables are in the program; the others do not move.
         row_order: (M,) where each row of the program stands among the hinge, absolute and negated absolute rows.
+        softened: makes the same with penalties in place of its equalities; None where it has none.
     """
 
     program: QuadraticProgram
     step_index: Int[np.ndarray, "F"]
     is_free: Bool[np.ndarray, "N"]
     row_order: Int[np.ndarray, "M"]
-
-    def with_values_of(self, model: ConvexModel) -> Subproblem:
-        """The subproblem of a model that differs in the values of its l1 rows only."""
-        return replace(self, program=replace(self.program, h=_bounds(model)[self.row_order]))
+    softened: Callable[[], Subproblem] | None = None
 
     def within(self, lower: Float[np.ndarray, "N"], upper: Float[np.ndarray, "N"]) -> QuadraticProgram:
         """The program for the step bounds ``lower <= dx <= upper``."""
@@ -146,12 +129,26 @@ class Subproblem:
         return dx
 
 
-def assemble(model: ConvexModel, is_free: Bool[np.ndarray, "N"]) -> Subproblem:
+def assemble(
+    model: ConvexModel, is_free: Bool[np.ndarray, "N"], is_hard: Bool[np.ndarray, "A"] | None = None
+) -> Subproblem:
     """Write the model as a quadratic program in stage order.
 
     A stage holds as many consecutive waypoints as the longest row spans intervals, so that every row couples two
     neighbouring stages at most; each l1 row has one slack, placed in its last stage.
+
+    Args:
+        model: what to minimise.
+        is_free: (N,) which step variables may move.
+        is_hard: (A,) absolute rows that become equalities: where their penalty would keep them at zero, that is the
+            same with two rows and a slack less for each.
     """
+    if is_hard is not None and is_hard.any():
+        soft = replace(model, absolute=_chosen(model.absolute, ~is_hard))
+        subproblem = assemble(soft, is_free)
+        E, f = _equalities(_chosen(model.absolute, is_hard), subproblem)
+        program = replace(subproblem.program, E=E, f=f) if len(f) else subproblem.program
+        return replace(subproblem, program=program, softened=lambda: assemble(model, is_free))
     spans = [_span(part.rows.jacobian, model.n) for part in (model.squared, model.absolute, model.hinge)]
     longest = max(1, *(int((last - first).max(initial=0)) for first, last in spans))
     stage_of_waypoint = np.arange(model.n_waypoints) // longest
@@ -188,6 +185,24 @@ def assemble(model: ConvexModel, is_free: Bool[np.ndarray, "N"]) -> Subproblem:
     if model.exact:
         program = with_exact_terms(program, model.exact, column)
     return Subproblem(program, position[:n_steps], is_free, by_stage)
+
+
+def _chosen(rows: WeightedRows, these: Bool[np.ndarray, "m"]) -> WeightedRows:
+    at = np.flatnonzero(these)
+    return WeightedRows(AffineRows(rows.rows.value[at], rows.rows.jacobian[at]), rows.weight[at])
+
+
+def _equalities(rows: WeightedRows, subproblem: Subproblem) -> tuple[sparse.csc_array, Float[np.ndarray, "Q"]]:
+    """The rows at zero in the variables of the program; rows that nothing free moves are left out."""
+    jacobian = rows.rows.jacobian.tocoo()
+    column = np.full(len(subproblem.is_free), -1, dtype=np.int64)
+    column[subproblem.is_free] = subproblem.step_index
+    row, col = jacobian.coords[0], column[jacobian.coords[1]]
+    kept = col >= 0
+    moving, index = np.unique(row[kept], return_inverse=True)
+    entries = jacobian.data[kept], (index, col[kept])
+    E = sparse.csc_array(entries, shape=(len(moving), len(subproblem.program.c)))
+    return E, -rows.rows.value[moving]
 
 
 def _bounds(model: ConvexModel) -> np.ndarray:

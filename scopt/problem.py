@@ -100,6 +100,8 @@ class Problem(Generic[StateT]):
         costs, constraints: with names that differ.
         state: maps an iterate (T, n) to what all residuals share there; called once per iterate.
         step_scale: (n,) how far a variable may step relative to the trust radius; ones if not given.
+        smooth_state: maps an iterate to as much of a state as smooth residuals need; ``state`` if not given.
+        mobility: (n,) how readily a variable moves to take curvature out of smooth constraints; ones if not given.
     """
 
     lower: Float[np.ndarray, "T n"]
@@ -108,6 +110,8 @@ class Problem(Generic[StateT]):
     constraints: tuple[Constraint[StateT], ...]
     state: Callable[[Float[np.ndarray, "T n"]], StateT]
     step_scale: Float[np.ndarray, "n"] | None = None
+    smooth_state: Callable[[Float[np.ndarray, "T n"]], StateT] | None = None
+    mobility: Float[np.ndarray, "n"] | None = None
 
     def __post_init__(self) -> None:
         if self.lower.ndim != 2 or self.lower.shape != self.upper.shape:

@@ -20,7 +20,13 @@ class Residual(ABC, Generic[StateT]):
     ``state`` is what all residuals of a problem share at one iterate (see ``Problem.state``).
     ``linearize(state).value`` equals the first rows of nothing else than ``value(state)`` wherever both hold the
     same rows; a residual whose rows vary (collision) may linearise rows that are not violated yet.
+
+    Attributes:
+        is_smooth: whether the rows are always the same, smooth in the variables and measured on no more than
+            ``Problem.smooth_state`` offers; trial steps are then corrected for their curvature.
     """
+
+    is_smooth: bool = False
 
     @abstractmethod
     def value(self, state: StateT) -> Float[np.ndarray, "m"]:

@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from typing import Any, Generic
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from scopt.convex_model import ConvexModel, Subproblem, assemble, convexify
+from scopt.correction import Correction
 from scopt.errors import ProblemError
-from scopt.problem import Problem
+from scopt.problem import Penalty, Problem
 from scopt.qp import ConicProgram, backend, solve_clarabel
 from scopt.residual import StateT
 from scopt.result import Iteration, Result, Status
@@ -24,6 +25,8 @@ from scopt.result import Iteration, Result, Status
 SEARCHED_GAIN = 5.0  # times the gain at which a feasible solve ends
 LEAST_PROGRESS = 0.9  # of the violation some steps ago
 AT_THE_EDGE = 0.9  # a step of this share of the trust radius shows that the box held it
+
+ALL_BUT_MET = 2e-3  # of a row whose penalty is written as an equality [unit of the row]
 
 OnIteration = Callable[[Iteration, Float[np.ndarray, "T n"]], None]
 
@@ -41,7 +44,7 @@ class Settings:
         min_improvement, min_improvement_fraction: the middle loop ends when the model promises less than this,
             absolutely or as a fraction of the merit; ``min_improvement_feasible`` is the fraction that counts once the
             iterate is feasible.
-        is_corrected: whether a rejected step gets a second-order correction before the box shrinks.
+        is_corrected: whether trial steps are corrected for the curvature of smooth constraints.
         acceptable_steps: trial steps after which an iterate whose violations are acceptable is left at that.
         patience: trial steps within which the largest violation (relative to its tolerance) must fall by a tenth; the
             solve is given up where it does not.
@@ -188,7 +191,7 @@ class TrustRegionSQP:
         while True:
             before = time.perf_counter()
             model = convexify(problem, run.current.state, run.penalty)
-            subproblem = assemble(model, is_free)
+            subproblem = assemble(model, is_free, _hard_rows(problem, model) if self.settings.is_corrected else None)
             convexify_s = time.perf_counter() - before
             if not self._improve(problem, run, model, subproblem, convexify_s, on_iteration, should_stop):
                 return
@@ -205,7 +208,7 @@ class TrustRegionSQP:
     ) -> bool:
         """The inner loop: try steps in a shrinking box; whether one was taken."""
         settings = self.settings
-        is_first = True
+        correction = Correction.of(problem, run.current.x, model) if settings.is_corrected else None
         while run.trust_radius >= settings.min_trust_radius:
             self._check_interrupts(run, should_stop)
             before = time.perf_counter()
@@ -218,11 +221,8 @@ class TrustRegionSQP:
             merit, model_merit = run.current.merit(run.penalty), model.merit(dx)
             if merit - model_merit < self._worthwhile(run, merit):
                 return False
-            trial = _step(problem, run.current, dx)
+            trial = _step(problem, run.current, dx if correction is None else correction(dx))
             is_accepted = self._is_good(run, model_merit, trial)
-            if not is_accepted and settings.is_corrected and is_first:
-                trial, is_accepted = self._correct(problem, run, model, subproblem, dx, trial, model_merit)
-            is_first = False
             timings = (convexify_s, solved - before, time.perf_counter() - solved)
             convexify_s = 0.0
             self._record(run, trial, model_merit, is_accepted, timings, on_iteration)
@@ -236,6 +236,8 @@ class TrustRegionSQP:
             little = SEARCHED_GAIN * settings.min_improvement_feasible * abs(merit)
             if run.current.is_feasible and merit - model_merit < little:
                 return False
+            if run.current.is_acceptable and not run.current.is_feasible:
+                raise _InterruptedError(Status.ACCEPTABLE)
         return False
 
     def _travel(self, problem: Problem[StateT], dx: Float[np.ndarray, "N"]) -> float:
@@ -254,24 +256,6 @@ class TrustRegionSQP:
         """Whether the exact merit fell by enough of what the model promised."""
         merit = run.current.merit(run.penalty)
         return merit - trial.merit(run.penalty) >= self.settings.accept_ratio * (merit - model_merit)
-
-    def _correct(
-        self,
-        problem: Problem[StateT],
-        run: _Run[StateT],
-        model: ConvexModel,
-        subproblem: Subproblem,
-        dx: Float[np.ndarray, "N"],
-        trial: _Iterate[StateT],
-        model_merit: float,
-    ) -> tuple[_Iterate[StateT], bool]:
-        """Second-order correction of a rejected step: the corrected trial if it is good, else the rejected one."""
-        values = {c.name: c.residual.value(trial.state) for c in problem.constraints}
-        corrected = self._solve_in_box(problem, run, subproblem.with_values_of(model.corrected(dx, values)))
-        if corrected is None:
-            return trial, False
-        second = _step(problem, run.current, corrected)
-        return (second, True) if self._is_good(run, model_merit, second) else (trial, False)
 
     def _record(
         self,
@@ -325,6 +309,8 @@ class TrustRegionSQP:
             solution = solve_clarabel(program)
             return np.asarray(np.clip(subproblem.step(solution.x), lower, upper)) if solution.is_usable else None
         solution = self._solve_qp(program)
+        if not solution.is_usable and subproblem.softened is not None:
+            return self._solve_in_box(problem, run, subproblem.softened())
         if not solution.is_usable:
             solution = self._solve_qp_fallback(program)
         if not solution.is_usable:
@@ -344,6 +330,18 @@ class TrustRegionSQP:
                 raise _InterruptedError(Status.STALLED)
         if len(run.history) >= self.settings.max_iterations:
             raise _InterruptedError(Status.ITERATION_LIMIT)
+
+
+def _hard_rows(problem: Problem[Any], model: ConvexModel) -> Bool[np.ndarray, "A"] | None:
+    """Absolute rows of smooth constraints that are all but met: the correction keeps them there."""
+    if model.exact:
+        return None
+    is_hard = np.zeros(len(model.absolute.weight), dtype=bool)
+    for constraint in problem.constraints:
+        kind, rows = model.constraint_rows[constraint.name]
+        if constraint.residual.is_smooth and kind is Penalty.ABS:
+            is_hard[rows] = bool((np.abs(model.absolute.rows.value[rows]) < ALL_BUT_MET).all())
+    return is_hard
 
 
 def _step(problem: Problem[StateT], current: _Iterate[StateT], dx: Float[np.ndarray, "N"]) -> _Iterate[StateT]:

@@ -101,7 +101,10 @@ def _given_poses_collide(body: WholeBody, poses: Sequence[PoseTarget]) -> Iterat
         carried = [one for one in robot.bodies if one.joint == joint > 0 and one.link not in planted]
         for one in carried:
             offset = one.vertices - pose_joint_frame[:3, 3]
+            reach = float(np.linalg.norm(offset, axis=1).max())
             for piece, shape in pieces:
+                if np.linalg.norm(pose.position - np.clip(pose.position, piece.lower, piece.upper)) > reach:
+                    continue  # out of reach however it is turned
                 depth = _depth_as_turned(pose, offset @ pose_joint_frame[:3, :3], shape)
                 overlap = Overlap(one.link, piece.name, depth, piece.kind)
                 at = np.round(pose.position, 3).tolist()

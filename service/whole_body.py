@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
-from costs.collision import PairMargins, PoseChecker, SweptCollisionChecker
+from costs.collision import Contacts, PairMargins, PoseChecker, SweptCollisionChecker
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
@@ -40,6 +40,7 @@ UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
 BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
 SAMPLING_CLEARANCE = 5e-3  # kept by a sampled start; the optimiser finds the margin [m]
+BASE_MOBILITY = 0.01  # of the base where a step is corrected: legs and arms give way
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
 
 
@@ -236,6 +237,8 @@ class WholeBody:
             (*standing, *constraints),
             state,
             self.step_scale(),
+            lambda x: MotionState(self.engine.placed(x), Contacts.none()),
+            self._mobility(),
         )
 
     def bounds(
@@ -255,6 +258,13 @@ class WholeBody:
         if self.robot.is_floating:
             scale[: len(BASE_NAMES)] = BASE_STEP
         return scale
+
+    def _mobility(self) -> Float[np.ndarray, "n"]:
+        """How readily a coordinate moves to correct a step: the base stays, or every link would leave its place."""
+        mobility = np.ones(self.robot.n)
+        if self.robot.is_floating:
+            mobility[: len(BASE_NAMES)] = BASE_MOBILITY
+        return mobility
 
     def _smoothness(self, n_waypoints: int) -> tuple[Cost[MotionState], ...]:
         """Joint displacement, scaled so that a finer trajectory of the same motion costs the same."""

@@ -45,6 +45,49 @@ def test_back_ends_agree_with_cvxpy_on_trajectory_models(seed, span, n_waypoints
         assert merit == pytest.approx(merits["cvxpy"], rel=2e-5), name
 
 
+@given(seed=st.integers(0, 10_000), n_waypoints=st.integers(4, 9))
+def test_back_ends_agree_with_cvxpy_where_rows_are_equalities(seed, n_waypoints):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, n_waypoints, 3, 1)
+    is_moved = np.diff(model.absolute.rows.jacobian.indptr) > 0
+    is_hard = is_moved & (rng.random(len(is_moved)) < 0.5)
+    model.absolute.rows.value[is_hard] *= 1e-3  # all but met, or they could not be met in the box
+    box = np.ones(n_waypoints * 3)
+    subproblem = assemble(model, np.ones(len(box), dtype=bool), is_hard)
+    solutions = {name: backend(name)(subproblem.within(-box, box)) for name in BACKENDS}
+    if not solutions["cvxpy"].is_usable:
+        return
+    objective = subproblem.program.objective
+    scale = 2e-5 * model.merit(np.zeros(len(box)))  # the objective is a difference of numbers of this size
+    for name, solution in solutions.items():
+        step = subproblem.step(solution.x)
+        np.testing.assert_allclose(model.absolute.rows.at(step)[is_hard], 0.0, atol=1e-5, err_msg=name)
+        assert objective(solution.x) == pytest.approx(objective(solutions["cvxpy"].x), abs=scale), name
+
+
+def test_an_equality_is_what_a_great_penalty_comes_to():
+    model = random_model(np.random.default_rng(5), 5, 3, 1)
+    model.absolute.rows.value[:] *= 1e-3
+    model.absolute.weight[:] = 1e4
+    box, every = np.ones(15), np.ones(6, dtype=bool)
+    hard = assemble(model, box > 0, every)
+    soft = hard.softened()
+    assert soft.program.E is None
+    assert hard.program.E.shape[0] == 6
+    assert len(soft.program.c) == len(hard.program.c) + 6
+    steps = [one.step(backend("clarabel")(one.within(-box, box)).x) for one in (hard, soft)]
+    np.testing.assert_allclose(steps[0], steps[1], atol=1e-5)
+
+
+def test_equalities_that_nothing_free_moves_are_left_out():
+    model = random_model(np.random.default_rng(7), 4, 2, 1)
+    is_free = np.zeros(8, dtype=bool)
+    is_free[:2] = True
+    touched = np.abs(model.absolute.rows.jacobian.toarray()[:, :2]).any(axis=1)
+    subproblem = assemble(model, is_free, np.ones(len(touched), dtype=bool))
+    assert subproblem.program.E.shape[0] == touched.sum()
+
+
 @given(seed=st.integers(0, 10_000))
 def test_program_objective_is_the_merit_up_to_a_constant(seed):
     rng = np.random.default_rng(seed)

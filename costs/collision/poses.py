@@ -28,12 +28,13 @@ class PoseChecker:
         self._bodies = BodyVertices.of(robot)
         self._shapes = [outer_convex(body) for body in robot.bodies]
         self._pieces = [static_convex(piece.vertices) for piece in scene.pieces]
-        self._lower = np.array([piece.lower for piece in scene.pieces]).reshape(-1, 3)
-        self._upper = np.array([piece.upper for piece in scene.pieces]).reshape(-1, 3)
+        self._middle = np.array([0.5 * (piece.lower + piece.upper) for piece in scene.pieces]).reshape(-1, 3)
+        self._half = np.array([0.5 * (piece.upper - piece.lower) for piece in scene.pieces]).reshape(-1, 3)
         self._margins = margins
         self._reach = np.maximum(self._bodies.radius[:, None] + margins.world, 0.0)
         first, second = margins.self_pairs.T
         self._own_reach = np.maximum(self._bodies.radius[first] + self._bodies.radius[second] + margins.own, 0.0)
+        self._squared_reach, self._squared_own_reach = self._reach**2, self._own_reach**2
         self._functors: dict[tuple[bool, int, int], coal.ComputeDistance] = {}
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = False
@@ -42,17 +43,22 @@ class PoseChecker:
     def are_clear(self, kinematics: Kinematics) -> bool:
         """Whether no pair at any pose is nearer than its margin."""
         centres = self._bodies.centres_in_world(kinematics)
-        at_pieces = centres[:, :, None]
-        gap = np.maximum(np.maximum(self._lower - at_pieces, at_pieces - self._upper), 0.0)
-        excess = np.sqrt(np.einsum("tbpk,tbpk->tbp", gap, gap)) - self._reach
+        gap = np.abs(centres[:, :, None] - self._middle)
+        gap -= self._half
+        np.maximum(gap, 0.0, out=gap)
+        squared = np.einsum("tbpk,tbpk->tbp", gap, gap)
         first, second = self._margins.self_pairs.T
         apart = centres[:, first] - centres[:, second]
-        own_excess = np.sqrt(np.einsum("tpk,tpk->tp", apart, apart)) - self._own_reach
-        pose, body, piece = np.nonzero(excess < 0.0)
-        own_pose, pair = np.nonzero(own_excess < 0.0)
+        own_squared = np.einsum("tpk,tpk->tp", apart, apart)
+        pose, body, piece = np.nonzero(squared < self._squared_reach)
+        own_pose, pair = np.nonzero(own_squared < self._squared_own_reach)
         size = len(pose)
+        if not size and not len(own_pose):
+            return True
         # What lies deepest by its spheres is asked first: most bad poses end with the first answers.
-        order = np.argsort(np.concatenate([excess[pose, body, piece], own_excess[own_pose, pair]]), kind="stable")
+        excess = np.sqrt(squared[pose, body, piece]) - self._reach[body, piece]
+        own_excess = np.sqrt(own_squared[own_pose, pair]) - self._own_reach[pair]
+        order = np.argsort(np.concatenate([excess, own_excess]), kind="stable")
         placed: dict[tuple[int, int], coal.Transform3s] = {}
 
         def at(t: int, b: int) -> coal.Transform3s:

@@ -21,6 +21,8 @@ class CentreOfMassInPolygon(Residual[MotionState]):
     ZMP of a motion slow enough to be static.
     """
 
+    is_smooth = True
+
     def __init__(
         self, polygon: SupportPolygon, waypoints: Int[np.ndarray, "S"] | Sequence[int], margin: float = 0.0
     ) -> None:

@@ -20,6 +20,7 @@ class Masked(Residual[StateT]):
             moves: (n,) whether each coordinate of a waypoint moves.
         """
         self._residual = residual
+        self.is_smooth = residual.is_smooth
         self._moves = np.asarray(moves, dtype=float)
 
     def value(self, state: StateT) -> Float[np.ndarray, "m"]:

@@ -45,6 +45,8 @@ class FramePose(Residual[MotionState]):
     robot (a hand on a wheel, two hands on a beam).
     """
 
+    is_smooth = True
+
     def __init__(
         self,
         robot: RobotModel,
@@ -111,6 +113,8 @@ class AxisDirection(Residual[MotionState]):
     The rows are the two tangent components of the rotation that carries the axis onto the direction, so that their
     norm is the angle between them.  Masking a component of the rotation vector instead is right for small errors only.
     """
+
+    is_smooth = True
 
     def __init__(
         self,
@@ -190,6 +194,8 @@ def _deviation(
 
 class PointHalfSpace(Residual[MotionState]):
     """``normal . p - offset`` of a point of a frame, one row per waypoint [m]; at most zero inside the half-space."""
+
+    is_smooth = True
 
     def __init__(
         self,

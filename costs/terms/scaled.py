@@ -27,6 +27,7 @@ class Scaled(Residual[StateT]):
             target: likewise; what each row is measured from.
         """
         self._residual = residual
+        self.is_smooth = residual.is_smooth
         self._gain = per_row(gain)
         self._target = per_row(target)
 

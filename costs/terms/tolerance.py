@@ -25,6 +25,7 @@ class Between(Residual[StateT]):
             lower, upper: one number for all rows, or ``(k,)`` repeated over the rows (k rows per waypoint).
         """
         self._residual = residual
+        self.is_smooth = residual.is_smooth
         self._lower, self._upper = per_row(lower), per_row(upper)
 
     def value(self, state: StateT) -> Float[np.ndarray, "m"]:

@@ -41,6 +41,10 @@ def solve_clarabel(program: QuadraticProgram) -> QPSolution:
         rows = sparse.vstack([rows, program.A], format="csc")
         bounds = np.concatenate([bounds, program.b])
         cones += [_cone(cone) for cone in program.cones]
+    if program.E is not None and program.f is not None:
+        rows = sparse.vstack([rows, program.E], format="csc")
+        bounds = np.concatenate([bounds, program.f])
+        cones.append(clarabel.ZeroConeT(len(program.f)))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     solver = clarabel.DefaultSolver(

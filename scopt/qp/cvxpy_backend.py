@@ -35,6 +35,8 @@ def solve_cvxpy(program: QuadraticProgram) -> QPSolution:
         x[has_lower] >= program.lower[has_lower],
         x[has_upper] <= program.upper[has_upper],
     ]
+    if program.E is not None:
+        constraints.append(program.E @ x == program.f)
     objective = 0.5 * cvxpy.quad_form(x, cvxpy.psd_wrap(program.P)) + program.c @ x
     problem = cvxpy.Problem(cvxpy.Minimize(objective), [c for c in constraints if c.size])
     try:
@@ -45,6 +47,6 @@ def solve_cvxpy(program: QuadraticProgram) -> QPSolution:
         raise SolverError(f"CVXPY answered with an unknown status {problem.status!r}")
     if x.value is None:
         return QPSolution(np.full(n, np.nan), status_of[problem.status])
-    rows, lower, upper = (np.zeros(0) if c.dual_value is None else np.asarray(c.dual_value) for c in constraints)
+    rows, lower, upper = (np.zeros(0) if c.dual_value is None else np.asarray(c.dual_value) for c in constraints[:3])
     multipliers = QPMultipliers.of_parts(rows, lower, upper, has_lower, has_upper)
     return QPSolution(np.asarray(x.value), status_of[problem.status], multipliers)

@@ -43,8 +43,8 @@ def solve_piqp(program: QuadraticProgram, tolerance: float = 1e-6) -> QPSolution
     solver.setup(
         sparse.csc_matrix(program.P),
         program.c,
-        None,
-        None,
+        None if program.E is None else sparse.csc_matrix(program.E),
+        program.f,
         sparse.csc_matrix(program.G),
         None,
         program.h,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
@@ -13,7 +13,7 @@ from scipy import sparse
 
 @dataclass(frozen=True)
 class QuadraticProgram:
-    """Minimise ``1/2 x'Px + c'x`` subject to ``G x <= h`` and ``lower <= x <= upper``.
+    """Minimise ``1/2 x'Px + c'x`` subject to ``G x <= h``, ``lower <= x <= upper`` and, where given, ``E x = f``.
 
     Attributes:
         P: (N, N) symmetric positive semidefinite, both triangles stored.
@@ -21,6 +21,8 @@ class QuadraticProgram:
         G: (M, N).
         h: (M,).
         lower, upper: (N,), may be infinite.
+        E: (Q, N), each row with an entry; None without equalities.
+        f: (Q,).
     """
 
     P: sparse.csc_array
@@ -29,6 +31,8 @@ class QuadraticProgram:
     h: Float[np.ndarray, "M"]
     lower: Float[np.ndarray, "N"]
     upper: Float[np.ndarray, "N"]
+    E: sparse.csc_array | None = field(default=None, kw_only=True)
+    f: Float[np.ndarray, "Q"] | None = field(default=None, kw_only=True)
 
     def objective(self, x: Float[np.ndarray, "N"]) -> float:
         """Objective at ``x``."""

@@ -31,7 +31,7 @@ LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
 # A first try: what needs more steps, or stands still for some, is found sooner from another start.
 QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6}
-POSE: dict[str, float] = {"patience": 12}
+POSE: dict[str, float] = {"patience": 12, "min_improvement_feasible": 0.3}
 SAMPLED: dict[str, float] = {"max_iterations": 50, "patience": 8}  # a sampled path is clear from the beginning
 LED: dict[str, float] = {"max_iterations": 40}  # where the straight line has failed
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.

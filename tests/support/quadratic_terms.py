@@ -24,6 +24,8 @@ class Affine(Residual[np.ndarray]):
 class Function(Residual[np.ndarray]):
     """``f(x)`` with its Jacobian given as a function."""
 
+    is_smooth = True
+
     def __init__(self, f: Callable, jacobian: Callable):
         self.f, self.jacobian = f, jacobian
 

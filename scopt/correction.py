@@ -1,0 +1,131 @@
+"""Second-order correction: a step is bent so that smooth constraints end where their linear model said they would."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from scopt.affine import AffineRows
+from scopt.convex_model import ConvexModel
+from scopt.problem import Constraint, Penalty, Problem, Sense
+
+ROUNDS = 3  # each leaves of the error what the correction's own curvature makes
+MOST_ROUNDS = 8  # those in which variables meet their bounds included
+NEGLIGIBLE = 1e-9  # errors below it are left [unit of the residual]
+DAMPING = 1e-9  # of the normal equations, for rows that depend on one another
+MOST = 0.5  # a correction longer than this share of the step is no small correction
+
+
+@dataclass(frozen=True)
+class Correction:
+    """The least change of a step that takes the curvature out of smooth constraints.
+
+    Nocedal and Wright, Numerical Optimization, 2006, eq. 15.36: ``-A^T (A A^T)^-1 (c(x + p) - (c + A p))``, in a metric
+    in which the variables of ``Problem.mobility`` move readily.  Planted feet are such constraints: without it their
+    curvature makes the merit refuse every long step (the Maratos effect).  Rows are solved waypoint by waypoint.
+
+    Attributes:
+        problem: whose constraints these are.
+        x: (T, n) the iterate.
+        smooth: the constraints that are corrected.
+        rows: (m,) their rows in the model.
+        is_equal: (m,) whether a row is to be zero; else at most zero.
+        place: (m,) where each row stands in the (T, K) rows of all waypoints.
+        jacobian: (T, K, n) of each waypoint's rows, zero for places without one.
+        mobility: (T, n) the metric ``M``, zero for fixed variables.
+    """
+
+    problem: Problem[Any]
+    x: Float[np.ndarray, "T n"]
+    smooth: tuple[Constraint[Any], ...]
+    rows: AffineRows
+    is_equal: Bool[np.ndarray, "m"]
+    place: Int[np.ndarray, "m"]
+    jacobian: Float[np.ndarray, "T K n"]
+    mobility: Float[np.ndarray, "T n"]
+
+    @staticmethod
+    def of(problem: Problem[Any], x: Float[np.ndarray, "T n"], model: ConvexModel) -> Correction | None:
+        """The correction of steps from ``x``; None where no constraint is smooth."""
+        smooth = tuple(c for c in problem.constraints if c.residual.is_smooth and c.name in model.constraint_rows)
+        if not smooth:
+            return None
+        parts = [_rows_of(model, constraint.name) for constraint in smooth]
+        rows = AffineRows.stack(parts)
+        is_equal = np.repeat([c.sense is Sense.EQUAL_ZERO for c in smooth], [len(part.value) for part in parts])
+        place, jacobian = _by_waypoint(rows, *x.shape)
+        mobility = np.ones(x.shape[1]) if problem.mobility is None else problem.mobility
+        mobility = np.where(problem.upper > problem.lower, mobility, 0.0)
+        return Correction(problem, x, smooth, rows, is_equal, place, jacobian, mobility)
+
+    def __call__(self, dx: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+        """The step ``dx`` bent, or as it is where the least change would not be small."""
+        problem = self.problem
+        measure = problem.state if problem.smooth_state is None else problem.smooth_state
+        lower, upper = problem.lower - self.x, problem.upper - self.x
+        promised = self.rows.at(dx)
+        allowed = np.maximum(promised, 0.0)
+        most = MOST * float(np.abs(dx).max(initial=0.0))
+        bent: Float[np.ndarray, "T n"] = np.clip(dx.reshape(self.x.shape), lower, upper)
+        mobility = self.mobility
+        rounds = 0
+        for _ in range(MOST_ROUNDS):
+            state = measure(self.x + bent)
+            value = np.concatenate([constraint.residual.value(state) for constraint in self.smooth])
+            error = np.where(self.is_equal, value - promised, np.maximum(value - allowed, 0.0))
+            if np.abs(error).max() < NEGLIGIBLE:
+                break
+            change = self._least_change(error, mobility)
+            if not np.abs(change).max() <= most:  # nor is a change that is no number
+                return dx
+            wanted = bent - change
+            bent = np.clip(wanted, lower, upper)
+            is_free = bent == wanted
+            mobility = np.where(is_free, mobility, 0.0)  # what has met its bound is of no more help
+            rounds += int(is_free.all())
+            if rounds == ROUNDS:
+                break
+        return np.asarray(bent.ravel())
+
+    def _least_change(
+        self, error: Float[np.ndarray, "m"], mobility: Float[np.ndarray, "T n"]
+    ) -> Float[np.ndarray, "T n"]:
+        """The least change that the linear model answers with ``error``; rows without one are left free."""
+        n_waypoints, most, _ = self.jacobian.shape
+        wanted = np.zeros(n_waypoints * most)
+        wanted[self.place] = error
+        wanted = wanted.reshape(n_waypoints, most, 1)
+        is_off = np.abs(wanted) >= NEGLIGIBLE
+        jacobian = self.jacobian * is_off
+        moved = mobility[:, :, None] * jacobian.transpose(0, 2, 1)
+        system = jacobian @ moved
+        diagonal = np.arange(most)
+        system[:, diagonal, diagonal] += np.where(is_off[:, :, 0], DAMPING, 1.0)
+        return np.asarray((moved @ np.linalg.solve(system, wanted * is_off))[:, :, 0])
+
+
+def _rows_of(model: ConvexModel, name: str) -> AffineRows:
+    kind, rows = model.constraint_rows[name]
+    return (model.absolute if kind is Penalty.ABS else model.hinge).rows.part(rows.start, rows.stop)
+
+
+def _by_waypoint(rows: AffineRows, n_waypoints: int, n: int) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "T K n"]]:
+    """Rows sorted to the waypoint they touch: where each stands, and the Jacobians (those of their first waypoint)."""
+    jacobian = rows.jacobian
+    counts = np.diff(jacobian.indptr)
+    waypoint = np.zeros(len(counts), dtype=np.int64)
+    waypoint[counts > 0] = np.minimum.reduceat(jacobian.indices, jacobian.indptr[:-1][counts > 0]) // n
+    order = np.argsort(waypoint, kind="stable")
+    per_waypoint = np.bincount(waypoint, minlength=n_waypoints)
+    within = np.empty(len(counts), dtype=np.int64)
+    within[order] = np.arange(len(counts)) - np.repeat(np.cumsum(per_waypoint) - per_waypoint, per_waypoint)
+    most = int(per_waypoint.max())
+    place = waypoint * most + within
+    blocks = np.zeros((n_waypoints * most, n))
+    row = np.repeat(np.arange(len(counts)), counts)
+    own = jacobian.indices // n == waypoint[row]
+    blocks[place[row[own]], (jacobian.indices % n)[own]] = jacobian.data[own]
+    return place, blocks.reshape(n_waypoints, most, n)
