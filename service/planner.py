@@ -92,8 +92,7 @@ def _plan(
     except Interrupted as interruption:
         verdict, text = VERDICT_OF_INTERRUPT[interruption.status]
         step = next(reversed(monitor.timings), "set-up")
-        attempt.verdict = verdict
-        attempt.explanation = (text.format(limit=request.options.time_limit_s, step=step),)
+        attempt.interrupted(verdict, text.format(limit=request.options.time_limit_s, step=step), request.options)
     return attempt.result(setup, monitor)
 
 
@@ -122,6 +121,14 @@ class _Attempt:
         if task.is_feasible:
             self.verdict = VERDICT_OF_STATUS[certificate.status]
             self.explanation = shortfalls(certificate)
+
+    def interrupted(self, verdict: Verdict, reason: str, options: Options) -> None:
+        """End where time is up or nobody waits any longer; the best so far is still worth a look after a time limit."""
+        known = () if self.task is None else self.task.reasons
+        self.verdict, self.explanation = verdict, (reason, *known)
+        if verdict is Verdict.TIME_LIMIT and self.motion is None and self.task is not None and self.task.phases:
+            self.motion = _motion(self.task, options)
+            self.certificate = verify(self.motion)
 
     def result(self, setup: PlanSetup, monitor: Monitor) -> PlanResult:
         task, perceived = self.task, setup.perceived
@@ -192,10 +199,14 @@ def _certify(task: TaskPlan, options: Options, monitor: Monitor, attempt: _Attem
 def _certified(task: TaskPlan, options: Options, monitor: Monitor) -> tuple[Motion, Certificate]:
     """The motion of a task's phases, and what the verifier says of it."""
     with monitor.step("curve and timing", 0.75):
-        timing = TimingSettings(options.velocity_scale, options.acceleration_scale) if options.timed else None
-        motion = make_motion(task, timing)
+        motion = _motion(task, options)
     with monitor.step("certificate", 0.85):
         return motion, verify(motion)
+
+
+def _motion(task: TaskPlan, options: Options) -> Motion:
+    timing = TimingSettings(options.velocity_scale, options.acceleration_scale) if options.timed else None
+    return make_motion(task, timing)
 
 
 def shortfalls(certificate: Certificate) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ import pytest
 from planar_arm import write_planar_arm
 from stranger import Stranger
 
+from service.monitor import Monitor
 from service.output import write_result
 from service.planner import plan
 from service.request import Options, PlanRequest
@@ -126,6 +127,18 @@ def test_a_slot_too_narrow_for_the_hand_names_link_and_board_and_comes_with_the_
     assert any("board" in line and "l_h" in line for line in result.explanation), result.explanation
     assert result.motion is not None
     assert result.certificate is not None
+    assert result.certificate.failed()
+
+
+def test_a_late_plan_comes_with_its_best_attempt_and_reasons(monkeypatch):
+    boards = ({"name": f"{name} board", "type": "box", "size": [0.4, 0.6, 0.02], "position": [0.7, 0.2, z]}
+              for name, z in (("lower", 1.03), ("upper", 1.07)))  # fmt: skip
+    monkeypatch.setattr(Monitor, "remaining_s", lambda self: 1.0 if len(self.history) < 8 else -1.0)
+    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
+    assert result.verdict is Verdict.TIME_LIMIT
+    assert result.explanation[0].startswith("the time limit of")
+    assert any("board" in line for line in result.explanation[1:]), result.explanation
+    assert result.motion is not None
     assert result.certificate.failed()
 
 

@@ -10,6 +10,7 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Float
 
+from service.monitor import Interrupted
 from service.phases import (
     PhaseSolver,
     PlannedPhase,
@@ -58,12 +59,17 @@ def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | Non
     search = _Search(solver, goal, n_waypoints)
     best: tuple[str, Solved] | None = None
     is_found = False
-    for name, solved in islice(search.solutions(), solver.most_starts):
-        if solved.is_feasible:
-            is_found = True
-            yield search.plan(name, solved)
-        elif best is None or solved.shortfall < best[1].shortfall:
-            best = name, solved
+    try:
+        for name, solved in islice(search.solutions(), solver.most_starts):
+            if solved.is_feasible:
+                is_found = True
+                yield search.plan(name, solved)
+            elif best is None or solved.shortfall < best[1].shortfall:
+                best = name, solved
+    except Interrupted:
+        if not is_found and best is not None:
+            yield search.plan(*best)
+        raise
     if not is_found and best is not None:
         yield search.plan(*best)
 
