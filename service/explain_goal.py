@@ -12,11 +12,11 @@ import coal
 import numpy as np
 from jaxtyping import Float
 
-from costs.collision.shapes import static_convex
 from costs.kinematics import frame_of
 from service.reachability import beyond_reach, too_far_apart
 from service.start import Overlap, overlaps, penetration, placed_bodies
 from service.verify import JointTarget, PoseTarget, Target
+from service.verify.convex import convex_of
 from service.whole_body import WholeBody
 
 ROUNDING = 1e-5  # more than coal's distances are off [m]
@@ -95,7 +95,7 @@ def _play(body: WholeBody, q: Float[np.ndarray, "n"], overlap: Overlap, chain: n
 def _given_poses_collide(body: WholeBody, poses: Sequence[PoseTarget]) -> Iterator[str]:
     """Links at a given pose that are in a piece whatever the rest of the robot does."""
     robot, planted = body.robot, {foot.link for foot in body.planted}
-    pieces = [(piece, static_convex(piece.vertices)) for piece in body.scene.pieces]
+    pieces = [(piece, convex_of(piece.vertices)) for piece in body.scene.pieces]
     for pose in poses:
         joint, pose_joint_frame = frame_of(robot, pose.frame)
         carried = [one for one in robot.bodies if one.joint == joint > 0 and one.link not in planted]
@@ -131,7 +131,7 @@ def _depth_as_turned(pose: PoseTarget, vertices: Float[np.ndarray, "V 3"], piece
         return 0.0
     radius = float(np.linalg.norm(vertices, axis=1).max())
     placed = vertices @ pose.rotation.T + pose.position
-    depth = penetration(static_convex(placed), piece)
+    depth = penetration(convex_of(placed), piece)
     return depth if depth > _shift(pose) + _turn(pose) * radius + ROUNDING else 0.0
 
 
@@ -141,7 +141,7 @@ def _holds_anyhow(pose: PoseTarget, offset: Float[np.ndarray, "V 3"], piece: coa
     The body's point nearest to the frame's origin, or the ball about the origin that lies in the body, is in the piece
     when the target is deeper in it than that point is far (or nearer to it than the ball reaches).
     """
-    away = -_depth_of(np.zeros(3), static_convex(offset))
+    away = -_depth_of(np.zeros(3), convex_of(offset))
     return _depth_of(pose.position, piece) > away + _shift(pose) + ROUNDING
 
 

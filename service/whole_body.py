@@ -27,6 +27,7 @@ from costs.terms import (
 from scopt import Constraint, Cost, Problem, Sense
 from service.holds import DRIFT, Hold, projected
 from service.keep import KeptPose
+from service.start import sole
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]
@@ -35,7 +36,6 @@ SELF_SHARE = 0.5  # of the margin is asked of the robot's own links: their dista
 CLEARANCE_TOLERANCE = 2e-3  # of the margin that is aimed at [m]
 ACCEPTABLE_SHARE = 0.3  # of the margin may be missing where it takes long to get
 LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
-SOLE_BAND = 4e-3  # sole corners are the vertices this close to the lowest one [m]
 UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
 BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
@@ -113,7 +113,7 @@ class WholeBody:
         """The robot planted at configuration ``q`` on the links ``feet`` (none for a fixed base)."""
         engine = KinematicsEngine(robot)
         poses = planted_poses(engine, q, feet)
-        planted = tuple(PlantedLink(link, poses[link], _sole(robot, engine, q, link)) for link in feet)
+        planted = tuple(PlantedLink(link, pose, _sole_of(robot, q, link, pose)) for link, pose in poses.items())
         polygon = SupportPolygon.of_soles([foot.sole_in_world for foot in planted]) if planted else None
         return WholeBody(robot, scene, engine, planted, polygon, q, aims)
 
@@ -300,15 +300,8 @@ class WholeBody:
         return (Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere)),)
 
 
-def _sole(
-    robot: RobotModel, engine: KinematicsEngine, q: Float[np.ndarray, "n"], link: str
+def _sole_of(
+    robot: RobotModel, q: Float[np.ndarray, "n"], link: str, pose: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "C 3"]:
-    """The lowest vertices of a standing link's bodies, in the link's frame."""
-    kinematics = engine(q[None])
-    pose = planted_poses(engine, q, [link])[link]
-    bodies = [body for body in robot.bodies if body.link == link]
-    world = np.concatenate(
-        [b.vertices @ kinematics.rotation[0, b.joint].T + kinematics.position[0, b.joint] for b in bodies]
-    )
-    lowest = world[world[:, 2] < world[:, 2].min() + SOLE_BAND]
-    return np.asarray((lowest - pose[:3, 3]) @ pose[:3, :3])
+    """Corners of a standing link's sole in the link's frame, whose pose is given [m]."""
+    return np.asarray((sole(robot, q, link) - pose[:3, 3]) @ pose[:3, :3])
