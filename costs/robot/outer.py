@@ -116,7 +116,9 @@ def _best_move(
     cost = np.zeros(n_unknowns)
     cost[-1] = 1.0
     bounds = [(-step, step)] * points.size + [(None, None)]
-    solution = linprog(cost, A_ub=matrix, b_ub=limits, bounds=bounds, method="highs", options={"presolve": False})
+    solution = linprog(  # type: ignore[call-overload]  # the stubs know of no sparse rows
+        cost, A_ub=matrix, b_ub=limits, bounds=bounds, method="highs", options={"presolve": False}
+    )
     if solution.x is None:
         # No move of this size gets every face outside: go outwards from the centre and let the scaling do the rest.
         outward = points - vertices.mean(axis=0)
