@@ -12,7 +12,9 @@ of Atlas (48 solved, 16.4 subproblems, 517 ms): mu raised for violated constrain
 joint scaled by how far it carries the links (217, 10.0, 49 ms; 47, 14.9, 456 ms), correction of equalities only (220,
 10.3, 40 ms; 46, 16.2, 507 ms), witness points decomposed over the supporting vertices (exact gradients, but Atlas
 reaches took twice as long).  Non-monotone acceptance against the largest of three merits gained a little with a shrink
-of 0.1 (225, 9.8, 47 ms; 52, 15.3, 460 ms) before the box was fitted to rejected steps; it is not in.
+of 0.1 (225, 9.8, 47 ms; 52, 15.3, 460 ms) before the box was fitted to rejected steps; it is not in.  The correction of
+rejected steps by a second quadratic program gave way to the least-norm correction of every step: 80 whole plans of
+Atlas among 60 and 120 boxes took 4,340 quadratic programs with the one and 2,870 with the other, which holds the feet.
 """
 
 from __future__ import annotations
@@ -73,6 +75,11 @@ class Variant:
     change: Callable[[Case], Problem[MotionState]] = lambda case: case.problem
 
 
+def loose_base(case: Case) -> Problem[MotionState]:
+    """The base gives way to a correction like any joint."""
+    return replace(case.problem, mobility=None)
+
+
 def unscaled(case: Case) -> Problem[MotionState]:
     """The base steps as far as a joint."""
     return replace(case.problem, step_scale=None)
@@ -90,6 +97,7 @@ VARIANTS: Mapping[str, Variant] = {
     "no early end once feasible": Variant({"min_improvement_feasible": 1e-3}),
     "no end at acceptable clearance": Variant({"acceptable_steps": 1000}),
     "base not scaled": Variant(change=unscaled),
+    "base corrected like a joint": Variant(change=loose_base),
 }
 
 
