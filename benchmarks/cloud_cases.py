@@ -103,16 +103,17 @@ def recorded_cases(folder: Path) -> Iterator[Case]:
         )
 
 
-def simulated_cases(variants: Sequence[str] = (), seed: int = 0, *, misses: bool = False) -> Iterator[Case]:
+def simulated_cases(variants: Sequence[str], seed: int = 0, *, misses: bool = False) -> Iterator[Case]:
     """Simulated scenes.
 
     Args:
-        variants: sensors; by default dense and sparse lidar and, in turn, a solid-state lidar or a depth camera.
+        variants: sensors; those joined by a slash, as in ``solid/camera``, take turns.
         seed: of their details.
         misses: whether rays that met nothing are told.
     """
     for i, name in enumerate(SCENES):
-        for variant in variants or ("dense", "sparse", ("solid", "camera")[i % 2]):
+        for turns in variants:
+            variant = turns.split("/")[i % len(turns.split("/"))]
             scene = make_scene(name, seed)
             yield Case(
                 f"{name}:{variant}",

@@ -24,6 +24,7 @@ from benchmarks.tables import print_table
 from perception import CONFIDENT, KINDS, Cloud, Detection, detect, make_view
 from perception.simulate.scenes import VARIANTS, Truth
 
+_VARIANTS = ("dense", "sparse", "solid/camera")
 _FEWEST = 60  # points on a beam below which nobody could tell it
 _HINT_SIGMA = 0.05  # [m] how well an operator clicks
 
@@ -53,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     false: list[tuple[str, str, Detection]] = []
     spent: dict[str, list[float]] = {kind: [] for kind in kinds}
     looked: dict[str, int] = defaultdict(int)
-    for case in _cases(chosen.variant or (), chosen.seed, chosen.only):
+    for case in _cases(chosen.variant or _VARIANTS, chosen.seed, chosen.only):
         cloud = case.load()
         view = make_view(cloud, reach=case.reach)
         for kind in kinds:

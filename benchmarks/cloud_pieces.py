@@ -33,6 +33,7 @@ from perception import Cloud
 from perception.simulate import Caster, Mesh, joined
 from perception.simulate.scenes import VARIANTS
 
+_VARIANTS = ("dense", "sparse/solid/camera/solid_sparse")
 _WITHHELD = 0.2
 _SAMPLES = 8  # on each ray
 _FULL = 200_000  # points the time target is for
@@ -167,7 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--misses", action="store_true", help="let simulated scans tell rays without return")
     chosen = parser.parse_args(arguments)
     folder = data_folder()
-    simulated = simulated_cases(chosen.variant or (), seed=chosen.seed, misses=chosen.misses)
+    simulated = simulated_cases(chosen.variant or _VARIANTS, seed=chosen.seed, misses=chosen.misses)
     _print_cases("recorded scans of known scenes", _named(scene_cases(folder), chosen.only))
     _print_cases("third-party clouds, a fifth of the rays withheld", _named(recorded_cases(folder), chosen.only))
     _print_cases("simulated scenes", _named(simulated, chosen.only))
