@@ -8,6 +8,7 @@ from jaxtyping import Float
 from perception.detect.beam import detect_beam
 from perception.detect.detection import Detection
 from perception.detect.door import detect_door
+from perception.detect.panel import detect_panel
 from perception.detect.valve import as_detection, detect_in
 from perception.errors import PerceptionError
 from perception.view import View
@@ -19,7 +20,12 @@ def _valves(view: View, hint: Float[np.ndarray, "3"] | None) -> list[Detection]:
     return [as_detection(valve) for valve in detect_in(view, hint)]
 
 
-_DETECTORS: Mapping[str, Detector] = {"valve": _valves, "door": detect_door, "beam": detect_beam}
+_DETECTORS: Mapping[str, Detector] = {
+    "valve": _valves,
+    "door": detect_door,
+    "beam": detect_beam,
+    "panel": detect_panel,
+}
 KINDS = tuple(_DETECTORS)
 
 
