@@ -9,6 +9,7 @@ from perception.detect.beam import detect_beam
 from perception.detect.detection import Detection
 from perception.detect.door import detect_door
 from perception.detect.opening import detect_opening
+from perception.detect.lever import detect_lever
 from perception.detect.panel import detect_panel
 from perception.detect.seat import detect_seat
 from perception.detect.valve import as_detection, detect_in
@@ -26,6 +27,7 @@ _DETECTORS: Mapping[str, Detector] = {
     "valve": _valves,
     "door": detect_door,
     "beam": detect_beam,
+    "lever": detect_lever,
     "panel": detect_panel,
     "seat": detect_seat,
     "opening": detect_opening,
