@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +16,7 @@ from jaxtyping import Float
 from benchmarks.cloud_truth import truth_of
 from perception import KINDS, Cloud, Reach, read_cloud
 from perception.simulate import Caster, Mesh, joined
-from perception.simulate.scenes import SCENES, SimulatedScene, Truth, make_scene
+from perception.simulate.scenes import SCENES, VARIANTS, SimulatedScene, Truth, make_scene
 
 # Axes of a camera (z forward, y down) in the robot's (x forward, z up), and axes that are those already.
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -126,6 +127,14 @@ def simulated_cases(variants: Sequence[str], seed: int = 0, *, misses: bool = Fa
                 partial(scene.scan, variant, 1),
                 is_heap=name.startswith("debris"),
             )
+
+
+def variant_turns(text: str) -> str:
+    """An argument for :func:`simulated_cases`: a sensor, or several that take turns, joined by slashes."""
+    unknown = [name for name in text.split("/") if name not in VARIANTS]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"unknown sensor '{unknown[0]}'; {', '.join(VARIANTS)} are there")
+    return text
 
 
 def _mesh(path: Path) -> Mesh:
