@@ -112,7 +112,7 @@ def _best_move(
                               np.full(len(plane), n_unknowns - 1)])  # fmt: skip
     values = np.concatenate([face_values, planes[plane, :3].ravel(), np.full(len(plane), -1.0)])
     limits = np.concatenate([face_limits, -height[point, plane]])
-    matrix = coo_array((values, (rows, columns)), shape=(len(limits), n_unknowns)).toarray()
+    matrix = coo_array((values, (rows, columns)), shape=(len(limits), n_unknowns)).tocsc()
     cost = np.zeros(n_unknowns)
     cost[-1] = 1.0
     bounds = [(-step, step)] * points.size + [(None, None)]
@@ -137,12 +137,22 @@ def _face_rows(
     above = height[vertex, face]
     corners = points[hull.simplices[face]]
     foot = vertices[vertex] - above[:, None] * normals[face]
-    system = np.concatenate([corners.transpose(0, 2, 1), np.ones((len(face), 1, 3))], axis=1)
-    weights = np.linalg.pinv(system) @ np.concatenate([foot, np.ones((len(face), 1))], axis=1)[:, :, None]
-    values = -weights * normals[face][:, None, :]
+    weights = _barycentric(foot, corners)
+    values = -weights[:, :, None] * normals[face][:, None, :]
     columns = 3 * hull.simplices[face][:, :, None] + np.arange(3)
     rows = np.broadcast_to(np.arange(len(face))[:, None, None], values.shape)
     return rows.ravel(), columns.ravel(), values.ravel(), -above
+
+
+def _barycentric(points: Float[np.ndarray, "k 3"], corners: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3"]:
+    """Weights of the corners of a triangle each that make the points, which lie in its plane."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(first, second)
+    area = np.maximum((across * across).sum(axis=1), 1e-30)
+    offset = points - corners[:, 0]
+    of_first = (np.cross(offset, second) * across).sum(axis=1) / area
+    of_second = (np.cross(first, offset) * across).sum(axis=1) / area
+    return np.asarray(np.stack([1.0 - of_first - of_second, of_first, of_second], axis=1))
 
 
 def _scaled_around(points: Float[np.ndarray, "W 3"], vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:

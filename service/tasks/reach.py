@@ -34,7 +34,8 @@ WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
 QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6}
 POSE: dict[str, float] = {"patience": 12, "min_improvement_feasible": 0.3}
 SAMPLED: dict[str, float] = {"max_iterations": 50, "patience": 8}  # a sampled path is clear from the beginning
-LED: dict[str, float] = {"max_iterations": 40}  # where the straight line has failed
+RANDOM: dict[str, float] = {"max_iterations": 40}  # among the last: every step is worth it
+LED: dict[str, float] = {"max_iterations": 40, "patience": 10}  # where the straight line has failed
 # How long a tree takes to find its way is a matter of luck: several short tries beat a long one.
 TREES = (
     Tree(0, 1000, "LBKPIECE1"),
@@ -44,6 +45,7 @@ TREES = (
     Tree(4, 4000, "LBKPIECE1"),
     Tree(5, 8000, "RRTConnect"),
 )
+RESTORABLE = 10.0  # tolerances that a start may fall short of being feasible for a restoration to be tried
 RANDOM_GUESSES = 8  # about half of them lead to a pose
 SAME_END = 0.05  # ends that differ by less are one [rad, m]
 
@@ -84,6 +86,13 @@ class _Search:
 
     def solutions(self) -> Iterator[tuple[str, Solved]]:
         """Solved starts by name, feasible or not; every one asked for costs its solve."""
+        for name, solved in self._attempts():
+            yield name, solved
+            is_near = not solved.is_feasible and solved.shortfall < RESTORABLE
+            if is_near and not self.goal.is_complete and len(solved.x) > 1:
+                yield name, self._restored(solved)
+
+    def _attempts(self) -> Iterator[tuple[str, Solved]]:
         start = self.solver.body.nominal
         ends = self._ends()
         end, shortfall = next(ends)
@@ -96,25 +105,23 @@ class _Search:
         quick = self._solve(straight(start, end, count), **QUICK)
         yield "straight line", quick
         yield from self._around(end, TREES[0])
-        if not self.goal.is_complete and not quick.is_feasible:
-            yield "straight line", self._restored(quick)
         if self.solver.body.kept:
             line = self.solver.body.on_holds(straight(start, end, count))
             yield "straight line along what is kept", self._solve(line, **LED)
+        yield from self._led()
         for other, shortfall in ends:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight(start, other, self._count(other)), **QUICK)
-        yield from self._led()
         yield from self._around(end, TREES[1])
         yield from self._around(end, TREES[2])
+        for name, posture in guesses(self.solver.body)[1:]:
+            yield f"via posture '{name}'", self._solve(via(start, posture, end, count), **QUICK)
         yield from self._to_random_postures()
         if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
         for tree in TREES[3:]:
             yield from self._around(end, tree)
-        for name, posture in guesses(self.solver.body)[1:]:
-            yield f"via posture '{name}'", self._solve(via(start, posture, end, count), **QUICK)
 
     def _restored(self, solved: Solved) -> Solved:
         """Once more from where a solve has failed, for nothing but what must hold."""
@@ -174,7 +181,7 @@ class _Search:
             if solved.is_feasible:
                 end = solved.x[0]
                 line = straight(body.nominal, end, self._count(end))
-                yield "straight line to a random posture at the goal", self._solve(line, **LED)
+                yield "straight line to a random posture at the goal", self._solve(line, **RANDOM)
 
     def _led(self) -> Iterator[tuple[str, Solved]]:
         """From the straight ways of the links that shall arrive."""
