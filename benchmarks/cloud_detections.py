@@ -58,7 +58,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     spent: dict[str, list[float]] = {kind: [] for kind in kinds}
     looked: dict[str, int] = defaultdict(int)
     for case in _cases(chosen.variant or _VARIANTS, chosen.seed, chosen.only):
-        print(f"{case.name} ...", file=sys.stderr)
         cloud = case.load()
         view = make_view(cloud, reach=case.reach)
         for kind in kinds:
@@ -74,7 +73,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             outcome = matched(kind, found, case.truth, case.lookalikes)
             if not chosen.hint:
                 false += [(case.name, kind, one) for one in outcome.false]
-            rows[kind] += [_row(case, cloud, truth, one) for truth, one in outcome.pairs]
+            new = [_row(case, cloud, truth, one) for truth, one in outcome.pairs]
+            rows[kind] += new
+            # The tables come last; whoever waits sees what is wrong as it comes.
+            told = [row.mark for row in new if row.mark] + ["FALSE"] * len(outcome.false)
+            print(f"{case.name}: {kind} {' '.join(told) or 'fine'}", file=sys.stderr)
     for kind in kinds:
         _print_kind(kind, rows[kind])
     _print_false(false)

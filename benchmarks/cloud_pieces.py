@@ -189,7 +189,6 @@ def _print_cases(title: str, cases: Iterator[Case]) -> None:
     all_figures: list[Figures] = []
     with tempfile.TemporaryDirectory() as folder:
         for case in cases:
-            print(f"{case.name} ...", file=sys.stderr)
             try:
                 figures = measured(case, case.load(), Path(folder))
             except subprocess.CalledProcessError:
@@ -197,6 +196,8 @@ def _print_cases(title: str, cases: Iterator[Case]) -> None:
                 continue
             all_figures.append(figures)
             rows.append((case.name, *_texts(_numbers(figures)), figures.missed(Targets.of(case))))
+            # The table comes last; whoever waits sees the figures as they come.
+            print("  ".join(rows[-1]), file=sys.stderr)
     n_cases = len(rows)
     if not all_figures:
         return
