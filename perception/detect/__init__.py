@@ -8,8 +8,10 @@ from jaxtyping import Float
 from perception.detect.beam import detect_beam
 from perception.detect.detection import Detection
 from perception.detect.door import detect_door
-from perception.detect.opening import detect_opening
+from perception.detect.drill import detect_drill
+from perception.detect.hose import detect_hose
 from perception.detect.lever import detect_lever
+from perception.detect.opening import detect_opening
 from perception.detect.panel import detect_panel
 from perception.detect.seat import detect_seat
 from perception.detect.valve import as_detection, detect_in
@@ -26,7 +28,9 @@ def _valves(view: View, hint: Float[np.ndarray, "3"] | None) -> list[Detection]:
 _DETECTORS: Mapping[str, Detector] = {
     "valve": _valves,
     "door": detect_door,
+    "drill": detect_drill,
     "beam": detect_beam,
+    "hose": detect_hose,
     "lever": detect_lever,
     "panel": detect_panel,
     "seat": detect_seat,
