@@ -13,8 +13,10 @@ from perception import (
     CONFIDENT,
     Reach,
     ValveDetection,
+    detect,
     detect_valves,
     has_clear_spokes,
+    make_view,
     perceive,
     read_cloud,
     valve_bodies,
@@ -25,6 +27,7 @@ from perception.clean import half_spaces
 from perception.cloud import Cloud
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cylinder, scan, torus
 from perception.simulate.mesh import lathe, pipe
+from perception.simulate.objects.valves import LeverValve
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
 # As dense as a whole turn of the fan, but only ahead: a test needs no more.
@@ -300,3 +303,32 @@ def test_every_wheel_body_is_convex_with_few_vertices() -> None:
 def test_wheel_points_are_those_near_the_wheel_only() -> None:
     points = np.array([[0.7, 0.22, 1.1], [0.7, 0.1, 1.1], [0.9, 0.1, 1.1], [0.7, 0.3, 1.1], [0.6, 0.1, 1.1]])
     assert wheel_points(fake(), points).tolist() == [True, True, False, False, False]
+
+
+@pytest.mark.parametrize("along", [(0.0, 0.0, 1.0), (0.0, 0.5, 0.8)])
+def test_a_lever_across_its_pipe_is_found_within_the_targets(along: tuple[float, float, float]) -> None:
+    lever = LeverValve((0.72, 0.05, 1.15), tilted(8, 8), along, 0.24, pipe_direction=(0.0, 1.0, 0.0))
+    placed = lever.placed()
+    cloud = scan([*Room(wall_x=1.1).meshes(), *placed.meshes], SENSOR, SCANNER, seed=3)
+    found, true = detect("valve", make_view(cloud))[0], placed.truth[0].pose_world_object
+    assert found.confidence >= CONFIDENT
+    assert np.linalg.norm((found.pose_world_object - true)[:3, 3]) <= 0.010
+    assert found.pose_world_object[:3, 2] @ true[:3, 2] >= np.cos(np.radians(2.0))
+    assert found.pose_world_object[:3, 0] @ true[:3, 0] >= np.cos(np.radians(3.0))
+    assert abs(found.sizes["lever_length"] - lever.length) <= 0.010
+
+
+def test_a_lever_along_its_pipe_is_not_believed_without_a_hint() -> None:
+    lever = LeverValve((0.72, 0.05, 1.15), along=(0.0, 1.0, 0.0), pipe_direction=(0.0, 1.0, 0.0))
+    view = make_view(scan([*Room(wall_x=1.1).meshes(), *lever.placed().meshes], SENSOR, SCANNER, seed=3))
+    assert all(found.confidence < CONFIDENT for found in detect("valve", view))
+
+
+def test_pipes_that_cross_are_no_lever_valve() -> None:
+    pipes = [
+        cylinder((0.8, -1.0, 1.1), (0.8, 1.0, 1.1), 0.05),
+        cylinder((0.7, 0.1, 0.0), (0.7, 0.1, 2.4), 0.015),
+        cylinder((0.72, -0.3, 0.9), (0.68, -0.35, 1.3), 0.012),
+    ]
+    view = make_view(scan([*Room(wall_x=1.1).meshes(), *pipes], SENSOR, SCANNER, seed=3))
+    assert all(found.confidence < CONFIDENT for found in detect("valve", view))

@@ -135,7 +135,7 @@ def _frame(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return np.stack([x, np.cross(normal, x), normal])
 
 
-def rays_at(face: Face, index: SightIndex, beyond: float) -> FaceRays:
+def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
     """Rays that cross the face's plane within ``beyond`` of its region and do not end far before it."""
     low, high = face.low - beyond, face.high + beyond
     steps = [np.linspace(low[i], high[i], max(2, int((high[i] - low[i]) / _SPACING) + 1)) for i in range(2)]
@@ -155,7 +155,7 @@ def rays_at(face: Face, index: SightIndex, beyond: float) -> FaceRays:
 
 def _refined(face: Face, index: SightIndex) -> Face | None:
     """The plane through what is flat of the rays' ends, not through what stands out; None when little is."""
-    seen = rays_at(face, index, 0.0)
+    seen = face_rays(face, index, 0.0)
     ends = seen.ends[((seen.ends[:, :2] > face.low) & (seen.ends[:, :2] < face.high)).all(axis=1)]
     ends = ends[np.abs(ends[:, 2]) < _BAND]
     if len(ends) < 20:

@@ -14,7 +14,7 @@ from perception.detect.bar_fit import fit_bars
 from perception.detect.bar_starts import Run, misfits, sample_about, starts_about
 from perception.detect.bars import Bar, SurroundingRays
 from perception.detect.detection import Detection
-from perception.detect.faces import Face, FaceRays, find_faces, rays_at
+from perception.detect.faces import Face, FaceRays, face_rays, find_faces
 from perception.detect.lever_pivot import Pivot, find_pivot
 from perception.detect.sightlines import sight_index
 from perception.detect.wheel_evidence import rising
@@ -59,7 +59,7 @@ def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     found: list[_Found] = []
     with threadpool_limits(limits=1, user_api="blas"):
         for face in find_faces(view, index, hint, rng):
-            seen = rays_at(face, index, _BEYOND)
+            seen = face_rays(face, index, _BEYOND)
             for run in _runs(face, seen, hint):
                 one = _examined(face, seen, run)
                 if one is not None:

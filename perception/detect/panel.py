@@ -9,7 +9,7 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from perception.detect.detection import Detection
-from perception.detect.faces import Face, FaceRays, find_faces, rays_at
+from perception.detect.faces import Face, FaceRays, face_rays, find_faces
 from perception.detect.relief import Disc, find_discs
 from perception.detect.sightlines import SightIndex, sight_index
 from perception.detect.wheel_evidence import rising
@@ -59,7 +59,7 @@ def _is_panel_sized(face: Face) -> bool:
 
 def _examined(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None:
     """Edges and buttons of a face; None when nothing stands out of it."""
-    seen = rays_at(face, index, _BESIDE)
+    seen = face_rays(face, index, _BESIDE)
     edges = _edges(face, seen)
     size = edges.high - edges.low
     if size.min() < _SIZES[0] or size.max() > _SIZES[1]:
