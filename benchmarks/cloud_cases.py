@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +16,7 @@ from jaxtyping import Float
 from benchmarks.cloud_truth import truth_of
 from perception import KINDS, Cloud, Reach, read_cloud
 from perception.simulate import Caster, Mesh, joined
-from perception.simulate.scenes import SCENES, SimulatedScene, Truth, make_scene
+from perception.simulate.scenes import SCENES, VARIANTS, SimulatedScene, Truth, make_scene
 
 # Axes of a camera (z forward, y down) in the robot's (x forward, z up), and axes that are those already.
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -103,16 +104,17 @@ def recorded_cases(folder: Path) -> Iterator[Case]:
         )
 
 
-def simulated_cases(variants: Sequence[str] = (), seed: int = 0, *, misses: bool = False) -> Iterator[Case]:
+def simulated_cases(variants: Sequence[str], seed: int = 0, *, misses: bool = False) -> Iterator[Case]:
     """Simulated scenes.
 
     Args:
-        variants: sensors; by default dense and sparse lidar and, in turn, a solid-state lidar or a depth camera.
+        variants: sensors; those joined by a slash, as in ``solid/camera``, take turns.
         seed: of their details.
         misses: whether rays that met nothing are told.
     """
     for i, name in enumerate(SCENES):
-        for variant in variants or ("dense", "sparse", ("solid", "camera")[i % 2]):
+        for turns in variants:
+            variant = turns.split("/")[i % len(turns.split("/"))]
             scene = make_scene(name, seed)
             yield Case(
                 f"{name}:{variant}",
@@ -125,6 +127,14 @@ def simulated_cases(variants: Sequence[str] = (), seed: int = 0, *, misses: bool
                 partial(scene.scan, variant, 1),
                 is_heap=name.startswith("debris"),
             )
+
+
+def variant_turns(text: str) -> str:
+    """An argument for :func:`simulated_cases`: a sensor, or several that take turns, joined by slashes."""
+    unknown = [name for name in text.split("/") if name not in VARIANTS]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"unknown sensor '{unknown[0]}'; {', '.join(VARIANTS)} are there")
+    return text
 
 
 def _mesh(path: Path) -> Mesh:

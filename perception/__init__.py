@@ -2,6 +2,7 @@
 
 from perception.clean import Reach, inside_hulls, voxel_downsample
 from perception.cloud import Cloud, make_cloud
+from perception.convex.piece import Evidence, Piece
 from perception.convex.pieces import Pieces, make_pieces
 from perception.detect import KINDS, detect
 from perception.detect.detection import Detection
@@ -19,6 +20,8 @@ from perception.levels import find_floor, find_floors
 from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 from perception.outliers import inliers
 from perception.perceive import CONFIDENT, Perceived, perceive
+from perception.remembered import Memory
+from perception.update import update
 from perception.view import View, make_view
 
 __all__ = [
@@ -31,9 +34,12 @@ __all__ = [
     "Cloud",
     "CloudError",
     "Detection",
+    "Evidence",
     "FloorPlane",
+    "Memory",
     "Perceived",
     "PerceptionError",
+    "Piece",
     "Pieces",
     "Reach",
     "ValveDetection",
@@ -57,6 +63,7 @@ __all__ = [
     "read_clouds",
     "rigid_pose",
     "stem_of",
+    "update",
     "valve_bodies",
     "voxel_downsample",
     "wheel_basis",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,11 +15,13 @@ from perception.clean import Reach, voxel_downsample
 from perception.cloud import Cloud
 from perception.convex.piece import Piece
 from perception.convex.pieces import make_pieces
+from perception.convex.unknown import unknown_pieces
 from perception.detect.valve import ValveDetection, detect_in
 from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
 from perception.floor import FloorPlane, floor_pieces
 from perception.view import View, make_view
 
+Unknown = Literal["free", "occupied"]
 CONFIDENT = 0.5
 _MOST_SHOWN = 60_000
 _SHOWN_VOXEL = 0.01
@@ -30,8 +33,8 @@ class Perceived:
     """What a cloud shows.
 
     Attributes:
-        scene: pieces ``floor``, ``plane/i``, ``wall/i``, ``clutter/i`` and, with a valve, ``stem``; the wheel itself is
-            not in it.
+        scene: pieces ``floor`` and ``floor/i``, ``plane/i``, ``wall/i``, ``clutter/i`` and, with a valve, ``stem``; the
+            wheel itself is not in it.  ``unknown/i`` when asked for.
         pieces: those of the scene that were made of points, with their points and the evidence for them.
         view: what they were made from; ``pieces[i].points`` are indices into ``view.obstacles``.
         floor: the floor's plane; None when none was seen.
@@ -56,7 +59,7 @@ class Perceived:
         return self.valves[0] if self.valves and self.valves[0].confidence >= CONFIDENT else None
 
 
-class _Clock:
+class Clock:
     """Seconds by step; a step ends when the next begins."""
 
     def __init__(self) -> None:
@@ -77,6 +80,7 @@ def perceive(
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
     valve: bool,
     hint: Float[np.ndarray, "3"] | None = None,
+    unknown: Unknown = "free",
     seed: int = 0,
 ) -> Perceived:
     """Floor, convex pieces and, on request, wheel valves of a cloud in world coordinates (z up).
@@ -88,31 +92,42 @@ def perceive(
         soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
         valve: whether to look for wheel valves; the best one's points are kept out of the pieces.
         hint: (3,) a point near the valve [m].
+        unknown: ``occupied`` adds pieces ``unknown/i`` for what lies in reach and no ray has seen, the robot's own
+            place left out.
         seed: of all random choices; the same input and seed give the same result.
 
     Raises:
         CloudError: nothing of the cloud lies in reach.
     """
-    clock = _Clock()
+    clock = Clock()
     view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, soles=soles, seed=seed)
     kept = np.arange(len(view.obstacles))
     clock.lap("view")
     valves = tuple(detect_in(view, hint)) if valve else ()
     stem = None
     if valves and valves[0].confidence >= CONFIDENT:
-        is_other, stem = _without_valve(view.obstacles, valves[0])
+        is_other, stem = without_valve(view.obstacles, valves[0])
         kept = kept[is_other]
     clock.lap("valve")
-    made = make_pieces(view.obstacles[kept], view.starts[kept], cloud.rays, seed)
+    made = make_pieces(view.obstacles[kept], view.starts[kept], view.cloud.rays, seed)
     pieces = tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces)
     clock.lap("pieces")
-    extra = [*floor_pieces(view.floors, reach), *([] if stem is None else [stem])]
+    hidden: tuple[ConvexPiece, ...] = ()
+    if unknown == "occupied":
+        hidden = unknown_pieces(view.cloud.rays, reach, view.floors, robot_hulls, soles)
+        clock.lap("unknown")
+    extra = [*floors_of(view), *([] if stem is None else [stem])]
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
-    scene = Scene((*extra, *(piece.shape for piece in pieces)))
-    return Perceived(scene, pieces, view, view.floor, valves, _shown(view.near.points), timings, view.notes)
+    scene = Scene((*extra, *(piece.shape for piece in pieces), *hidden))
+    return Perceived(scene, pieces, view, view.floor, valves, shown_points(view.near.points), timings, view.notes)
 
 
-def _without_valve(
+def floors_of(view: View) -> list[ConvexPiece]:
+    """Pieces that stand for the floor."""
+    return floor_pieces(view.floors, view.reach)
+
+
+def without_valve(
     points: Float[np.ndarray, "N 3"], valve: ValveDetection
 ) -> tuple[Bool[np.ndarray, "N"], ConvexPiece | None]:
     """Which points are neither wheel nor stem, and the stem."""
@@ -123,7 +138,8 @@ def _without_valve(
     return kept, stem
 
 
-def _shown(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
+def shown_points(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
+    """Points thinned for a viewer."""
     if not len(points):
         return points
     thinned, _ = voxel_downsample(points, _SHOWN_VOXEL)

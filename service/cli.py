@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli_report import print_figures, print_table, print_verdict
+from service.cli_report import HIT_COLUMNS, hit_row, print_figures, print_table, print_verdict
 from service.cli_run import cancellable, consoles, print_json, progress, run
 
 EXIT_CODE_HELP = (
@@ -99,20 +99,104 @@ def view_command(
     raise typer.Exit(run(lambda: _view(result)))
 
 
+Clouds = Annotated[list[Path], typer.Argument(help="Point cloud files; several are merged.", metavar="CLOUD...")]
+Unit = Annotated[str, typer.Option(help="Of the files' lengths: m, cm, mm, km, in, ft.")]
+Transforms = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--transform",
+        help="Pose of the points in the world: 'X Y Z YAW PITCH ROLL', 'X Y Z QW QX QY QZ' or 16 numbers; once, or for "
+        "each file.",
+        metavar="NUMBERS",
+    ),
+]
+Sensor = Annotated[str | None, typer.Option(help="Where rays started, if the files do not say.", metavar="'X Y Z'")]
+Viewpoint = Annotated[bool, typer.Option("--apply-viewpoint", help="The points are in the sensor's frame.")]
+Radius = Annotated[float, typer.Option("--reach", help="Horizontal radius kept, in metres.", min=0.1, max=50.0)]
+RobotThere = Annotated[str | None, typer.Option("--robot", help="Bundled robot whose own points are left out.")]
+Posture = Annotated[Path | None, typer.Option(help="File with that robot's start (as in a request).")]
+Hint = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(help="A point near the object.", metavar="X Y Z", show_default=False),
+]
+Seed = Annotated[int, typer.Option(help="Of all random choices.", min=0)]
+
+
 @app.command("scene")
 def scene_command(
-    cloud: Annotated[Path, typer.Argument(help="Point cloud file.", metavar="CLOUD")],
-    out: Annotated[Path, typer.Option(help="File for the pieces.")],
-    reach: Annotated[float, typer.Option(help="Horizontal radius that is kept, in metres.", min=0.1, max=50.0)] = 4.0,
-    robot: Annotated[str | None, typer.Option(help="Bundled robot whose own points are left out.")] = None,
-    posture: Annotated[Path | None, typer.Option(help="File with that robot's start (as in a request).")] = None,
-    apply_viewpoint: Annotated[bool, typer.Option(help="The points are in the sensor's frame.")] = False,
+    clouds: Clouds,
+    out: Annotated[Path, typer.Option(help="File for the pieces (JSON); the page that shows them is put beside it.")],
+    unit: Unit = "m",
+    transform: Transforms = None,
+    sensor: Sensor = None,
+    apply_viewpoint: Viewpoint = False,
+    reach: Radius = 4.0,
+    robot: RobotThere = None,
+    posture: Posture = None,
+    unknown: Annotated[str, typer.Option(help="What no ray has seen: free or occupied.")] = "free",
+    detect: Annotated[
+        list[str] | None, typer.Option(help="Kind of object to look for, or all; may be given again.", metavar="KIND")
+    ] = None,
+    hint: Hint = None,
+    seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Turn a point cloud into convex pieces."""
+    """Turn point clouds into convex pieces, floor and objects, and show them."""
     if posture is not None and robot is None:
         raise typer.BadParameter("--posture needs --robot")
-    raise typer.Exit(run(lambda: _scene(cloud, out, reach, robot, posture, apply_viewpoint, as_json), as_json))
+    if unknown not in ("free", "occupied"):
+        raise typer.BadParameter(f"--unknown: free or occupied would do, got {unknown!r}")
+    if hint is not None and not detect:
+        raise typer.BadParameter("--hint needs --detect")
+    options = _cloud_options(clouds, unit, transform, sensor, apply_viewpoint, reach, robot, posture, seed)
+    settings = {"unknown": unknown} if unknown != "free" else {}
+    raise typer.Exit(run(lambda: _scene(options, out, tuple(detect or ()), hint, settings, as_json), as_json))
+
+
+@app.command("detect")
+def detect_command(
+    kind: Annotated[str, typer.Argument(help="What to look for: valve, door, ...", metavar="KIND")],
+    clouds: Clouds,
+    hint: Hint = None,
+    unit: Unit = "m",
+    transform: Transforms = None,
+    sensor: Sensor = None,
+    apply_viewpoint: Viewpoint = False,
+    reach: Radius = 4.0,
+    robot: RobotThere = None,
+    posture: Posture = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Find objects of a kind in point clouds, best first."""
+    if posture is not None and robot is None:
+        raise typer.BadParameter("--posture needs --robot")
+    options = _cloud_options(clouds, unit, transform, sensor, apply_viewpoint, reach, robot, posture, seed)
+    raise typer.Exit(run(lambda: _detect(kind, options, hint, as_json), as_json))
+
+
+def _cloud_options(
+    clouds: list[Path],
+    unit: str,
+    transform: list[str] | None,
+    sensor: str | None,
+    apply_viewpoint: bool,
+    reach: float,
+    robot: str | None,
+    posture: Path | None,
+    seed: int,
+) -> dict[str, Any]:
+    return {
+        "files": tuple(clouds),
+        "unit": unit,
+        "transforms": tuple(transform or ()),
+        "apply_viewpoint": apply_viewpoint,
+        "sensor": sensor,
+        "reach_m": reach,
+        "robot": robot,
+        "posture": posture,
+        "seed": seed,
+    }
 
 
 @app.command("bench")
@@ -204,29 +288,51 @@ def _view(path: Path) -> None:
 
 
 def _scene(
-    cloud: Path,
+    options: Mapping[str, Any],
     out: Path,
-    reach: float,
-    robot: str | None,
-    posture: Path | None,
-    apply_viewpoint: bool,
+    kinds: tuple[str, ...],
+    hint: tuple[float, float, float] | None,
+    settings: Mapping[str, str],
     as_json: bool,
 ) -> None:
     screen, err = consoles()
     with progress(err, "read cloud") as report:
-        from service.scene_file import perceive_file, write_scene
+        from service.cloud_asked import cloud_asked
+        from service.scene_file import SceneAsked, see_files, write_scene
 
-        seen = perceive_file(cloud, reach, robot, posture, apply_viewpoint, lambda step: report(step, 0.3))
+        asked = SceneAsked(cloud_asked(options), kinds, hint, tuple(settings.items()))
+        seen = see_files(asked, lambda step: report(step, 0.3))
         report("write pieces", 0.9)
-        write_scene(seen, out)
+        page = write_scene(seen, out)
+    shown = {key: value for key, value in seen.data.items() if key != "pieces"}
     if as_json:
-        print_json({key: value for key, value in seen.items() if key != "pieces"})
+        print_json({**shown, "scene": str(out), "viewer": str(page)})
         return
-    figures = seen["figures"]
-    print_table(screen, ("figure", "value"), [(name, str(value)) for name, value in figures.items()])
-    for note in seen["notes"]:
+    print_table(screen, ("figure", "value"), [(name, str(value)) for name, value in shown["figures"].items()])
+    if shown["detections"]:
+        print_table(screen, HIT_COLUMNS, [hit_row(hit) for hit in shown["detections"]])
+    for note in shown["notes"]:
         screen.print(f"note: {note}", markup=False, soft_wrap=True)
+    screen.print(f"viewer           {page}", markup=False, soft_wrap=True)
     screen.print(f"pieces           {out}", markup=False, soft_wrap=True)
+
+
+def _detect(kind: str, options: Mapping[str, Any], hint: tuple[float, float, float] | None, as_json: bool) -> None:
+    screen, err = consoles()
+    with progress(err, "read cloud") as report:
+        from service.cloud_asked import cloud_asked
+        from service.detect_file import detect_file
+
+        found = detect_file(cloud_asked(options), kind, hint, lambda step: report(step, 0.3))
+    if as_json:
+        print_json(found)
+        return
+    if found["hits"]:
+        print_table(screen, HIT_COLUMNS, [hit_row(hit) for hit in found["hits"]])
+    else:
+        screen.print(f"no {kind} was found", markup=False)
+    for note in found["notes"]:
+        screen.print(f"note: {note}", markup=False, soft_wrap=True)
 
 
 def _bench(

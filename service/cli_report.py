@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 SEEN_TOUCH_M = 1e-4  # feet that rest on a floor are that near to it
+HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "residuals")
 _COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
 
 
@@ -138,3 +139,14 @@ def _millimetres(value: float | None) -> str:
 def _slowest(timings: Mapping[str, float]) -> str:
     steps = sorted(timings.items(), key=lambda entry: -entry[1])[:4]
     return f" ({', '.join(f'{name} {seconds:.2f}' for name, seconds in steps)})" if steps else ""
+
+
+def hit_row(hit: Mapping[str, Any]) -> tuple[str, ...]:
+    """A detection in one line of a table."""
+    position = [row[3] for row in hit["pose_world_object"][:3]]
+    return (
+        str(hit["kind"]),
+        f"{hit['confidence']:.2f}",
+        " ".join(f"{value:.3f}" for value in position),
+        *(", ".join(f"{name} {value:.4g}" for name, value in hit[key].items()) for key in ("sizes", "residuals")),
+    )

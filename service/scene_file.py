@@ -1,4 +1,4 @@
-"""``scopt scene``: a cloud file as a JSON file of convex pieces."""
+"""``scopt scene``: cloud files as a JSON file of convex pieces, with a page beside it that shows them."""
 
 from __future__ import annotations
 
@@ -6,96 +6,141 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from costs.robot import RobotError, load_robot
-from perception import PerceptionError, Reach, perceive, read_cloud
+from perception import Detection, FloorPlane, Perceived, PerceptionError, perceive
+from service.cloud_asked import CloudAsked, OnStep, read_asked
+from service.detect_file import checked_kinds, found, hit_json
 from service.errors import RequestError, ResultError
-from service.request import StartRequest
-from service.request_file import load_start
 from service.result_json import piece_json, plain
-from service.start import FEET_GROUP, placed_bodies, sole, start_configuration
 
 FORMAT = "scopt-scene/1"
 
 
-def perceive_file(
-    cloud: Path,
-    reach_m: float,
-    robot: str | None,
-    posture: Path | None,
-    apply_viewpoint: bool,
-    on_step: Callable[[str], None],
-) -> dict[str, Any]:
-    """Pieces and figures of a cloud file, JSON-ready.
+@dataclass(frozen=True)
+class SceneAsked:
+    """What to make of the clouds.
+
+    Attributes:
+        clouds: the files.
+        kinds: of objects to look for; ``all`` for every kind.
+        hint: a point near the object that is looked for [m].
+        settings: of ``perception.perceive`` where they are not the usual ones (``unknown``).
+    """
+
+    clouds: CloudAsked
+    kinds: tuple[str, ...] = ()
+    hint: tuple[float, float, float] | None = None
+    settings: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class SceneSeen:
+    """A scan's world: ``data`` is what the file holds, the rest what the page is made from."""
+
+    data: dict[str, Any]
+    perceived: Perceived
+    hits: tuple[Detection, ...]
+
+
+def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
+    """Pieces, floor, objects and figures of cloud files.
 
     Args:
-        cloud: the file.
-        reach_m: horizontal radius about the world's origin that is kept [m].
-        robot: a bundled robot whose own points are left out, standing as ``posture`` (a file that holds what a
-            request's ``start`` holds) says, or as it stands by default.
-        posture: see ``robot``.
-        apply_viewpoint: whether the points are in the sensor's frame.
+        asked: files and what to make of them.
         on_step: told the name of each step before it begins.
 
     Raises:
         RequestError: one line for a file, name or value that cannot be used.
     """
     started = time.perf_counter()
-    hulls: list[np.ndarray] = []
-    soles: list[np.ndarray] = []
-    if robot is not None:
-        on_step("load robot")
-        hulls, soles = _robot_in_the_way(robot, posture)
+    kinds = checked_kinds(asked.kinds, "--detect")
+    read = read_asked(asked.clouds, on_step)
+    settings: dict[str, Any] = dict(asked.settings)
     try:
-        on_step("read cloud")
-        points = read_cloud(cloud, apply_viewpoint=apply_viewpoint)
         on_step("find pieces")
-        seen = perceive(points, reach=Reach(radius=reach_m), robot_hulls=hulls, soles=soles, valve=False)
+        seen = perceive(
+            read.cloud,
+            reach=asked.clouds.reach,
+            robot_hulls=read.hulls,
+            soles=read.soles,
+            valve=False,
+            seed=asked.clouds.seed,
+            **settings,
+        )
     except PerceptionError as error:
         raise RequestError(str(error)) from None
+    hits = tuple(found(seen.view, kinds, asked.hint, on_step))
     pieces = seen.scene.pieces
-    return {
+    figures = {
+        "points": len(read.cloud.points),
+        "pieces": len(pieces),
+        "largest_piece_vertices": max((len(piece.vertices) for piece in pieces), default=0),
+        "covered_points": _share(seen),
+        "floor_levels": len(seen.view.floors),
+        "detections": len(hits),
+        "reach_m": asked.clouds.reach_m,
+        "time_s": round(time.perf_counter() - started, 3),
+    }
+    data = {
         "format": FORMAT,
         "pieces": [piece_json(piece) for piece in pieces],
-        "figures": {
-            "points": len(points.points),
-            "pieces": len(pieces),
-            "largest_piece_vertices": max((len(piece.vertices) for piece in pieces), default=0),
-            "reach_m": reach_m,
-            "time_s": round(time.perf_counter() - started, 3),
-        },
+        "floor": [_level_json(level) for level in seen.view.floors],
+        "detections": [hit_json(hit) for hit in hits],
+        "figures": figures,
         "timings": plain(dict(seen.timings)),
         "notes": list(seen.notes),
     }
+    return SceneSeen(data, seen, hits)
 
 
-def write_scene(scene: dict[str, Any], path: Path) -> None:
-    """Write the scene as JSON, as a whole or not at all.
+def write_scene(seen: SceneSeen, path: Path) -> Path:
+    """Write the scene as JSON, and beside it the page that shows it; each as a whole or not at all.
+
+    Returns:
+        The page's path.
 
     Raises:
-        ResultError: the file cannot be written.
+        ResultError: a file cannot be written.
     """
+    from service.scene_view import render_scene
+
+    page = path.with_suffix(".html")
+    if page == path:
+        raise ResultError(f"{path} would be overwritten by its own page; a name that ends in .json would do")
+    _replace(path, json.dumps(seen.data, allow_nan=False))
+    _replace(page, render_scene(seen.data, seen.perceived, seen.hits, path.stem))
+    return page
+
+
+def _replace(path: Path, text: str) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as scratch:
             fresh = Path(scratch) / path.name
-            fresh.write_text(json.dumps(scene, allow_nan=False), encoding="utf-8")
+            fresh.write_text(text, encoding="utf-8")
             os.replace(fresh, path)
     except OSError as error:
         raise ResultError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
-def _robot_in_the_way(name: str, posture: Path | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Hulls and soles of a bundled robot in the world."""
-    try:
-        robot = load_robot(name)
-    except RobotError as error:
-        raise RequestError(f"--robot: {error}") from None
-    q, _ = start_configuration(robot, StartRequest() if posture is None else load_start(posture))
-    feet = robot.link_groups.get(FEET_GROUP, ()) if robot.is_floating else ()
-    return [vertices for _, vertices in placed_bodies(robot, q)], [sole(robot, q, foot) for foot in feet]
+def _share(seen: Perceived) -> float:
+    """Share of the obstacle points that a piece stands for."""
+    n_points = len(seen.view.obstacles)
+    held: Sequence[int] = [len(piece.points) for piece in seen.pieces]
+    return round(sum(held) / n_points, 4) if n_points else 1.0
+
+
+def _level_json(level: FloorPlane) -> dict[str, Any]:
+    """A level of the floor: the plane ``normal . x == offset``; without outlines it goes on as far as it matters."""
+    return {
+        "normal": plain(level.normal),
+        "offset": float(level.offset),
+        "slope_deg": round(level.slope_deg, 3),
+        "rms_m": float(level.rms),
+        "area_m2": round(float(level.area), 3),
+        "outlines": plain(list(level.outlines)),
+    }

@@ -189,7 +189,7 @@ def test_scene_turns_a_scan_into_pieces(tmp_path: Path) -> None:
         assert piece.keys() == {"name", "kind", "vertices"}
         assert all(len(vertex) == 3 for vertex in piece["vertices"])
     assert any("on the robot itself" in note for note in printed["notes"])
-    assert [path.name for path in tmp_path.iterdir() if path != posture] == ["scene.json"]
+    assert {path.name for path in tmp_path.iterdir() if path != posture} == {"scene.json", "scene.html"}
     whole = _scopt("scene", scan, "--out", out)
     assert whole.exit_code == 0, whole.stderr
     assert "pieces           " in whole.stdout.splitlines()[-1]

@@ -200,9 +200,7 @@ def test_a_profile_is_cut_where_its_depth_steps() -> None:
 
 def test_rays_cross_a_plane_where_the_straight_line_does() -> None:
     plane = Upright(np.array([-1.0, 0.0, 0.0]), -1.0)
-    rays = Rays(
-        np.zeros((3, 3)), np.array([[2.0, 1.0, 1.0], [0.5, 0.0, 0.2], [-1.0, 0.0, 0.0]]), np.ones(3, dtype=bool)
-    )
+    rays = Rays(np.zeros((3, 3)), np.array([[2.0, 1.0, 1.0], [0.5, 0.0, 0.2], [-1.0, 0.0, 0.0]]))
     at, end, heading = rays.crossing(plane)
     assert np.allclose(at[0], plane.local(np.array([[1.0, 0.5, 0.5]]))[0, :2])
     assert np.allclose(end[:2], [-1.0, 0.5])

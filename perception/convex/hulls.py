@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -42,6 +42,12 @@ class Hull:
     def upper(self) -> Float[np.ndarray, "3"]:
         """Upper corner of the bounding box [m]."""
         return np.asarray(self.vertices.max(axis=0))
+
+    @property
+    def simplified(self) -> Hull:
+        """The same hull with each plane once in its faces, which then are those of no triangle."""
+        faces = np.unique(np.round(self.faces, 9), axis=0)
+        return replace(self, faces=faces, triangles=self.triangles[:0])
 
     def is_within(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
         """Which points lie behind all faces or at most ``margin`` before them."""

@@ -33,7 +33,7 @@ class Piece:
     Attributes:
         shape: name, vertices and kind (``plane``, ``wall``, ``clutter``).
         points: indices of the obstacle points within 1 cm of it that no piece before it has.
-        evidence: what the rays say.
+        evidence: what the rays of the scan it was made from say.
         plane: (4,) unit normal and offset of the plane it is a slab of; None for other shapes.
     """
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,6 +20,7 @@ from perception.convex.piece import Piece
 from perception.convex.planes import Plane, PlaneSettings, find_planes
 from perception.convex.slabs import FRONT, Slab, slabs_of
 from perception.convex.split import clusters, merge, split
+from perception.convex.standing import still_standing, unexplained
 
 VOXEL = 0.015
 _CELL = 0.02
@@ -60,29 +63,95 @@ def make_pieces(
         seed: of the plane search; the same points, in any order, and the same seed give the same pieces.
         plane_settings: what counts as a plane.
     """
-    timings: dict[str, float] = {}
     if not len(points):
-        return Pieces((), timings)
-    clock = time.perf_counter()
+        return Pieces((), {})
+    clock = _Clock()
     coarse = coarsened(points, starts, VOXEL)
-    planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(seed), plane_settings)
-    timings["planes"] = time.perf_counter() - clock
-    clock = time.perf_counter()
     free = _seen_free(coarse, rays)
-    timings["free space"] = time.perf_counter() - clock
-    clock = time.perf_counter()
-    slabs = [(plane, slab) for plane in planes for slab in slabs_of(plane, coarse.points, *rays, free)]
-    timings["slabs"] = time.perf_counter() - clock
-    clock = time.perf_counter()
-    rest = ~_covered(coarse.points, slabs)
-    hulls = _clutter(coarse.points[rest], coarse.starts[rest], free)
-    timings["clutter"] = time.perf_counter() - clock
-    clock = time.perf_counter()
-    bodies = [_Body(_kind_of(plane, slab), slab.vertices, plane) for plane, slab in slabs]
+    clock.lap("free space")
+    bodies = _bodies(coarse, np.arange(len(coarse.points)), rays, free, seed, plane_settings, clock)
+    pieces = _assembled([], bodies, {}, points, coarse, free)
+    clock.lap("evidence")
+    return Pieces(pieces, clock.timings)
+
+
+def updated_pieces(
+    before: Sequence[Piece],
+    points: Float[np.ndarray, "N 3"],
+    starts: Float[np.ndarray, "*N 3"],
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    seed: int = 0,
+) -> Pieces:
+    """The pieces of a new scan, of which those that it does not contradict keep their very shape and name.
+
+    A piece goes when rays of the new scan pass through it; where the new scan cannot see it, it stays.  New pieces are
+    made of the points that none of those left explains, noise about their surfaces taken as explained.
+
+    Args:
+        before: pieces of the scan before.
+        points, starts, rays, seed: see ``make_pieces``.
+    """
+    if not len(points):
+        return Pieces((), {})
+    clock = _Clock()
+    coarse = coarsened(points, starts, VOXEL)
+    free = _seen_free(coarse, rays)
+    clock.lap("free space")
+    standing = still_standing(before, free)
+    clock.lap("contradicted")
+    left = unexplained(standing, coarse)
+    clock.lap("unexplained")
+    bodies = _bodies(coarse, left, rays, free, seed, None, clock)
+    first = {kind: 1 + max(number for _, number in of_kind) for kind, of_kind in _numbers(before)}
+    pieces = _assembled(standing, bodies, first, points, coarse, free)
+    clock.lap("evidence")
+    return Pieces(pieces, clock.timings)
+
+
+def _numbers(pieces: Sequence[Piece]) -> Iterator[tuple[str, Iterator[tuple[str, int]]]]:
+    """Kinds, and for each the kind and number in the names of its pieces."""
+    named = sorted((piece.kind, int(piece.name.rpartition("/")[2])) for piece in pieces)
+    return groupby(named, key=lambda name: name[0])
+
+
+def _bodies(
+    coarse: Coarse,
+    left: Int[np.ndarray, "K"],
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    free: FreeSpace,
+    seed: int,
+    plane_settings: PlaneSettings | None,
+    clock: _Clock,
+) -> list[_Body]:
+    """Slabs and hulls for the points that are left."""
+    if not len(left):
+        return []
+    points, starts = coarse.points[left], coarse.starts[left]
+    planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), plane_settings)
+    clock.lap("planes")
+    slabs = [(plane, slab) for plane in planes for slab in slabs_of(plane, points, *rays, free)]
+    clock.lap("slabs")
+    rest = ~_covered(points, slabs)
+    hulls = _clutter(points[rest], starts[rest], free)
+    bodies = [
+        _Body(_kind_of(plane, slab), slab.vertices, np.append(plane.normal, plane.offset)) for plane, slab in slabs
+    ]
     bodies += [_Body("clutter", _skinned(hull), None) for hull in hulls]
-    pieces = _assembled(bodies, points, coarse, free)
-    timings["evidence"] = time.perf_counter() - clock
-    return Pieces(pieces, timings)
+    clock.lap("clutter")
+    return bodies
+
+
+class _Clock:
+    """Seconds by step; a step ends when the next begins."""
+
+    def __init__(self) -> None:
+        self.timings: dict[str, float] = {}
+        self._since = time.perf_counter()
+
+    def lap(self, step: str) -> None:
+        now = time.perf_counter()
+        self.timings[step] = now - self._since
+        self._since = now
 
 
 def _seen_free(coarse: Coarse, rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]) -> FreeSpace:
@@ -130,29 +199,36 @@ class _Body:
 
     kind: str
     vertices: Float[np.ndarray, "V 3"]
-    plane: Plane | None
+    plane: Float[np.ndarray, "4"] | None
 
 
 def _assembled(
-    bodies: list[_Body], points: Float[np.ndarray, "N 3"], coarse: Coarse, free: FreeSpace
+    standing: Sequence[tuple[Piece, Hull]],
+    bodies: Sequence[_Body],
+    first: Mapping[str, int],
+    points: Float[np.ndarray, "N 3"],
+    coarse: Coarse,
+    free: FreeSpace,
 ) -> tuple[Piece, ...]:
-    """Names, points and evidence for all bodies."""
-    serial: Counter[str] = Counter()
+    """The standing pieces with their points in this scan, and new ones, numbered from ``first`` of their kind."""
+    serial = Counter(first)
+    pieces = list(standing)
+    for body in bodies:
+        hull = hull_of(body.vertices, coarse.voxel[:0])
+        shape = ConvexPiece(f"{body.kind}/{serial[body.kind]}", body.vertices, kind=body.kind)
+        serial[body.kind] += 1
+        pieces.append((Piece(shape, coarse.voxel[:0], evidence_of(hull, free), body.plane), hull.simplified))
     taken = np.zeros(len(points), dtype=bool)
     columns = np.floor(coarse.points[:, 0] / VOXEL)
     groups = _Groups.of(coarse.voxel, len(coarse.points))
-    pieces = []
-    for body in bodies:
-        hull = hull_of(body.vertices, coarse.voxel[:0])
+    assembled = []
+    for piece, hull in pieces:
         mine = groups.members(_near(coarse.points, columns, hull, _WITHIN + VOXEL))
         mine = mine[~taken[mine]]
         mine = np.sort(mine[hull.is_within(points[mine], _WITHIN)])
         taken[mine] = True
-        shape = ConvexPiece(f"{body.kind}/{serial[body.kind]}", body.vertices, kind=body.kind)
-        serial[body.kind] += 1
-        plane = None if body.plane is None else np.append(body.plane.normal, body.plane.offset)
-        pieces.append(Piece(shape, mine, evidence_of(hull, free), plane))
-    return tuple(pieces)
+        assembled.append(replace(piece, points=mine))
+    return tuple(assembled)
 
 
 def _near(

@@ -116,7 +116,7 @@ def find_planes(
         misses = 0
         plane = Plane(*_fit(points[members], starts[members]), members, members[:0])
         left = np.setdiff1d(left, members, assume_unique=True)
-        noise = _noise_of(plane, points, counts, left, settings)
+        noise = noise_of(plane, points, counts, left, settings)
         distance = np.abs(points[left] @ plane.normal - plane.offset)
         # Close noise is the surface itself, whatever its normal; it belongs to the outline.
         grown = np.concatenate([members, left[noise & (distance < settings.distance)]])
@@ -215,7 +215,7 @@ def _fit(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> 
     return normal, float(normal @ centre)
 
 
-def _noise_of(
+def noise_of(
     plane: Plane,
     points: Float[np.ndarray, "N 3"],
     counts: Int[np.ndarray, "N"],

@@ -104,12 +104,16 @@ def _crossings(
 
 
 def _free_within(plane: Plane, flat: Float[np.ndarray, "N 2"], free: FreeSpace) -> Float[np.ndarray, "K 2"]:
-    """Free cells that a slab over the whole region would hold: there the surface bends away from the plane."""
+    """Free cells that a slab over the whole region would hold behind its plane: there the surface bends away from it.
+
+    Those before it are what rays that graze the surface always leave.
+    """
     low, high = flat.min(axis=0), flat.max(axis=0)
     corners = np.array([[u, v] for u in (low[0], high[0]) for v in (low[1], high[1])]) @ plane.basis
     corners = corners + plane.offset * plane.normal
     cells = free.cells_in(corners.min(axis=0) - FRONT, corners.max(axis=0) + FRONT)
-    inside = np.abs(cells @ plane.normal - plane.offset) < FRONT - 0.25 * free.size
+    distance = cells @ plane.normal - plane.offset
+    inside = (distance < -0.25 * free.size) & (distance > 0.25 * free.size - _BACK)
     return np.asarray(cells[inside] @ plane.basis.T)
 
 

@@ -5,21 +5,33 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.any_valve import detect_valve
 from perception.detect.beam import detect_beam
 from perception.detect.detection import Detection
 from perception.detect.door import detect_door
-from perception.detect.valve import as_detection, detect_in
+from perception.detect.drill import detect_drill
+from perception.detect.hose import detect_hose
+from perception.detect.lever import detect_lever
+from perception.detect.opening import detect_opening
+from perception.detect.panel import detect_panel
+from perception.detect.seat import detect_seat
 from perception.errors import PerceptionError
 from perception.view import View
 
 Detector = Callable[[View, Float[np.ndarray, "3"] | None], list[Detection]]
 
 
-def _valves(view: View, hint: Float[np.ndarray, "3"] | None) -> list[Detection]:
-    return [as_detection(valve) for valve in detect_in(view, hint)]
-
-
-_DETECTORS: Mapping[str, Detector] = {"valve": _valves, "door": detect_door, "beam": detect_beam}
+_DETECTORS: Mapping[str, Detector] = {
+    "valve": detect_valve,
+    "door": detect_door,
+    "drill": detect_drill,
+    "beam": detect_beam,
+    "hose": detect_hose,
+    "lever": detect_lever,
+    "panel": detect_panel,
+    "seat": detect_seat,
+    "opening": detect_opening,
+}
 KINDS = tuple(_DETECTORS)
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 _NEAR = 0.02
 _BINS = 24
 _MOST_POINTS = 250
-_BALLS = (0.2, 0.36, 0.6)
+_BALLS = (0.2, 0.36, 0.6, 0.85)
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Circle:
 
     Attributes:
         centre: (3,) [m].
-        axis: (3,) unit, towards the sensor.
+        axis: (3,) unit.
         radius: [m].
         coverage: share of its 24 sectors with a point on it.
         score: coverage times the share of the points in its disc that lie on it.
@@ -35,9 +35,8 @@ class Circle:
 
 def find_circles(
     points: Float[np.ndarray, "N 3"],
-    origin: Float[np.ndarray, "3"],
     rng: np.random.Generator,
-    radii: tuple[float, float] = (0.05, 0.4),
+    radii: tuple[float, float] = (0.04, 0.42),
     n_seeds: int = 110,
     n_triples: int = 120,
     most: int = 60,
@@ -46,10 +45,9 @@ def find_circles(
 
     Args:
         points: (N, 3) downsampled, without walls and floor [m].
-        origin: (3,) of the rays [m].
         rng: for the triples.
         radii: smallest and largest [m].
-        n_seeds: places to look at, each with balls of three sizes.
+        n_seeds: places to look at, each with balls of several sizes.
         n_triples: triples per ball.
         most: how many to return.
     """
@@ -61,9 +59,7 @@ def find_circles(
         for ball in _BALLS:
             near = np.asarray(tree.query_ball_point(points[seed], ball), dtype=int)
             if len(near) >= 12:
-                found += _best_in(
-                    points, rng.permutation(np.sort(near))[:_MOST_POINTS], origin, rng, radii, ball, n_triples
-                )
+                found += _best_in(points, rng.permutation(np.sort(near))[:_MOST_POINTS], rng, radii, ball, n_triples)
     found.sort(key=lambda circle: -circle.score)
     return _distinct(found, most)
 
@@ -71,7 +67,6 @@ def find_circles(
 def _best_in(
     points: Float[np.ndarray, "N 3"],
     near: Int[np.ndarray, "K"],
-    origin: Float[np.ndarray, "3"],
     rng: np.random.Generator,
     radii: tuple[float, float],
     ball: float,
@@ -94,11 +89,10 @@ def _best_in(
     top = np.argsort(-on.sum(axis=1) * share, kind="stable")[:3]
     out = []
     for i in top:
-        axis = axes[i] if axes[i] @ (origin - centres[i]) > 0 else -axes[i]
-        covered = _coverage(local[on[i]] - centres[i], axis)
+        covered = _coverage(local[on[i]] - centres[i], axes[i])
         # Sampling noise of few points must not look like a full circle.
         score = covered**2 * share[i] * min(1.0, on[i].sum() / 25.0)
-        out.append(Circle(centres[i], axis, float(radius[i]), covered, float(score)))
+        out.append(Circle(centres[i], axes[i], float(radius[i]), covered, float(score)))
     return out
 
 

@@ -60,7 +60,7 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     """
     ground = _ground(view)
     starts, ends = view.cloud.rays
-    rays = _useful(Rays(starts, ends, np.arange(len(ends)) < len(view.cloud.points)), view)
+    rays = _useful(Rays(starts, ends), view)
     origin = np.median(view.starts, axis=0) if len(view.starts) else np.zeros(3)
     rng = np.random.default_rng(view.seed)
     few_rays, few_points = _some(rays, rng), _some_points(view.obstacles, rng)
@@ -95,7 +95,7 @@ def _useful(rays: Rays, view: View) -> Rays:
     floor = view.floor
     low = view.reach.bottom if floor is None else floor.height(rays.ends[:, :2]) + 0.02
     keep = rays.ends[:, 2] > low
-    return Rays(rays.starts[keep], rays.ends[keep], rays.is_hit[keep])
+    return Rays(rays.starts[keep], rays.ends[keep])
 
 
 def _distance(leaf: Leaf, hint: Float[np.ndarray, "3"]) -> float:
@@ -110,7 +110,7 @@ def _some(rays: Rays, rng: np.random.Generator) -> Rays:
     if len(rays.ends) <= _ENOUGH:
         return rays
     chosen = np.sort(rng.permutation(len(rays.ends))[:_ENOUGH])
-    return Rays(rays.starts[chosen], rays.ends[chosen], rays.is_hit[chosen])
+    return Rays(rays.starts[chosen], rays.ends[chosen])
 
 
 def _some_points(points: Float[np.ndarray, "N 3"], rng: np.random.Generator) -> Float[np.ndarray, "M 3"]:
@@ -163,6 +163,9 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
         marks = 0.2 + 0.8 * grip
     if not hinge:
         marks = min(marks, _HINGE_UNKNOWN)
+    if handle is not None:
+        # Who acts on the door acts on its handle, whose place is not known any better than this.
+        marks *= 1.0 - 0.45 * _rising(_unsure(handle, -hinge), 0.045, 0.075)
     return float(face * wall * marks)
 
 
@@ -232,7 +235,7 @@ def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:
     missing = frame.opening - 2.0 * _GAP - leaf.width
     if not -_MOST_MERGED < missing < _MOST_HIDDEN:
         return at, free
-    if missing > 0.0 and ends[1].jump > _HIDES and ends[1].open_share < 0.3:
+    if missing > 0.0 and ends[1].jump > _HIDES and ends[1].open_share < 0.6:
         return at, free - hinge * missing
     return at + hinge * missing, free
 

@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from perception.detect.door_leaf import Leaf
-from perception.detect.profile import BIN, Profile, Rays, straight_stretches, take_profile
+from perception.detect.profile import BAND, BIN, Profile, Rays, straight_stretches, take_profile
 from perception.detect.upright import Upright, fit_upright
 
 CLOSED = np.radians(2.0)
-_BAND = (0.25, 1.8)
 _BEHIND = 0.28
 _BEFORE = 0.08
 _BESIDE = 0.4
@@ -91,7 +90,7 @@ def _beside(
 ) -> list[Upright]:
     """Planes through the straight stretches beside the leaf: both sides together, and each alone."""
     local = leaf.plane.local(points)
-    band = (local[:, 1] > ground + _BAND[0]) & (local[:, 1] < ground + _BAND[1])
+    band = (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
     chosen = []
     for side, edge in ((-1, leaf.low.at), (1, leaf.high.at)):
         best: tuple[float, Bool[np.ndarray, "N"]] | None = None
@@ -141,7 +140,7 @@ def _judged(leaf: Leaf, plane: Upright, points: Float[np.ndarray, "N 3"], rays: 
     depth = float(-out.mean() if is_closed else -out[hinge])
     if not -_BEFORE < depth < _BEHIND:
         return None
-    profile = take_profile(plane, points, rays, ground + _BAND[0], ground + _BAND[1])
+    profile = take_profile(plane, points, rays, ground + BAND[0], ground + BAND[1])
     if not len(profile.depth):
         return None
     along = 1 if local[1 - hinge, 0] > local[hinge, 0] else -1
@@ -153,7 +152,7 @@ def _judged(leaf: Leaf, plane: Upright, points: Float[np.ndarray, "N 3"], rays: 
     if not is_closed and gap_wall > 0.35:
         return None
     places = plane.local(points)
-    on_wall = (np.abs(places[:, 2]) < 0.02) & (places[:, 1] > ground + _BAND[0]) & (places[:, 1] < ground + _BAND[1])
+    on_wall = (np.abs(places[:, 2]) < 0.02) & (places[:, 1] > ground + BAND[0]) & (places[:, 1] < ground + BAND[1])
     opening = _opening(profile, places[on_wall, 0], 0.5 * (first + last), abs(last - first))
     return Frame(
         plane,
@@ -227,7 +226,7 @@ def _refined(
     for band in (_ON_WALL, 0.025):
         local = plane.local(points)
         mine = ~of_leaf & (np.abs(local[:, 2]) < band) & (np.abs(local[:, 0] - middle) < 1.2 + 0.5 * leaf.width)
-        mine &= (local[:, 1] > ground + _BAND[0]) & (local[:, 1] < ground + 2.3)
+        mine &= (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + 2.3)
         if mine.sum() < 30:
             return None
         off = local[mine, 2]

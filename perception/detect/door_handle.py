@@ -230,7 +230,7 @@ def _slack(
     high: float,
 ) -> tuple[float, float]:
     """From either end to the first ray that went past at the height of the bar, or to just before the edge [m]."""
-    middle, half = 0.5 * (corner[1] + far[1]), max(0.5 * (far[1] - corner[1]), 0.008)
+    middle, half = 0.5 * (corner[1] + far[1]), max(0.35 * (far[1] - corner[1]), 0.005)
     past = at[(vote < 0.0) & (np.abs(at[:, 1] - middle) < half), 0]
     below, above = corner[0] - past[past < corner[0]], past[past > far[0]] - far[0]
     most = np.clip([corner[0] - low - _JAMB, high - far[0] - _JAMB], 0.0, _MOST_SLACK)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detect.profile import BIN, Profile, Rays, Stretch, straight_stretches, take_profile
+from perception.detect.door_edge import Edge, side_edge
+from perception.detect.door_rows import face_rows
+from perception.detect.profile import BAND, BIN, Profile, Rays, Stretch, straight_stretches, take_profile
 from perception.detect.upright import Upright, fit_upright
 
 WIDTHS = (0.6, 1.3)
@@ -15,41 +17,8 @@ _LEAST_SEEN = 0.45
 _FLAT = 0.007
 _STEEPEST = 0.35
 _RELIEF = 0.006
-_BAND = (0.25, 1.8)
-_BESIDE = 0.1
-_ROW = 0.02
-_WAIST = (0.7, 1.4)
-_HIDDEN = 0.25
-_BEFORE = 0.25
 _STRIP = 0.08
-_SHARP = 0.06
-_SURE_STOREYS = 6
 _STRIP_RELIEF = 0.015
-
-
-@dataclass(frozen=True)
-class Edge:
-    """A side edge of a face.
-
-    Attributes:
-        at: along the plane [m].
-        jump: how far what stands beside it lies out of the face's plane [m]; NaN when nothing does.
-        open_share: share of the storeys beside it in which rays went on behind the face's plane.
-        is_seen: whether anything is known of what is beside it.
-    """
-
-    at: float
-    jump: float
-    open_share: float
-    is_seen: bool
-
-    @property
-    def strength(self) -> float:
-        """0 where the face goes on, 1 where it ends for certain; in between where nothing was seen."""
-        if not self.is_seen:
-            return 0.5
-        step = 0.0 if np.isnan(self.jump) else min(abs(self.jump) / 0.012, 1.0)
-        return float(max(step, min(self.open_share / 0.5, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -105,7 +74,7 @@ def find_leaves(
     """
     leaves: list[Leaf] = []
     for plane in uprights:
-        profile = take_profile(plane, points, rays, ground + _BAND[0], ground + _BAND[1])
+        profile = take_profile(plane, points, rays, ground + BAND[0], ground + BAND[1])
         for low, high, line in _flat_runs(profile, straight_stretches(profile)):
             middle = plane.place(0.5 * (low + high), 0.0, line[0] * 0.5 * (low + high) + line[1])
             if any(_holds(leaf, middle) for leaf in leaves):
@@ -213,7 +182,7 @@ def _settled_leaf(
         local = plane.local(members)
         scatter = max(1.4826 * float(np.median(np.abs(local[:, 2]))), 0.004)
         plane = fit_upright(members[np.abs(local[:, 2]) < 2.5 * scatter], origin)
-    profile = take_profile(plane, points, rays, ground + _BAND[0], ground + _BAND[1])
+    profile = take_profile(plane, points, rays, ground + BAND[0], ground + BAND[1])
     if not len(profile.depth):
         return None
     stretches = straight_stretches(profile)
@@ -226,14 +195,14 @@ def _settled_leaf(
     if not _LEAST_SEEN <= (last - first) * BIN <= WIDTHS[1] + 0.1:
         return None
     local = plane.local(points)
-    low = _edge(profile, first, -1, local, ground)
-    high = _edge(profile, last, 1, local, ground)
+    low = side_edge(profile, first, -1, local, ground)
+    high = side_edge(profile, last, 1, local, ground)
     inside = (local[:, 0] > low.at + 0.02) & (local[:, 0] < high.at - 0.02)
     inside &= (local[:, 1] > ground + 0.05) & (local[:, 1] < ground + 2.3)
     on = inside & (np.abs(local[:, 2]) < 0.035)
     if on.sum() < 40:
         return None
-    bottom, bottom_is_seen, top, top_is_seen = _rows(plane, low.at, high.at, rays, ground)
+    bottom, bottom_is_seen, top, top_is_seen = face_rows(plane, low.at, high.at, rays, ground)
     members = points[on & (local[:, 1] < ground + top - 0.03)]
     if len(members) < 40:
         return None
@@ -252,109 +221,3 @@ def _refitted(plane: Upright, members: Float[np.ndarray, "K 3"], origin: Float[n
         near = np.abs(off - np.median(off)) < 2.5 * scatter
         plane = fit_upright(members[near], origin)
     return plane
-
-
-def _edge(profile: Profile, end: int, side: int, local: Float[np.ndarray, "N 3"], ground: float) -> Edge:
-    """The edge at column ``end``, with what is beside it; ``side`` is where it looks to, -1 or 1."""
-    n_beside = round(_BESIDE / BIN)
-    beside = np.arange(end, end + n_beside) if side > 0 else np.arange(end - n_beside, end)[::-1]
-    beside = beside[(beside >= 0) & (beside < len(profile.depth))]
-    at = profile.low + end * BIN
-    if not len(beside):
-        return Edge(at, np.nan, 0.0, False)
-    solid = profile.is_solid[beside]
-    seen = profile.storeys[beside] + profile.open_storeys[beside]
-    open_share = float(np.sum(profile.open_storeys[beside]) / max(np.sum(seen), 1))
-    jump = float("nan")
-    if solid[1:].any():
-        steps = profile.depth[beside[1:]][solid[1:]]
-        jump = float(np.median(steps))
-    band = (local[:, 1] > ground + _BAND[0]) & (local[:, 1] < ground + _BAND[1])
-    near = local[band & (np.abs(local[:, 0] - at) < _SHARP)]
-    wall = _wall_before(profile, end, side)
-    if wall is not None:
-        at, jump, seen = profile.low + wall * BIN, float(profile.depth[wall - (side < 0)]), np.array([_SURE_STOREYS])
-    elif solid[1:].any() and np.ptp(profile.depth[beside[1:]][solid[1:]]) < 0.02 and abs(jump) > 0.005:
-        at = _step_at(at, side, jump, near)
-    elif not solid[:2].any():
-        at = _end_at(at, side, near)
-    return Edge(at, jump, open_share, bool(seen.sum() >= _SURE_STOREYS))
-
-
-def _wall_before(profile: Profile, end: int, side: int) -> int | None:
-    """Border of the column where a nearer wall begins that hides the face's edge; None when none does."""
-    for n in range(round(_HIDDEN / BIN)):
-        at = end + n if side > 0 else end - 1 - n
-        if not 0 <= at < len(profile.depth) or profile.open_storeys[at] > 2:
-            return None
-        if profile.is_solid[at]:
-            return (at if side > 0 else at + 1) if n > 0 and profile.depth[at] > 0.02 else None
-    return None
-
-
-def _step_at(at: float, side: int, jump: float, local: Float[np.ndarray, "N 3"]) -> float:
-    """Where points change from lying on the face to lying ``jump`` out of it."""
-    place, off = (local[:, 0] - at) * side, local[:, 2]
-    mine = np.abs(off) < abs(jump) + 0.04
-    if mine.sum() < 10:
-        return at
-    place, off = place[mine], off[mine]
-    # How much rather the point lies on the face than on what is beside it.
-    vote = np.clip(((off - jump) ** 2 - off**2) / (2.0 * 0.01**2), -3.0, 3.0)
-    order = np.argsort(place, kind="stable")
-    place, total = place[order], np.cumsum(vote[order])
-    best = int(np.argmax(total))
-    inner = float(place[best])
-    outer = float(place[best + 1]) if best + 1 < len(place) else inner
-    return at + side * 0.5 * (inner + outer)
-
-
-def _end_at(at: float, side: int, local: Float[np.ndarray, "N 3"]) -> float:
-    """Where the points on the face end, a stray one not counted."""
-    place = (local[np.abs(local[:, 2]) < 0.025, 0] - at) * side
-    place = place[np.abs(place) < 0.5 * _SHARP]
-    if len(place) < 10:
-        return at
-    return at + side * float(np.percentile(place, 98.0))
-
-
-def _rows(plane: Upright, low: float, high: float, rays: Rays, ground: float) -> tuple[float, bool, float, bool]:
-    """Lowest and highest height to which the face goes without a break, and whether anything else lies beyond each."""
-    at, end, heading = rays.crossing(plane)
-    # Rays that stopped far before the face tell nothing of it.
-    mine = heading & (at[:, 0] > low + 0.03) & (at[:, 0] < high - 0.03) & (end < _BEFORE)
-    height, off = at[mine, 1] - ground, end[mine]
-    n_rows = round(2.6 / _ROW)
-    row = np.floor(height / _ROW).astype(int)
-    valid = (row >= 0) & (row < n_rows)
-    row, off = row[valid], off[valid]
-    on = np.abs(off) < 0.035
-    total = np.bincount(row, minlength=n_rows)
-    count = np.bincount(row, on, n_rows)
-    share = count / np.maximum(total, 1)
-    # A lintel that stands out by little is told by the mean of its row.
-    mean = np.bincount(row[on], off[on], n_rows) / np.maximum(count, 1)
-    aside = np.abs(mean) > np.maximum(0.008, 0.03 / np.sqrt(np.maximum(count, 1)))
-    full = np.flatnonzero((total >= 2) & (share > 0.6) & ~aside)
-    if not len(full):
-        return 0.0, False, 0.0, False
-    middle = int(full[np.argmin(np.abs(full - round(1.2 / _ROW)))])
-    is_full = np.isin(np.arange(n_rows), full)
-    is_broken = (total >= 3) & ((share < 0.4) | aside)
-    # A bar or rail across a face is no end of it.
-    is_waist = (np.arange(n_rows) * _ROW > _WAIST[0]) & (np.arange(n_rows) * _ROW < _WAIST[1])
-    is_broken &= ~is_waist
-    n_up, top_is_seen = _run(is_full[middle:], is_broken[middle:])
-    n_down, bottom_is_seen = _run(is_full[middle::-1], is_broken[middle::-1])
-    return float((middle - n_down) * _ROW), bottom_is_seen, float((middle + n_up + 1) * _ROW), top_is_seen
-
-
-def _run(is_full: Bool[np.ndarray, "R"], is_broken: Bool[np.ndarray, "R"]) -> tuple[int, bool]:
-    """How many rows the face goes on, and whether something else follows."""
-    n_broken = np.cumsum(is_broken)
-    last = 0
-    for row in np.flatnonzero(is_full):
-        if n_broken[row] - n_broken[last] >= 2:
-            break
-        last = int(row)
-    return last, bool(n_broken[-1] - n_broken[last] >= 2)

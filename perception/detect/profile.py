@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from perception.detect.upright import Upright
 
 BIN = 0.02
+BAND = (0.25, 1.8)  # heights over the floor that walls and leaves fill [m]
 _DEPTH_BIN = 0.01
 _STOREY = 0.1
 _WINDOW = 0.35
@@ -29,12 +30,10 @@ class Rays:
 
     Attributes:
         starts, ends: (R, 3) [m].
-        is_hit: (R,) whether something was met at the end.
     """
 
     starts: Float[np.ndarray, "R 3"]
     ends: Float[np.ndarray, "R 3"]
-    is_hit: Bool[np.ndarray, "R"]
 
     def crossing(
         self, plane: Upright, out: float = 0.0

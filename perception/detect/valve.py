@@ -5,29 +5,31 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from perception.clean import Reach, voxel_downsample, voxel_index
+from perception.clean import Reach, voxel_downsample
 from perception.cloud import Cloud
-from perception.convex.planes import PlaneSettings, find_planes
 from perception.detect.circles import Circle, find_circles
 from perception.detect.detection import Detection
-from perception.detect.wheel import Passage, Rays, Ring, fit_ring, pass_ring, rays_of, rim_hits, wheel_basis
+from perception.detect.foreground import before_walls
+from perception.detect.sightlines import SightIndex, Sightlines, index_of, sight_index
+from perception.detect.wheel import Ring, fit_ring, pass_ring, rim_hits, wheel_basis
+from perception.detect.wheel_evidence import Evidence, weigh_wheel
+from perception.detect.wheel_inside import look_inside
+from perception.floor import FloorPlane
 from perception.view import View, make_view
 
 _VOXEL = 0.015
-_WALL = PlaneSettings(min_size=0.45, min_points=150, max_planes=12, n_neighbours=20)
 _HINT_RADIUS = 0.5
-_SECTORS = 36
 _BEHIND = 0.05
-_DEPTH = 0.06
-_SPOKE_DEPTH = 0.04
 _REPORTED = 0.05
-_WALL_VOXEL = 0.03
-_EXAMINED = 6
-_CORRIDOR = 0.005
+_EXAMINED = 12
+_SURE = 0.8
+_SOLID = 0.8
 _HOPELESS = 0.005
+_MOST_RAYS = 4000
+_MOST_COARSE = 60_000
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,8 @@ def detect_valves(
 
     Args:
         cloud: the scan.
-        hint: (3,) a point near the wheel: only what lies within half a metre of it is looked at [m].
+        hint: (3,) a point near the wheel: only what lies within half a metre of it is looked at, and weaker evidence
+            is enough [m].
         reach: where to look; by default within 3 m.
         seed: of the hypotheses.
     """
@@ -91,22 +94,42 @@ def detect_valves(
 
 def detect_in(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[ValveDetection]:
     """As :func:`detect_valves`, in a scan made ready."""
-    obstacles, cloud = view.obstacles, view.cloud
-    if not len(obstacles):
+    points = view.obstacles
+    if not len(points):
         return []
     rng = np.random.default_rng(view.seed)
-    candidates, _ = voxel_downsample(_before_walls(obstacles, cloud.origin, rng), _VOXEL)
+    index = sight_index(view.cloud)
+    points = points[before_walls(points, view.starts, index.rays, rng)]
     if hint is not None:
-        candidates = candidates[np.linalg.norm(candidates - hint, axis=1) < _HINT_RADIUS]
-    rays = rays_of(cloud.origin, cloud.points)
+        points = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
+    candidates, _ = voxel_downsample(points, _VOXEL)
     # The fits are many and small: with several threads BLAS spends seven times as long on handing them out.
     with threadpool_limits(limits=1, user_api="blas"):
-        circles = find_circles(candidates, cloud.origin, rng)
-        circles.sort(key=lambda circle: -circle.score * _promise(circle, rays))
-        detections = [_examine(circle, rays) for circle in circles[:_EXAMINED]]
+        circles = find_circles(candidates, rng)
+        some = index_of(index.rays.thinned(_MOST_COARSE))
+        # Hubs are circles as well: of two as good, the larger one first.
+        circles.sort(key=lambda circle: -circle.score * _promise(circle, some) * np.sqrt(circle.radius))
+        detections = _examined(circles, index, view.floor, hint is not None)
     detections = [d for d in detections if d.confidence >= _REPORTED]
     detections.sort(key=lambda d: -d.confidence)
     return _apart(detections)
+
+
+def _examined(
+    circles: list[Circle], index: SightIndex, floor: FloorPlane | None, is_hinted: bool
+) -> list[ValveDetection]:
+    """The most promising circles as wheels; what lies in the disc of a sure one is not looked at again."""
+    found: list[ValveDetection] = []
+    n_examined = 0
+    for circle in circles:
+        if n_examined == _EXAMINED:
+            break
+        sure = [one for one in found if one.confidence > _SURE]
+        if any(np.linalg.norm(circle.centre - one.centre) < one.outer_radius for one in sure):
+            continue
+        found.append(_examine(circle, index, floor, is_hinted))
+        n_examined += 1
+    return found
 
 
 def as_detection(valve: ValveDetection) -> Detection:
@@ -120,27 +143,16 @@ def as_detection(valve: ValveDetection) -> Detection:
     return Detection("valve", pose, sizes, valve.confidence, {"rms": valve.rms}, points)
 
 
-def _before_walls(
-    obstacles: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], rng: np.random.Generator
-) -> Float[np.ndarray, "M 3"]:
-    """The points that no large plane explains; planes are sought in large voxels, whose means scatter less."""
-    voxel, n_voxels = voxel_index(obstacles, _WALL_VOXEL)
-    means, counts = voxel_downsample(obstacles, _WALL_VOXEL)
-    keep = np.ones(n_voxels, dtype=bool)
-    for plane in find_planes(means, counts, origin, rng, _WALL):
-        keep[plane.members] = keep[plane.noise] = False
-    return np.asarray(obstacles[keep[voxel]])
-
-
-def _promise(circle: Circle, rays: Rays) -> float:
+def _promise(circle: Circle, index: SightIndex) -> float:
     """How much more often rays end on the circle than just outside it, 0 to 1; needs no exact circle."""
-    near = rays.towards(circle.centre, circle.radius + 0.09)
+    near = index.passing(circle.centre[None], circle.radius + 0.09).thinned(_MOST_RAYS)
     passage = pass_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.02, 0.02))
     behind = near.length - passage.crossing
     known = behind > -_BEHIND
     solid = np.abs(behind) < _BEHIND
     distance = np.linalg.norm(passage.place, axis=1) - circle.radius
-    rim, around = known & (np.abs(distance) < 0.02), known & (distance > 0.045) & (distance < 0.08)
+    band = float(np.clip(0.12 * circle.radius, 0.01, 0.02))
+    rim, around = known & (np.abs(distance) < band), known & (distance > 0.045) & (distance < 0.08)
     if not rim.any() or not around.any():
         return 0.0
     return float(max(0.0, solid[rim].mean() - solid[around].mean()))
@@ -155,23 +167,23 @@ def _apart(detections: list[ValveDetection]) -> list[ValveDetection]:
     return kept
 
 
-def _examine(circle: Circle, rays: Rays) -> ValveDetection:
+def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
     """Fit the rim and weigh the evidence."""
-    near = rays.towards(circle.centre, 1.4 * circle.radius + 0.12)
+    near = index.passing(circle.centre[None], 1.4 * circle.radius + 0.12).thinned(_MOST_RAYS)
     ring = fit_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012), n_rounds=1)
-    first = _judged(rays, ring)
-    return first if first.confidence < _HOPELESS else _judged(rays, fit_ring(near, ring, n_rounds=2))
+    first = _judged(index, ring, floor, is_hinted)
+    return first if first.confidence < _HOPELESS else _judged(index, fit_ring(near, ring, n_rounds=2), floor, is_hinted)
 
 
-def _judged(rays: Rays, ring: Ring) -> ValveDetection:
+def _judged(index: SightIndex, ring: Ring, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
     """The ring as a detection, with what is inside it and how much speaks for it."""
-    if ring.axis @ (rays.origin - ring.centre) < 0.0:
-        ring = Ring(ring.centre, -ring.axis, ring.radius, ring.half_width, ring.half_depth)
-    near = rays.towards(ring.centre, 1.4 * ring.radius + 0.12)
+    near = index.passing(ring.centre[None], 1.4 * ring.radius + 0.12).thinned(_MOST_RAYS)
+    ring = _towards(near, ring)
     passage = pass_ring(near, ring)
     hit = rim_hits(near, ring, passage)
     rms = float(np.sqrt(np.mean((near.length - passage.depth)[hit] ** 2))) if hit.any() else np.inf
-    inside = _inside(near, ring, passage)
+    inside = look_inside(near, ring, passage)
+    evidence = weigh_wheel(near, ring, passage, hit, rms, inside, floor)
     return ValveDetection(
         ring.centre,
         ring.axis,
@@ -182,7 +194,7 @@ def _judged(rays: Rays, ring: Ring) -> ValveDetection:
         inside.spoke_angles,
         inside.hub_radius,
         inside.depth,
-        _confidence(near, ring, passage, hit, inside.open_share, rms),
+        _hinted(evidence) if is_hinted else evidence.confidence,
         rms,
         int(hit.sum()),
         inside.spoke_half_width,
@@ -190,127 +202,13 @@ def _judged(rays: Rays, ring: Ring) -> ValveDetection:
     )
 
 
-def _confidence(
-    rays: Rays, ring: Ring, passage: Passage, hit: Bool[np.ndarray, "N"], open_share: float, rms: float
-) -> float:
-    """Product of: rim seen all round, air around it, openings in it, a rim's proportions, depths that agree."""
-    through = rays.length > passage.depth + _BEHIND
-    distance = np.linalg.norm(passage.place, axis=1)
-    sector = (
-        np.floor(np.arctan2(passage.place[:, 1], passage.place[:, 0]) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
-    )
-    inside_rim = passage.level < 0.9
-    rim = _shares(sector, inside_rim & hit, inside_rim & (hit | through))
-    outer = ring.radius + ring.half_width
-    around = (distance > outer + 0.012) & (distance < outer + 0.05)
-    # Air: rays that went on, or ended well before or behind the rim's plane.
-    solid = around & (np.abs(rays.length - passage.crossing) < _BEHIND)
-    air = _shares(sector, around & ~solid, around)
-    seen = ~np.isnan(rim)
-    if seen.mean() < 0.4:
-        return 0.0
-    complete = float(np.nanmean(rim > 0.6) * min(1.0, np.sum(seen & (rim > 0.6)) / (0.6 * _SECTORS)))
-    airy = float(np.mean(air[~np.isnan(air)] > 0.7)) if (~np.isnan(air)).any() else 0.0
-    return float(
-        _rising(complete, 0.55, 0.9)
-        * _rising(airy, 0.45, 0.85)
-        * _rising(open_share, 0.02, 0.08)
-        * _rising(-ring.half_width / ring.radius, -0.5, -0.35)
-        * _rising(-rms, -0.03, -0.02)
-        * _rising(float(hit.sum()), 15.0, 60.0)
-    )
+def _towards(rays: Sightlines, ring: Ring) -> Ring:
+    """The ring with its axis towards where most rays came from."""
+    if len(rays) and np.median((rays.start - ring.centre) @ ring.axis) < 0.0:
+        return Ring(ring.centre, -ring.axis, ring.radius, ring.half_width, ring.half_depth)
+    return ring
 
 
-def _shares(sector: np.ndarray, these: Bool[np.ndarray, "N"], all_of: Bool[np.ndarray, "N"]) -> Float[np.ndarray, "S"]:
-    """Share per sector; NaN where there is nothing."""
-    total = np.bincount(sector[all_of], minlength=_SECTORS).astype(float)
-    total[total == 0.0] = np.nan
-    return np.asarray(np.bincount(sector[these], minlength=_SECTORS) / total)
-
-
-def _rising(value: float, low: float, high: float) -> float:
-    """0 up to ``low``, 1 from ``high`` on, smooth between."""
-    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
-    return x * x * (3.0 - 2.0 * x)
-
-
-@dataclass(frozen=True)
-class _Inside:
-    """What is inside the rim."""
-
-    spoke_angles: tuple[float, ...]
-    spoke_half_width: float
-    spoke_share: float
-    hub_radius: float
-    depth: tuple[float, float]
-    open_share: float
-
-
-def _inside(rays: Rays, ring: Ring, passage: Passage) -> _Inside:
-    """Openings, spokes and hub from which rays inside the rim ended at the wheel and which went on."""
-    distance = np.linalg.norm(passage.place, axis=1)
-    inner = ring.radius - ring.half_width
-    behind = rays.length - passage.crossing
-    solid, through = np.abs(behind) < _DEPTH, behind >= _DEPTH
-    known = (distance < inner - 0.004) & (solid | through)
-    if known.sum() < 5 or inner <= 0.02:
-        return _Inside((), 0.0, 0.0, max(inner, 0.0), (-ring.half_depth, ring.half_depth), 0.0)
-    height = (rays.ends - ring.centre) @ ring.axis
-    at_wheel = known & solid
-    depth = tuple(np.percentile(height[at_wheel], [4, 96])) if at_wheel.any() else (-ring.half_depth, ring.half_depth)
-    open_share = float((known & through).sum() / known.sum())
-    hub = _hub_radius(distance[known], solid[known], inner)
-    band = known & (distance > max(1.1 * hub, 0.45 * inner))
-    angles, half, explained = _spokes(passage.place[band], (np.abs(behind) < _SPOKE_DEPTH)[band])
-    return _Inside(angles, half, explained, hub, (float(depth[0]), float(depth[1])), open_share)
-
-
-def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], inner: float) -> float:
-    """The largest radius within which four fifths of the rays ended at the wheel."""
-    edges = np.linspace(0.0, inner, 13)[1:]
-    radius = 0.0
-    for low, high in zip(np.concatenate([[0.0], edges[:-1]]), edges, strict=True):
-        ring = (distance >= low) & (distance < high)
-        if ring.any() and solid[ring].mean() < 0.8:
-            break
-        radius = float(high)
-    return radius
-
-
-def _spokes(place: Float[np.ndarray, "N 2"], solid: Bool[np.ndarray, "N"]) -> tuple[tuple[float, ...], float, float]:
-    """Angles of the spokes, their half width, and how much of what is solid they explain.
-
-    A narrow corridor is turned about the axis; where most of the rays in it ended at the wheel there is a spoke.
-
-    Args:
-        place: (N, 2) where rays cross the wheel between hub and rim [m].
-        solid: (N,) which of them ended at the wheel.
-    """
-    nothing: tuple[tuple[float, ...], float, float] = (), 0.0, 0.0
-    angle = np.radians(np.arange(0.0, 360.0, 2.0))
-    along = place @ np.stack([np.cos(angle), np.sin(angle)])
-    apart = np.abs(place @ np.stack([-np.sin(angle), np.cos(angle)]))
-    corridor = (along > 0.0) & (apart < _CORRIDOR)
-    total = corridor.sum(axis=0)
-    if (total < 2).mean() > 0.2 or not solid.any():
-        return nothing
-    hits = corridor[solid].sum(axis=0)
-    share = hits / np.maximum(total, 1)
-    # One or two mixed pixels make no spoke.
-    is_spoke = (share > 0.4) & (hits >= 3)
-    if is_spoke.all() or not is_spoke.any():
-        return nothing
-    start = int(np.flatnonzero(~is_spoke)[0])
-    runs = np.flatnonzero(np.diff(np.concatenate([[0], np.roll(is_spoke, -start).astype(int), [0]]))).reshape(-1, 2)
-    angles = []
-    for low, high in runs:
-        mine = (np.arange(low, high) + start) % len(angle)
-        centre = np.sum(share[mine] * np.exp(1j * angle[mine]))
-        angles.append(float(np.angle(centre) % (2.0 * np.pi)))
-    lines = np.array(angles)
-    distance = np.abs(place[solid] @ np.stack([-np.sin(lines), np.cos(lines)]))
-    distance[place[solid] @ np.stack([np.cos(lines), np.sin(lines)]) <= 0.0] = np.inf
-    nearest = distance.min(axis=1)
-    explained = nearest < 2.0 * _CORRIDOR + 0.01
-    half = float(np.percentile(nearest[explained], 90)) if explained.any() else 0.0
-    return tuple(sorted(angles)), half, float(explained.mean())
+def _hinted(evidence: Evidence) -> float:
+    """Who points at a wheel says that there is one: the odds are better, and it may be a solid one."""
+    return float(max(np.sqrt(evidence.confidence), _SOLID * evidence.solid_confidence))

@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 
+from perception.detect.sightlines import Sightlines
+
 _SIGMA_DEPTH = 0.01
 _SIGMA_EDGE = 0.004
 _NEAR_SURFACE = 0.04
@@ -61,42 +63,6 @@ def wheel_basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 
 @dataclass(frozen=True)
-class Rays:
-    """Rays of a scan near a wheel.
-
-    Attributes:
-        origin: (3,) [m].
-        direction: (N, 3) unit.
-        length: (N,) where each ended [m].
-    """
-
-    origin: Float[np.ndarray, "3"]
-    direction: Float[np.ndarray, "N 3"]
-    length: Float[np.ndarray, "N"]
-
-    @property
-    def ends(self) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) where the rays ended [m]."""
-        return np.asarray(self.origin + self.length[:, None] * self.direction)
-
-    def towards(self, centre: Float[np.ndarray, "3"], radius: float) -> Rays:
-        """Those that pass the centre within ``radius`` and do not end well before it."""
-        offset = centre - self.origin
-        along = self.direction @ offset
-        apart = np.sqrt(np.maximum(offset @ offset - along**2, 0.0))
-        keep = (apart <= radius) & (along > 0.0) & (self.length > along - radius)
-        return Rays(self.origin, self.direction[keep], self.length[keep])
-
-
-def rays_of(origin: Float[np.ndarray, "3"], ends: Float[np.ndarray, "N 3"]) -> Rays:
-    """The rays that ended in the given points."""
-    offset = ends - origin
-    length = np.linalg.norm(offset, axis=1)
-    keep = length > 1e-3
-    return Rays(origin, offset[keep] / length[keep, None], length[keep])
-
-
-@dataclass(frozen=True)
 class Passage:
     """How each ray passes a ring.
 
@@ -113,14 +79,14 @@ class Passage:
     depth: Float[np.ndarray, "N"]
 
 
-def pass_ring(rays: Rays, ring: Ring) -> Passage:
+def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
     """Meet every ray with the section of the ring at the angle where the ray crosses its plane."""
     basis = ring.basis
-    start = basis @ (rays.origin - ring.centre)
+    start = (rays.start - ring.centre) @ basis.T
     direction = rays.direction @ basis.T
     slope = np.where(np.abs(direction[:, 2]) < 0.05, np.copysign(0.05, direction[:, 2]), direction[:, 2])
-    crossing = -start[2] / slope
-    place = start[:2] + crossing[:, None] * direction[:, :2]
+    crossing = -start[:, 2] / slope
+    place = start[:, :2] + crossing[:, None] * direction[:, :2]
     distance = np.maximum(np.linalg.norm(place, axis=1), 1e-9)
     outward = (direction[:, :2] * place).sum(axis=1) / distance
     a, b = ring.half_width, ring.half_depth
@@ -132,13 +98,13 @@ def pass_ring(rays: Rays, ring: Ring) -> Passage:
     return Passage(place, crossing, np.sqrt(lowest), depth)
 
 
-def rim_hits(rays: Rays, ring: Ring, passage: Passage) -> Bool[np.ndarray, "N"]:
+def rim_hits(rays: Sightlines, ring: Ring, passage: Passage) -> Bool[np.ndarray, "N"]:
     """Rays that ended on the rim: near its depth, and inside its section or just beside it."""
     beside = passage.level < 1.0 + _EDGE_GATE / ring.half_width
     return np.asarray(beside & (np.abs(rays.length - passage.depth) < _NEAR_SURFACE))
 
 
-def fit_ring(rays: Rays, ring: Ring, n_rounds: int = 3) -> Ring:
+def fit_ring(rays: Sightlines, ring: Ring, n_rounds: int = 3) -> Ring:
     """Refine a ring; which rays count as hits is decided anew each round."""
     for _ in range(n_rounds):
         passage = pass_ring(rays, ring)
@@ -148,7 +114,7 @@ def fit_ring(rays: Rays, ring: Ring, n_rounds: int = 3) -> Ring:
             return ring
         keep = np.flatnonzero(hit | missed)
         keep = keep[:: max(1, len(keep) // _MOST_RAYS)]
-        chosen = Rays(rays.origin, rays.direction[keep], rays.length[keep])
+        chosen = rays.selected(keep)
         moved, flags = _moves_of(ring), hit[keep]
         lower = [-0.1] * 3 + [-0.6] * 2 + [limit[0] for limit in _LIMITS]
         upper = [0.1] * 3 + [0.6] * 2 + [limit[1] for limit in _LIMITS]
@@ -158,7 +124,7 @@ def fit_ring(rays: Rays, ring: Ring, n_rounds: int = 3) -> Ring:
 
 
 def _solved(
-    rays: Rays,
+    rays: Sightlines,
     hit: Bool[np.ndarray, "N"],
     moved: Callable[[Float[np.ndarray, "8"]], Ring],
     start: Float[np.ndarray, "8"],
@@ -183,7 +149,7 @@ def _moves_of(ring: Ring) -> Callable[[Float[np.ndarray, "8"]], Ring]:
     return moved
 
 
-def _residuals(rays: Rays, hit: Bool[np.ndarray, "N"], ring: Ring) -> Float[np.ndarray, "M"]:
+def _residuals(rays: Sightlines, hit: Bool[np.ndarray, "N"], ring: Ring) -> Float[np.ndarray, "M"]:
     """Depth of the hits, edge of hits and misses, and what is usual of a rim's thickness, in standard deviations."""
     passage = pass_ring(rays, ring)
     depth = np.where(hit, (rays.length - passage.depth) / _SIGMA_DEPTH, 0.0)

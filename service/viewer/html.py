@@ -33,18 +33,23 @@ def write_viewer(result: Mapping[str, Any], placements: LinkPlacements, path: Pa
 
 
 def render_viewer(payload: Mapping[str, Any]) -> str:
-    """The page around a payload.
+    """The page around the payload of a result."""
+    title = " · ".join(str(part) for part in (payload["robot"], payload["task"], payload["verdict"]) if part)
+    return render_page(payload, title, "viewer")
+
+
+def render_page(payload: Mapping[str, Any], title: str, program: str) -> str:
+    """One of the programs in ``DIST``, with its data.
 
     The policy names program and style by hash and allows nothing else, so that a hostile name in the data cannot run.
     """
-    script, style = (DIST / "viewer.js").read_text("utf-8"), (DIST / "viewer.css").read_text("utf-8")
+    script, style = (DIST / f"{program}.js").read_text("utf-8"), (DIST / "viewer.css").read_text("utf-8")
     # "<" is the one character that could end the data's script element early.
     data = json.dumps(json_safe(payload), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     policy = (
         f"default-src 'none'; script-src '{_source_hash(script)}'; style-src '{_source_hash(style)}'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
-    title = " · ".join(str(part) for part in (payload["robot"], payload["task"], payload["verdict"]) if part)
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'

@@ -2,7 +2,7 @@
 
 export interface Packed { dtype: string; shape: number[]; data: string }
 export interface Quantized extends Packed { lower: number[]; upper: number[] }
-interface PackedHull { vertices: Packed; triangles: Packed; edges: Packed; bends: Packed }
+export interface PackedHull { vertices: Packed; triangles: Packed; edges: Packed; bends: Packed }
 interface PackedNamedHull { name: string; kind: string; hull: PackedHull }
 export interface Hull { vertices: Float32Array; triangles: Uint16Array; edges: Uint16Array; bends: Uint8Array }
 export interface NamedHull { name: string; kind: string; hull: Hull }
@@ -42,7 +42,7 @@ export interface Result extends Omit<
   movables: Movable[]; com: Float32Array; zmp: Float32Array; clearance: Float32Array; cloud: Float32Array;
 }
 
-function bytesOf(packed: Packed): ArrayBuffer {
+export function bytesOf(packed: Packed): ArrayBuffer {
   const text = atob(packed.data);
   const bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
@@ -52,7 +52,7 @@ function bytesOf(packed: Packed): ArrayBuffer {
 const floats = (packed: Packed): Float32Array => new Float32Array(bytesOf(packed));
 const indices = (packed: Packed): Uint16Array => new Uint16Array(bytesOf(packed));
 
-function points(packed: Quantized): Float32Array {
+export function points(packed: Quantized): Float32Array {
   const grid = indices(packed);
   return Float32Array.from(grid, (value, i) => {
     const lower = packed.lower[i % 3];
@@ -60,7 +60,7 @@ function points(packed: Quantized): Float32Array {
   });
 }
 
-const hullOf = (hull: PackedHull): Hull => ({
+export const hullOf = (hull: PackedHull): Hull => ({
   vertices: floats(hull.vertices), triangles: indices(hull.triangles), edges: indices(hull.edges),
   bends: new Uint8Array(bytesOf(hull.bends)),
 });

@@ -151,7 +151,7 @@ export class Stage {
   }
 
   // Distance from the box's centre at which all of it is in view along a direction [m].
-  private fitting(direction: Vector3, box: Box3): number {
+  fitting(direction: Vector3, box: Box3): number {
     const z = direction;
     const x = new Vector3(0, 0, 1).cross(z).normalize();
     const y = z.clone().cross(x);

@@ -1,0 +1,96 @@
+"""Which pieces of an earlier scan a new one leaves standing, and which of its points they do not explain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from perception.convex.coarse import Coarse
+from perception.convex.freespace import FreeSpace
+from perception.convex.hulls import Hull, hull_of
+from perception.convex.piece import Piece
+from perception.convex.planes import Plane, PlaneSettings, noise_of
+from perception.convex.split import clusters
+
+_WITHIN = 0.01
+_FUZZ = 0.035
+_FUZZ_OF_RANGE = 0.005
+_FREE_CELLS = 12
+_FREE_SHARE = 0.06
+_DEEP = 0.03
+_DEEP_CELLS = 6
+_DEEP_SHARE = 0.003
+_LEAST_POINTS = 4
+
+
+def still_standing(pieces: Sequence[Piece], free: FreeSpace) -> list[tuple[Piece, Hull]]:
+    """Pieces that the new rays do not pass through, with their hulls.
+
+    Rays may graze a piece about as much as they did before, but hardly any may pass deep inside: of a thing that is
+    gone, a sparse scan sees no more than some cells.
+    """
+    standing = []
+    for piece in pieces:
+        hull = hull_of(piece.shape.vertices, np.zeros(0, dtype=np.int64)).simplified
+        n_cells = hull.volume / free.size**3
+        grazed = piece.evidence.free_cells + max(1, min(_FREE_CELLS, int(0.4 * n_cells)), int(_FREE_SHARE * n_cells))
+        deep = max(_DEEP_CELLS, int(_DEEP_SHARE * n_cells))
+        if (
+            free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, grazed) <= grazed
+            and free.count_inside(hull.faces, hull.vertices, _DEEP, deep) <= deep
+        ):
+            standing.append((piece, hull))
+    return standing
+
+
+def unexplained(standing: Sequence[tuple[Piece, Hull]], coarse: Coarse) -> Int[np.ndarray, "K"]:
+    """Points of clusters that are more than noise about the pieces that stand."""
+    distance = np.full(len(coarse.points), np.inf)
+    reach = _FUZZ + _FUZZ_OF_RANGE * np.linalg.norm(coarse.points - coarse.starts, axis=1)
+    farthest = float(reach.max())
+    for _, hull in standing:
+        near = np.flatnonzero(distance > _WITHIN)
+        near = near[_is_in_box(coarse.points[near], hull, farthest)]
+        inside = hull.is_within(coarse.points[near], _WITHIN)
+        distance[near[inside]] = 0.0
+        near = near[~inside]
+        outside = (coarse.points[near] @ hull.faces[:, :3].T + hull.faces[:, 3]).max(axis=1, initial=-np.inf)
+        distance[near] = np.minimum(distance[near], outside)
+    left = np.flatnonzero(distance > _WITHIN)
+    for piece, hull in standing:
+        if piece.plane is not None and len(left):
+            left = left[~_noise_about(piece.plane, hull, coarse, left)]
+    if not len(left):
+        return left
+    # A cluster counts when part of it lies beyond the noise.
+    groups = clusters(coarse.points[left], coarse.starts[left])
+    new = [left[group] for group in groups if _is_new(distance[left[group]] > reach[left[group]], coarse, left[group])]
+    return np.sort(np.concatenate(new)) if new else left[:0]
+
+
+def _is_new(is_far: Bool[np.ndarray, "K"], coarse: Coarse, group: Int[np.ndarray, "K"]) -> bool:
+    return bool(is_far.any() and coarse.counts[group].sum() >= _LEAST_POINTS)
+
+
+def _noise_about(
+    plane: Float[np.ndarray, "4"], hull: Hull, coarse: Coarse, left: Int[np.ndarray, "K"]
+) -> Bool[np.ndarray, "K"]:
+    """Which of the points left are the noise of a slab's plane."""
+    settings = PlaneSettings()
+    inside = np.flatnonzero(_is_in_box(coarse.points, hull, settings.distance))
+    members = inside[hull.is_within(coarse.points[inside], _WITHIN)]
+    if len(members) < settings.min_points:
+        return np.zeros(len(left), dtype=bool)
+    slab = Plane(plane[:3], float(plane[3]), members, members[:0])
+    return noise_of(slab, coarse.points, coarse.counts, left, settings)
+
+
+def _is_in_box(points: Float[np.ndarray, "N 3"], hull: Hull, margin: float) -> Bool[np.ndarray, "N"]:
+    """Which points lie within ``margin`` of the hull's bounding box."""
+    lower, upper = hull.lower - margin, hull.upper + margin
+    inside = (points[:, 0] >= lower[0]) & (points[:, 0] <= upper[0])
+    for axis in (1, 2):
+        inside &= (points[:, axis] >= lower[axis]) & (points[:, axis] <= upper[axis])
+    return np.asarray(inside)

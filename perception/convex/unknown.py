@@ -1,0 +1,181 @@
+"""Space that no ray has seen, as few convex pieces: behind things and inside them is where a robot bumps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import HalfspaceIntersection
+
+from costs.scene import ConvexPiece
+from perception.clean import Reach, inside_hulls
+from perception.convex.freespace import FreeSpace, carve
+from perception.convex.hulls import MAX_VERTICES, Hull, hull_of
+from perception.floor import FloorPlane
+
+_CELL = 0.05
+_MOST_CELLS = 1_500_000
+_MOST_PIECES = 150
+_MOST_FACES = 45
+_DRAWN_IN = 0.7
+_LEVEL = 1e-9
+_FARTHEST = 6.0
+_MOST_TRIES = 2_000
+_LEAST_GAIN = 0.008
+_CLEARANCE = 0.1
+_OVER_SOLE = 0.15
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+
+
+def unknown_pieces(
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    reach: Reach,
+    floors: Sequence[FloorPlane],
+    robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
+    soles: Sequence[Float[np.ndarray, "S 3"]] = (),
+) -> tuple[ConvexPiece, ...]:
+    """Pieces ``unknown/i`` in what lies in reach, above the floor, and more than a cell (5 cm) from every ray.
+
+    They hold no place that a ray has seen.  Shadows narrower than three cells are left out, and so are 10 cm about
+    the robot, which knows where itself is.
+
+    Args:
+        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan [m].
+        reach: what matters.
+        floors: what lies below all of them is left out.
+        robot_hulls: (V, 3) vertices of the robot's links placed in the world [m].
+        soles: (S, 3) corners of the planted soles; what lies just over them is left out [m].
+    """
+    over_soles = [
+        np.asarray(sole) + np.array([0.0, 0.0, height]) for sole in soles for height in (-_CLEARANCE, _OVER_SOLE)
+    ]
+    own = [*robot_hulls, *(np.concatenate(over_soles[i : i + 2]) for i in range(0, len(over_soles), 2))]
+    hidden, seen = _hidden(rays, reach, floors, own)
+    return tuple(
+        ConvexPiece(f"unknown/{i}", vertices, kind="unknown") for i, vertices in enumerate(_bodies(hidden, seen))
+    )
+
+
+def _hidden(
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    reach: Reach,
+    floors: Sequence[FloorPlane],
+    own: Sequence[Float[np.ndarray, "V 3"]],
+) -> tuple[Bool[np.ndarray, "X Y Z"], FreeSpace]:
+    """Cells that count as unknown, and those that must not be covered."""
+    lower = np.array([reach.x - reach.radius, reach.y - reach.radius, reach.bottom])
+    upper = np.array([reach.x + reach.radius, reach.y + reach.radius, reach.top])
+    rim = np.array([[x, y] for x in (lower[0], upper[0]) for y in (lower[1], upper[1])])
+    if floors:
+        lower[2] = max(lower[2], min(float(floor.height(rim).min()) for floor in floors))
+    size = max(_CELL, float(np.cbrt(np.prod(upper - lower) / _MOST_CELLS)))
+    passed = carve(*rays, np.zeros((0, 3)), lower, upper, size)
+    # One cell more all round: a ray that only grazes a cell is not marched through it.
+    free = ndimage.binary_dilation(passed.free, structure=np.ones((3, 3, 3), dtype=bool))
+    centres = (np.argwhere(~free) + 0.5) * passed.size + lower
+    known = ~reach.contains(centres) | inside_hulls(centres, own, _CLEARANCE)
+    if floors:
+        known |= np.all([floor.above(centres) < 0.0 for floor in floors], axis=0)
+    hidden = ~free
+    hidden[hidden] = ~known
+    avoided = free.copy()
+    avoided[~free] = inside_hulls(centres, own, _CLEARANCE)
+    return hidden, FreeSpace(lower, passed.size, avoided)
+
+
+def _bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Float[np.ndarray, "V 3"]]:
+    """Convex bodies in the hidden cells, the thickest first; they may overlap."""
+    # Edge lengths of the largest cube about each cell: 2 d - 1.
+    depth = ndimage.distance_transform_cdt(np.pad(hidden, 1), metric="chessboard")[1:-1, 1:-1, 1:-1].astype(np.int64)
+    score = np.where(depth >= 2, depth, 0)
+    left = hidden.copy()
+    border = seen.free & ndimage.binary_dilation(~seen.free)
+    walls = (np.argwhere(border) + 0.5) * seen.size + seen.lower
+    bodies: list[Float[np.ndarray, "V 3"]] = []
+    for _ in range(_MOST_TRIES):
+        at = np.array(np.unravel_index(int(np.argmax(score)), score.shape))
+        if len(bodies) == _MOST_PIECES or score[tuple(at)] == 0:
+            break
+        first, last = _grown(hidden, at - depth[tuple(at)] + 1, at + depth[tuple(at)] - 1)
+        box = seen.lower + seen.size * np.where(_CORNERS == 0, first, last + 1)
+        body = _inflated(hull_of(box, np.zeros(0, dtype=np.int64)), walls, seen)
+        block, inside = _cells_of(body, seen)
+        if (left[block] & inside).sum() * seen.size**3 >= _LEAST_GAIN:
+            bodies.append(body.vertices)
+            left[block] &= ~inside
+            score[block][inside] = 0
+        score[tuple(at)] = 0
+    return bodies
+
+
+def _inflated(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hull:
+    """A polytope about the ellipsoid in the box that no wall cell's middle lies in; the box where none will do.
+
+    The nearest wall cell, by the ellipsoid's measure, gives a face, which hides what lies behind it, and so on: the
+    inflation of a sphere in Deits and Tedrake, WAFR 2014, with a given ellipsoid.
+    """
+    centre, half = 0.5 * (box.lower + box.upper), 0.5 * (box.upper - box.lower)
+    lower, upper = seen.lower, seen.lower + seen.size * np.array(seen.free.shape)
+    scaled = (walls - centre) / half
+    ahead = np.concatenate([(upper - centre) / half, (centre - lower) / half])
+    normals, offsets = [*np.eye(3), *-np.eye(3)], list(ahead)
+    # What the box's sight does not reach is behind the faces of what it does.
+    scaled = scaled[(np.abs(scaled) <= _FARTHEST).all(axis=1)]
+    normals += [*np.eye(3), *-np.eye(3)]
+    offsets += [_FARTHEST] * 6
+    while len(scaled) and len(normals) < _MOST_FACES:
+        distance = np.einsum("wi,wi->w", scaled, scaled)
+        nearest = int(np.argmin(distance))
+        length = float(np.sqrt(distance[nearest]))
+        normal = scaled[nearest] / length
+        # Drawn in by most of a cell, one face serves for all cells along an oblique border.
+        offset = length - _DRAWN_IN * seen.size * float(np.linalg.norm(normal / half))
+        normals.append(normal)
+        offsets.append(offset)
+        scaled = scaled[scaled @ normal < offset]
+    if len(scaled):
+        return box
+    faces = np.column_stack([np.array(normals), -np.array(offsets)])
+    corners = HalfspaceIntersection(faces, np.zeros(3)).intersections
+    body = hull_of(centre + half * corners, box.members)
+    is_fit = len(body.vertices) <= MAX_VERTICES and seen.count_inside(body.faces, body.vertices, 0.0, 0) == 0
+    return body if is_fit else box
+
+
+def _cells_of(body: Hull, seen: FreeSpace) -> tuple[tuple[slice, ...], Bool[np.ndarray, "A B C"]]:
+    """Cells whose middle is in the body: a block of the grid, and which of its cells."""
+    first = np.maximum(np.floor((body.lower - seen.lower) / seen.size).astype(int), 0)
+    last = np.minimum(np.ceil((body.upper - seen.lower) / seen.size).astype(int), seen.free.shape)
+    x, y, z = (seen.lower[i] + (np.arange(first[i], last[i]) + 0.5) * seen.size for i in range(3))
+    # Where each upright line of cells enters and leaves the body.
+    low, high = np.full((len(x), len(y)), -np.inf), np.full((len(x), len(y)), np.inf)
+    for nx, ny, nz, offset in body.faces:
+        rest = nx * x[:, None] + ny * y + offset
+        if nz > _LEVEL:
+            np.minimum(high, -rest / nz, out=high)
+        elif nz < -_LEVEL:
+            np.maximum(low, -rest / nz, out=low)
+        else:
+            high[rest > _LEVEL] = -np.inf
+    mask = (z >= low[:, :, None] - _LEVEL) & (z <= high[:, :, None] + _LEVEL)
+    return tuple(slice(a, b) for a, b in zip(first, last, strict=True)), mask
+
+
+def _grown(
+    hidden: Bool[np.ndarray, "X Y Z"], first: Int[np.ndarray, "3"], last: Int[np.ndarray, "3"]
+) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
+    """The box moved outwards side by side, a layer at a time, as long as a layer is hidden."""
+    first, last = first.copy(), last.copy()
+    growing = [(axis, sign) for axis in range(3) for sign in (-1, 1)]
+    while growing:
+        for axis, sign in list(growing):
+            at = first[axis] - 1 if sign < 0 else last[axis] + 1
+            layer = [slice(a, b + 1) for a, b in zip(first, last, strict=True)]
+            layer[axis] = slice(at, at + 1)
+            if 0 <= at < hidden.shape[axis] and hidden[tuple(layer)].all():
+                (first if sign < 0 else last)[axis] = at
+            else:
+                growing.remove((axis, sign))
+    return first, last

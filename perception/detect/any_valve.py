@@ -1,0 +1,33 @@
+"""Detection of valves of either kind: wheels and levers."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.detect.detection import Detection
+from perception.detect.lever_valve import detect_lever_valve
+from perception.detect.valve import as_detection, detect_in
+from perception.view import View
+
+_CONFIDENT = 0.5
+_BESIDE = 0.05
+
+
+def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+    """Valves, best first: those with ``outer_radius`` are wheels, those with ``lever_length`` are levers.
+
+    Args:
+        view: the scan, made ready.
+        hint: (3,) a point near the valve [m].
+    """
+    wheels = [as_detection(valve) for valve in detect_in(view, hint)]
+    sure = [one for one in wheels if one.confidence >= _CONFIDENT]
+    # Spokes and pieces of a rim are slim bars as well.
+    levers = [one for one in detect_lever_valve(view, hint) if not any(_is_part_of(one, wheel) for wheel in sure)]
+    return sorted([*wheels, *levers], key=lambda one: -one.confidence)
+
+
+def _is_part_of(lever: Detection, wheel: Detection) -> bool:
+    apart = np.linalg.norm(lever.pose_world_object[:3, 3] - wheel.pose_world_object[:3, 3])
+    return bool(apart < wheel.sizes["outer_radius"] + _BESIDE)

@@ -1,0 +1,179 @@
+"""Detection of levers on walls, boxes and leaves: a slim bar along a face, held before it at one end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import ndimage
+from threadpoolctl import threadpool_limits
+
+from perception.detect.bar_evidence import Ends, Evidence, find_ends, weigh_bar
+from perception.detect.bar_fit import fit_bars
+from perception.detect.bar_starts import Run, misfits, sample_about, starts_about
+from perception.detect.bars import Bar, SurroundingRays
+from perception.detect.detection import Detection
+from perception.detect.faces import Face, FaceRays, face_rays, find_faces
+from perception.detect.lever_pivot import Pivot, find_pivot
+from perception.detect.sightlines import sight_index
+from perception.detect.wheel_evidence import rising
+from perception.view import View
+
+_STAND_OFF = (0.028, 0.13)
+_LENGTHS = (0.06, 0.45)
+_CELL = 0.015
+_BEYOND = 0.12
+_SLIM = 0.5
+_RADII = ((0.008, 0.008), (0.013, 0.013), (0.02, 0.02))
+_TUBE = 0.04
+_FEWEST = 8
+_REPORTED = 0.05
+_HINT_RADIUS = 0.5
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A bar before a face and what speaks for it being a lever."""
+
+    face: Face
+    ends: Ends
+    evidence: Evidence
+    pivot: Pivot
+    confidence: float
+
+
+def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+    """Levers, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
+
+    The pivot is claimed where something is seen between the bar and its face at one end and not at the other.
+
+    Args:
+        view: the scan, made ready.
+        hint: (3,) a point near the lever; weaker evidence is enough then [m].
+    """
+    if not len(view.obstacles):
+        return []
+    rng = np.random.default_rng(view.seed)
+    index = sight_index(view.cloud)
+    found: list[_Found] = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        for face in find_faces(view, index, hint, rng):
+            seen = face_rays(face, index, _BEYOND)
+            for run in _runs(face, seen, hint):
+                one = _examined(face, seen, run)
+                if one is not None:
+                    found.append(one)
+    found.sort(key=lambda one: -one.confidence)
+    apart: list[_Found] = []
+    for one in found:
+        if all(np.linalg.norm(one.ends.bar.middle - other.ends.bar.middle) > 0.08 for other in apart):
+            apart.append(one)
+    detections = [_as_detection(one, hint is not None) for one in apart]
+    return [one for one in detections if one.confidence >= _REPORTED]
+
+
+def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> list[Run]:
+    """Slim connected things before a face."""
+    height = seen.ends[:, 2]
+    proud = (height > max(_STAND_OFF[0], 2.8 * face.sigma)) & (height < _STAND_OFF[1])
+    points = seen.ends[proud]
+    if hint is not None and len(points):
+        points = points[np.linalg.norm(face.world(points) - hint, axis=1) < _HINT_RADIUS]
+    if len(points) < _FEWEST:
+        return []
+    runs = []
+    for members in _connected(points[:, :2]):
+        flat = points[members, :2]
+        centre = flat.mean(axis=0)
+        _, vectors = np.linalg.eigh(np.cov((flat - centre).T))
+        local = (flat - centre) @ vectors
+        low, high = np.percentile(local, [3, 97], axis=0)
+        width, length = high - low
+        if not (_LENGTHS[0] < length < 1.2 * _LENGTHS[1] and width < _SLIM * length + 0.02):
+            continue
+        axis = np.append(vectors[:, 1], 0.0) @ face.frame
+        place = face.world(np.append(centre, np.median(points[members, 2]))[None])[0]
+        runs.append(Run(place, axis, float(low[1]), float(high[1])))
+    return runs
+
+
+def _connected(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
+    """Indices of the points of each connected patch, large ones first."""
+    cells = np.floor((flat - flat.min(axis=0)) / _CELL).astype(int)
+    grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    grid[tuple(cells.T)] = True
+    labels, n_labels = ndimage.label(
+        ndimage.binary_dilation(grid, np.ones((3, 3), dtype=bool)), structure=np.ones((3, 3))
+    )
+    of_point = labels[tuple(cells.T)]
+    patches = [np.flatnonzero(of_point == k) for k in range(1, n_labels + 1)]
+    return sorted((patch for patch in patches if len(patch) >= _FEWEST), key=lambda patch: -len(patch))[:6]
+
+
+def _examined(face: Face, seen: FaceRays, run: Run) -> _Found | None:
+    """Fit a round bar about a run, find its ends and pivot, and weigh it."""
+    rays = SurroundingRays(
+        seen.rays.start, seen.rays.direction, seen.rays.length, np.abs(seen.ends[:, 2]) < 2.0 * face.sigma
+    )
+    bar = _fitted(rays, run)
+    if bar is None:
+        return None
+    ends = find_ends(rays, bar)
+    again = _fitted(rays, Run(ends.bar.centre, ends.bar.axis, ends.bar.first, ends.bar.last))
+    if again is not None:
+        ends = find_ends(rays, again)
+    bar = ends.bar
+    if not _LENGTHS[0] < bar.length < _LENGTHS[1]:
+        return None
+    evidence = weigh_bar(rays, bar)
+    pivot = find_pivot(face, seen, bar)
+    length = abs(pivot.far - pivot.along)
+    level = abs(float(bar.axis @ face.frame[2]))
+    confidence = (
+        rising(evidence.solid, 0.55, 0.85)
+        * rising(evidence.air, 0.35, 0.65)
+        * rising(evidence.visible, 0.5, 0.8)
+        * rising(-evidence.rms, -0.02, -0.015)
+        * rising(float(evidence.n_hits), 8.0, 30.0)
+        * rising(-level, -0.4, -0.25)
+        * rising(length / bar.half[0], 4.0, 7.0)
+        * rising(-bar.half[0], -0.03, -0.024)
+        * rising(pivot.stand_off - bar.half[0], 0.008, 0.02)
+        * pivot.confidence
+    )
+    return _Found(face, ends, evidence, pivot, float(confidence))
+
+
+def _fitted(rays: SurroundingRays, run: Run) -> Bar | None:
+    """The round bar that explains best what is seen about a run."""
+    sample = sample_about(rays, run, _TUBE, 400)
+    if sample is None:
+        return None
+    starts = starts_about(sample, run, _RADII, "round", 4)
+    fits = fit_bars(rays, starts, 400)
+    return fits[int(np.argmin(misfits(sample, [fit.bar for fit in fits])))].bar
+
+
+def _as_detection(one: _Found, is_hinted: bool) -> Detection:
+    """The lever in the words all detectors share."""
+    bar, pivot, face = one.ends.bar, one.pivot, one.face
+    z = face.frame[2]
+    x = np.sign(pivot.far - pivot.along) * bar.axis
+    x = x - (x @ z) * z
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    pose[:3, 3] = bar.centre + pivot.along * bar.axis
+    sizes = {"length": abs(pivot.far - pivot.along), "radius": bar.half[0]}
+    residuals = {
+        "rms": one.evidence.rms,
+        "solid_share": one.evidence.solid,
+        "air_share": one.evidence.air,
+        "visible_share": one.evidence.visible,
+        "pivot": pivot.confidence,
+        "stand_off": pivot.stand_off,
+        "n_hits": float(one.evidence.n_hits),
+    }
+    confidence = float(np.sqrt(one.confidence)) if is_hinted else one.confidence
+    return Detection("lever", pose, sizes, confidence, residuals, bar.places(0.01))

@@ -1,0 +1,133 @@
+"""How much speaks for a ring being the rim of a wheel that can be turned by hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from perception.detect.sightlines import Sightlines
+from perception.detect.wheel import Passage, Ring
+from perception.detect.wheel_inside import Inside
+from perception.floor import FloorPlane
+
+_SECTORS = 36
+_BEHIND = 0.05
+_UNKNOWN, _HUB_SEEN, _NO_HUB = 0.4, 0.2, 0.2
+_MOST_SPOKES = 12
+_MANY_SPOKES = 0.7
+_HAND = 0.035
+# Standard deviation of the axis that follows from the rim's depths.
+_SHARP, _BLUNT = np.radians([1.0, 2.0])
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the rays say of a ring; each figure from 0 to 1.
+
+    Attributes:
+        rim: seen all round, by enough rays whose depths agree.
+        air: around it.
+        open: there are openings between rim and hub.
+        middle: a hub or spokes are in its middle.
+        spokes: what is between hub and rim is a few narrow spokes.
+        free: a hand fits between it and the floor.
+        sharp: its axis is told well enough to turn it.
+    """
+
+    rim: float
+    air: float
+    open: float
+    middle: float
+    spokes: float
+    free: float
+    sharp: float
+
+    @property
+    def confidence(self) -> float:
+        """That it is a wheel, all evidence taken together."""
+        return self.rim * self.air * self.open * self.middle * self.spokes * self.free * self.sharp
+
+    @property
+    def solid_confidence(self) -> float:
+        """That it is a solid wheel, for one who knows that some wheel is there: openings and spokes do not count."""
+        return self.rim * self.air * self.free * self.sharp
+
+
+def weigh_wheel(
+    rays: Sightlines,
+    ring: Ring,
+    passage: Passage,
+    hit: Bool[np.ndarray, "N"],
+    rms: float,
+    inside: Inside,
+    floor: FloorPlane | None,
+) -> Evidence:
+    """What the rays near a ring say of it."""
+    through = rays.length > passage.depth + _BEHIND
+    distance = np.linalg.norm(passage.place, axis=1)
+    sector = (
+        np.floor(np.arctan2(passage.place[:, 1], passage.place[:, 0]) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+    )
+    inside_rim = passage.level < 0.9
+    rim = _shares(sector, inside_rim & hit, inside_rim & (hit | through))
+    outer = ring.radius + ring.half_width
+    around = (distance > outer + 0.012) & (distance < outer + 0.05)
+    # Air: rays that went on, or ended well before or behind the rim's plane.
+    solid = around & (np.abs(rays.length - passage.crossing) < _BEHIND)
+    air = _shares(sector, around & ~solid, around)
+    seen = ~np.isnan(rim)
+    if seen.mean() < 0.4:
+        return Evidence(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    # What is out of sight speaks neither for nor against the rim, but more than half must be seen.
+    complete = float(np.mean(rim[seen] > 0.6) * min(1.0, np.sum(rim[seen] > 0.6) / (0.6 * _SECTORS)))
+    airy = float(np.mean(air[~np.isnan(air)] > 0.7)) if (~np.isnan(air)).any() else 0.0
+    return Evidence(
+        rising(complete, 0.55, 0.9)
+        * rising(-ring.half_width / ring.radius, -0.5, -0.35)
+        * rising(-rms, -0.03, -0.02)
+        * rising(float(hit.sum()), 15.0, 60.0),
+        rising(airy, 0.45, 0.85),
+        rising(inside.open_share, 0.02, 0.08),
+        rising(inside.middle_share, 0.05, 0.15) * rising(float(inside.n_middle), 1.0, 5.0),
+        _spoke_evidence(inside),
+        _over_floor(ring, floor),
+        rising(-rms / ring.radius * np.sqrt(2.0 / max(int(hit.sum()), 1)), -_BLUNT, -_SHARP),
+    )
+
+
+def _spoke_evidence(inside: Inside) -> float:
+    """Narrow spokes between hub and rim; where rays are too few to tell, a hub with openings about it may just do.
+
+    Things close behind the wheel hide openings, so that neither what the spokes leave unexplained nor their number
+    speaks against them; one broad solid part does.
+    """
+    n_spokes = len(inside.spoke_angles)
+    narrow = rising(-inside.widest_spoke, -1.8, -1.2)
+    if inside.spokes_known and n_spokes >= 2:
+        return narrow * (1.0 if n_spokes <= _MOST_SPOKES else _MANY_SPOKES)
+    has_hub = rising(float(inside.n_middle), 5.0, 15.0) * rising(inside.open_share, 0.04, 0.12)
+    return narrow * (_UNKNOWN + _HUB_SEEN * has_hub if inside.hub_radius > 0.0 else _NO_HUB)
+
+
+def _over_floor(ring: Ring, floor: FloorPlane | None) -> float:
+    """Whether a hand fits between rim and floor: what stands on the floor rolls, or lies about."""
+    if floor is None:
+        return 1.0
+    droop = np.sqrt(max(0.0, 1.0 - float(ring.axis @ floor.normal) ** 2))
+    lowest = float(floor.above(ring.centre)) - (ring.radius + ring.half_width) * droop - ring.half_depth * (1.0 - droop)
+    return rising(lowest, _HAND - 0.015, _HAND + 0.035)
+
+
+def _shares(sector: np.ndarray, these: Bool[np.ndarray, "N"], all_of: Bool[np.ndarray, "N"]) -> Float[np.ndarray, "S"]:
+    """Share per sector; NaN where there is nothing."""
+    total = np.bincount(sector[all_of], minlength=_SECTORS).astype(float)
+    total[total == 0.0] = np.nan
+    return np.asarray(np.bincount(sector[these], minlength=_SECTORS) / total)
+
+
+def rising(value: float, low: float, high: float) -> float:
+    """0 up to ``low``, 1 from ``high`` on, smooth between."""
+    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
+    return x * x * (3.0 - 2.0 * x)

@@ -1,0 +1,147 @@
+"""What ``scopt scene`` and ``scopt detect`` are asked: which clouds, where they lie, what of them matters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from costs.robot import RobotError, load_robot
+from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, read_clouds, rigid_pose
+from service.errors import RequestError, would_do
+from service.request import StartRequest
+from service.request_file import load_start
+from service.start import FEET_GROUP, placed_bodies, sole, start_configuration
+
+OnStep = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class CloudAsked:
+    """Cloud files and how they are to be read.
+
+    Attributes:
+        files: one or several, merged.
+        unit: of the files' lengths.
+        transforms: pose_world_cloud as 6, 7 or 16 numbers in a text; one for all files, or one for each.
+        apply_viewpoint: whether the points are in the sensor's frame.
+        sensor: where the rays of files that do not say so started [m].
+        reach_m: horizontal radius about the world's origin that is kept [m].
+        robot: a bundled robot whose own points are left out.
+        posture: file that holds what a request's ``start`` holds; None: as the robot stands by default.
+        seed: of all random choices.
+    """
+
+    files: tuple[Path, ...]
+    unit: str = "m"
+    transforms: tuple[str, ...] = ()
+    apply_viewpoint: bool = False
+    sensor: tuple[float, float, float] | None = None
+    reach_m: float = 4.0
+    robot: str | None = None
+    posture: Path | None = None
+    seed: int = 0
+
+    @property
+    def reach(self) -> Reach:
+        """What matters."""
+        return Reach(radius=self.reach_m)
+
+
+@dataclass(frozen=True)
+class CloudRead:
+    """The merged cloud, and the robot in it: hulls of its links and corners of its soles in the world."""
+
+    cloud: Cloud
+    hulls: Sequence[np.ndarray]
+    soles: Sequence[np.ndarray]
+
+
+def cloud_asked(options: Mapping[str, Any]) -> CloudAsked:
+    """What was asked on a command line, where ``sensor`` is a text.
+
+    Raises:
+        RequestError: the sensor is not three numbers.
+    """
+    sensor = options["sensor"]
+    return CloudAsked(**{**options, "sensor": None if sensor is None else point(sensor, "--sensor")})
+
+
+def read_asked(asked: CloudAsked, on_step: OnStep) -> CloudRead:
+    """Read the files and place the robot.
+
+    Raises:
+        RequestError: one line for a file, name or value that cannot be used.
+    """
+    if asked.unit not in METRES_BY_UNIT:
+        raise RequestError(f"--unit: unknown unit '{asked.unit}'; {would_do(asked.unit, METRES_BY_UNIT)} would do")
+    poses = _poses(asked)
+    hulls: list[np.ndarray] = []
+    soles: list[np.ndarray] = []
+    if asked.robot is not None:
+        on_step("load robot")
+        hulls, soles = _robot_in_the_way(asked.robot, asked.posture)
+    on_step("read cloud")
+    try:
+        cloud = read_clouds(
+            list(zip(asked.files, poses, strict=True)),
+            unit=asked.unit,
+            apply_viewpoint=asked.apply_viewpoint,
+            sensor=asked.sensor,
+        )
+    except PerceptionError as error:
+        raise RequestError(str(error)) from None
+    return CloudRead(cloud, hulls, soles)
+
+
+def numbers(text: str, option: str) -> tuple[float, ...]:
+    """Numbers separated by spaces or commas.
+
+    Raises:
+        RequestError: something in the text is no number.
+    """
+    try:
+        return tuple(float(word) for word in text.replace(",", " ").split())
+    except ValueError:
+        raise RequestError(f"{option}: numbers separated by spaces or commas would do, got '{text}'") from None
+
+
+def point(text: str, option: str) -> tuple[float, float, float]:
+    """Three finite numbers.
+
+    Raises:
+        RequestError: the text holds something else.
+    """
+    values = numbers(text, option)
+    if len(values) != 3 or not np.isfinite(values).all():
+        raise RequestError(f"{option}: three numbers X Y Z would do, got '{text}'")
+    return values[0], values[1], values[2]
+
+
+def _poses(asked: CloudAsked) -> list[np.ndarray | None]:
+    n_files, n_given = len(asked.files), len(asked.transforms)
+    if n_given not in (0, 1, n_files):
+        raise RequestError(
+            f"--transform is given {n_given} times for {n_files} clouds; once, or once for each, would do"
+        )
+    try:
+        poses = [rigid_pose(numbers(text, "--transform")) for text in asked.transforms]
+    except PerceptionError as error:
+        raise RequestError(f"--transform: {error}") from None
+    if not poses:
+        return [None] * n_files
+    return list(poses * n_files if n_given == 1 else poses)
+
+
+def _robot_in_the_way(name: str, posture: Path | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Hulls and soles of a bundled robot in the world."""
+    try:
+        robot = load_robot(name)
+    except RobotError as error:
+        raise RequestError(f"--robot: {error}") from None
+    q, _ = start_configuration(robot, StartRequest() if posture is None else load_start(posture))
+    feet = robot.link_groups.get(FEET_GROUP, ()) if robot.is_floating else ()
+    return [vertices for _, vertices in placed_bodies(robot, q)], [sole(robot, q, foot) for foot in feet]

@@ -1,0 +1,315 @@
+// What a scan shows: points coloured by piece, pieces as glass, detections with their frames, free space in slices.
+import {
+  BufferAttribute, BufferGeometry, Color, DataTexture, DoubleSide, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments,
+  Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, NearestFilter, PlaneGeometry, Points, RGBAFormat, ShaderMaterial,
+  SphereGeometry, Vector3,
+} from "three";
+import { words } from "./dom";
+import { edgeGeometry, hullGeometry } from "./geometry";
+import { Label } from "./labels";
+import { Layer } from "./layer";
+import { FLOORS, Free, Hit, LEFT_OUT, NOBODYS, Piece, Scan } from "./scene-data";
+import { Colours } from "./theme";
+
+export const CONFIDENT = 0.5;
+
+// Neighbours in number lie far apart in hue.
+export const pieceColour = (index: number): Color =>
+  new Color().setHSL((0.58 + index * 0.618034) % 1, 0.62, 0.56);
+
+const POINT_VERTEX = `
+attribute vec3 tint;
+uniform float pixels;
+uniform float size;
+varying vec3 vTint;
+void main() {
+  vec4 place = modelViewMatrix * vec4(position, 1.0);
+  vTint = tint;
+  gl_PointSize = pixels * clamp(size / -place.z, 1.5, 6.0);
+  gl_Position = projectionMatrix * place;
+}`;
+const POINT_FRAGMENT = `
+uniform float opacity;
+varying vec3 vTint;
+void main() {
+  if (length(gl_PointCoord - 0.5) > 0.5) discard;
+  gl_FragColor = vec4(vTint, opacity);
+  #include <colorspace_fragment>
+}`;
+
+function pointCloud(points: Float32Array, tints: Float32Array, size: number, opacity: number): Points {
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(points, 3));
+  geometry.setAttribute("tint", new BufferAttribute(tints, 3));
+  return new Points(geometry, new ShaderMaterial({
+    transparent: opacity < 1, vertexShader: POINT_VERTEX, fragmentShader: POINT_FRAGMENT,
+    uniforms: { pixels: { value: Math.min(window.devicePixelRatio, 2) }, size: { value: size }, opacity: { value: opacity } },
+  }));
+}
+
+export class OwnedPoints implements Layer {
+  readonly name = "points";
+  readonly label = "Points, by piece";
+  readonly key = "c";
+  readonly group = new Group();
+  readonly count: number;
+  private readonly tints: Float32Array;
+  private readonly cloud: Points;
+
+  constructor(private readonly scan: Scan) {
+    this.count = scan.owner.length;
+    this.tints = new Float32Array(3 * this.count);
+    this.cloud = pointCloud(scan.cloud, this.tints, 9, 1);
+    if (this.count > 0) this.group.add(this.cloud);
+  }
+
+  recolour(colours: Colours): void {
+    const special = new Map([
+      [NOBODYS, new Color(colours.bad)], [FLOORS, new Color(colours.joint)], [LEFT_OUT, new Color(colours.zmp)],
+    ]);
+    const own = this.scan.pieces.map((_, i) => pieceColour(i));
+    this.scan.owner.forEach((owner, i) => (special.get(owner) ?? own[owner]).toArray(this.tints, 3 * i));
+    this.cloud.geometry.getAttribute("tint").needsUpdate = true;
+  }
+}
+
+// Pieces as coloured glass with crisp edges; what is unknown and what is floor have switches of their own.
+export class PieceGlass implements Layer {
+  readonly group = new Group();
+  readonly count: number;
+  readonly solids: { piece: Piece; index: number; mesh: Mesh }[] = [];
+  private readonly edges: { lines: LineBasicMaterial; index: number }[] = [];
+
+  constructor(
+    scan: Scan, readonly name: string, readonly label: string, readonly key: string,
+    belongs: (piece: Piece) => boolean, private readonly opacity: number,
+  ) {
+    scan.pieces.forEach((piece, index) => {
+      if (!belongs(piece)) return;
+      const glass = new MeshStandardMaterial({
+        color: pieceColour(index), transparent: true, opacity, depthWrite: false, flatShading: true, roughness: 1,
+      });
+      const mesh = new Mesh(hullGeometry(piece.hull), glass);
+      mesh.renderOrder = 2;
+      const lines = new LineBasicMaterial({ transparent: true, opacity: 0.85, vertexColors: true });
+      const outline = new LineSegments(edgeGeometry([piece.hull]), lines);
+      outline.renderOrder = 3;
+      this.group.add(mesh, outline);
+      this.solids.push({ piece, index, mesh });
+      this.edges.push({ lines, index });
+    });
+    this.count = this.solids.length;
+  }
+
+  recolour(colours: Colours): void {
+    const quiet = this.name === "floor" ? new Color(colours.grid) : this.name === "unknown" ? new Color(colours.grid) : null;
+    for (const { mesh, index } of this.solids) (mesh.material as MeshStandardMaterial).color.copy(quiet ?? pieceColour(index));
+    for (const { lines, index } of this.edges) {
+      lines.color.copy(quiet ? new Color(colours.grid) : pieceColour(index).lerp(new Color(colours.com), 0.25));
+    }
+  }
+
+  // One piece stands out, the others step back.
+  choose(chosen: number): void {
+    for (const { mesh, index } of this.solids) {
+      (mesh.material as MeshStandardMaterial).opacity = chosen < 0 ? this.opacity : index === chosen ? 0.75 : 0.4 * this.opacity;
+    }
+  }
+}
+
+const AXES = ["#ff5c5c", "#4ade80", "#6ea8ff"];
+
+export class Hits implements Layer {
+  readonly name = "detections";
+  readonly label = "Detections";
+  readonly key = "o";
+  readonly group = new Group();
+  readonly count: number;
+  readonly labels: Label[] = [];
+  private readonly marks: { points: Points; hit: Hit }[] = [];
+
+  constructor(scan: Scan) {
+    this.count = scan.detections.length;
+    for (const hit of scan.detections) {
+      const rows = hit.pose_world_object;
+      const pose = new Matrix4().set(...(rows.flat() as Parameters<Matrix4["set"]>));
+      const group = new Group();
+      group.applyMatrix4(pose);
+      const length = Math.min(0.35, Math.max(0.12, 1.2 * Math.max(...["outer_radius", "radius", "lever_length"].map((k) => hit.sizes[k] ?? 0))));
+      AXES.forEach((colour, axis) => {
+        const end = new Vector3().setComponent(axis, length);
+        const line = new BufferGeometry().setFromPoints([new Vector3(), end]);
+        const lines = new LineSegments(line, new LineBasicMaterial({ color: colour, depthTest: false, transparent: true }));
+        const tip = new Mesh(new SphereGeometry(0.012, 12, 8), new MeshBasicMaterial({ color: colour, depthTest: false, transparent: true }));
+        tip.position.copy(end);
+        for (const part of [lines, tip]) part.renderOrder = 6;
+        group.add(lines, tip);
+      });
+      const outline = wire(hit);
+      if (outline) group.add(outline);
+      const points = pointCloud(hit.points, new Float32Array(hit.points.length), 16, 1);
+      points.renderOrder = 4;
+      this.marks.push({ points, hit });
+      this.group.add(group, points);
+      const isSure = hit.confidence >= CONFIDENT;
+      this.labels.push({
+        at: new Vector3().setFromMatrixPosition(pose), text: `${words(hit.kind)} ${Math.round(100 * hit.confidence)} %`,
+        kind: isSure ? "target" : "spot", isOn: true, isDim: !isSure,
+      });
+    }
+  }
+
+  recolour(colours: Colours): void {
+    for (const { points, hit } of this.marks) {
+      const colour = new Color(hit.confidence >= CONFIDENT ? colours.target : colours.grid);
+      const tint = points.geometry.getAttribute("tint") as BufferAttribute;
+      for (let i = 0; i < tint.count; i++) tint.setXYZ(i, colour.r, colour.g, colour.b);
+      tint.needsUpdate = true;
+    }
+  }
+
+  place(index: number): Vector3 { return this.labels[index].at; }
+}
+
+// The object's outline in its own frame, drawn from its sizes: rings of wheels and openings, leaves, boards, boxes.
+function wire(hit: Hit): LineSegments | undefined {
+  const s = hit.sizes;
+  const path: Vector3[][] = [];
+  const ring = (radius: number): void => {
+    path.push(Array.from({ length: 65 }, (_, i) => new Vector3(Math.cos((i * Math.PI) / 32), Math.sin((i * Math.PI) / 32), 0).multiplyScalar(radius)));
+  };
+  const box = (low: number[], high: number[]): void => {
+    for (let axis = 0; axis < 3; axis++) {
+      for (const [a, b] of [[0, 0], [0, 1], [1, 0], [1, 1]]) {
+        const from = new Vector3(...low);
+        from.setComponent((axis + 1) % 3, (a ? high : low)[(axis + 1) % 3]);
+        from.setComponent((axis + 2) % 3, (b ? high : low)[(axis + 2) % 3]);
+        path.push([from, from.clone().setComponent(axis, high[axis])]);
+      }
+    }
+  };
+  if (s.outer_radius !== undefined) ring(s.outer_radius);
+  if (hit.kind === "hose" && s.radius !== undefined) ring(s.radius);
+  if (hit.kind === "beam") box([-s.length / 2, -s.width / 2, -s.thickness / 2], [s.length / 2, s.width / 2, s.thickness / 2]);
+  if (hit.kind === "door") box([0, -0.01, 0], [s.width, 0.01, s.height]);
+  if (hit.kind === "panel") box([-s.width / 2, -s.height / 2, -0.01], [s.width / 2, s.height / 2, 0.01]);
+  if (hit.kind === "opening") box([-0.01, -s.width / 2, 0], [0.01, s.width / 2, s.height]);
+  if (hit.kind === "seat") box([-s.depth / 2, -s.width / 2, -0.05], [s.depth / 2, s.width / 2, 0]);
+  const reach = s.lever_length ?? (hit.kind === "lever" ? s.length : undefined);
+  if (reach !== undefined) path.push([new Vector3(), new Vector3(reach, 0, 0)]);
+  const ends = path.flatMap((line) => line.slice(1).flatMap((end, i) => [line[i], end])).flatMap((p) => p.toArray());
+  if (ends.length === 0 || !ends.every(Number.isFinite)) return undefined;
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new Float32BufferAttribute(ends, 3));
+  const lines = new LineSegments(geometry, new LineBasicMaterial({ color: hit.confidence >= CONFIDENT ? "#4ade80" : "#9aa7b8", depthTest: false, transparent: true }));
+  lines.renderOrder = 5;
+  return lines;
+}
+
+// One slice of the free space, square to an axis: seen free, or not seen at all.
+export class Slice implements Layer {
+  readonly name = "free";
+  readonly label = "Free-space slice";
+  readonly key = "v";
+  readonly group = new Group();
+  readonly count: number;
+  axis = 2;
+  at: number;
+  private readonly mesh = new Mesh(new PlaneGeometry(1, 1), new MeshBasicMaterial({ transparent: true, side: DoubleSide, depthWrite: false }));
+  private colours: [Color, Color] = [new Color(), new Color()];
+
+  constructor(private readonly free: Free) {
+    this.count = free.bits.reduce((sum, byte) => sum + bitsIn(byte), 0);
+    this.at = free.lower[2] + 0.5 * free.shape[2] * free.size;
+    this.mesh.renderOrder = 1;
+    this.group.add(this.mesh);
+    this.group.visible = false;
+  }
+
+  get range(): [number, number] {
+    const { lower, shape, size } = this.free;
+    return [lower[this.axis], lower[this.axis] + shape[this.axis] * size];
+  }
+
+  recolour(colours: Colours): void {
+    this.colours = [new Color(colours.support), new Color(colours.edge)];
+    this.move(this.axis, this.at);
+  }
+
+  isFree(x: number, y: number, z: number): boolean {
+    const [, ny, nz] = this.free.shape;
+    const index = (x * ny + y) * nz + z;
+    return ((this.free.bits[index >> 3] >> (index & 7)) & 1) === 1;
+  }
+
+  move(axis: number, at: number): void {
+    const { lower, shape, size } = this.free;
+    this.axis = axis;
+    const [low, high] = this.range;
+    this.at = Math.min(Math.max(at, low), high);
+    const layer = Math.min(shape[axis] - 1, Math.max(0, Math.floor((this.at - low) / size)));
+    const [first, second] = axis === 0 ? [1, 2] : axis === 1 ? [0, 2] : [0, 1];
+    const [width, height] = [shape[first], shape[second]];
+    const pixels = new Uint8Array(4 * width * height);
+    const [free, hidden] = this.colours.map((colour) => colour.clone().convertLinearToSRGB());
+    const cell = [0, 0, 0];
+    cell[axis] = layer;
+    for (let v = 0; v < height; v++) {
+      for (let u = 0; u < width; u++) {
+        cell[first] = u;
+        cell[second] = v;
+        const isFree = this.isFree(cell[0], cell[1], cell[2]);
+        const colour = isFree ? free : hidden;
+        pixels.set([255 * colour.r, 255 * colour.g, 255 * colour.b, isFree ? 120 : 110], 4 * (v * width + u));
+      }
+    }
+    const texture = new DataTexture(pixels, width, height, RGBAFormat);
+    texture.magFilter = NearestFilter;
+    texture.colorSpace = "srgb";
+    texture.needsUpdate = true;
+    const material = this.mesh.material as MeshBasicMaterial;
+    material.map?.dispose();
+    material.map = texture;
+    material.needsUpdate = true;
+    // The plane's own x and y become the slice's two axes.
+    const basis = [new Vector3(), new Vector3(), new Vector3()];
+    basis[0].setComponent(first, width * size);
+    basis[1].setComponent(second, height * size);
+    basis[2].setComponent(axis, 1);
+    const middle = new Vector3().setComponent(axis, this.at);
+    middle.setComponent(first, lower[first] + (width * size) / 2);
+    middle.setComponent(second, lower[second] + (height * size) / 2);
+    this.mesh.matrixAutoUpdate = false;
+    this.mesh.matrix.makeBasis(basis[0], basis[1], basis[2]).setPosition(middle);
+    this.mesh.matrixWorldNeedsUpdate = true;
+  }
+}
+
+function bitsIn(byte: number): number {
+  let count = 0;
+  for (let rest = byte; rest > 0; rest &= rest - 1) count += 1;
+  return count;
+}
+
+// Where the rays started.
+export class Sensors implements Layer {
+  readonly name = "sensors";
+  readonly label = "Sensor";
+  readonly key = "s";
+  readonly group = new Group();
+  readonly count: number;
+  readonly labels: Label[] = [];
+  private readonly material = new MeshBasicMaterial();
+
+  constructor(scan: Scan) {
+    this.count = scan.sensors.length;
+    for (const place of scan.sensors) {
+      const ball = new Mesh(new SphereGeometry(0.03, 20, 14), this.material);
+      ball.position.fromArray(place);
+      this.group.add(ball);
+    }
+    if (this.count === 1) this.labels.push({ at: new Vector3().fromArray(scan.sensors[0]), text: "sensor", kind: "spot", isOn: true });
+  }
+
+  recolour(colours: Colours): void { this.material.color.set(colours.zmp); }
+}

@@ -1,0 +1,135 @@
+"""What each piece promises: its points, its evidence, its size; and that the order of the points means nothing."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from perception import Cloud, Perceived, perceive
+from perception.clean import half_spaces
+from perception.convex.coarse import coarsened
+from perception.convex.freespace import carve
+from perception.convex.hulls import MAX_VERTICES
+from perception.convex.pieces import Pieces, make_pieces
+from perception.convex.split import clusters, merge, split
+from perception.simulate import Pose, Room, Scanner, scan
+
+SENSOR = np.array([0.0, 0.0, 1.5])
+
+
+def cluttered(seed: int) -> np.ndarray:
+    """Noisy boards, rods and blobs at random places."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for _ in range(rng.integers(1, 7)):
+        extent = rng.choice([0.01, 0.05, 0.3, 0.8], 3)
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        middle = rng.uniform([0.5, -1.0, 0.2], [1.8, 1.0, 1.4])
+        parts.append(middle + (rng.uniform(-0.5, 0.5, (rng.integers(3, 600), 3)) * extent) @ turn)
+    points = np.concatenate(parts)
+    return points + rng.normal(0.0, 0.004, points.shape)
+
+
+def made(points: np.ndarray, order: np.ndarray | None = None) -> Pieces:
+    points = points if order is None else points[order]
+    return make_pieces(points, SENSOR, (SENSOR, points), seed=3)
+
+
+@pytest.fixture(scope="module")
+def room() -> Perceived:
+    world = Room(wall_x=1.5, pipes=((1.0, 0.6, 0.05),), boxes=(((0.6, -1.0, 0.0), (0.9, -0.6, 0.5)),))
+    return perceive(scan(world.meshes(), Pose((0.1, 0.0, 1.6), pitch=0.3), Scanner(n_lines=40), seed=1), valve=False)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_pieces_hold_the_points_they_claim_and_share_none(seed: int) -> None:
+    points = cluttered(seed)
+    pieces = made(points).pieces
+    claimed = np.concatenate([piece.points for piece in pieces])
+    assert len(np.unique(claimed)) == len(claimed)
+    assert len(claimed) > 0.9 * len(points)
+    for piece in pieces:
+        faces = half_spaces(piece.shape.vertices)
+        assert (points[piece.points] @ faces[:, :3].T + faces[:, 3]).max(initial=0.0) <= 0.01 + 1e-6
+        assert 4 <= len(piece.shape.vertices) <= MAX_VERTICES
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_the_order_of_the_points_does_not_change_the_pieces(seed: int) -> None:
+    points = cluttered(seed)
+    order = np.random.default_rng(seed).permutation(len(points))
+    for one, other in zip(made(points).pieces, made(points, order).pieces, strict=True):
+        np.testing.assert_array_equal(one.shape.vertices, other.shape.vertices)
+        np.testing.assert_array_equal(one.points, np.sort(order[other.points]))
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_hulls_hold_all_points_and_next_to_nothing_of_what_was_seen_free(seed: int) -> None:
+    points = coarsened(cluttered(seed), SENSOR, 0.015).points
+    free = carve(SENSOR, points, points, points.min(axis=0) - 0.1, points.max(axis=0) + 0.1)
+    parts = [hull for members in clusters(points, SENSOR) for hull in split(points, members, free)]
+    hulls = merge(parts, free, 0.06)
+    assert len(hulls) <= len(parts)
+    members = np.concatenate([hull.members for hull in hulls])
+    np.testing.assert_array_equal(np.sort(members), np.arange(len(points)))
+    for hull in hulls:
+        assert hull.is_within(points[hull.members], 1e-9).all()
+        if np.ptp(hull.vertices, axis=0).max() > 0.03:
+            assert free.count_inside(hull.faces, hull.vertices, 0.25 * free.size) <= 2
+
+
+def test_voxel_means_do_not_depend_on_the_order_of_their_points() -> None:
+    rng = np.random.default_rng(0)
+    points, starts = rng.uniform(-0.2, 0.2, (5000, 3)), rng.choice([-1.0, 1.0], (5000, 1)) * np.ones(3)
+    order = rng.permutation(5000)
+    one, other = coarsened(points, starts, 0.03), coarsened(points[order], starts[order], 0.03)
+    np.testing.assert_array_equal(one.points, other.points)
+    np.testing.assert_array_equal(one.starts, other.starts)
+    np.testing.assert_array_equal(one.voxel[order], other.voxel)
+
+
+def test_the_points_of_pieces_are_the_view_s_obstacles(room: Perceived) -> None:
+    claimed = np.concatenate([piece.points for piece in room.pieces])
+    assert len(np.unique(claimed)) == len(claimed) > 0.98 * len(room.view.obstacles)
+    pipe = room.view.obstacles[room.pieces[-1].points]
+    assert len(pipe)
+    assert [piece.shape for piece in room.pieces] == [piece for piece in room.scene.pieces if piece.kind != "floor"]
+
+
+def test_a_large_upright_slab_is_a_wall_and_a_low_box_is_none(room: Perceived) -> None:
+    walls = [piece for piece in room.pieces if piece.kind == "wall"]
+    assert walls
+    assert all(piece.plane is not None and piece.plane[0] < -0.99 for piece in walls)
+    assert max(len(piece.points) for piece in walls) == max(len(piece.points) for piece in room.pieces)
+    assert all(np.ptp(piece.shape.vertices[:, 2]) >= 1.2 for piece in walls)
+
+
+def test_a_wall_borders_seen_free_space_on_one_side(room: Perceived) -> None:
+    wall = max(room.pieces, key=lambda piece: len(piece.points))
+    assert 0.3 < wall.evidence.open_share < 0.6
+    assert wall.evidence.free_share < 0.01
+
+
+def test_a_piece_s_summary_is_json(room: Perceived) -> None:
+    for piece in room.pieces:
+        summary = json.loads(json.dumps(piece.summary()))
+        assert summary["points"] == len(piece.points)
+        assert 0.0 <= summary["open_share"] <= 1.0
+
+
+def test_a_single_point_is_a_piece_that_holds_it() -> None:
+    (piece,) = made(np.array([[1.0, 0.2, 0.4]])).pieces
+    assert piece.points.tolist() == [0]
+    assert np.ptp(piece.shape.vertices, axis=0).max() <= 0.03
+
+
+def test_no_points_make_no_pieces() -> None:
+    assert make_pieces(np.zeros((0, 3)), SENSOR, (SENSOR, np.zeros((0, 3)))).pieces == ()
+    assert Cloud(np.ones((1, 3)), SENSOR).rays[0].shape == (1, 3)

@@ -1,0 +1,72 @@
+"""Drills on boards and tables: pose against the truth, and no sure hit on what merely stands there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from perception import CONFIDENT, Cloud, View, make_view
+from perception.detect.drill import Shape, detect_drill, meet
+from perception.detect.sightlines import Sightlines
+from perception.detect.supports import level_heights, standing_clusters
+from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
+from perception.simulate.objects.loose import Drill, can, pot
+
+SENSOR = Pose((0.1, 0.0, 1.5), pitch=0.7)
+SCANNER = Scanner(n_beams=541, fan_deg=160.0, n_lines=70)
+TOP = 0.8
+
+
+def view_of(*meshes: Mesh, seed: int = 0) -> View:
+    room = [box((-5.0, -5.0, -0.1), (5.0, 5.0, 0.0)), box((1.6, -3.0, 0.0), (1.7, 3.0, 2.5))]
+    table = [box((0.5, -0.6, TOP - 0.03), (1.2, 0.6, TOP)), box((1.1, -0.5, 0.0), (1.15, -0.45, TOP - 0.03))]
+    return make_view(scan([*room, *table, *meshes], SENSOR, SCANNER, seed))
+
+
+@pytest.mark.parametrize("yaw_deg", [70.0, -110.0, 140.0])
+def test_a_drill_seen_from_the_side_is_found_within_the_targets(yaw_deg: float) -> None:
+    drill = Drill((0.8, 0.1, TOP), np.radians(yaw_deg), grip_length=0.12, body_length=0.19).placed()
+    found = detect_drill(view_of(*drill.meshes))[0]
+    truth = drill.truth[0].pose_world_object
+    assert found.confidence >= CONFIDENT
+    assert np.linalg.norm(found.pose_world_object[:3, 3] - truth[:3, 3]) <= 0.020
+    assert found.pose_world_object[:3, 0] @ truth[:3, 0] >= np.cos(np.radians(10.0))
+    assert found.pose_world_object[2, 2] == 1.0
+
+
+def test_bottles_boxes_mugs_and_tins_are_no_drills() -> None:
+    bottle = [
+        cylinder((0.7, -0.3, TOP), (0.7, -0.3, TOP + 0.18), 0.04),
+        cylinder((0.7, -0.3, TOP), (0.7, -0.3, TOP + 0.27), 0.015),
+    ]
+    carton = box((0.75, -0.05, TOP), (0.85, 0.1, TOP + 0.22))
+    mug = [*pot((0.7, 0.3, TOP), 0.045, 0.17).meshes, *can((0.9, 0.4, TOP), 0.05, 0.2).meshes]
+    assert all(one.confidence < CONFIDENT for one in detect_drill(view_of(*bottle, carton, *mug)))
+
+
+def test_an_empty_table_and_an_empty_floor_hold_no_drill() -> None:
+    assert all(one.confidence < CONFIDENT for one in detect_drill(view_of()))
+    points = np.random.default_rng(0).uniform((-2.0, -2.0, 0.0), (2.0, 2.0, 0.0), (5000, 3))
+    assert detect_drill(make_view(Cloud(points, np.array([0.0, 0.0, 1.5])))) == []
+
+
+def test_a_hint_elsewhere_leaves_the_drill_out() -> None:
+    view = view_of(*Drill((0.8, 0.1, TOP), np.radians(70.0)).placed().meshes)
+    assert detect_drill(view, hint=np.array([0.8, -0.5, TOP])) == []
+
+
+def test_boards_are_told_by_their_heights_and_what_stands_on_them_by_its_gaps() -> None:
+    view = view_of(box((0.7, -0.3, TOP), (0.8, -0.2, TOP + 0.2)), box((0.7, 0.1, TOP), (0.8, 0.2, TOP + 0.15)))
+    assert any(abs(height - TOP) < 0.01 for height in level_heights(view.obstacles))
+    small = [one for one in standing_clusters(view) if abs(one.level - TOP) < 0.01 and np.ptp(one.points[:, 1]) < 0.2]
+    middles = sorted(float(one.points[:, 1].mean()) for one in small if one.points[:, 0].mean() < 0.9)
+    assert middles == pytest.approx([-0.25, 0.15], abs=0.03)
+
+
+def test_a_ray_at_the_grip_meets_it_and_one_through_the_notch_does_not() -> None:
+    shape = Shape(1.0, 0.0, 0.5 * np.pi)
+    start = np.array([[0.0, 0.0, 0.12], [0.0, 0.07, 0.12]])
+    rays = Sightlines(start, np.tile([1.0, 0.0, 0.0], (2, 1)), np.full(2, 3.0))
+    outside, depth = meet(rays, shape, 0.0)
+    assert outside[0] < 0.0 < outside[1]
+    assert depth[0] == pytest.approx(1.0 - 0.021, abs=1e-6)

@@ -1,0 +1,68 @@
+"""Levers before faces: where they pivot and point, and none where a bar is not held at one end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from perception import CONFIDENT, View, detect, make_view
+from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
+from perception.simulate.mesh import Mesh, bent_bar
+from perception.simulate.objects.fixtures import BoxLever, Panel
+
+SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.4)
+SCANNER = Scanner(n_beams=541, fan_deg=135.0, n_lines=90)
+ROOM = Room(wall_x=0.85)
+
+
+def seen(meshes: list[Mesh], seed: int = 1) -> View:
+    return make_view(scan([*ROOM.meshes(), *meshes], SENSOR, SCANNER, seed=seed))
+
+
+@pytest.mark.parametrize("angle", [0.3, 1.5, 3.0])
+def test_a_lever_on_a_box_is_found_with_its_pivot_and_direction(angle: float) -> None:
+    truth = BoxLever((0.65, 0.0, 1.2), angle=angle).placed()
+    found = detect("lever", seen(list(truth.meshes)))[0]
+    true_pose = truth.truth[0].pose_world_object
+    assert found.confidence >= CONFIDENT
+    assert np.linalg.norm((found.pose_world_object - true_pose)[:3, 3]) < 0.02
+    assert found.pose_world_object[:3, 2] @ true_pose[:3, 2] > np.cos(np.radians(2.0))
+    assert found.pose_world_object[:3, 0] @ true_pose[:3, 0] > np.cos(np.radians(5.0))
+    assert abs(found.sizes["length"] - 0.2) < 0.025
+    assert np.linalg.det(found.pose_world_object[:3, :3]) == pytest.approx(1.0)
+
+
+def test_which_end_is_held_is_not_claimed_where_the_bar_hides_it() -> None:
+    lever = BoxLever((0.65, 0.0, 1.2), angle=-1.4)
+    for found in detect("lever", seen(list(lever.placed().meshes))):
+        assert found.confidence < CONFIDENT or np.linalg.norm(found.pose_world_object[:3, 3] - lever.pivot) < 0.02
+
+
+@pytest.mark.parametrize(
+    "meshes",
+    [
+        [],
+        [box((0.65, -0.15, 1.0), (0.85, 0.15, 1.4))],
+        list(Panel((0.72, 0.05, 1.25)).placed().meshes),
+        [cylinder((0.78, 0.1, 0.0), (0.78, 0.1, 2.4), 0.02)],
+        [bent_bar([(0.85, 0.0, 1.05), (0.78, 0.0, 1.05), (0.78, 0.0, 1.35), (0.85, 0.0, 1.35)], 0.012)],
+        [box((0.7, -0.1, 1.1), (0.85, 0.1, 1.13))],
+    ],
+    ids=["a bare wall", "a box", "a panel", "a pipe", "a grip held at both ends", "a ledge"],
+)
+def test_no_lever_is_believed_where_there_is_none(meshes: list[Mesh]) -> None:
+    assert all(found.confidence < CONFIDENT for found in detect("lever", seen(meshes)))
+
+
+def test_a_hint_keeps_the_search_near_it() -> None:
+    one, other = BoxLever((0.65, 0.45, 1.2)), BoxLever((0.65, -0.45, 1.2), angle=0.4)
+    view = seen([*one.placed().meshes, *other.placed().meshes])
+    hinted = detect("lever", view, np.array([0.65, -0.4, 1.25]))
+    assert np.linalg.norm(hinted[0].pose_world_object[:3, 3] - other.pivot) < 0.02
+    assert all(np.linalg.norm(found.pose_world_object[:3, 3] - one.pivot) > 0.3 for found in hinted)
+
+
+def test_detection_is_the_same_for_the_same_seed() -> None:
+    view = seen(list(BoxLever((0.65, 0.0, 1.2)).placed().meshes))
+    one, other = detect("lever", view)[0], detect("lever", view)[0]
+    np.testing.assert_array_equal(one.pose_world_object, other.pose_world_object)

@@ -1,0 +1,185 @@
+"""A new scan of a scene seen before: what did not change stays the very same piece; memory of whole results."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from costs.scene import ConvexPiece
+from perception import Cloud, Perceived, Reach, perceive
+from perception.clean import half_spaces
+from perception.remembered import Memory, content_key
+from perception.simulate import Pose, Room, Scanner, Valve, scan
+from perception.update import update
+
+SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.3)
+SCANNER = Scanner(n_lines=60)
+
+
+def scanned(seed: int, moved: float | None = 0.0, valve: bool = False) -> Cloud:
+    """A room with a table, a pipe and a box that was moved so far, or taken away."""
+    boxes: list[tuple[tuple[float, float, float], tuple[float, float, float]]]
+    boxes = [((0.6, -1.1, 0.0), (0.9, -0.7, 0.5)), ((0.9, -0.2, 0.7), (1.2, 0.3, 0.75))]
+    if moved is not None:
+        boxes.append(((0.2 + moved, 1.2, 0.0), (0.7 + moved, 1.7, 0.9)))
+    room = Room(wall_x=1.4, pipes=((1.1, 0.7, 0.05),), boxes=tuple(boxes))
+    parts = [*room.meshes(), *(Valve((0.8, 0.1, 1.1)).meshes() if valve else ())]
+    return scan(parts, SENSOR, SCANNER, seed=seed)
+
+
+def inside(points: np.ndarray, pieces: tuple[ConvexPiece, ...], margin: float = 0.0) -> np.ndarray:
+    mask = np.zeros(len(points), dtype=bool)
+    for piece in pieces:
+        faces = half_spaces(piece.vertices)
+        mask |= (points @ faces[:, :3].T + faces[:, 3] <= margin).all(axis=1)
+    return mask
+
+
+def meets(piece: ConvexPiece, lower: tuple[float, ...], upper: tuple[float, ...]) -> bool:
+    return bool((piece.lower <= np.array(upper)).all() and (piece.upper >= np.array(lower)).all())
+
+
+@pytest.fixture(scope="module")
+def before() -> Perceived:
+    return perceive(scanned(1), valve=False)
+
+
+def test_a_second_scan_of_the_same_scene_keeps_every_piece(before: Perceived) -> None:
+    for seed in (2, 3):
+        again = update(before, scanned(seed))
+        kept = {id(piece) for piece in again.scene.pieces}
+        assert [piece.name for piece in before.scene.pieces if id(piece) not in kept] == []
+        # What is new is noise of a few points, if anything.
+        new = again.scene.pieces[len(before.scene.pieces) :]
+        assert len(new) <= 1
+        assert all(np.ptp(piece.vertices, axis=0).max() < 0.15 for piece in new)
+
+
+def test_the_very_same_scan_changes_nothing(before: Perceived) -> None:
+    again = update(before, scanned(1))
+    assert len(again.scene.pieces) == len(before.scene.pieces)
+    assert all(one is other for one, other in zip(again.scene.pieces, before.scene.pieces, strict=True))
+
+
+def test_only_the_pieces_of_a_box_that_moved_are_new(before: Perceived) -> None:
+    after = update(before, scanned(4, moved=0.35))
+    old = {id(piece) for piece in before.scene.pieces}
+    kept = {id(piece) for piece in after.scene.pieces} & old
+    lower, upper = (0.1, 1.1, 0.0), (1.15, 1.8, 1.0)
+    for piece in before.scene.pieces:
+        if piece.kind != "floor" and not meets(piece, lower, upper):
+            assert id(piece) in kept, piece.name
+    new = [piece for piece in after.scene.pieces if id(piece) not in old and np.ptp(piece.vertices, axis=0).max() > 0.1]
+    assert new
+    assert all(meets(piece, lower, upper) for piece in new)
+
+
+def test_a_box_that_moved_leaves_free_space_and_is_covered_where_it_is(before: Perceived) -> None:
+    cloud = scanned(4, moved=0.35)
+    after = update(before, cloud)
+    rng = np.random.default_rng(0)
+    pieces = tuple(piece for piece in after.scene.pieces if piece.kind != "floor")
+    front = np.column_stack([rng.uniform(0.22, 0.45, 200), np.full(200, 1.2), rng.uniform(0.1, 0.85, 200)])
+    assert inside(front, before.scene.pieces, 0.01).mean() > 0.99
+    assert not inside(front, pieces).any()
+    moved = front + np.array([0.45, 0.0, 0.0])
+    assert inside(moved, pieces, 0.01).mean() > 0.99
+    assert inside(after.view.obstacles, after.scene.pieces, 0.02).mean() > 0.99
+
+
+def test_a_box_that_was_taken_away_is_gone(before: Perceived) -> None:
+    after = update(before, scanned(5, moved=None))
+    assert not any(meets(piece, (0.25, 1.25, 0.1), (0.65, 1.65, 0.8)) for piece in after.scene.pieces)
+
+
+def test_new_pieces_take_names_that_were_never_taken(before: Perceived) -> None:
+    after = update(before, scanned(4, moved=0.35))
+    old = {id(piece) for piece in before.scene.pieces}
+    names = {piece.name for piece in before.scene.pieces}
+    assert not names & {piece.name for piece in after.scene.pieces if id(piece) not in old}
+    back = update(after, scanned(6))
+    assert len({piece.name for piece in back.scene.pieces}) == len(back.scene.pieces)
+
+
+def test_a_piece_that_the_new_scan_cannot_see_stays(before: Perceived) -> None:
+    full = scanned(2)
+    # Half of the directions are gone: nothing is known of what lies there.
+    half = full.selected(full.points[:, 1] < 0.9)
+    after = update(before, half)
+    kept = {id(piece) for piece in after.scene.pieces}
+    beyond = [piece for piece in before.scene.pieces if piece.lower[1] > 1.0]
+    assert beyond
+    assert all(id(piece) in kept for piece in beyond)
+
+
+def test_the_points_of_updated_pieces_are_those_of_the_new_view(before: Perceived) -> None:
+    after = update(before, scanned(4, moved=0.35))
+    for piece in after.pieces:
+        faces = half_spaces(piece.shape.vertices)
+        points = after.view.obstacles[piece.points]
+        assert (points @ faces[:, :3].T + faces[:, 3]).max(initial=0.0) <= 0.01 + 1e-6
+
+
+def test_a_valve_stays_found_and_out_of_the_pieces() -> None:
+    seen = perceive(scanned(1, valve=True), valve=True)
+    assert seen.valve is not None
+    again = update(seen, scanned(2, valve=True))
+    assert again.valve is seen.valve
+    rim = seen.valve.centre + np.array([0.0, 0.12, 0.0])
+    assert not inside(rim[None], again.scene.pieces).any()
+    assert {piece.name for piece in again.scene.pieces} >= {"stem"}
+
+
+def test_unknown_space_is_made_anew_when_it_was_asked_for() -> None:
+    reach = Reach(radius=2.0, top=2.0)
+    seen = perceive(scanned(1), reach=reach, valve=False, unknown="occupied")
+    after = update(seen, scanned(5, moved=None))
+    hidden = np.array([[0.45, 1.5, 0.4]])
+    assert inside(hidden, tuple(p for p in seen.scene.pieces if p.kind == "unknown")).all()
+    assert not inside(hidden, tuple(p for p in after.scene.pieces if p.kind == "unknown")).any()
+
+
+def small(seed: int = 0) -> Cloud:
+    return Cloud(np.random.default_rng(seed).uniform(0.5, 0.8, (200, 3)), np.zeros(3))
+
+
+def test_the_same_cloud_is_perceived_once() -> None:
+    memory = Memory()
+    first = memory.perceive(small(), valve=False)
+    copy = Cloud(small().points.copy(), np.zeros(3))
+    assert memory.perceive(copy, valve=False) is first
+    assert len(memory) == 1
+
+
+def test_another_point_or_setting_is_another_key() -> None:
+    cloud = small()
+    moved = replace(cloud, points=cloud.points + np.array([0.0, 0.0, 1e-9]))
+    keys = {
+        content_key(cloud, {"seed": 0}), content_key(cloud, {"seed": 1}), content_key(cloud, {}),
+        content_key(moved, {"seed": 0}), content_key(replace(cloud, misses=np.ones((1, 3))), {"seed": 0}),
+        content_key(cloud, {"reach": Reach(radius=2.0)}), content_key(cloud, {"reach": Reach(radius=3.0)}),
+        content_key(cloud, {"soles": [np.zeros((4, 3))]}), content_key(cloud, {"robot_hulls": [np.zeros((4, 3))]}),
+        content_key(cloud, {"soles": [np.zeros((2, 3)), np.zeros((2, 3))]}),
+    }  # fmt: skip
+    assert len(keys) == 10
+
+
+def test_memory_forgets_what_was_used_least_recently() -> None:
+    one = Memory()
+    one.perceive(small(0), valve=False)
+    memory = Memory(most_bytes=int(2.5 * one.n_bytes))
+    first, second = (memory.perceive(small(seed), valve=False) for seed in (0, 1))
+    assert memory.perceive(small(0), valve=False) is first
+    memory.perceive(small(2), valve=False)
+    assert len(memory) == 2
+    assert memory.n_bytes <= memory.most_bytes
+    assert memory.perceive(small(0), valve=False) is first
+    assert memory.perceive(small(1), valve=False) is not second
+
+
+def test_a_result_too_large_to_remember_is_still_given() -> None:
+    memory = Memory(most_bytes=10)
+    assert memory.perceive(small(), valve=False).pieces
+    assert len(memory) == 0

@@ -1,0 +1,144 @@
+"""Seats and openings of vehicles in simulated and recorded scans, and none where there is none."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perception import Detection, View, detect, make_view, read_cloud
+from perception.detect.level import find_patches, split_at_gap
+from perception.simulate import Mesh, Pose, Scanner, box, scan
+from perception.simulate.objects.car import Car
+from perception.simulate.objects.placed import Truth
+
+_GROUND = box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0))
+_SPARSE = Scanner(n_lines=44, sigma=0.015)
+_INSIDE = Car(place=(0.0, 0.34), floor=0.4)
+_OUTSIDE = Car(place=(1.4, 0.0), yaw=1.5, floor=0.38)
+
+
+@cache
+def _view(car: Car, inside: bool, sensor: Scanner | None = None) -> tuple[View, tuple[Truth, ...]]:
+    placed = car.placed()
+    pose = (
+        Pose.looking((0.05, 0.0, 1.54), (0.7, -0.25, 0.6)) if inside else Pose.looking((0.1, 0.0, 1.6), (1.4, 0.0, 0.9))
+    )
+    return make_view(scan([*placed.meshes, _GROUND], pose, sensor or Scanner(), 3)), placed.truth
+
+
+def _near(found: list[Detection], truth: Truth, reach: float = 0.15) -> Detection:
+    place = truth.pose_world_object[:3, 3]
+    near = [one for one in found if np.linalg.norm(one.pose_world_object[:3, 3] - place) < reach]
+    assert near, f"no {truth.kind} at {place.round(2)}"
+    return near[0]
+
+
+def _angle_deg(found: Detection, truth: Truth) -> float:
+    cosine = found.pose_world_object[:3, 0] @ truth.pose_world_object[:3, 0]
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+@pytest.mark.parametrize("sensor", [None, _SPARSE], ids=["dense", "sparse"])
+@pytest.mark.parametrize("inside", [True, False], ids=["inside", "outside"])
+def test_both_seats_are_found_where_they_are(inside: bool, sensor: Scanner | None) -> None:
+    view, truth = _view(_INSIDE if inside else _OUTSIDE, inside, sensor)
+    found = detect("seat", view)
+    for seat in (one for one in truth if one.kind == "seat"):
+        hit = _near(found, seat, 0.05)
+        assert hit.confidence >= 0.5
+        assert _angle_deg(hit, seat) < 6.0
+        for name, within in (("width", 0.06), ("depth", 0.06), ("height", 0.03)):
+            assert abs(hit.sizes[name] - seat.sizes[name]) < within, name
+    assert sum(one.confidence >= 0.5 for one in found) == 2
+
+
+@pytest.mark.parametrize("inside", [True, False], ids=["inside", "outside"])
+def test_the_opening_beside_the_nearer_seat_is_found(inside: bool) -> None:
+    view, truth = _view(_INSIDE if inside else _OUTSIDE, inside)
+    sensor = view.cloud.starts[0]
+    openings = [one for one in truth if one.kind == "opening"]
+    nearer = min(openings, key=lambda one: float(np.linalg.norm(one.pose_world_object[:3, 3] - sensor)))
+    hit = _near(detect("opening", view), nearer, 0.1)
+    assert hit.confidence >= 0.5
+    assert _angle_deg(hit, nearer) < 6.0
+    for name, within in (("width", 0.1), ("height", 0.06), ("sill", 0.03)):
+        assert abs(hit.sizes[name] - nearer.sizes[name]) < within, name
+
+
+def test_a_panel_in_the_opening_closes_it() -> None:
+    placed = _INSIDE.placed()
+    shut = box((-0.4, -0.39, 0.35), (0.7, -0.36, 1.9))
+    pose = Pose.looking((0.05, 0.0, 1.54), (0.7, -0.25, 0.6))
+    view = make_view(scan([*placed.meshes, shut, _GROUND], pose, Scanner(), 3))
+    outwards = [one.pose_world_object[1, 0] for one in detect("opening", view) if one.confidence >= 0.5]
+    assert all(y > 0.0 for y in outwards)
+
+
+def test_a_hint_keeps_only_the_seat_it_is_near() -> None:
+    view, truth = _view(_INSIDE, True)
+    seat = next(one for one in truth if one.kind == "seat")
+    found = detect("seat", view, seat.pose_world_object[:3, 3] + [0.0, 0.0, 0.1])
+    assert len(found) == 1
+    _near(found, seat, 0.05)
+    assert not detect("opening", view, np.array([-2.0, 0.0, 0.4]))
+
+
+_WALL = box((1.4, -2.0, 0.0), (1.5, 2.0, 2.5))
+_NO_SEATS = {
+    "box before a wall": [_WALL, box((0.9, -0.25, 0.0), (1.4, 0.25, 0.45))],
+    "chair": [
+        _WALL,
+        box((0.8, -0.22, 0.41), (1.22, 0.22, 0.45)),
+        box((1.2, -0.22, 0.41), (1.24, 0.22, 0.95)),
+        *(box((x, y, 0.0), (x + 0.03, y + 0.03, 0.41)) for x in (0.8, 1.19) for y in (-0.22, 0.19)),
+    ],
+    "shelf": [_WALL, *(box((1.1, -0.5, z), (1.4, 0.5, z + 0.03)) for z in (0.3, 0.7, 1.1, 1.5))],
+    "steps": [box((1.0 + 0.3 * k, -0.5, 0.0), (2.2, 0.5, 0.2 * (k + 1))) for k in range(4)],
+    "table": [_WALL, box((0.8, -0.6, 0.72), (1.4, 0.6, 0.75))],
+}
+
+
+@pytest.mark.parametrize("name", _NO_SEATS)
+def test_what_is_no_vehicle_has_no_confident_seat_or_opening(name: str) -> None:
+    meshes: list[Mesh] = [*_NO_SEATS[name], _GROUND]
+    view = make_view(scan(meshes, Pose(pitch=0.4), Scanner(), 2))
+    assert not any(one.confidence >= 0.5 for kind in ("seat", "opening") for one in detect(kind, view))
+
+
+def test_the_recorded_vehicle_has_a_seat_and_openings(shared_data: Path) -> None:
+    view = make_view(read_cloud(shared_data / "scenes" / "car_ev" / "scan0.pcd"))
+    seat = detect("seat", view)[0]
+    assert seat.confidence >= 0.5
+    # The bench; of the part under the sensor nothing was seen.
+    x, y, z = seat.pose_world_object[:3, 3]
+    assert abs(x) < 0.12
+    assert 0.2 < y < 0.8
+    assert abs(z - 0.86) < 0.02
+    assert seat.pose_world_object[0, 0] > np.cos(np.radians(8.0))
+    assert abs(seat.sizes["height"] - 0.46) < 0.03
+    outwards = {round(one.pose_world_object[1, 0]) for one in detect("opening", view) if one.confidence >= 0.5}
+    assert outwards == {-1, 1}
+
+
+@pytest.mark.parametrize("scene", ["door_a", "debris", "valve_a"])
+def test_recorded_scenes_without_a_vehicle_show_none(shared_data: Path, scene: str) -> None:
+    view = make_view(read_cloud(shared_data / "scenes" / scene / "scan0.pcd"))
+    assert not any(one.confidence >= 0.5 for kind in ("seat", "opening") for one in detect(kind, view))
+
+
+def test_a_turned_patch_is_measured_and_split_at_its_gap() -> None:
+    rng = np.random.default_rng(0)
+    flat = np.column_stack([rng.uniform(-0.6, 0.6, 20_000), rng.uniform(-0.2, 0.2, 20_000)])
+    flat = flat[np.abs(flat[:, 0]) > 0.07]
+    c, s = np.cos(0.5), np.sin(0.5)
+    turned = flat @ np.array([[c, s], [-s, c]])
+    points = np.column_stack([turned + np.array([1.0, 0.0]), rng.normal(0.8, 0.005, len(flat))])
+    parts = [part for whole in find_patches(points, 0.5, 1.2) for part in split_at_gap(whole, 0.36)]
+    assert len(parts) == 2
+    for part in parts:
+        assert np.allclose(sorted(part.size), [0.4, 0.53], atol=0.03)
+        assert abs(part.centre[2] - 0.8) < 0.003
+        assert np.degrees(abs(part.yaw - 0.5)) < 2.0
