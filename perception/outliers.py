@@ -75,13 +75,11 @@ def surface_points(
     crowded = inliers(mine, behind)
     doubtful = ~crowded | ~_on_smooth_depth(mine, behind)
     kept[chosen[~doubtful]] = True
-    everyone = np.ones(len(points), dtype=bool)
+    asked, is_thin = chosen[doubtful], ~crowded[doubtful]
     # A row of the floor's own noise is no wire: thin things are held up by their like.
-    for asked, witnesses, least in (
-        (chosen[crowded & doubtful], everyone, _LEAST_SUPPORT),
-        (chosen[~crowded], everyone if candidates is None else candidates, _THIN_SUPPORT),
-    ):
-        kept[asked] = _support(points, starts, asked, witnesses) >= least
+    like = np.ones(len(points), dtype=bool) if candidates is None else candidates
+    support = _support(points, starts, asked, like, is_thin)
+    kept[asked] = support >= np.where(is_thin, _THIN_SUPPORT, _LEAST_SUPPORT)
     return kept
 
 
@@ -155,19 +153,25 @@ def _support(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "N 3"],
     asked: Int[np.ndarray, "K"],
-    witnesses: Bool[np.ndarray, "N"],
+    like: Bool[np.ndarray, "N"],
+    is_thin: Bool[np.ndarray, "K"],
 ) -> Int[np.ndarray, "K"]:
-    """How many of the 32 rays next to each asked point's own ended at a witness, at its depth and not far aside."""
+    """How many of the 32 rays next to each asked point's own ended at its depth and not far aside.
+
+    For thin things only those that ended at their ``like`` count.
+    """
     support = np.zeros(len(asked), dtype=np.int64)
     if not len(asked):
         return support
+    if (starts == starts[:1]).all():
+        return _support_in(points, starts, asked, like, is_thin)
     groups = row_keys(np.floor(starts / _STARTS_APART))
     order = np.argsort(groups[asked], kind="stable")
     for keys in np.split(order, np.flatnonzero(np.diff(groups[asked[order]])) + 1):
         members = np.flatnonzero(groups == groups[asked[keys[0]]])
         if len(members) > 1:
             mine = np.searchsorted(members, asked[keys])
-            support[keys] = _support_in(points[members], starts[members], mine, witnesses[members])
+            support[keys] = _support_in(points[members], starts[members], mine, like[members], is_thin[keys])
     return support
 
 
@@ -175,8 +179,11 @@ def _support_in(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "N 3"],
     asked: Int[np.ndarray, "K"],
-    witnesses: Bool[np.ndarray, "N"],
+    like: Bool[np.ndarray, "N"],
+    is_thin: Bool[np.ndarray, "K"],
 ) -> Int[np.ndarray, "K"]:
+    if len(points) < 2:
+        return np.zeros(len(asked), dtype=np.int64)
     rays = points - starts
     ranges = np.linalg.norm(rays, axis=1)
     directions = rays / np.maximum(ranges, 1e-9)[:, None]
@@ -186,6 +193,8 @@ def _support_in(
     aside = np.linalg.norm(directions[neighbours] - directions[asked, None], axis=2) * ranges[asked, None]
     tolerance = (_DEPTH + _DEPTH_SHARE * ranges[asked])[:, None]
     near = (
-        witnesses[neighbours] & (np.abs(apart) <= tolerance) & (aside <= 2.0 * spacing_radius(ranges[asked])[:, None])
+        (like[neighbours] | ~is_thin[:, None])
+        & (np.abs(apart) <= tolerance)
+        & (aside <= 2.0 * spacing_radius(ranges[asked])[:, None])
     )
     return np.asarray(near.sum(axis=1))

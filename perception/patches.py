@@ -99,6 +99,7 @@ def least_squares(
 def plane_of(points: Float[np.ndarray, "K 3"]) -> tuple[Float[np.ndarray, "3"], float]:
     """Least-squares plane: unit normal, upwards, and offset."""
     centre = points.mean(axis=0)
-    normal = np.linalg.eigh(np.cov((points - centre).T))[1][:, 0]
+    relative = points - centre
+    normal = np.linalg.eigh(relative.T @ relative)[1][:, 0]
     normal = normal * (1.0 if normal[2] >= 0.0 else -1.0)
     return normal, float(normal @ centre)
