@@ -25,6 +25,9 @@ _USUAL_BACKSET = 0.065
 _AT_EDGE = 0.035
 _SURELY_AJAR = np.radians(6.0)
 _HINGE_UNKNOWN = 0.45
+_CASING = 0.04
+_OCCLUDED = 0.3
+_SQUARE = (np.radians(70.0), np.radians(85.0))
 _HINT_TRUST = 0.7
 _GAP = 0.004
 _MOST_HIDDEN = 0.25
@@ -145,6 +148,11 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
     if frame is not None and frame.hinge:
         # The hinge edge of an open leaf runs into its jamb; that it lies at the wall tells more.
         ends[0 if frame.hinge < 0 else 1] = 1.0
+    elif frame is not None:
+        # What stands out of the wall as well hides a part of the face and is no edge of it.
+        for k, edge in enumerate((leaf.low, leaf.high)):
+            if edge.jump > max(frame.depth, 0.0) + _CASING:
+                ends[k] = _OCCLUDED
     face = (
         _rising(leaf.width, 0.5, 0.62)
         * _rising(-leaf.width, -1.4, -1.25)
@@ -158,7 +166,9 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
     grip = 0.0 if handle is None else handle.quality * (1.0 - 0.65 * _rising(_unsure(handle, -hinge), 0.03, 0.09))
     if frame is not None and frame.ajar > _SURELY_AJAR:
         gap = max(frame.gap_share, (leaf.low if frame.hinge > 0 else leaf.high).open_share)
-        marks = 1.0 - (1.0 - 0.55 * _rising(gap, 0.2, 0.6)) * (1.0 - 0.85 * grip)
+        # A face square to a wall may as well be the side of a cupboard.
+        open_mark = 0.55 * _rising(gap, 0.2, 0.6) * (1.0 - 0.5 * _rising(frame.ajar, *_SQUARE))
+        marks = 1.0 - (1.0 - open_mark) * (1.0 - 0.85 * grip)
     else:
         marks = 0.2 + 0.8 * grip
     if not hinge:

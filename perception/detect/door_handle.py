@@ -69,6 +69,7 @@ class Handle:
             * np.clip((self.purity - 0.4) / 0.25, 0.0, 1.0)
             * np.clip((self.alone - 0.5) / 0.25, 0.0, 1.0)
             * np.clip((self.out - 0.028) / 0.008, 0.0, 1.0)
+            * np.clip((0.1 - self.out) / 0.006, 0.0, 1.0)
         )
 
 

@@ -12,7 +12,7 @@ from perception.detect.level import Patch, find_patches, is_inside, split_at_gap
 from perception.view import View
 
 _REPORTED = 0.05
-_OVER_GROUND = (0.35, 1.4)
+_OVER_GROUND = (0.35, 1.15)
 _HEIGHT = (0.22, 0.68)  # of a cushion over the vehicle's floor
 _WIDTH = (0.36, 1.5)
 _DEPTH = (0.3, 0.65)
