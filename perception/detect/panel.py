@@ -18,6 +18,7 @@ from perception.view import View
 _SIZES = (0.07, 0.7)
 _LEAST_GAIN = 13.0
 _FAINT = 0.03
+_LARGEST, _BETWEEN = 0.05, 0.004
 _HEIGHTS = (0.005, 0.06)
 _BESIDE = 0.08
 _BEHIND = 0.025
@@ -70,7 +71,7 @@ def _examined(face: Face, index: SightIndex, is_hinted: bool) -> Detection | Non
     discs = find_discs(ends, edges.low, edges.high, face.sigma, _LEAST_GAIN)
     clearest = max((disc.gain for disc in discs), default=0.0)
     discs = [disc for disc in discs if disc.gain > _FAINT * clearest]
-    buttons = [disc for disc in discs if _is_button(disc)]
+    buttons = [disc for disc in discs if _is_button(disc) and _stands_alone(disc, discs)]
     if not buttons:
         return None
     return _as_detection(face, edges, buttons, len(discs) - len(buttons), ends, is_hinted)
@@ -79,9 +80,16 @@ def _examined(face: Face, index: SightIndex, is_hinted: bool) -> Detection | Non
 def _is_button(disc: Disc) -> bool:
     return bool(
         _HEIGHTS[0] <= disc.height < 0.9 * _HEIGHTS[1]
-        and disc.radius < 0.06
+        and disc.radius < _LARGEST
         and disc.roundness > 0.5
         and disc.around < 0.4
+    )
+
+
+def _stands_alone(disc: Disc, discs: list[Disc]) -> bool:
+    """Whether no other relief touches it, as the parts of one larger thing do."""
+    return all(
+        one is disc or np.linalg.norm(one.centre - disc.centre) > one.radius + disc.radius + _BETWEEN for one in discs
     )
 
 
