@@ -20,6 +20,8 @@ _TALL = (0.15, 0.33)
 _WIDE = 0.38
 _HINT_RADIUS = 0.4
 _REPORTED = 0.05
+# Seen from ahead or behind a drill has no notch that tells it from a bottle.
+_UNSEEN_NOTCH = 0.3
 _YAWS = np.radians(np.arange(0.0, 360.0, 15.0))
 _SIGMA_DEPTH = 0.01
 _SIGMA_EDGE = 0.006
@@ -237,11 +239,11 @@ def _judged(
     notch_open, notch_seen = _notch(rays, shape, cluster.level)
     hit = ended & inside & (np.abs(gap) < _NEAR)
     rms = float(np.sqrt(np.mean(gap[hit] ** 2))) if hit.any() else float("inf")
+    known = _rising(float(notch_seen), 3.0, 12.0)
     value = (
         _rising(solid, 0.7, 0.9)
         * _rising(explained, 0.7, 0.9)
-        * _rising(notch_open, 0.4, 0.8)
-        * _rising(float(notch_seen), 3.0, 12.0)
+        * (known * _rising(notch_open, 0.4, 0.8) + (1.0 - known) * _UNSEEN_NOTCH)
         * _rising(-rms, -0.02, -0.014)
         * _rising(float(hit.sum()), 15.0, 60.0)
     )
