@@ -9,3 +9,11 @@ class PerceptionError(ValueError):
 
 class CloudError(PerceptionError):
     """A cloud or cloud file that cannot be used; one line: what, what is wrong with it, what would do."""
+
+
+class MeshError(PerceptionError):
+    """A mesh or mesh file that cannot be used; one line: what, what is wrong with it, what would do."""
+
+
+class CancelledError(PerceptionError):
+    """Work that was asked to stop, and did."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from costs.robot import shapes
 from costs.scene import ConvexPiece
 from service.errors import RequestError
-from service.mesh import convex_parts
+from service.mesh import convex_parts, found_pose
 from service.request import PlanRequest
 from service.request_scene import (
     BoxRequest,
@@ -24,25 +25,41 @@ from service.request_scene import (
     SphereRequest,
 )
 
+if TYPE_CHECKING:
+    from perception import View
+
 FLOOR_HALF_WIDTH_M = 10.0
 FLOOR_THICKNESS_M = 0.2
 
 
-def obstacle_pieces(request: PlanRequest) -> tuple[ConvexPiece, ...]:
+def obstacle_pieces(request: PlanRequest, view: View | None = None) -> tuple[ConvexPiece, ...]:
     """All obstacles of a request; round shapes as polytopes around them, meshes as several pieces.
 
+    Args:
+        request: the request.
+        view: its scan, made ready, in which meshes are looked for that ask for it.
+
     Raises:
-        RequestError: a mesh file that cannot be used, or points without a volume.
+        RequestError: a mesh file that cannot be used or is not found in the scan, or points without a volume.
     """
     pieces: list[ConvexPiece] = []
     for index, obstacle in enumerate(request.scene.obstacles):
-        w, x, y, z = obstacle.quaternion_wxyz
-        rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
-        parts = _parts(request, obstacle, f"scene.obstacles[{index}]")
+        field = f"scene.obstacles[{index}]"
+        pose = _pose(obstacle)
+        if isinstance(obstacle, MeshRequest) and obstacle.match and view is not None:
+            pose = found_pose(request.resolve(obstacle.file), obstacle.scale, pose, view, f"{field}.match")
+        parts = _parts(request, obstacle, field)
         for number, vertices in enumerate(parts, start=1):
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
-            pieces.append(ConvexPiece(name, vertices @ rotation.T + np.array(obstacle.position)))
+            pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3]))
     return tuple(pieces)
+
+
+def _pose(obstacle: ObstacleRequest) -> Float[np.ndarray, "4 4"]:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(obstacle.quaternion_wxyz, scalar_first=True).as_matrix()
+    pose[:3, 3] = obstacle.position
+    return pose
 
 
 def flat_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
@@ -66,7 +83,9 @@ def _parts(request: PlanRequest, obstacle: ObstacleRequest, field: str) -> Seque
         case ConvexRequest():
             return [_hull(np.array(obstacle.points), f"{field}.points")]
         case MeshRequest():
-            return convex_parts(request.resolve(obstacle.file), f"{field}.file")
+            return convex_parts(
+                request.resolve(obstacle.file), f"{field}.file", obstacle.scale, decompose=obstacle.decompose
+            )
 
 
 def _hull(points: Float[np.ndarray, "V 3"], field: str) -> Float[np.ndarray, "W 3"]:

@@ -74,10 +74,17 @@ class ConvexRequest(_Placed):
 
 @dataclass(config=SECTION, kw_only=True)
 class MeshRequest(_Placed):
-    """A mesh file (STL, OBJ, PLY), split into convex pieces."""
+    """A mesh file (STL, OBJ, PLY), split into convex pieces.
+
+    ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is one piece.  With ``match`` it is
+    looked for in the scan around where it is placed, and stands where it was found.
+    """
 
     type: Literal["mesh"]
     file: FilePath
+    scale: Length = 1.0
+    decompose: StrictBool = True
+    match: StrictBool = False
 
 
 ObstacleRequest = Annotated[
@@ -155,3 +162,8 @@ class SceneRequest(Section):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})
+        lost = [one.name for one in self.obstacles if isinstance(one, MeshRequest) and one.match]
+        if lost and not self.cloud:
+            raise PydanticCustomError(
+                "obstacles", "match of {name} needs a scan to look in; give scene.cloud", {"name": shown(lost[0])}
+            )

@@ -262,7 +262,7 @@ def _scene(
     request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"], perceived: Perceived | None
 ) -> Scene:
     """Obstacles first, then what the scan shows, then the floor; a floor given in the request replaces the scan's."""
-    pieces: list[ConvexPiece] = list(obstacle_pieces(request))
+    pieces: list[ConvexPiece] = list(obstacle_pieces(request, None if perceived is None else perceived.view))
     floor = request.scene.floor
     seen = () if perceived is None else perceived.scene.pieces
     pieces += [piece for piece in seen if floor is None or piece.kind != FLOOR_KIND]

@@ -79,16 +79,16 @@ def test_a_hollow_solid_is_split_into_parts_that_contain_its_surface(tmp_path: P
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
-        ("a.dae", b"<x/>", "file: format '.dae' is not read; .stl, .obj, .ply would do"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "file: a.obj has 1 triangles; a solid with 4 to"),
-        ("a.obj", b"rubbish\n", "file: a.obj has 0 triangles"),
-        ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f" + b"\x00" * 50, "file: a.stl "),
+        ("a.dae", b"<x/>", "file: a.dae: format '.dae' is not read; .stl, .obj, .ply would do"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "file: a.obj: has 1 triangles; a solid with 4 to"),
+        ("a.obj", b"rubbish\n", "file: a.obj: has 0 triangles"),
+        ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f" + b"\x00" * 50, "file: a.stl: "),
         (
             "a.ply",
             b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
             b"element face 4\nproperty list uchar int vertex_indices\nend_header\n"
             b"nan 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n3 0 1 3\n3 0 2 3\n3 1 2 3\n",
-            "file: a.ply has a vertex that is not finite",
+            "file: a.ply: 1 of 4 vertices are not finite",
         ),
     ],
 )

@@ -1,0 +1,106 @@
+"""A mesh moved onto points: point-to-plane ICP with Tukey's weights, on the sides that face the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from perception.solids.surface import Surface
+
+_FACING = 0.05  # cosine
+_FEWEST = 12
+_MOST_TURN = 0.3  # [rad] in one step
+_DAMPING = 1e-3
+
+
+@dataclass(frozen=True)
+class Pose:
+    """World from mesh: ``rotation`` (3, 3) and ``shift`` (3,) [m]."""
+
+    rotation: Float[np.ndarray, "3 3"]
+    shift: Float[np.ndarray, "3"]
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "4 4"]:
+        """As a homogeneous matrix."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.shift
+        return matrix
+
+    def of(self, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+        """Points of the mesh's frame in the world."""
+        return np.asarray(points @ self.rotation.T + self.shift)
+
+    def into_mesh(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+        """Points of the world in the mesh's frame."""
+        return np.asarray((points - self.shift) @ self.rotation)
+
+    def turned(self, turn: Float[np.ndarray, "3"], about: Float[np.ndarray, "3"]) -> Pose:
+        """Turned by a rotation vector about a point of the world."""
+        rotation = Rotation.from_rotvec(turn).as_matrix()
+        return Pose(rotation @ self.rotation, rotation @ (self.shift - about) + about)
+
+    def shifted(self, by: Float[np.ndarray, "3"]) -> Pose:
+        """Moved in the world."""
+        return Pose(self.rotation, self.shift + by)
+
+
+@dataclass(frozen=True)
+class Region:
+    """Measured points (N, 3) and where their rays started (N, 3) [m]."""
+
+    points: Float[np.ndarray, "N 3"]
+    starts: Float[np.ndarray, "N 3"]
+
+    def thinned(self, most: int) -> Region:
+        """Every k-th, so that at most ``most`` are left."""
+        step = max(1, -(-len(self.points) // most))
+        return Region(self.points[::step], self.starts[::step])
+
+
+def fitted(surface: Surface, region: Region, start: Pose, gates: Iterable[float]) -> Pose:
+    """One Gauss-Newton step of point-to-plane ICP (Chen and Medioni, 1992) for each gate.
+
+    Args:
+        surface: of the mesh.
+        region: the points it shall lie on.
+        start: where it is thought to be.
+        gates: points farther from the mesh than this have no say, nearer ones by Tukey's biweight [m].
+    """
+    pose = start
+    for gate in gates:
+        points = pose.into_mesh(region.points)
+        place, normal = surface.nearest(points)
+        offset = points - place
+        distance = np.linalg.norm(offset, axis=1)
+        sight = pose.into_mesh(region.starts) - place
+        facing = (normal * sight).sum(axis=1) > _FACING * np.linalg.norm(sight, axis=1)
+        used = (distance < gate) & facing
+        if used.sum() < _FEWEST:
+            return pose
+        weight = (1.0 - (distance[used] / gate) ** 2) ** 2
+        pose = _step(pose, place[used], normal[used], offset[used], weight)
+    return pose
+
+
+def _step(
+    pose: Pose,
+    place: Float[np.ndarray, "K 3"],
+    normal: Float[np.ndarray, "K 3"],
+    offset: Float[np.ndarray, "K 3"],
+    weight: Float[np.ndarray, "K"],
+) -> Pose:
+    """Turn and shift the mesh so that its planes meet the points, all in its own frame."""
+    middle = place.mean(axis=0)
+    J = np.concatenate([np.cross(place - middle, normal), normal], axis=1)
+    residual = (normal * offset).sum(axis=1)
+    size = float(np.linalg.norm(place - middle, axis=1).mean())
+    damping = _DAMPING * weight.sum() * np.diag([size**2] * 3 + [1.0] * 3)
+    step = np.linalg.solve(J.T @ (weight[:, None] * J) + damping, J.T @ (weight * residual))
+    turn = step[:3] * min(1.0, _MOST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))
+    rotation = Rotation.from_rotvec(turn).as_matrix()
+    return Pose(pose.rotation @ rotation, pose.of(middle + step[3:] - rotation @ middle))

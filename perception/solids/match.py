@@ -1,0 +1,282 @@
+"""Where a known mesh stands in a scan: ICP from many starts, judged by the scan's own rays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from perception.convex.coarse import coarsened
+from perception.convex.pieces import VOXEL
+from perception.convex.planes import find_planes
+from perception.convex.split import clusters
+from perception.detect.sightlines import Sightlines, sight_index
+from perception.errors import MeshError
+from perception.mesh import Mesh
+from perception.solids.closed import solid_of
+from perception.solids.fit import Pose, Region, fitted
+from perception.solids.surface import Surface
+from perception.view import View
+
+CONFIDENT = 0.5
+_N_ORIENTATIONS = 240
+_N_BEST = 10
+_COARSE_POINTS, _COARSE_RAYS = 250, 500
+_MOST_POINTS, _MOST_RAYS = 4000, 6000
+_MOST_CLUSTERS = 6
+_N_NUDGED = 3
+_NUDGES = (0.04, 0.025, 0.015)  # [m], and five times as many radians
+_NUDGE_POINTS = 1000
+_NUDGE_GATES = np.concatenate([np.linspace(0.05, 0.025, 5), np.full(5, 0.025)])
+_MIN_AGREEING = 30
+_PLANE_BAND = 0.025
+_TOLERANCE = (0.012, 0.03)
+_DIFFERENT_DEG, _DIFFERENT_M = 20.0, 0.05
+
+
+@dataclass(frozen=True)
+class MeshMatch:
+    """A mesh found in a scan.
+
+    Attributes:
+        pose_world_mesh: (4, 4).
+        confidence: 0 to 1; 0.5 and more is one to act on.
+        residuals: ``rms`` and ``median`` distance of the points it explains [m]; ``seen_through``, the share of rays
+            that should have met it and went on; ``hidden``, the share that met something before it; ``unexplained``,
+            points close before its surface as a share of those on it; ``rival``, how well the best clearly different
+            pose does against this one (near 1: the scan does not tell them apart); ``n_points`` on it.
+        on_mesh: (M,) which of the view's obstacle points it explains.
+    """
+
+    pose_world_mesh: Float[np.ndarray, "4 4"]
+    confidence: float
+    residuals: Mapping[str, float]
+    on_mesh: Bool[np.ndarray, "M"]
+
+
+def match_mesh(
+    mesh: Mesh,
+    view: View,
+    hint: Float[np.ndarray, "3"] | None = None,
+    initial: Float[np.ndarray, "4 4"] | None = None,
+) -> MeshMatch:
+    """The pose at which the scan's points lie on the mesh and no ray goes through it.
+
+    Only what a ray could have met counts, so a scan from one side will do.
+
+    Args:
+        mesh: the object, in its own frame [m].
+        view: the scan, made ready.
+        hint: (3,) a point on or near the object; without it and ``initial`` every cluster of its size is tried.
+        initial: (4, 4) about where it stands (20 degrees, 15 cm); only poses near it are tried.
+
+    Raises:
+        MeshError: the mesh cannot be used.
+    """
+    solid = solid_of(mesh)
+    whole = [*solid.closed, *solid.open]
+    surface = Surface(_joined(whole))
+    lower = np.min([part.vertices.min(axis=0) for part in whole], axis=0)
+    upper = np.max([part.vertices.max(axis=0) for part in whole], axis=0)
+    centre, radius = 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
+    index = sight_index(view.cloud)
+    candidates: list[tuple[float, Pose, _Judge]] = []
+    for place in _places(view, radius, centre, hint, initial):
+        region = _region(view, place, radius)
+        if len(region.points) < _MIN_AGREEING:
+            continue
+        judge = _Judge(surface, index.passing(place[None], 2.0 * radius + 0.1), region)
+        starts = _starts(place, centre, radius, region, initial)
+        candidates += [(score, pose, judge) for score, pose in _searched(surface, judge, region, starts, radius)]
+    if not candidates:
+        return MeshMatch(
+            np.eye(4) if initial is None else initial, 0.0, {"n_points": 0.0}, np.zeros(len(view.obstacles), dtype=bool)
+        )
+    candidates.sort(key=lambda one: -one[0])
+    best, pose, judge = candidates[0]
+    rivals = [score for score, other, _ in candidates if _is_different(pose, other, centre)]
+    rival = float(max(0.0, max(rivals, default=0.0)) / best) if best > 0.0 else 1.0
+    return _match(pose, judge, rival, view, surface)
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    """What the rays say about a pose, as counts."""
+
+    agreeing: int
+    through: int
+    hidden: int
+    unexplained: int
+    tolerance: float
+    distance: Float[np.ndarray, "K"]
+
+    @property
+    def score(self) -> float:
+        """Rays that end on it, less those that go through it."""
+        n = self.agreeing + self.through
+        return 0.0 if n == 0 else (self.agreeing - 2.0 * self.through - 0.5 * self.unexplained) / np.sqrt(n)
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """The rays and points about a place."""
+
+    surface: Surface
+    rays: Sightlines
+    region: Region
+
+    def verdict(self, pose: Pose, most_rays: int, most_points: int) -> _Verdict:
+        """Hold a pose against the rays."""
+        rays = self.rays.thinned(most_rays)
+        hit = self.surface.hits(pose.into_mesh(rays.start), rays.direction @ pose.rotation)
+        met = np.isfinite(hit)
+        beyond = rays.length[met] - hit[met]
+        region = self.region.thinned(most_points)
+        place, _ = self.surface.nearest(pose.into_mesh(region.points))
+        offset = pose.into_mesh(region.points) - place
+        distance = np.linalg.norm(offset, axis=1)
+        close = distance[distance < _TOLERANCE[1]]
+        tolerance = float(np.clip(3.0 * 1.48 * np.median(close), *_TOLERANCE)) if len(close) else _TOLERANCE[0]
+        # Things stand on tables: only what is well before the surface and far from its base is held against it.
+        outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + 0.05)
+        share = len(rays) / max(1, len(region.points))
+        return _Verdict(
+            int((np.abs(beyond) <= tolerance).sum()),
+            int((beyond > tolerance).sum()),
+            int((beyond < -tolerance).sum()),
+            int(share * 0.2 * outside.sum()),
+            tolerance,
+            distance[distance <= tolerance],
+        )
+
+
+def _searched(
+    surface: Surface, judge: _Judge, region: Region, starts: Sequence[Pose], radius: float
+) -> list[tuple[float, Pose]]:
+    """Every start brought near by a few steps on few points; the best then fitted on many."""
+    few = region.thinned(_COARSE_POINTS)
+    gates = np.linspace(0.6 * radius, 0.05, 6)
+    rough = [fitted(surface, few, start, gates) for start in starts]
+    scores = [judge.verdict(pose, _COARSE_RAYS, _COARSE_POINTS).score for pose in rough]
+    best = np.argsort(scores, kind="stable")[::-1][:_N_BEST]
+    many = region.thinned(_MOST_POINTS)
+    gates = np.concatenate([np.linspace(0.06, 0.025, 12), np.full(12, 0.025)])
+    fine = [fitted(surface, many, rough[i], gates) for i in best]
+    scored = [(judge.verdict(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in fine]
+    scored.sort(key=lambda one: -one[0])
+    return [_nudged(surface, judge, many, one) for one in scored[:_N_NUDGED]] + scored[_N_NUDGED:]
+
+
+def _nudged(surface: Surface, judge: _Judge, region: Region, found: tuple[float, Pose]) -> tuple[float, Pose]:
+    """The best of the poses that fits from a little beside it lead to; ICP comes to rest along faces it slides on."""
+    few = region.thinned(_NUDGE_POINTS)
+    for step in _NUDGES:
+        about = found[1].of(np.zeros(3))
+        beside = [found[1].shifted(sign * step * axis) for axis in found[1].rotation.T for sign in (-1.0, 1.0)]
+        beside += [found[1].turned(sign * 5.0 * step * axis, about) for axis in np.eye(3) for sign in (-1.0, 1.0)]
+        poses = [fitted(surface, few, pose, _NUDGE_GATES) for pose in beside]
+        found = max([found, *((judge.verdict(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in poses)],
+                    key=lambda one: one[0])  # fmt: skip
+    return found[0], fitted(surface, region, found[1], _NUDGE_GATES[-3:])
+
+
+def _region(view: View, place: Float[np.ndarray, "3"], radius: float) -> Region:
+    """Points about a place that may be the object's: not those of planes that reach farther than it does."""
+    near = np.flatnonzero(np.linalg.norm(view.obstacles - place, axis=1) <= 3.0 * radius + 0.1)
+    if len(near) < _MIN_AGREEING:
+        return Region(view.obstacles[near], view.starts[near])
+    points, starts = view.obstacles[near], view.starts[near]
+    coarse = coarsened(points, starts, VOXEL)
+    planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(view.seed), None)
+    kept = np.linalg.norm(points - place, axis=1) <= 1.6 * radius + 0.05
+    for plane in planes:
+        flat = coarse.points[plane.members] @ plane.basis.T
+        if np.linalg.norm(np.ptp(flat, axis=0)) > 2.4 * radius:
+            kept &= np.abs(points @ plane.normal - plane.offset) > _PLANE_BAND
+    return Region(points[kept], starts[kept])
+
+
+def _places(
+    view: View,
+    radius: float,
+    centre: Float[np.ndarray, "3"],
+    hint: Float[np.ndarray, "3"] | None,
+    initial: Float[np.ndarray, "4 4"] | None,
+) -> list[Float[np.ndarray, "3"]]:
+    """Where to look."""
+    if initial is not None:
+        return [initial[:3, :3] @ centre + initial[:3, 3]]
+    if hint is not None:
+        return [np.asarray(hint, dtype=float)]
+    if not len(view.obstacles):
+        return []
+    groups = [view.obstacles[members] for members in clusters(view.obstacles, view.starts)]
+    fitting = [group for group in groups if 0.2 * radius < 0.5 * np.linalg.norm(np.ptp(group, axis=0)) < 1.5 * radius]
+    return [group.mean(axis=0) for group in sorted(fitting, key=len, reverse=True)[:_MOST_CLUSTERS]]
+
+
+def _starts(
+    place: Float[np.ndarray, "3"],
+    centre: Float[np.ndarray, "3"],
+    radius: float,
+    region: Region,
+    initial: Float[np.ndarray, "4 4"] | None,
+) -> list[Pose]:
+    """Poses to start from: around the initial one, or evenly over all orientations about the points near the place."""
+    if initial is not None:
+        given = Pose(initial[:3, :3], initial[:3, 3])
+        turns = [np.zeros(3), *(sign * 0.3 * axis for axis in np.eye(3) for sign in (-1, 1))]
+        shifts = [np.zeros(3), *(sign * 0.08 * axis for axis in np.eye(3) for sign in (-1, 1))]
+        about = given.of(centre)
+        return [given.turned(turn, about).shifted(shift) for turn in turns for shift in shifts]
+    core = region.points[np.linalg.norm(region.points - place, axis=1) <= radius]
+    middle = np.median(core, axis=0) if len(core) >= _MIN_AGREEING else place
+    away = middle - region.starts.mean(axis=0)
+    # Only the near side is seen: the middle of the object lies behind the middle of its points.
+    middle = middle + 0.2 * radius * away / max(float(np.linalg.norm(away)), 1e-9)
+    rotations = Rotation.random(_N_ORIENTATIONS, rng=np.random.default_rng(0)).as_matrix()
+    return [Pose(rotation, middle - rotation @ centre) for rotation in rotations]
+
+
+def _is_different(one: Pose, other: Pose, centre: Float[np.ndarray, "3"]) -> bool:
+    angle = np.degrees(Rotation.from_matrix(one.rotation.T @ other.rotation).magnitude())
+    return bool(angle > _DIFFERENT_DEG or np.linalg.norm(one.of(centre) - other.of(centre)) > _DIFFERENT_M)
+
+
+def _match(pose: Pose, judge: _Judge, rival: float, view: View, surface: Surface) -> MeshMatch:
+    verdict = judge.verdict(pose, len(judge.rays) or 1, len(judge.region.points))
+    met = max(1, verdict.agreeing + verdict.through)
+    through = verdict.through / met
+    hidden = verdict.hidden / max(1, met + verdict.hidden)
+    unexplained = verdict.unexplained / max(1, verdict.agreeing)
+    rms = float(np.sqrt(np.mean(verdict.distance**2))) if len(verdict.distance) else float("inf")
+    residuals = {
+        "rms": rms,
+        "median": float(np.median(verdict.distance)) if len(verdict.distance) else float("inf"),
+        "seen_through": through,
+        "hidden": hidden,
+        "unexplained": unexplained,
+        "rival": rival,
+        "n_points": float(len(verdict.distance)),
+    }
+    enough = min(1.0, verdict.agreeing / (2.0 * _MIN_AGREEING))
+    confidence = enough * _falling(through, 0.08, 0.25) * _falling(hidden, 0.4, 0.9) * _falling(unexplained, 0.2, 0.8)
+    offset, _ = surface.nearest(pose.into_mesh(view.obstacles))
+    on_mesh = np.linalg.norm(pose.into_mesh(view.obstacles) - offset, axis=1) <= verdict.tolerance
+    return MeshMatch(pose.matrix, float(confidence), residuals, on_mesh)
+
+
+def _falling(value: float, good: float, bad: float) -> float:
+    """1 up to ``good``, 0 from ``bad`` on."""
+    return float(np.clip((bad - value) / (bad - good), 0.0, 1.0))
+
+
+def _joined(meshes: Sequence[Mesh]) -> Mesh:
+    if not meshes:
+        raise MeshError("mesh: nothing of it is left to look for")
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    triangles = [mesh.triangles + start for mesh, start in zip(meshes, first, strict=True)]
+    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(triangles))

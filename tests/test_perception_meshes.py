@@ -1,0 +1,237 @@
+"""Closed meshes: read, repaired or refused by name, split into parts that contain them, found in a scan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from perception import make_view
+from perception.errors import MeshError
+from perception.mesh import Mesh
+from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
+from perception.solids.cache import PartsCache
+from perception.solids.closed import is_closed, solid_of
+from perception.solids.decompose import Work, convex_parts
+from perception.solids.match import CONFIDENT, MeshMatch, match_mesh
+from perception.solids.read import read_mesh
+from perception.view import View
+
+RING = torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 16, 8)
+# A tool that no turn takes to itself: a long body, a tall end, a handle to one side.
+TOOL = joined([
+    box((0, 0, 0), (0.4, 0.1, 0.1)), box((0, 0, 0.1), (0.1, 0.1, 0.3)), box((0.25, 0.1, 0), (0.35, 0.25, 0.06)),
+])  # fmt: skip
+MIDDLE = np.array([0.2, 0.1, 0.12])
+
+
+def _text_stl(mesh: Mesh) -> bytes:
+    facets = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in corners)
+        + "endloop\nendfacet\n"
+        for corners in mesh.vertices[mesh.triangles]
+    )
+    return f"solid ring\n{facets}endsolid\n".encode()
+
+
+def _binary_stl(mesh: Mesh) -> bytes:
+    facets = np.zeros(len(mesh.triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("a", "<u2")]))
+    facets["corners"] = mesh.vertices[mesh.triangles]
+    return b"solid in name only".ljust(80) + np.uint32(len(facets)).tobytes() + facets.tobytes()
+
+
+def _obj(mesh: Mesh) -> bytes:
+    lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [
+        f"f {a + 1}//1 {b + 1}//1 {c + 1}//1" for a, b, c in mesh.triangles
+    ]
+    return ("mtllib none.mtl\nvn 0 0 1\n" + "\n".join(lines) + "\n").encode()
+
+
+def _ply(mesh: Mesh) -> bytes:
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(mesh.vertices)}\n"
+    head += "property double x\nproperty double y\nproperty double z\n"
+    head += f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    faces = np.zeros(len(mesh.triangles), np.dtype([("n", "u1"), ("corners", "<i4", 3)]))
+    faces["n"], faces["corners"] = 3, mesh.triangles
+    return head.encode() + mesh.vertices.astype("<f8").tobytes() + faces.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "written"), [("a.stl", _text_stl), ("b.STL", _binary_stl), ("c.obj", _obj), ("d.ply", _ply)]
+)
+def test_every_format_gives_the_same_solid(tmp_path: Path, name: str, written: object) -> None:
+    (tmp_path / name).write_bytes(written(RING))  # type: ignore[operator]
+    solid = solid_of(read_mesh(tmp_path / name, scale=2.0))
+    assert (len(solid.closed), len(solid.open)) == (1, 0)
+    assert solid.closed[0].volume == pytest.approx(8.0 * abs(RING.volume), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "problem"),
+    [
+        ("a.dae", b"<x/>", "a.dae: format '.dae' is not read; .stl, .obj, .ply would do"),
+        ("a.obj", b"rubbish\n", "a.obj: has 0 triangles; a solid with 4 to"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999\n", "a.obj: is no readable OBJ file ("),
+        ("a.stl", b"", "a.stl: "),
+        ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f" + b"\x00" * 50, "a.stl: "),
+        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\n"
+                  b"property float y\nproperty float z\nend_header\n", "a.ply: is no readable PLY file ("),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+                  b"end_header\n0 0 0\n", "a.ply: "),
+    ],
+)  # fmt: skip
+def test_a_broken_file_is_refused_by_name(tmp_path: Path, name: str, content: bytes, problem: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(MeshError) as caught:
+        read_mesh(tmp_path / name)
+    assert str(caught.value).startswith(problem)
+    assert "\n" not in str(caught.value)
+
+
+@given(st.binary(max_size=400), st.sampled_from(["stl", "obj", "ply"]))
+def test_no_bytes_do_worse_than_a_mesh_error(tmp_path_factory: pytest.TempPathFactory, data: bytes, kind: str) -> None:
+    path = tmp_path_factory.mktemp("odd") / f"odd.{kind}"
+    path.write_bytes((b"ply\nformat ascii 1.0\n" if kind == "ply" else b"") + data)
+    with pytest.raises(MeshError):
+        read_mesh(path)
+
+
+def test_millimetres_are_told(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_bytes(_obj(Mesh(1000.0 * RING.vertices, RING.triangles)))
+    with pytest.raises(MeshError, match=r"spans 360 m; is it in millimetres\? with scale 0.001 it would be 0.36 m"):
+        read_mesh(tmp_path / "a.obj")
+    assert np.ptp(read_mesh(tmp_path / "a.obj", 0.001).vertices) == pytest.approx(0.36)
+
+
+def test_a_vertex_that_is_not_a_number_is_refused() -> None:
+    vertices = RING.vertices.copy()
+    vertices[3] = np.nan
+    with pytest.raises(MeshError, match="ring: 1 of 128 vertices are not finite; repair it"):
+        solid_of(Mesh(vertices, RING.triangles), "ring")
+
+
+def test_an_empty_and_a_flat_mesh_are_refused() -> None:
+    with pytest.raises(MeshError, match="ring: has no triangles"):
+        solid_of(Mesh(RING.vertices, RING.triangles[:0]), "ring")
+    with pytest.raises(MeshError, match="ring: lies in a plane"):
+        solid_of(Mesh(RING.vertices * [1, 1, 0], RING.triangles), "ring")
+
+
+def test_a_corner_that_is_not_there_is_refused() -> None:
+    with pytest.raises(MeshError, match="a triangle names vertex 500, and there are 128"):
+        solid_of(Mesh(RING.vertices, np.vstack([RING.triangles, [[0, 1, 500]]])), "ring")
+
+
+@pytest.mark.parametrize("turned", [slice(None), slice(None, None, 3)], ids=["all", "a third"])
+def test_triangles_wound_inside_out_are_turned_and_told(turned: slice) -> None:
+    right = solid_of(RING).closed[0]
+    triangles = right.triangles.copy()
+    triangles[turned] = triangles[turned, ::-1]
+    solid = solid_of(Mesh(right.vertices, triangles), "ring")
+    assert solid.closed[0].volume == pytest.approx(right.volume)
+    n = len(triangles[turned])
+    assert solid.notes == (f"ring: turned {n} of {len(triangles)} triangles that were wound inside out",)
+
+
+def test_a_small_hole_is_filled_and_told() -> None:
+    right = solid_of(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 32, 12)).closed[0]
+    solid = solid_of(Mesh(right.vertices, right.triangles[1:]), "ring")
+    assert is_closed(solid.closed[0])
+    assert "ring: filled 1 small holes" in solid.notes
+
+
+def test_a_box_without_a_lid_is_a_shell_that_can_be_reached_into(tmp_path: Path) -> None:
+    whole = box((0, 0, 0), (0.4, 0.3, 0.2))
+    lid = (np.abs(whole.vertices[whole.triangles][:, :, 2] - 0.2) < 1e-9).all(axis=1)
+    solid = solid_of(Mesh(whole.vertices, whole.triangles[~lid]), "bin")
+    assert "1 of 1 parts are not closed (4 open edges)" in solid.notes[-1]
+    parts = convex_parts(solid, work=Work(PartsCache(tmp_path)))
+    hulls = [ConvexHull(part).equations for part in parts]
+    inside = np.array([[0.2, 0.15, 0.1], [0.2, 0.15, 0.19], [0.05, 0.05, 0.1]])
+    assert min((inside @ h[:, :3].T + h[:, 3]).max(axis=1).min() for h in hulls) > 0.0
+    corners = np.min([(whole.vertices @ h[:, :3].T + h[:, 3]).max(axis=1) for h in hulls], axis=0)
+    assert corners.max() < 1e-3
+
+
+def test_boxes_that_share_an_edge_are_two_solids() -> None:
+    pair = joined([box((0, 0, 0), (1, 1, 1)), box((1, 1, 0), (2, 2, 1))])
+    solid = solid_of(pair)
+    assert [mesh.volume for mesh in solid.closed] == pytest.approx([1.0, 1.0])
+    assert not solid.open
+
+
+def test_parts_contain_the_surface_and_leave_the_hole(tmp_path: Path) -> None:
+    parts = convex_parts(solid_of(RING), work=Work(PartsCache(tmp_path)))
+    assert max(len(part) for part in parts) <= 64
+    hulls = [ConvexHull(part).equations for part in parts]
+    surface = np.concatenate([RING.vertices, RING.vertices[RING.triangles].mean(axis=1)])
+    assert np.min([(surface @ h[:, :3].T + h[:, 3]).max(axis=1) for h in hulls], axis=0).max() < 1e-3
+    hole = 0.09 * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    assert min((hole @ h[:, :3].T + h[:, 3]).max(axis=1).min() for h in hulls) > 0.0
+
+
+def _seen(thing: Mesh, rotation: np.ndarray, middle: np.ndarray, on_table: bool) -> View:
+    table = (((0.9, -0.6, 0.75), (1.7, 0.6, 0.8)),) if on_table else ()
+    placed = thing.moved(rotation, middle - rotation @ MIDDLE)
+    return make_view(scan([*Room(wall_x=2.2, boxes=table).meshes(), placed], Pose(pitch=0.4), Scanner(n_lines=120), 3))
+
+
+@pytest.fixture(scope="module")
+def tool_on_a_table() -> tuple[View, np.ndarray, np.ndarray]:
+    rotation, middle = Rotation.from_euler("z", 2.5).as_matrix(), np.array([1.25, 0.1, 0.92])
+    return _seen(TOOL, rotation, middle, on_table=True), rotation, middle
+
+
+def _errors(found: MeshMatch, rotation: np.ndarray, middle: np.ndarray) -> tuple[float, float]:
+    pose = found.pose_world_mesh
+    angle = Rotation.from_matrix(pose[:3, :3].T @ rotation).magnitude()
+    return float(np.linalg.norm(pose[:3, :3] @ MIDDLE + pose[:3, 3] - middle)), float(np.degrees(angle))
+
+
+def test_a_tool_on_a_table_is_found_from_a_point_near_it(tool_on_a_table: tuple[View, np.ndarray, np.ndarray]) -> None:
+    view, rotation, middle = tool_on_a_table
+    found = match_mesh(TOOL, view, hint=middle + np.array([0.04, -0.03, 0.02]))
+    shift, angle = _errors(found, rotation, middle)
+    assert shift <= 0.010
+    assert angle <= 2.0
+    assert found.confidence >= CONFIDENT
+    assert found.residuals["rms"] < 0.012
+    on_mesh = view.obstacles[found.on_mesh]
+    assert np.linalg.norm(on_mesh - middle, axis=1).max() < 0.35
+
+
+def test_a_tool_in_any_posture_is_found_near_its_expected_pose() -> None:
+    rotation, middle = Rotation.from_rotvec([0.7, -0.4, 1.9]).as_matrix(), np.array([1.3, -0.2, 1.1])
+    view = _seen(TOOL, rotation, middle, on_table=False)
+    initial = np.eye(4)
+    initial[:3, :3] = Rotation.from_rotvec([0.15, -0.15, 0.15]).as_matrix() @ rotation
+    initial[:3, 3] = middle + np.array([0.05, -0.05, 0.05]) - initial[:3, :3] @ MIDDLE
+    found = match_mesh(TOOL, view, initial=initial)
+    shift, angle = _errors(found, rotation, middle)
+    assert shift <= 0.010
+    assert angle <= 2.0
+    assert found.confidence >= CONFIDENT
+
+
+@pytest.mark.parametrize(
+    "other",
+    [box((0, 0, 0), (0.25, 0.25, 0.25)), RING, Mesh(TOOL.vertices * [1, -1, 1], TOOL.triangles)],
+    ids=["cube", "ring", "mirrored"],
+)
+def test_another_object_gets_a_low_confidence(
+    tool_on_a_table: tuple[View, np.ndarray, np.ndarray], other: Mesh
+) -> None:
+    view, _, middle = tool_on_a_table
+    assert match_mesh(other, view, hint=middle).confidence < CONFIDENT
+
+
+def test_where_nothing_is_nothing_is_found(tool_on_a_table: tuple[View, np.ndarray, np.ndarray]) -> None:
+    found = match_mesh(TOOL, tool_on_a_table[0], hint=np.array([-1.5, -1.5, 1.8]))
+    assert found.confidence == 0.0
+    assert not found.on_mesh.any()
