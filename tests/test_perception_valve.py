@@ -27,6 +27,7 @@ from perception.clean import half_spaces
 from perception.cloud import Cloud
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cylinder, scan, torus
 from perception.simulate.mesh import lathe, pipe
+from perception.simulate.objects.fixtures import BoxLever
 from perception.simulate.objects.valves import LeverValve
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
@@ -331,4 +332,10 @@ def test_pipes_that_cross_are_no_lever_valve() -> None:
         cylinder((0.72, -0.3, 0.9), (0.68, -0.35, 1.3), 0.012),
     ]
     view = make_view(scan([*Room(wall_x=1.1).meshes(), *pipes], SENSOR, SCANNER, seed=3))
+    assert all(found.confidence < CONFIDENT for found in detect("valve", view))
+
+
+def test_a_lever_before_a_box_is_no_lever_valve() -> None:
+    lever = BoxLever((0.65, 0.0, 1.2), angle=0.1)
+    view = make_view(scan([*ROOM.meshes(), *lever.placed().meshes], SENSOR, SCANNER, seed=3))
     assert all(found.confidence < CONFIDENT for found in detect("valve", view))

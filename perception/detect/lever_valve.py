@@ -190,6 +190,7 @@ def _joined(lever: _Fitted, pipe: _Fitted, index: SightIndex) -> _Lever | None:
         * rising(-lever.evidence.rms, -0.02, -0.016)
         * rising(float(lever.evidence.n_hits), 12.0, 40.0)
         * rising(pipe.evidence.solid, 0.5, 0.75)
+        * rising(pipe.evidence.air, 0.3, 0.6)
         * rising(abs(pivot.far - pivot.along), _LENGTHS[0], _LENGTHS[0] + 0.03)
         * (1.0 if far_seen else 0.4)
         * (_ALONG if is_parallel else 1.0)
