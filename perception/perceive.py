@@ -19,6 +19,7 @@ from perception.convex.unknown import unknown_pieces
 from perception.detect.valve import ValveDetection, detect_in
 from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
 from perception.floor import FloorPlane, floor_pieces
+from perception.solids.pieces import made_by_coacd
 from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]
@@ -82,6 +83,7 @@ def perceive(
     hint: Float[np.ndarray, "3"] | None = None,
     unknown: Unknown = "free",
     seed: int = 0,
+    method: Literal["planes", "coacd"] = "planes",
 ) -> Perceived:
     """Floor, convex pieces and, on request, wheel valves of a cloud in world coordinates (z up).
 
@@ -95,8 +97,10 @@ def perceive(
         unknown: ``occupied`` adds pieces ``unknown/i`` for what lies in reach and no ray has seen, the robot's own
             place left out.
         seed: of all random choices; the same input and seed give the same result.
+        method: ``planes`` (slabs, then hulls of the rest) or ``coacd`` (cells, then CoACD; slower and coarser).
 
     Raises:
+        MeshError: CoACD crashed or needs too much.
         CloudError: nothing of the cloud lies in reach.
     """
     clock = Clock()
@@ -109,7 +113,10 @@ def perceive(
         is_other, stem = without_valve(view.obstacles, valves[0])
         kept = kept[is_other]
     clock.lap("valve")
-    made = make_pieces(view.obstacles[kept], view.starts[kept], view.cloud.rays, seed)
+    if method == "coacd":
+        made = made_by_coacd(view.obstacles[kept], view.starts[kept], view.cloud.rays)
+    else:
+        made = make_pieces(view.obstacles[kept], view.starts[kept], view.cloud.rays, seed)
     pieces = tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces)
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
