@@ -20,6 +20,7 @@ _MANY_SPOKES = 0.7
 _HAND = 0.035
 # Standard deviation of the axis that follows from the rim's depths.
 _SHARP, _BLUNT = np.radians([1.0, 2.0])
+_BLURRED = 0.3  # where it does not tell the axis: still worth a report
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def weigh_wheel(
         rising(inside.middle_share, 0.05, 0.15) * rising(float(inside.n_middle), 1.0, 5.0),
         _spoke_evidence(inside),
         _over_floor(ring, floor),
-        rising(-rms / ring.radius * np.sqrt(2.0 / max(int(hit.sum()), 1)), -_BLUNT, -_SHARP),
+        max(_BLURRED, rising(-rms / ring.radius * np.sqrt(2.0 / max(int(hit.sum()), 1)), -_BLUNT, -_SHARP)),
     )
 
 
