@@ -18,9 +18,6 @@ _DEPTH_SHARE = 0.01
 # A surface steeper than this to its rays cannot be told from a curtain of mixed pixels by depth alone.
 _MOST_STEEP = 4.0
 _ANGULAR_NEIGHBOURS = 32
-_NEXT = 8
-_SPARSE = 1.5
-_SLANT = 2.0
 _THIN_SUPPORT = 4
 _LEAST_SUPPORT = 3
 _STARTS_APART = 0.1
@@ -194,13 +191,10 @@ def _support_in(
     _, neighbours = _tree(directions).query(directions[asked], k=np.arange(2, k + 1))
     apart = ranges[neighbours] - ranges[asked, None]
     aside = np.linalg.norm(directions[neighbours] - directions[asked, None], axis=2) * ranges[asked, None]
-    usual = spacing_radius(ranges[asked])[:, None]
-    # Where rays lie far apart, the next ones are farther aside, and a slanting surface is farther off in depth there.
-    next_ones = aside[:, min(_NEXT, k - 1) - 1, None]
-    tolerance = (_DEPTH + _DEPTH_SHARE * ranges[asked])[:, None] + _SLANT * np.maximum(aside - usual, 0.0)
+    tolerance = (_DEPTH + _DEPTH_SHARE * ranges[asked])[:, None]
     near = (
         (like[neighbours] | ~is_thin[:, None])
         & (np.abs(apart) <= tolerance)
-        & (aside <= np.maximum(2.0 * usual, _SPARSE * next_ones))
+        & (aside <= 2.0 * spacing_radius(ranges[asked])[:, None])
     )
     return np.asarray(near.sum(axis=1))

@@ -53,7 +53,7 @@ def test_every_dependency_is_pinned_by_a_plain_version() -> None:
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9._]+", line) for line in lines)
     pinned = {line.split("==")[0].lower().replace("_", "-") for line in lines}
     wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
-    names = {re.split(r"[<>=;! ]", entry)[0].lower().replace("_", "-") for entry in wanted}
+    names = {re.split(r"[\[<>=;! ]", entry)[0].lower().replace("_", "-") for entry in wanted}
     names -= {"open3d"}  # the wheel for other platforms than Linux on x86-64
     assert names <= pinned
 
@@ -85,7 +85,8 @@ def test_page_and_models_are_package_data() -> None:
 
 def test_every_imported_library_is_a_declared_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    names = {re.split(r"[<>=;! ]", entry)[0].lower() for entry in project["dependencies"]}
+    extras = [entry for name, entries in project["optional-dependencies"].items() if name != "dev" for entry in entries]
+    names = {re.split(r"[\[<>=;! ]", entry)[0].lower() for entry in (*project["dependencies"], *extras)}
     imported_as = {"pin": "pinocchio", "open3d-cpu": "open3d", "pyyaml": "yaml"}
     declared = {imported_as.get(name, name) for name in names}
     imported = {module for package in PACKAGES for path in (ROOT / package).rglob("*.py") for module in _imports(path)}
@@ -97,7 +98,7 @@ def test_every_library_of_tests_and_examples_is_declared_for_developers() -> Non
     # What another package happens to bring today is gone when that package goes.
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     entries = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
-    names = {re.split(r"[<>=;! ]", entry)[0].lower() for entry in entries}
+    names = {re.split(r"[\[<>=;! ]", entry)[0].lower() for entry in entries}
     imported_as = {"pin": "pinocchio", "open3d-cpu": "open3d", "pyyaml": "yaml", "pillow": "PIL"}
     declared = {imported_as.get(name, name) for name in names}
     paths = [path for folder in ("tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
