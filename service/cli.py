@@ -134,6 +134,9 @@ def scene_command(
     robot: RobotThere = None,
     posture: Posture = None,
     unknown: Annotated[str, typer.Option(help="What no ray has seen: free or occupied.")] = "free",
+    method: Annotated[
+        str, typer.Option(help="How pieces are made: planes (slabs and hulls) or coacd (slower).")
+    ] = "planes",
     detect: Annotated[
         list[str] | None, typer.Option(help="Kind of object to look for, or all; may be given again.", metavar="KIND")
     ] = None,
@@ -146,10 +149,13 @@ def scene_command(
         raise typer.BadParameter("--posture needs --robot")
     if unknown not in ("free", "occupied"):
         raise typer.BadParameter(f"--unknown: free or occupied would do, got {unknown!r}")
+    if method not in ("planes", "coacd"):
+        raise typer.BadParameter(f"--method: planes or coacd would do, got {method!r}")
     if hint is not None and not detect:
         raise typer.BadParameter("--hint needs --detect")
     options = _cloud_options(clouds, unit, transform, sensor, apply_viewpoint, reach, robot, posture, seed)
-    settings = {"unknown": unknown} if unknown != "free" else {}
+    asked = {"unknown": (unknown, "free"), "method": (method, "planes")}
+    settings = {name: value for name, (value, usual) in asked.items() if value != usual}
     raise typer.Exit(run(lambda: _scene(options, out, tuple(detect or ()), hint, settings, as_json), as_json))
 
 

@@ -131,7 +131,8 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_3(arguments: tuple[str, .
 
 
 @pytest.mark.parametrize(
-    "arguments", [("--hint", "1", "2", "3"), ("--unknown", "maybe"), ("--posture", "p.yaml"), ("--detect",)]
+    "arguments",
+    [("--hint", "1", "2", "3"), ("--unknown", "maybe"), ("--method", "magic"), ("--posture", "p.yaml"), ("--detect",)],
 )
 def test_options_that_do_not_go_together_are_usage_errors(arguments: tuple[str, ...]) -> None:
     assert _scopt("scene", "scan.pcd", "--out", "s.json", *arguments).exit_code == 2
