@@ -29,6 +29,7 @@ from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cylinder,
 from perception.simulate.mesh import lathe, pipe
 from perception.simulate.objects.fixtures import BoxLever
 from perception.simulate.objects.valves import LeverValve
+from perception.simulate.scenes import make_scene
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
 # As dense as a whole turn of the fan, but only ahead: a test needs no more.
@@ -155,6 +156,11 @@ EMPTY = {
 def test_nothing_is_found_with_confidence_where_there_is_no_wheel(name: str) -> None:
     cloud = scan(EMPTY[name], SENSOR, SCANNER, seed=1)
     assert all(found.confidence < CONFIDENT for found in detect_valves(cloud))
+
+
+def test_a_pipe_seen_from_its_open_end_is_no_wheel() -> None:
+    view = make_view(make_scene("hose_wide", seed=5).scan("dense"))
+    assert all(found.confidence < CONFIDENT for found in detect("valve", view))
 
 
 def test_spokes_are_told_where_they_are_clearly_seen() -> None:

@@ -87,6 +87,8 @@ def weigh_wheel(
     return Evidence(
         rising(complete, 0.55, 0.9)
         * rising(-ring.half_width / ring.radius, -0.5, -0.35)
+        # Much deeper along the axis than wide is the wall of a tube that is seen from its end.
+        * rising(-ring.half_depth / ring.half_width, -4.0, -2.5)
         * rising(-rms, -0.03, -0.02)
         * rising(float(hit.sum()), 15.0, 60.0),
         rising(airy, 0.45, 0.85),
