@@ -154,8 +154,7 @@ def scene_command(
     if hint is not None and not detect:
         raise typer.BadParameter("--hint needs --detect")
     options = _cloud_options(clouds, unit, transform, sensor, apply_viewpoint, reach, robot, posture, seed)
-    asked = {"unknown": (unknown, "free"), "method": (method, "planes")}
-    settings = {name: value for name, (value, usual) in asked.items() if value != usual}
+    settings = {"unknown": unknown, "method": method}
     raise typer.Exit(run(lambda: _scene(options, out, tuple(detect or ()), hint, settings, as_json), as_json))
 
 

@@ -28,7 +28,7 @@ class SceneAsked:
         clouds: the files.
         kinds: of objects to look for; ``all`` for every kind.
         hint: a point near the object that is looked for [m].
-        settings: of ``perception.perceive`` where they are not the usual ones (``unknown``, ``method``).
+        settings: of ``perception.perceive`` by name (``unknown``, ``method``).
     """
 
     clouds: CloudAsked

@@ -15,6 +15,7 @@ from perception.detect.bar_fit import BarFit
 from perception.detect.bar_search import Stock, choose_bar, likelier, rays_about
 from perception.detect.bar_starts import Run, run_of
 from perception.detect.bars import Bar
+from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.lines import Line, find_lines
 from perception.detect.sightlines import SightIndex, sight_index
@@ -131,19 +132,19 @@ def _confidence(ends: Ends, doubt: float, evidence: Evidence, flatter: float) ->
     bar, ends_seen = ends.bar, sum(ends.seen)
     width, thickness = 2.0 * max(bar.half), 2.0 * min(bar.half)
     return float(
-        _rising(evidence.solid, 0.85, 0.965)
-        * _rising(evidence.air, 0.35, 0.7)
-        * _rising(evidence.known, 0.2, 0.5)
-        * _rising(evidence.visible, 0.25, 0.6)
-        * _rising(bar.length / width, 2.5, 4.5)
-        * _rising(width, 0.055, 0.075)
-        * _rising(-width, -0.19, -0.155)
-        * _rising(thickness, 0.018, 0.028)
-        * _rising(-evidence.rms, -0.02, -0.015)
-        * _rising(evidence.n_hits, 20.0, 80.0)
-        * _rising(flatter, -6.0, 10.0)
-        * _rising(-_off_size(width, thickness), -0.025, -0.012)
-        * (1.0 - 0.4 * _rising(doubt, 0.01, 0.03))
+        rising(evidence.solid, 0.85, 0.965)
+        * rising(evidence.air, 0.35, 0.7)
+        * rising(evidence.known, 0.2, 0.5)
+        * rising(evidence.visible, 0.25, 0.6)
+        * rising(bar.length / width, 2.5, 4.5)
+        * rising(width, 0.055, 0.075)
+        * rising(-width, -0.19, -0.155)
+        * rising(thickness, 0.018, 0.028)
+        * rising(-evidence.rms, -0.02, -0.015)
+        * rising(evidence.n_hits, 20.0, 80.0)
+        * rising(flatter, -6.0, 10.0)
+        * rising(-_off_size(width, thickness), -0.025, -0.012)
+        * (1.0 - 0.4 * rising(doubt, 0.01, 0.03))
         * (0.7 if ends_seen == 0 else 1.0)
     )
 
@@ -153,12 +154,6 @@ def _off_size(width: float, thickness: float) -> float:
     halves = np.array(_TIMBER.halves)
     nearest = np.abs(2.0 * np.column_stack([halves.max(axis=1), halves.min(axis=1)]) - (width, thickness))
     return float(nearest.max(axis=1).min())
-
-
-def _rising(value: float, low: float, high: float) -> float:
-    """0 up to ``low``, 1 from ``high`` on, smooth between."""
-    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
-    return x * x * (3.0 - 2.0 * x)
 
 
 def _on_bar(bar: Bar, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.door_frame import Frame, find_frame
 from perception.detect.door_handle import Handle, find_handle
@@ -154,20 +155,20 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
             if edge.jump > max(frame.depth, 0.0) + _CASING:
                 ends[k] = _OCCLUDED
     face = (
-        _rising(leaf.width, 0.5, 0.62)
-        * _rising(-leaf.width, -1.4, -1.25)
-        * _rising(-leaf.rms, -0.024, -0.017)
+        rising(leaf.width, 0.5, 0.62)
+        * rising(-leaf.width, -1.4, -1.25)
+        * rising(-leaf.rms, -0.024, -0.017)
         * np.sqrt(ends[0] * ends[1])
-        * (_rising(leaf.top, 1.65, 1.85) if leaf.top_is_seen else 0.8 + 0.2 * _rising(leaf.top, 1.5, 1.9))
-        * _rising(-leaf.top, -2.5, -2.35)
-        * (_rising(-leaf.bottom, -0.4, -0.15) if leaf.bottom_is_seen else 1.0 - 0.3 * _rising(leaf.bottom, 0.3, 1.2))
+        * (rising(leaf.top, 1.65, 1.85) if leaf.top_is_seen else 0.8 + 0.2 * rising(leaf.top, 1.5, 1.9))
+        * rising(-leaf.top, -2.5, -2.35)
+        * (rising(-leaf.bottom, -0.4, -0.15) if leaf.bottom_is_seen else 1.0 - 0.3 * rising(leaf.bottom, 0.3, 1.2))
     )
-    wall = 0.3 if frame is None else 0.3 + 0.7 * _rising(frame.support, 0.2, 0.7)
-    grip = 0.0 if handle is None else handle.quality * (1.0 - 0.65 * _rising(_unsure(handle, -hinge), 0.03, 0.09))
+    wall = 0.3 if frame is None else 0.3 + 0.7 * rising(frame.support, 0.2, 0.7)
+    grip = 0.0 if handle is None else handle.quality * (1.0 - 0.65 * rising(_unsure(handle, -hinge), 0.03, 0.09))
     if frame is not None and frame.ajar > _SURELY_AJAR:
         gap = max(frame.gap_share, (leaf.low if frame.hinge > 0 else leaf.high).open_share)
         # A face square to a wall may as well be the side of a cupboard.
-        open_mark = 0.55 * _rising(gap, 0.2, 0.6) * (1.0 - 0.5 * _rising(frame.ajar, *_SQUARE))
+        open_mark = 0.55 * rising(gap, 0.2, 0.6) * (1.0 - 0.5 * rising(frame.ajar, *_SQUARE))
         marks = 1.0 - (1.0 - open_mark) * (1.0 - 0.85 * grip)
     else:
         marks = 0.2 + 0.8 * grip
@@ -175,7 +176,7 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
         marks = min(marks, _HINGE_UNKNOWN)
     if handle is not None:
         # Who acts on the door acts on its handle, whose place is not known any better than this.
-        marks *= 1.0 - 0.45 * _rising(_unsure(handle, -hinge), 0.045, 0.075)
+        marks *= 1.0 - 0.45 * rising(_unsure(handle, -hinge), 0.045, 0.075)
     return float(face * wall * marks)
 
 
@@ -184,12 +185,6 @@ def _unsure(handle: Handle, free_side: int) -> float:
     if handle.is_lever and free_side:
         return handle.slack[1 if free_side > 0 else 0]
     return 0.0 if handle.is_panic else max(handle.slack)
-
-
-def _rising(value: float, low: float, high: float) -> float:
-    """0 up to ``low``, 1 from ``high`` on, smooth between."""
-    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
-    return x * x * (3.0 - 2.0 * x)
 
 
 def _apart(candidates: list[_Candidate]) -> list[_Candidate]:

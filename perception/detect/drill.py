@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from perception.clean import voxel_downsample
+from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.sightlines import SightIndex, Sightlines, sight_index
 from perception.detect.supports import StandingCluster, standing_clusters
@@ -239,13 +240,13 @@ def _judged(
     notch_open, notch_seen = _notch(rays, shape, cluster.level)
     hit = ended & inside & (np.abs(gap) < _NEAR)
     rms = float(np.sqrt(np.mean(gap[hit] ** 2))) if hit.any() else float("inf")
-    known = _rising(float(notch_seen), 3.0, 12.0)
+    known = rising(float(notch_seen), 3.0, 12.0)
     value = (
-        _rising(solid, 0.7, 0.9)
-        * _rising(explained, 0.7, 0.9)
-        * (known * _rising(notch_open, 0.4, 0.8) + (1.0 - known) * _UNSEEN_NOTCH)
-        * _rising(-rms, -0.02, -0.014)
-        * _rising(float(hit.sum()), 15.0, 60.0)
+        rising(solid, 0.7, 0.9)
+        * rising(explained, 0.7, 0.9)
+        * (known * rising(notch_open, 0.4, 0.8) + (1.0 - known) * _UNSEEN_NOTCH)
+        * rising(-rms, -0.02, -0.014)
+        * rising(float(hit.sum()), 15.0, 60.0)
     )
     foot = 2.0 * _FOOT[2]
     pose = np.eye(4)
@@ -285,9 +286,3 @@ def _notch(rays: Sightlines, shape: Shape, level: float) -> tuple[float, int]:
     if not looked.any():
         return 0.0, 0
     return float((rays.length > depth + 0.04)[looked].mean()), int(looked.sum())
-
-
-def _rising(value: float, low: float, high: float) -> float:
-    """0 up to ``low``, 1 from ``high`` on, smooth between."""
-    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
-    return x * x * (3.0 - 2.0 * x)

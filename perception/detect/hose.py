@@ -14,6 +14,7 @@ from perception.detect.bar_fit import fit_bars
 from perception.detect.bar_search import Stock, choose_bar, likelier, rays_about
 from perception.detect.bar_starts import Run, run_of
 from perception.detect.bars import Bar, SurroundingRays, cross_bars, sort_rays
+from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.lines import Line, find_lines
 from perception.detect.sightlines import SightIndex, Sightlines, sight_index
@@ -212,28 +213,22 @@ def _confidence(
 ) -> float:
     """Product of: solid, air about it, depths that agree, a hose's radius, a free end within reach, round rather than
     square, an opening that is seen to be one."""
-    opening = 0.6 if np.isnan(hollow) else 0.4 + 0.6 * _rising(hollow, 0.25, 0.6)
+    opening = 0.6 if np.isnan(hollow) else 0.4 + 0.6 * rising(hollow, 0.25, 0.6)
     top = float((bar.centre + bar.last * bar.axis)[2])
     value = (
-        _rising(evidence.solid, 0.75, 0.92)
-        * _rising(evidence.air, 0.35, 0.7)
-        * _rising(-evidence.rms, -0.02, -0.016)
-        * _rising(evidence.n_hits, 12.0, 40.0)
-        * _rising(bar.half[0], 0.016, 0.021)
-        * _rising(-bar.half[0], -0.075, -0.062)
-        * _rising(rounder, -10.0, 6.0)
+        rising(evidence.solid, 0.75, 0.92)
+        * rising(evidence.air, 0.35, 0.7)
+        * rising(-evidence.rms, -0.02, -0.016)
+        * rising(evidence.n_hits, 12.0, 40.0)
+        * rising(bar.half[0], 0.016, 0.021)
+        * rising(-bar.half[0], -0.075, -0.062)
+        * rising(rounder, -10.0, 6.0)
         * (1.0 if is_free else 0.3)
         * (1.0 if is_branch else 0.7)
-        * _rising(-top, -_HIGHEST - 0.2, -_HIGHEST)
+        * rising(-top, -_HIGHEST - 0.2, -_HIGHEST)
         * opening
     )
     return float(value**0.7 if is_hinted else value)
-
-
-def _rising(value: float, low: float, high: float) -> float:
-    """0 up to ``low``, 1 from ``high`` on, smooth between."""
-    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
-    return x * x * (3.0 - 2.0 * x)
 
 
 def _as_detection(one: _End) -> Detection:

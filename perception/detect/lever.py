@@ -13,11 +13,11 @@ from perception.detect.bar_evidence import Ends, Evidence, find_ends, weigh_bar
 from perception.detect.bar_fit import fit_bars
 from perception.detect.bar_starts import Run, misfits, sample_about, starts_about
 from perception.detect.bars import Bar, SurroundingRays
+from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.faces import Face, FaceRays, face_rays, find_faces
 from perception.detect.lever_pivot import Pivot, find_pivot
 from perception.detect.sightlines import sight_index
-from perception.detect.wheel_evidence import rising
 from perception.view import View
 
 _STAND_OFF = (0.028, 0.13)

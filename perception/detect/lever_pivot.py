@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.bars import Bar
+from perception.detect.confidence import rising
 from perception.detect.faces import Face, FaceRays
-from perception.detect.wheel_evidence import rising
 
 _ZONE = 0.05
 _HUB = 0.02

@@ -14,13 +14,13 @@ from perception.detect.bar_fit import fit_bars
 from perception.detect.bar_search import rays_about
 from perception.detect.bar_starts import Run, misfits, run_of, sample_about, starts_about
 from perception.detect.bars import Bar, SurroundingRays
+from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.faces import Face, face_rays
 from perception.detect.foreground import before_walls
 from perception.detect.lever_pivot import Pivot, find_pivot
 from perception.detect.lines import Line, find_lines
 from perception.detect.sightlines import SightIndex, sight_index
-from perception.detect.wheel_evidence import rising
 from perception.floor import FloorPlane
 from perception.view import View
 

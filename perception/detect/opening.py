@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.level import is_inside
 from perception.detect.seat import Seat, find_seats, ground_of
@@ -115,10 +116,10 @@ def _beside(
     confidence = (
         seat.confidence
         * (0.4, 0.7, 1.0)[ends_seen]
-        * _rising(open_share, 0.5, 0.85)
-        * _rising(seen_share, 0.1, 0.3)
-        * _rising(front - rear, _LEAST_WIDTH, 0.5)
-        * _rising(sill, 0.05, 0.15)
+        * rising(open_share, 0.5, 0.85)
+        * rising(seen_share, 0.1, 0.3)
+        * rising(front - rear, _LEAST_WIDTH, 0.5)
+        * rising(sill, 0.05, 0.15)
     )
     edge = is_inside(
         local, np.array([rear - 0.15, at - _POST, floor - 0.1]), np.array([front + 0.15, at + _POST, top + 0.15])
@@ -227,9 +228,3 @@ def _detection(one: _Side) -> Detection:
     sizes = {"width": one.front - one.rear, "height": float(one.top - one.floor), "sill": one.sill}
     step = max(1, len(one.points) // _SHOWN)
     return Detection("opening", pose, sizes, one.confidence, {"open_seen_share": one.open_share}, one.points[::step])
-
-
-def _rising(value: float, low: float, high: float) -> float:
-    """0 up to ``low``, 1 from ``high`` on, smooth between."""
-    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
-    return x * x * (3.0 - 2.0 * x)

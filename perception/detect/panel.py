@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
+from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.faces import Face, FaceRays, face_rays, find_faces
 from perception.detect.relief import Disc, find_discs
 from perception.detect.sightlines import SightIndex, sight_index
-from perception.detect.wheel_evidence import rising
 from perception.view import View
 
 _SIZES = (0.07, 0.7)

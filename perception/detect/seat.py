@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.level import Patch, find_patches, is_inside, split_at_gap
 from perception.view import View
@@ -111,17 +112,17 @@ def _seen_as_seat(patch: Patch, turn: int, points: Float[np.ndarray, "N 3"], vie
         np.array([0.5 * depth, 0.5 * width - 0.06, 0.4]),
     )
     confidence = (
-        _rising(width, _WIDTH[0], 0.42)
-        * (1.0 - (0.55 if patch.filled > 0.85 else 0.9) * _rising(width, 0.7, 1.0))
-        * _rising(depth, _DEPTH[0], 0.38)
-        * _rising(-depth, -_DEPTH[1], -0.58)
-        * _rising(patch.filled, 0.4, 0.65)
-        * _rising(-patch.rms, -0.024, -0.016)
-        * _rising(back_share, 0.3, 0.6)
-        * _rising(n_back, 3.0, 10.0)
-        * _rising(reach_up, 0.35, 0.5)
-        * (1.0 - 0.8 * _rising(reach_up, 1.15, 1.4))
-        * _rising(-above.sum() / len(patch.points), -0.4, -0.15)
+        rising(width, _WIDTH[0], 0.42)
+        * (1.0 - (0.55 if patch.filled > 0.85 else 0.9) * rising(width, 0.7, 1.0))
+        * rising(depth, _DEPTH[0], 0.38)
+        * rising(-depth, -_DEPTH[1], -0.58)
+        * rising(patch.filled, 0.4, 0.65)
+        * rising(-patch.rms, -0.024, -0.016)
+        * rising(back_share, 0.3, 0.6)
+        * rising(n_back, 3.0, 10.0)
+        * rising(reach_up, 0.35, 0.5)
+        * (1.0 - 0.8 * rising(reach_up, 1.15, 1.4))
+        * rising(-above.sum() / len(patch.points), -0.4, -0.15)
         * free
         * _floor_share(floor, ground, pose[2, 3])
     )
@@ -166,7 +167,7 @@ def _front(seat: Seat, local: Float[np.ndarray, "N 3"], all_local: Float[np.ndar
     beyond = is_inside(
         local, np.array([half + 0.04, -0.4 * seat.width, -0.06]), np.array([half + 0.2, 0.4 * seat.width, 0.06])
     )
-    free = 1.0 - _rising(float(beyond.sum()) / len(seat.patch.points), 0.05, 0.25)
+    free = 1.0 - rising(float(beyond.sum()) / len(seat.patch.points), 0.05, 0.25)
     down = is_inside(
         all_local,
         np.array([half - 0.1, -0.5 * seat.width - 0.1, -_HEIGHT[1]]),
@@ -189,18 +190,12 @@ def _front(seat: Seat, local: Float[np.ndarray, "N 3"], all_local: Float[np.ndar
 
 def _floor_share(floor: float, ground: float, top: float) -> float:
     """How much the floor before it speaks for a vehicle: a cushion at seat height over a floor over the ground."""
-    maybe_chair = _MAYBE_CHAIR * _rising(top - ground, _HEIGHT[0], 0.3) * _rising(ground - top, -_HEIGHT[1], -0.6)
+    maybe_chair = _MAYBE_CHAIR * rising(top - ground, _HEIGHT[0], 0.3) * rising(ground - top, -_HEIGHT[1], -0.6)
     if np.isnan(floor):
-        return max(0.7 * _rising(top - ground, 0.6, 0.7), maybe_chair)
-    over_ground = _rising(floor - ground, _NOT_GROUND - 0.05, _NOT_GROUND + 0.03)
+        return max(0.7 * rising(top - ground, 0.6, 0.7), maybe_chair)
+    over_ground = rising(floor - ground, _NOT_GROUND - 0.05, _NOT_GROUND + 0.03)
     # The floor that was found may be the vehicle's own; at a chair's height over it, it may as well be a chair.
-    return max(over_ground * _rising(top - floor, _HEIGHT[0], 0.3), maybe_chair)
-
-
-def _rising(value: float, low: float, high: float) -> float:
-    """0 up to ``low``, 1 from ``high`` on, smooth between."""
-    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
-    return x * x * (3.0 - 2.0 * x)
+    return max(over_ground * rising(top - floor, _HEIGHT[0], 0.3), maybe_chair)
 
 
 def _detection(seat: Seat) -> Detection:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from perception.detect.confidence import rising
 from perception.detect.sightlines import Sightlines
 from perception.detect.wheel import Passage, Ring
 from perception.detect.wheel_inside import Inside
@@ -128,9 +129,3 @@ def _shares(sector: np.ndarray, these: Bool[np.ndarray, "N"], all_of: Bool[np.nd
     total = np.bincount(sector[all_of], minlength=_SECTORS).astype(float)
     total[total == 0.0] = np.nan
     return np.asarray(np.bincount(sector[these], minlength=_SECTORS) / total)
-
-
-def rising(value: float, low: float, high: float) -> float:
-    """0 up to ``low``, 1 from ``high`` on, smooth between."""
-    x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
-    return x * x * (3.0 - 2.0 * x)
