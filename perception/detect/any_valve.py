@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.detection import Detection
+from perception.detect.foreground import Foreground
 from perception.detect.lever_valve import detect_lever_valve
 from perception.detect.valve import as_detection, detect_in
 from perception.view import View
@@ -21,10 +22,15 @@ def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
         view: the scan, made ready.
         hint: (3,) a point near the valve [m].
     """
-    wheels = [as_detection(valve) for valve in detect_in(view, hint)]
+    if not len(view.obstacles):
+        return []
+    foreground = Foreground.of(view)
+    wheels = [as_detection(valve) for valve in detect_in(view, hint, foreground)]
     sure = [one for one in wheels if one.confidence >= _CONFIDENT]
     # Spokes and pieces of a rim are slim bars as well.
-    levers = [one for one in detect_lever_valve(view, hint) if not any(_is_part_of(one, wheel) for wheel in sure)]
+    levers = [
+        one for one in detect_lever_valve(view, hint, foreground) if not any(_is_part_of(one, wheel) for wheel in sure)
+    ]
     return sorted([*wheels, *levers], key=lambda one: -one.confidence)
 
 

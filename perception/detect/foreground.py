@@ -2,19 +2,53 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull, QhullError
 
 from perception.clean import voxel_downsample, voxel_index
 from perception.convex.planes import Plane, PlaneSettings, find_planes
-from perception.detect.sightlines import Sightlines
+from perception.detect.sightlines import SightIndex, Sightlines, sight_index
+from perception.view import View
 
 _VOXEL = 0.03
 _WALL = PlaneSettings(min_size=0.45, min_points=150, max_planes=12, n_neighbours=20)
 _NEAR = 0.05
 _CLOSED = 0.6
 _MOST_RAYS = 40_000
+
+
+@dataclass(frozen=True)
+class Foreground:
+    """What detectors of valves start from, made once for a view.
+
+    Attributes:
+        points: (N, 3) obstacle points that no wall explains [m].
+        index: all rays of the scan.
+        rng: as the search for walls left it.
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    index: SightIndex
+    rng: np.random.Generator
+
+    @staticmethod
+    def of(view: View) -> Foreground:
+        """The foreground of a scan made ready."""
+        rng = np.random.default_rng(view.seed)
+        index = sight_index(view.cloud)
+        return Foreground(view.obstacles[before_walls(view.obstacles, view.starts, index.rays, rng)], index, rng)
+
+    def near(self, hint: Float[np.ndarray, "3"] | None, radius: float) -> Float[np.ndarray, "M 3"]:
+        """The points within ``radius`` of a hint, all without one."""
+        return self.points if hint is None else self.points[np.linalg.norm(self.points - hint, axis=1) < radius]
+
+    def generator(self) -> np.random.Generator:
+        """For hypotheses: each who asks draws the same numbers."""
+        return deepcopy(self.rng)
 
 
 def before_walls(

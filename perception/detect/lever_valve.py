@@ -17,10 +17,10 @@ from perception.detect.bars import Bar, SurroundingRays
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.faces import Face, face_rays
-from perception.detect.foreground import before_walls
+from perception.detect.foreground import Foreground
 from perception.detect.lever_pivot import Pivot, find_pivot
 from perception.detect.lines import Line, find_lines
-from perception.detect.sightlines import SightIndex, sight_index
+from perception.detect.sightlines import SightIndex
 from perception.floor import FloorPlane
 from perception.view import View
 
@@ -62,7 +62,9 @@ class _Lever:
     confidence: float
 
 
-def detect_lever_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+def detect_lever_valve(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
+) -> list[Detection]:
     """Lever valves, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
     The pivot's axis is square to lever and pipe; where these cross, the pivot lies where they come nearest to each
@@ -71,16 +73,13 @@ def detect_lever_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -
     Args:
         view: the scan, made ready.
         hint: (3,) a point near the valve: only what lies within 0.6 m of it is looked at [m].
+        foreground: of the view, where it is at hand.
     """
-    points = view.obstacles
-    if not len(points):
+    if not len(view.obstacles):
         return []
-    rng = np.random.default_rng(view.seed)
-    index = sight_index(view.cloud)
-    points = points[before_walls(points, view.starts, index.rays, rng)]
-    if hint is not None:
-        points = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
-    points, _ = voxel_downsample(points, _VOXEL)
+    foreground = foreground or Foreground.of(view)
+    index, rng = foreground.index, foreground.generator()
+    points, _ = voxel_downsample(foreground.near(hint, _HINT_RADIUS), _VOXEL)
     found: list[_Lever] = []
     with threadpool_limits(limits=1, user_api="blas"):
         levers = _levers(points, index, view.floor, rng)

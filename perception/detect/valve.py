@@ -12,8 +12,8 @@ from perception.clean import Reach, voxel_downsample
 from perception.cloud import Cloud
 from perception.detect.circles import Circle, find_circles
 from perception.detect.detection import Detection
-from perception.detect.foreground import before_walls
-from perception.detect.sightlines import SightIndex, Sightlines, index_of, sight_index
+from perception.detect.foreground import Foreground
+from perception.detect.sightlines import SightIndex, Sightlines, index_of
 from perception.detect.wheel import Ring, fit_ring, pass_ring, rim_hits, wheel_basis
 from perception.detect.wheel_evidence import Evidence, weigh_wheel
 from perception.detect.wheel_inside import look_inside
@@ -92,17 +92,15 @@ def detect_valves(
     return detect_in(make_view(cloud, reach=reach or Reach(), seed=seed), hint)
 
 
-def detect_in(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[ValveDetection]:
-    """As :func:`detect_valves`, in a scan made ready."""
-    points = view.obstacles
-    if not len(points):
+def detect_in(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
+) -> list[ValveDetection]:
+    """As :func:`detect_valves`, in a scan made ready, whose foreground may be at hand."""
+    if not len(view.obstacles):
         return []
-    rng = np.random.default_rng(view.seed)
-    index = sight_index(view.cloud)
-    points = points[before_walls(points, view.starts, index.rays, rng)]
-    if hint is not None:
-        points = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
-    candidates, _ = voxel_downsample(points, _VOXEL)
+    foreground = foreground or Foreground.of(view)
+    index, rng = foreground.index, foreground.generator()
+    candidates, _ = voxel_downsample(foreground.near(hint, _HINT_RADIUS), _VOXEL)
     # The fits are many and small: with several threads BLAS spends seven times as long on handing them out.
     with threadpool_limits(limits=1, user_api="blas"):
         circles = find_circles(candidates, rng)
