@@ -13,6 +13,7 @@ import typer
 
 from service.cli_report import HIT_COLUMNS, hit_row, print_figures, print_table, print_verdict
 from service.cli_run import cancellable, consoles, print_json, progress, run
+from service.scan_choices import Method, Unknown
 
 EXIT_CODE_HELP = (
     "Exit codes: 0 CERTIFIED, 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, 70 internal error, "
@@ -133,9 +134,9 @@ def scene_command(
     reach: Radius = 4.0,
     robot: RobotThere = None,
     posture: Posture = None,
-    unknown: Annotated[str, typer.Option(help="What no ray has seen: free or occupied.")] = "free",
+    unknown: Annotated[Unknown, typer.Option(help="What space no ray has seen is taken for.")] = "free",
     method: Annotated[
-        str, typer.Option(help="How pieces are made: planes (slabs and hulls) or coacd (slower).")
+        Method, typer.Option(help="How pieces are made: planes (slabs and hulls) or coacd (slower).")
     ] = "planes",
     detect: Annotated[
         list[str] | None, typer.Option(help="Kind of object to look for, or all; may be given again.", metavar="KIND")
@@ -147,15 +148,11 @@ def scene_command(
     """Turn point clouds into convex pieces, floor and objects, and show them."""
     if posture is not None and robot is None:
         raise typer.BadParameter("--posture needs --robot")
-    if unknown not in ("free", "occupied"):
-        raise typer.BadParameter(f"--unknown: free or occupied would do, got {unknown!r}")
-    if method not in ("planes", "coacd"):
-        raise typer.BadParameter(f"--method: planes or coacd would do, got {method!r}")
     if hint is not None and not detect:
         raise typer.BadParameter("--hint needs --detect")
     options = _cloud_options(clouds, unit, transform, sensor, apply_viewpoint, reach, robot, posture, seed)
-    settings = {"unknown": unknown, "method": method}
-    raise typer.Exit(run(lambda: _scene(options, out, tuple(detect or ()), hint, settings, as_json), as_json))
+    wanted = {"kinds": tuple(detect or ()), "hint": hint, "unknown": unknown, "method": method}
+    raise typer.Exit(run(lambda: _scene(options, out, wanted, as_json), as_json))
 
 
 @app.command("detect")
@@ -295,9 +292,7 @@ def _view(path: Path) -> None:
 def _scene(
     options: Mapping[str, Any],
     out: Path,
-    kinds: tuple[str, ...],
-    hint: tuple[float, float, float] | None,
-    settings: Mapping[str, str],
+    wanted: Mapping[str, Any],
     as_json: bool,
 ) -> None:
     screen, err = consoles()
@@ -305,8 +300,7 @@ def _scene(
         from service.cloud_asked import cloud_asked
         from service.scene_file import SceneAsked, see_files, write_scene
 
-        asked = SceneAsked(cloud_asked(options), kinds, hint, tuple(settings.items()))
-        seen = see_files(asked, lambda step: report(step, 0.3))
+        seen = see_files(SceneAsked(cloud_asked(options), **wanted), lambda step: report(step, 0.3))
         report("write pieces", 0.9)
         page = write_scene(seen, out)
     shown = {key: value for key, value in seen.data.items() if key != "pieces"}

@@ -21,6 +21,7 @@ from service.request_fields import (
     Quaternion,
     Section,
 )
+from service.scan_choices import Method, Unknown
 
 
 @dataclass(config=SECTION)
@@ -134,6 +135,8 @@ class SceneRequest(Section):
         sensor: where the rays of a file that does not say so started.
         topic: of a bag with several clouds.
         message: of a bag, the number of the message, or all of them merged.
+        method: how the scan becomes pieces.
+        unknown: what space no ray has seen is taken for.
         hint: a point in the world near the object of the task.
         obstacles: shapes with unique names.
         floor: a height [m], or whether there is a floor at 0 (a scan brings its own); by default there is one for a
@@ -146,6 +149,8 @@ class SceneRequest(Section):
     sensor: Point | None = None
     topic: Label | None = None
     message: Message = 0
+    method: Method = "planes"
+    unknown: Unknown = "free"
     hint: Point | None = None
     obstacles: Annotated[tuple[ObstacleRequest, ...], Field(max_length=1000)] = ()
     floor: Floor | None = None
@@ -162,6 +167,8 @@ class SceneRequest(Section):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})
+        if self.unknown == "occupied" and not self.cloud:
+            raise PydanticCustomError("unknown", "unknown: occupied needs a scan that says what was seen; give cloud")
         lost = [one.name for one in self.obstacles if isinstance(one, MeshRequest) and one.match]
         if lost and not self.cloud:
             raise PydanticCustomError(

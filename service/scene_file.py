@@ -16,6 +16,7 @@ from service.cloud_asked import CloudAsked, OnStep, read_asked
 from service.detect_file import checked_kinds, found, hit_json
 from service.errors import RequestError, ResultError
 from service.result_json import piece_json, plain
+from service.scan_choices import Method, Unknown
 
 FORMAT = "scopt-scene/1"
 
@@ -28,13 +29,15 @@ class SceneAsked:
         clouds: the files.
         kinds: of objects to look for; ``all`` for every kind.
         hint: a point near the object that is looked for [m].
-        settings: of ``perception.perceive`` by name (``unknown``, ``method``).
+        unknown: what space no ray has seen is taken for.
+        method: how pieces are made.
     """
 
     clouds: CloudAsked
     kinds: tuple[str, ...] = ()
     hint: tuple[float, float, float] | None = None
-    settings: tuple[tuple[str, str], ...] = ()
+    unknown: Unknown = "free"
+    method: Method = "planes"
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,6 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
     started = time.perf_counter()
     kinds = checked_kinds(asked.kinds, "--detect")
     read = read_asked(asked.clouds, on_step)
-    settings: dict[str, Any] = dict(asked.settings)
     try:
         on_step("find pieces")
         seen = perceive(
@@ -68,8 +70,9 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
             robot_hulls=read.hulls,
             soles=read.soles,
             valve=False,
+            unknown=asked.unknown,
             seed=asked.clouds.seed,
-            **settings,
+            method=asked.method,
         )
     except PerceptionError as error:
         raise RequestError(str(error)) from None

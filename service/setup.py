@@ -252,7 +252,9 @@ def _perceive(
             soles=list(soles.values()),
             valve=task is not None,
             hint=None if hint is None else np.array(hint),
+            unknown=scene.unknown,
             seed=request.options.seed,
+            method=scene.method,
         )
     except PerceptionError as error:
         raise RequestError(f"scene.cloud: {error}") from None
