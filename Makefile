@@ -28,8 +28,9 @@ $(READY): pyproject.toml constraints.txt tools/setup.sh
 demo: $(READY)
 	$(BIN)/scopt plan examples/requests/valve.yaml --out out/valve
 
+# Two processes that steal tests from each other; one thread each, or their linear algebra fights for the cores.
 test: $(READY)
-	$(BIN)/python -m pytest --cov --cov-report=term
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term
 
 check: $(READY)
 	$(BIN)/ruff check .
