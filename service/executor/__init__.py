@@ -1,0 +1,35 @@
+"""Runs any top-level function in other processes, stops it when asked, and carries on when one of them dies."""
+
+from service.executor.errors import (
+    DeadlineExceeded,
+    ExecutorError,
+    JobCancelled,
+    JobFailed,
+    PoolClosed,
+    WorkerDied,
+)
+from service.executor.interface import (
+    CancellableExecutor,
+    Control,
+    Job,
+    OnEvent,
+    PoolStats,
+    WorkerState,
+    WorkerStats,
+)
+
+__all__ = [
+    "CancellableExecutor",
+    "Control",
+    "DeadlineExceeded",
+    "ExecutorError",
+    "Job",
+    "JobCancelled",
+    "JobFailed",
+    "OnEvent",
+    "PoolClosed",
+    "PoolStats",
+    "WorkerDied",
+    "WorkerState",
+    "WorkerStats",
+]
