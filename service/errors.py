@@ -27,6 +27,10 @@ class RequestError(ServiceError):
         super().__init__("\n".join([*self.problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]))
 
 
+class UnplannedTaskError(RequestError):
+    """A request for a task that is understood, and that nothing here can plan yet."""
+
+
 class ResultError(ServiceError):
     """A result folder that cannot be written or read."""
 

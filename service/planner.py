@@ -23,7 +23,7 @@ from service.repair import repaired
 from service.request import Options, PlanRequest
 from service.result import PlanResult, Verdict
 from service.setup import PlanSetup, prepare
-from service.tasks import plan_task
+from service.tasks import check_planned, plan_task
 from service.timing import TimingSettings
 from service.verify import Basis, Certificate, Motion, Status, verify
 from service.whole_body import Aims, WholeBody
@@ -64,7 +64,9 @@ def plan(
 
     Raises:
         RequestError: one line per problem of the request or of a file it names.
+        UnplannedTaskError: the task is one that nothing here can plan yet.
     """
+    check_planned(request)
     # Small matrices all through: BLAS threads cost more than they bring, and another plan can use the core.
     with _thread_pools().limit(limits=1, user_api="blas"):
         return _plan(request, on_progress, should_stop, robot, terms)

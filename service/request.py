@@ -143,19 +143,45 @@ class ValveRequest(Section):
 
 
 @dataclass(config=SECTION)
+class DoorRequest(Section):
+    """Open a door that the scan shows (near ``hint``).
+
+    Attributes:
+        hand: which hand; ``auto`` tries both.
+        open_deg: angle of the leaf at the end.
+    """
+
+    hand: Literal["left", "right", "auto"] = "auto"
+    open_deg: Annotated[Number, Field(gt=0.0, le=180.0)] = 80.0
+    hint: Point | None = None
+
+
+@dataclass(config=SECTION)
+class EgressRequest(Section):
+    """Get out of the vehicle that the scan shows, on one ``side`` of it (near ``hint``)."""
+
+    side: Literal["left", "right"] = "left"
+    hint: Point | None = None
+
+
+@dataclass(config=SECTION)
 class TaskRequest(Section):
     """What to do.
 
     Attributes:
         valve: to turn.
+        door: to open; not planned yet.
+        egress: out of a vehicle; not planned yet.
         trajopt: a TrajOpt problem to solve, as in its JSON files (docs/trajopt.md).
     """
 
     valve: ValveRequest | None = None
+    door: DoorRequest | None = None
+    egress: EgressRequest | None = None
     trajopt: dict[str, JsonValue] | None = None
 
     def __post_init__(self) -> None:
-        exactly_one(self, ("valve", "trajopt"))
+        exactly_one(self, ("valve", "door", "egress", "trajopt"))
 
 
 @dataclass(config=SECTION)

@@ -83,12 +83,26 @@ def test_page_and_models_are_package_data() -> None:
         assert (ROOT / path).is_file()
 
 
+IMPORTED_AS = {
+    "grpcio": "grpc",
+    "grpcio-health-checking": "grpc_health",
+    "grpcio-reflection": "grpc_reflection",
+    "grpcio-status": "grpc_status",
+    "grpcio-tools": "grpc_tools",
+    "open3d-cpu": "open3d",
+    "pillow": "PIL",
+    "pin": "pinocchio",
+    "prometheus-client": "prometheus_client",
+    "protobuf": "google",
+    "pyyaml": "yaml",
+}
+
+
 def test_every_imported_library_is_a_declared_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = [entry for name, entries in project["optional-dependencies"].items() if name != "dev" for entry in entries]
     names = {re.split(r"[\[<>=;! ]", entry)[0].lower() for entry in (*project["dependencies"], *extras)}
-    imported_as = {"pin": "pinocchio", "open3d-cpu": "open3d", "pyyaml": "yaml"}
-    declared = {imported_as.get(name, name) for name in names}
+    declared = {IMPORTED_AS.get(name, name) for name in names}
     imported = {module for package in PACKAGES for path in (ROOT / package).rglob("*.py") for module in _imports(path)}
     imported -= {*sys.stdlib_module_names, *PACKAGES, "pydantic_core"}  # pydantic_core comes with pydantic
     assert imported - declared == set()
@@ -99,8 +113,7 @@ def test_every_library_of_tests_and_examples_is_declared_for_developers() -> Non
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     entries = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
     names = {re.split(r"[\[<>=;! ]", entry)[0].lower() for entry in entries}
-    imported_as = {"pin": "pinocchio", "open3d-cpu": "open3d", "pyyaml": "yaml", "pillow": "PIL"}
-    declared = {imported_as.get(name, name) for name in names}
+    declared = {IMPORTED_AS.get(name, name) for name in names}
     paths = [path for folder in ("tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
     imported = {module for path in paths for module in _imports(path)} - {path.stem for path in paths}
     imported -= {*sys.stdlib_module_names, *PACKAGES, "benchmarks", "click", "pydantic_core"}  # click comes with typer

@@ -220,7 +220,7 @@ def test_a_wrong_field_earns_one_line(tmp_path: Path, extra: str, problem: str) 
             "robot: {name: a}\ngoal: {poses: [{link: l, position: [0, 0, 0]}, {link: l, position: [0, 0, 1]}]}",
             "goal: link 'l' has two poses; one for each link would do",
         ),
-        ("robot: {name: a}\ntask: {valv: {}}", "task: unknown key 'valv'; valve, trajopt would do"),
+        ("robot: {name: a}\ntask: {valv: {}}", "task: unknown key 'valv'; valve, door, egress, trajopt would do"),
         (
             "robot: {name: a}\ntask: {valve: {hand: lft}}",
             "task.valve.hand: 'left', 'right' or 'auto' would do, got 'lft'",

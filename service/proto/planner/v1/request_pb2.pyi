@@ -1,0 +1,439 @@
+from google.protobuf import struct_pb2 as _struct_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class RootJoint(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    ROOT_JOINT_UNSPECIFIED: _ClassVar[RootJoint]
+    ROOT_JOINT_FLOATING: _ClassVar[RootJoint]
+    ROOT_JOINT_FIXED: _ClassVar[RootJoint]
+
+class FreeAxis(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    FREE_AXIS_UNSPECIFIED: _ClassVar[FreeAxis]
+    FREE_AXIS_NONE: _ClassVar[FreeAxis]
+    FREE_AXIS_X: _ClassVar[FreeAxis]
+    FREE_AXIS_Y: _ClassVar[FreeAxis]
+    FREE_AXIS_Z: _ClassVar[FreeAxis]
+
+class HoldMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    HOLD_MODE_UNSPECIFIED: _ClassVar[HoldMode]
+    HOLD_MODE_HOOK: _ClassVar[HoldMode]
+    HOLD_MODE_GRASP: _ClassVar[HoldMode]
+
+class Hand(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    HAND_UNSPECIFIED: _ClassVar[Hand]
+    HAND_LEFT: _ClassVar[Hand]
+    HAND_RIGHT: _ClassVar[Hand]
+    HAND_AUTO: _ClassVar[Hand]
+
+class Side(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SIDE_UNSPECIFIED: _ClassVar[Side]
+    SIDE_LEFT: _ClassVar[Side]
+    SIDE_RIGHT: _ClassVar[Side]
+
+class UnknownSpace(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    UNKNOWN_SPACE_UNSPECIFIED: _ClassVar[UnknownSpace]
+    UNKNOWN_SPACE_FREE: _ClassVar[UnknownSpace]
+    UNKNOWN_SPACE_OCCUPIED: _ClassVar[UnknownSpace]
+
+class PieceMethod(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    PIECE_METHOD_UNSPECIFIED: _ClassVar[PieceMethod]
+    PIECE_METHOD_PLANES: _ClassVar[PieceMethod]
+    PIECE_METHOD_COACD: _ClassVar[PieceMethod]
+
+class LengthUnit(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    LENGTH_UNIT_UNSPECIFIED: _ClassVar[LengthUnit]
+    LENGTH_UNIT_M: _ClassVar[LengthUnit]
+    LENGTH_UNIT_CM: _ClassVar[LengthUnit]
+    LENGTH_UNIT_MM: _ClassVar[LengthUnit]
+    LENGTH_UNIT_KM: _ClassVar[LengthUnit]
+    LENGTH_UNIT_IN: _ClassVar[LengthUnit]
+    LENGTH_UNIT_FT: _ClassVar[LengthUnit]
+
+class Shape(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SHAPE_UNSPECIFIED: _ClassVar[Shape]
+    SHAPE_BOX: _ClassVar[Shape]
+    SHAPE_SPHERE: _ClassVar[Shape]
+    SHAPE_CYLINDER: _ClassVar[Shape]
+    SHAPE_CAPSULE: _ClassVar[Shape]
+    SHAPE_CONVEX: _ClassVar[Shape]
+    SHAPE_MESH: _ClassVar[Shape]
+
+class QpSolver(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    QP_SOLVER_UNSPECIFIED: _ClassVar[QpSolver]
+    QP_SOLVER_PIQP: _ClassVar[QpSolver]
+    QP_SOLVER_CLARABEL: _ClassVar[QpSolver]
+    QP_SOLVER_CVXPY: _ClassVar[QpSolver]
+ROOT_JOINT_UNSPECIFIED: RootJoint
+ROOT_JOINT_FLOATING: RootJoint
+ROOT_JOINT_FIXED: RootJoint
+FREE_AXIS_UNSPECIFIED: FreeAxis
+FREE_AXIS_NONE: FreeAxis
+FREE_AXIS_X: FreeAxis
+FREE_AXIS_Y: FreeAxis
+FREE_AXIS_Z: FreeAxis
+HOLD_MODE_UNSPECIFIED: HoldMode
+HOLD_MODE_HOOK: HoldMode
+HOLD_MODE_GRASP: HoldMode
+HAND_UNSPECIFIED: Hand
+HAND_LEFT: Hand
+HAND_RIGHT: Hand
+HAND_AUTO: Hand
+SIDE_UNSPECIFIED: Side
+SIDE_LEFT: Side
+SIDE_RIGHT: Side
+UNKNOWN_SPACE_UNSPECIFIED: UnknownSpace
+UNKNOWN_SPACE_FREE: UnknownSpace
+UNKNOWN_SPACE_OCCUPIED: UnknownSpace
+PIECE_METHOD_UNSPECIFIED: PieceMethod
+PIECE_METHOD_PLANES: PieceMethod
+PIECE_METHOD_COACD: PieceMethod
+LENGTH_UNIT_UNSPECIFIED: LengthUnit
+LENGTH_UNIT_M: LengthUnit
+LENGTH_UNIT_CM: LengthUnit
+LENGTH_UNIT_MM: LengthUnit
+LENGTH_UNIT_KM: LengthUnit
+LENGTH_UNIT_IN: LengthUnit
+LENGTH_UNIT_FT: LengthUnit
+SHAPE_UNSPECIFIED: Shape
+SHAPE_BOX: Shape
+SHAPE_SPHERE: Shape
+SHAPE_CYLINDER: Shape
+SHAPE_CAPSULE: Shape
+SHAPE_CONVEX: Shape
+SHAPE_MESH: Shape
+QP_SOLVER_UNSPECIFIED: QpSolver
+QP_SOLVER_PIQP: QpSolver
+QP_SOLVER_CLARABEL: QpSolver
+QP_SOLVER_CVXPY: QpSolver
+
+class MotionRequest(_message.Message):
+    __slots__ = ("robot", "start", "scene", "goal", "task", "keep", "attached", "options")
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    START_FIELD_NUMBER: _ClassVar[int]
+    SCENE_FIELD_NUMBER: _ClassVar[int]
+    GOAL_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    KEEP_FIELD_NUMBER: _ClassVar[int]
+    ATTACHED_FIELD_NUMBER: _ClassVar[int]
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
+    robot: Robot
+    start: Start
+    scene: SceneSpec
+    goal: Goal
+    task: Task
+    keep: _containers.RepeatedCompositeFieldContainer[Keep]
+    attached: _containers.RepeatedCompositeFieldContainer[Attached]
+    options: Options
+    def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ...) -> None: ...
+
+class Robot(_message.Message):
+    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    URDF_FIELD_NUMBER: _ClassVar[int]
+    SRDF_FIELD_NUMBER: _ClassVar[int]
+    PACKAGE_DIRS_FIELD_NUMBER: _ClassVar[int]
+    ROOT_FIELD_NUMBER: _ClassVar[int]
+    TOOL_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    urdf: str
+    srdf: str
+    package_dirs: _containers.RepeatedScalarFieldContainer[str]
+    root: RootJoint
+    tool_distance_m: float
+    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ...) -> None: ...
+
+class Pose(_message.Message):
+    __slots__ = ("position", "quaternion_wxyz")
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Start(_message.Message):
+    __slots__ = ("posture", "joints", "joint_names", "positions", "base")
+    class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    POSTURE_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    JOINT_NAMES_FIELD_NUMBER: _ClassVar[int]
+    POSITIONS_FIELD_NUMBER: _ClassVar[int]
+    BASE_FIELD_NUMBER: _ClassVar[int]
+    posture: str
+    joints: _containers.ScalarMap[str, float]
+    joint_names: _containers.RepeatedScalarFieldContainer[str]
+    positions: _containers.RepeatedScalarFieldContainer[float]
+    base: Pose
+    def __init__(self, posture: _Optional[str] = ..., joints: _Optional[_Mapping[str, float]] = ..., joint_names: _Optional[_Iterable[str]] = ..., positions: _Optional[_Iterable[float]] = ..., base: _Optional[_Union[Pose, _Mapping]] = ...) -> None: ...
+
+class Goal(_message.Message):
+    __slots__ = ("joints", "poses", "posture")
+    class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    POSES_FIELD_NUMBER: _ClassVar[int]
+    POSTURE_FIELD_NUMBER: _ClassVar[int]
+    joints: _containers.ScalarMap[str, float]
+    poses: _containers.RepeatedCompositeFieldContainer[PoseGoal]
+    posture: str
+    def __init__(self, joints: _Optional[_Mapping[str, float]] = ..., poses: _Optional[_Iterable[_Union[PoseGoal, _Mapping]]] = ..., posture: _Optional[str] = ...) -> None: ...
+
+class PoseGoal(_message.Message):
+    __slots__ = ("link", "position", "quaternion_wxyz", "position_tolerance_m", "rotation_tolerance_deg", "free_axis")
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    POSITION_TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
+    FREE_AXIS_FIELD_NUMBER: _ClassVar[int]
+    link: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    position_tolerance_m: float
+    rotation_tolerance_deg: float
+    free_axis: FreeAxis
+    def __init__(self, link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
+
+class Task(_message.Message):
+    __slots__ = ("valve", "door", "egress", "trajopt")
+    VALVE_FIELD_NUMBER: _ClassVar[int]
+    DOOR_FIELD_NUMBER: _ClassVar[int]
+    EGRESS_FIELD_NUMBER: _ClassVar[int]
+    TRAJOPT_FIELD_NUMBER: _ClassVar[int]
+    valve: Valve
+    door: Door
+    egress: Egress
+    trajopt: _struct_pb2.Struct
+    def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
+
+class Valve(_message.Message):
+    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius")
+    MODE_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    TURN_DEG_FIELD_NUMBER: _ClassVar[int]
+    HINT_FIELD_NUMBER: _ClassVar[int]
+    CENTRE_FIELD_NUMBER: _ClassVar[int]
+    AXIS_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    mode: HoldMode
+    hand: Hand
+    turn_deg: float
+    hint: _containers.RepeatedScalarFieldContainer[float]
+    centre: _containers.RepeatedScalarFieldContainer[float]
+    axis: _containers.RepeatedScalarFieldContainer[float]
+    radius: float
+    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ...) -> None: ...
+
+class Door(_message.Message):
+    __slots__ = ("hand", "open_deg", "hint")
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    OPEN_DEG_FIELD_NUMBER: _ClassVar[int]
+    HINT_FIELD_NUMBER: _ClassVar[int]
+    hand: Hand
+    open_deg: float
+    hint: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., open_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Egress(_message.Message):
+    __slots__ = ("side", "hint")
+    SIDE_FIELD_NUMBER: _ClassVar[int]
+    HINT_FIELD_NUMBER: _ClassVar[int]
+    side: Side
+    hint: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, side: _Optional[_Union[Side, str]] = ..., hint: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class SceneSpec(_message.Message):
+    __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown")
+    CLOUD_FIELD_NUMBER: _ClassVar[int]
+    UNIT_FIELD_NUMBER: _ClassVar[int]
+    APPLY_VIEWPOINT_FIELD_NUMBER: _ClassVar[int]
+    SENSOR_FIELD_NUMBER: _ClassVar[int]
+    TOPIC_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    HINT_FIELD_NUMBER: _ClassVar[int]
+    OBSTACLES_FIELD_NUMBER: _ClassVar[int]
+    FLOOR_FIELD_NUMBER: _ClassVar[int]
+    METHOD_FIELD_NUMBER: _ClassVar[int]
+    UNKNOWN_FIELD_NUMBER: _ClassVar[int]
+    cloud: Cloud
+    unit: LengthUnit
+    apply_viewpoint: bool
+    sensor: _containers.RepeatedScalarFieldContainer[float]
+    topic: str
+    message: MessageNumber
+    hint: _containers.RepeatedScalarFieldContainer[float]
+    obstacles: _containers.RepeatedCompositeFieldContainer[Obstacle]
+    floor: Floor
+    method: PieceMethod
+    unknown: UnknownSpace
+    def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ...) -> None: ...
+
+class Cloud(_message.Message):
+    __slots__ = ("file", "files")
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    FILES_FIELD_NUMBER: _ClassVar[int]
+    file: str
+    files: CloudFiles
+    def __init__(self, file: _Optional[str] = ..., files: _Optional[_Union[CloudFiles, _Mapping]] = ...) -> None: ...
+
+class CloudFiles(_message.Message):
+    __slots__ = ("value",)
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    value: _containers.RepeatedCompositeFieldContainer[CloudFile]
+    def __init__(self, value: _Optional[_Iterable[_Union[CloudFile, _Mapping]]] = ...) -> None: ...
+
+class CloudFile(_message.Message):
+    __slots__ = ("file", "position", "quaternion_wxyz")
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    file: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, file: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class MessageNumber(_message.Message):
+    __slots__ = ("number", "word")
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    WORD_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    word: str
+    def __init__(self, number: _Optional[int] = ..., word: _Optional[str] = ...) -> None: ...
+
+class Floor(_message.Message):
+    __slots__ = ("is_there", "height")
+    IS_THERE_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    is_there: bool
+    height: float
+    def __init__(self, is_there: bool = ..., height: _Optional[float] = ...) -> None: ...
+
+class Obstacle(_message.Message):
+    __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points", "file", "scale", "decompose", "match")
+    TYPE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    SIZE_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
+    DECOMPOSE_FIELD_NUMBER: _ClassVar[int]
+    MATCH_FIELD_NUMBER: _ClassVar[int]
+    type: Shape
+    name: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    size: _containers.RepeatedScalarFieldContainer[float]
+    radius: float
+    height: float
+    points: _containers.RepeatedCompositeFieldContainer[Point]
+    file: str
+    scale: float
+    decompose: bool
+    match: bool
+    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., file: _Optional[str] = ..., scale: _Optional[float] = ..., decompose: bool = ..., match: bool = ...) -> None: ...
+
+class Point(_message.Message):
+    __slots__ = ("value",)
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    value: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, value: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Attached(_message.Message):
+    __slots__ = ("type", "name", "link", "touches", "mass_kg", "position", "quaternion_wxyz", "size", "radius", "height")
+    TYPE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    TOUCHES_FIELD_NUMBER: _ClassVar[int]
+    MASS_KG_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    SIZE_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    type: Shape
+    name: str
+    link: str
+    touches: _containers.RepeatedScalarFieldContainer[str]
+    mass_kg: float
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    size: _containers.RepeatedScalarFieldContainer[float]
+    radius: float
+    height: float
+    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., link: _Optional[str] = ..., touches: _Optional[_Iterable[str]] = ..., mass_kg: _Optional[float] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ...) -> None: ...
+
+class Keep(_message.Message):
+    __slots__ = ("link", "relative_to", "position", "quaternion_wxyz", "position_tolerance_m", "rotation_tolerance_deg", "free_axis")
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    RELATIVE_TO_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    POSITION_TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
+    FREE_AXIS_FIELD_NUMBER: _ClassVar[int]
+    link: str
+    relative_to: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    position_tolerance_m: float
+    rotation_tolerance_deg: float
+    free_axis: FreeAxis
+    def __init__(self, link: _Optional[str] = ..., relative_to: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
+
+class Options(_message.Message):
+    __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape")
+    WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
+    TIME_LIMIT_S_FIELD_NUMBER: _ClassVar[int]
+    MARGIN_M_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    BALANCE_MARGIN_M_FIELD_NUMBER: _ClassVar[int]
+    FEET_FIELD_NUMBER: _ClassVar[int]
+    STARTS_FIELD_NUMBER: _ClassVar[int]
+    QP_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_SCALE_FIELD_NUMBER: _ClassVar[int]
+    ACCELERATION_SCALE_FIELD_NUMBER: _ClassVar[int]
+    TIMED_FIELD_NUMBER: _ClassVar[int]
+    ESCAPE_FIELD_NUMBER: _ClassVar[int]
+    waypoints: int
+    time_limit_s: float
+    margin_m: float
+    seed: int
+    balance_margin_m: float
+    feet: _containers.RepeatedScalarFieldContainer[str]
+    starts: int
+    qp: QpSolver
+    velocity_scale: float
+    acceleration_scale: float
+    timed: bool
+    escape: bool
+    def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ...) -> None: ...
