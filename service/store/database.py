@@ -1,0 +1,174 @@
+"""The store's SQLite file: its schema, and transactions that say in plain words what went wrong."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from service.store.errors import StoreError
+from service.store.folder import PARTIAL
+
+VERSION = 1
+_APPLICATION_ID = 0x5C097001
+
+# Triggers keep ``totals``, so that bounds are checked without counting rows.
+_SCHEMA = """
+CREATE TABLE plans (
+    number INTEGER PRIMARY KEY,
+    plan_id TEXT NOT NULL UNIQUE,
+    client TEXT NOT NULL,
+    request_id TEXT,
+    request_sha256 TEXT NOT NULL,
+    kind TEXT NOT NULL,
+    state TEXT NOT NULL CHECK (state IN ('accepted', 'running', 'finished', 'lost')),
+    why_lost TEXT NOT NULL DEFAULT '',
+    verdict TEXT NOT NULL DEFAULT '',
+    reply BLOB NOT NULL DEFAULT x'',
+    plan_sha256 TEXT NOT NULL DEFAULT '',
+    certificate_sha256 TEXT NOT NULL DEFAULT '',
+    archive_bytes INTEGER NOT NULL DEFAULT 0,
+    bytes INTEGER NOT NULL DEFAULT 0,
+    is_reviewed INTEGER NOT NULL DEFAULT 0,
+    created REAL NOT NULL,
+    finished REAL,
+    UNIQUE (client, request_id)
+) STRICT;
+CREATE INDEX plans_by_age ON plans (is_reviewed, number) WHERE state IN ('finished', 'lost');
+CREATE INDEX plans_open ON plans (number) WHERE state IN ('accepted', 'running');
+
+CREATE TABLE reviews (
+    number INTEGER PRIMARY KEY,
+    plan_id TEXT NOT NULL REFERENCES plans (plan_id) ON DELETE CASCADE,
+    plan_sha256 TEXT NOT NULL,
+    certificate_sha256 TEXT NOT NULL,
+    decision TEXT NOT NULL CHECK (decision IN ('ACCEPTED', 'REJECTED')),
+    reviewer TEXT NOT NULL,
+    comment TEXT NOT NULL,
+    time REAL NOT NULL
+) STRICT;
+CREATE INDEX reviews_of_plan ON reviews (plan_id, number);
+CREATE TRIGGER reviews_stay BEFORE UPDATE ON reviews BEGIN SELECT raise(ABORT, 'a review never changes'); END;
+
+CREATE TABLE scenes (
+    scene_id TEXT PRIMARY KEY,
+    client TEXT NOT NULL,
+    data BLOB NOT NULL,
+    created REAL NOT NULL,
+    used REAL NOT NULL
+) STRICT;
+CREATE INDEX scenes_by_use ON scenes (used);
+
+CREATE TABLE totals (what TEXT PRIMARY KEY, n INTEGER NOT NULL, bytes INTEGER NOT NULL) STRICT;
+INSERT INTO totals VALUES ('plans', 0, 0), ('scenes', 0, 0);
+CREATE TRIGGER plan_in AFTER INSERT ON plans BEGIN
+    UPDATE totals SET n = n + 1, bytes = bytes + new.bytes WHERE what = 'plans'; END;
+CREATE TRIGGER plan_grows AFTER UPDATE OF bytes ON plans BEGIN
+    UPDATE totals SET bytes = bytes + new.bytes - old.bytes WHERE what = 'plans'; END;
+CREATE TRIGGER plan_out AFTER DELETE ON plans BEGIN
+    UPDATE totals SET n = n - 1, bytes = bytes - old.bytes WHERE what = 'plans'; END;
+CREATE TRIGGER scene_in AFTER INSERT ON scenes BEGIN
+    UPDATE totals SET n = n + 1, bytes = bytes + length(new.data) WHERE what = 'scenes'; END;
+CREATE TRIGGER scene_out AFTER DELETE ON scenes BEGIN
+    UPDATE totals SET n = n - 1, bytes = bytes - length(old.data) WHERE what = 'scenes'; END;
+"""
+
+
+class Database:
+    """One connection that threads take in turn; every use of it is one transaction.
+
+    Raises:
+        StoreError: the file is damaged, of another version, of something else, or cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._turn = threading.RLock()
+        with self._in_plain_words():
+            if not path.exists():
+                self._create()
+            self._connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        try:
+            with self._in_plain_words():
+                self._prepare()
+        except BaseException:
+            self._connection.close()
+            raise
+
+    def close(self) -> None:
+        """Write everything to the one file and let it go."""
+        with self._turn:
+            self._connection.close()
+
+    @contextmanager
+    def transaction(self, *, durable: bool = False) -> Iterator[sqlite3.Connection]:
+        """Changes that happen all or not at all, and outlive the process from the moment the body has ended.
+
+        Args:
+            durable: whether they outlive a power cut too, for the price of waiting for the disk.
+        """
+        with self._turn, self._in_plain_words():
+            if durable:
+                self._connection.execute("PRAGMA synchronous = FULL")
+            try:
+                self._connection.execute("BEGIN IMMEDIATE")
+                try:
+                    yield self._connection
+                    self._connection.execute("COMMIT")
+                except BaseException:
+                    if self._connection.in_transaction:
+                        self._connection.execute("ROLLBACK")
+                    raise
+            finally:
+                if durable:
+                    self._connection.execute("PRAGMA synchronous = NORMAL")
+
+    def _create(self) -> None:
+        """A file that is there is whole: a kill on the way leaves none."""
+        partial = self.path.with_name(f"{PARTIAL}{self.path.name}")
+        partial.unlink(missing_ok=True)
+        with closing(sqlite3.connect(partial)) as connection:
+            marks = f"PRAGMA application_id = {_APPLICATION_ID}; PRAGMA user_version = {VERSION};"
+            connection.executescript(f"BEGIN; {_SCHEMA} {marks} COMMIT;")
+        partial.rename(self.path)
+
+    def _prepare(self) -> None:
+        execute = self._connection.execute
+        self._connection.row_factory = sqlite3.Row
+        (application,), (version,) = (
+            execute(f"PRAGMA {name}").fetchone() for name in ("application_id", "user_version")
+        )
+        if not self.path.stat().st_size:
+            raise StoreError(self._damaged("it is empty"))
+        if application != _APPLICATION_ID:
+            raise StoreError(f"{self.path}: is a database of something else; give the store its own folder")
+        if version != VERSION:
+            raise StoreError(
+                f"{self.path}: has version {version} and this is version {VERSION}; "
+                "use the version of scopt that wrote it, or move the folder away to begin with an empty store"
+            )
+        if execute("PRAGMA journal_mode = WAL").fetchone()[0] != "wal":
+            raise StoreError(f"{self.path}: its file system has no shared memory; a local disk would do")
+        for setting in ("synchronous = NORMAL", "foreign_keys = ON", "journal_size_limit = 8388608"):
+            execute(f"PRAGMA {setting}")
+        found = execute("PRAGMA quick_check(1)").fetchone()[0]
+        if found != "ok":
+            raise StoreError(self._damaged(found))
+
+    @contextmanager
+    def _in_plain_words(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.DatabaseError as error:
+            code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+            if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+                raise StoreError(self._damaged(str(error))) from None
+            if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
+                raise StoreError(f"{self.path}: cannot be written ({error}); see to its disk") from None
+            raise
+
+    def _damaged(self, words: str) -> str:
+        plain = " ".join(words.split())
+        return f"{self.path}: is damaged ({plain}); restore it, or move the folder away to begin with an empty store"

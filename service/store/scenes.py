@@ -1,0 +1,75 @@
+"""Scenes that were built once, to be planned in many times."""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+import zlib
+from collections.abc import Callable
+
+from service.errors import shown
+from service.store.database import Database
+from service.store.errors import NotStoredError, TooLargeError
+from service.store.records import StoreLimits
+
+PREFIX = "scene:"
+
+
+class Scenes:
+    """The scenes of a store, each kept once under the hash of its content."""
+
+    def __init__(self, database: Database, limits: StoreLimits, clock: Callable[[], float]) -> None:
+        self._database = database
+        self._limits = limits
+        self._clock = clock
+
+    def put(self, client: str, data: bytes) -> str:
+        """Keep a scene; its id is ``scene:`` and the sha256 of ``data``.
+
+        Raises:
+            TooLargeError: it alone is more than the store keeps.
+        """
+        scene_id = PREFIX + hashlib.sha256(data).hexdigest()
+        packed = zlib.compress(data, 3)
+        if len(packed) > self._limits.max_scene_bytes:
+            raise TooLargeError(
+                f"a scene of {len(packed)} bytes; the store keeps {self._limits.max_scene_bytes} at most"
+            )
+        now = self._clock()
+        with self._database.transaction() as db:
+            db.execute(
+                "INSERT INTO scenes (scene_id, client, data, created, used) VALUES (?, ?, ?, ?, ?) "
+                "ON CONFLICT (scene_id) DO UPDATE SET used = excluded.used",
+                (scene_id, client, packed, now, now),
+            )
+            self._make_room(db, scene_id)
+        return scene_id
+
+    def get(self, scene_id: str) -> bytes:
+        """What was put there.
+
+        Raises:
+            NotStoredError: there is no scene of that id.
+        """
+        with self._database.transaction() as db:
+            row = db.execute(
+                "UPDATE scenes SET used = ? WHERE scene_id = ? RETURNING data", (self._clock(), scene_id)
+            ).fetchone()
+        if row is None:
+            raise NotStoredError(f"no scene {shown(scene_id)}; it never was, or went when the store was full")
+        return zlib.decompress(row["data"])
+
+    def _make_room(self, db: sqlite3.Connection, newest: str) -> None:
+        n, size = db.execute("SELECT n, bytes FROM totals WHERE what = 'scenes'").fetchone()
+        if n <= self._limits.max_scenes and size <= self._limits.max_scene_bytes:
+            return
+        gone = []
+        rows = db.execute(
+            "SELECT scene_id, length(data) FROM scenes WHERE scene_id != ? ORDER BY used, rowid", (newest,)
+        )
+        for scene_id, n_bytes in rows:
+            if n <= self._limits.max_scenes and size <= self._limits.max_scene_bytes:
+                break
+            n, size = n - 1, size - n_bytes
+            gone.append((scene_id,))
+        db.executemany("DELETE FROM scenes WHERE scene_id = ?", gone)

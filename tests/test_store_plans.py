@@ -1,0 +1,276 @@
+"""The store keeps plans once each, within its bounds, and finds them again."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from pathlib import Path
+
+import pytest
+
+from service.store import (
+    Decision,
+    NotStoredError,
+    Outcome,
+    PlanState,
+    ReviewRefusedError,
+    Store,
+    StoreLimits,
+    TooLargeError,
+)
+
+SHA = "a" * 64
+
+
+def _finished(store: Store, request_id: str, reply: bytes = b"reply", client: str = "ann") -> str:
+    plan_id = store.plans.begin(client, request_id, SHA, "valve").plan.plan_id
+    store.plans.running(plan_id)
+    store.plans.finish(plan_id, "CERTIFIED", reply, "p" * 64, "c" * 64)
+    return plan_id
+
+
+def _archive(store: Store, plan_id: str) -> bytes:
+    with store.plans.open_archive(plan_id) as file:
+        return file.read()
+
+
+def _is_there(store: Store, plan_id: str) -> bool:
+    try:
+        store.plans.get(plan_id)
+    except NotStoredError:
+        return False
+    return True
+
+
+def test_a_finished_plan_is_found_by_its_id_with_all_that_was_said(tmp_path: Path) -> None:
+    ticks = itertools.count(100.0)
+    with Store(tmp_path, clock=lambda: next(ticks)) as store:
+        plan_id = _finished(store, "r1", b"\x00\xffreply")
+        plan = store.plans.get(plan_id)
+    assert (plan.client, plan.request_id, plan.request_sha256, plan.kind) == ("ann", "r1", SHA, "valve")
+    assert (plan.state, plan.verdict, plan.reply) == (PlanState.FINISHED, "CERTIFIED", b"\x00\xffreply")
+    assert (plan.plan_sha256, plan.certificate_sha256) == ("p" * 64, "c" * 64)
+    assert (plan.created, plan.finished) == (100.0, 101.0)
+
+
+def test_a_request_that_is_sent_again_gets_the_same_plan(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        first = store.plans.begin("ann", "r1", SHA, "valve")
+        assert first.outcome is Outcome.NEW
+        again = store.plans.begin("ann", "r1", SHA, "valve")
+        assert (again.outcome, again.plan.plan_id) == (Outcome.RUNNING, first.plan.plan_id)
+        store.plans.finish(first.plan.plan_id, "CERTIFIED", b"reply")
+        again = store.plans.begin("ann", "r1", SHA, "valve")
+        assert (again.outcome, again.plan.reply) == (Outcome.FINISHED, b"reply")
+
+
+def test_another_request_under_a_used_request_id_is_a_conflict_and_changes_nothing(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = _finished(store, "r1")
+        assert store.plans.begin("ann", "r1", "b" * 64, "valve").outcome is Outcome.CONFLICT
+        assert store.plans.get(plan_id).request_sha256 == SHA
+
+
+def test_clients_do_not_meet_in_their_request_ids_and_an_empty_one_is_always_new(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        outcomes = [store.plans.begin(*key, SHA, "goal").outcome for key in [("ann", "1"), ("bob", "1")]]
+        outcomes += [store.plans.begin("ann", "", SHA, "goal").outcome for _ in range(2)]
+    assert outcomes == [Outcome.NEW] * 4
+
+
+def test_of_many_threads_with_one_request_id_only_one_begins_it(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        outcomes: list[Outcome] = []
+        threads = [
+            threading.Thread(target=lambda: outcomes.append(store.plans.begin("ann", "r", SHA, "goal").outcome))
+            for _ in range(8)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert sorted(outcomes) == [Outcome.NEW] + [Outcome.RUNNING] * 7
+
+
+def test_after_a_restart_unfinished_plans_are_lost_and_their_requests_run_again(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        accepted = store.plans.begin("ann", "r1", SHA, "goal").plan.plan_id
+        running = store.plans.begin("ann", "r2", SHA, "goal").plan.plan_id
+        store.plans.running(running)
+        done = _finished(store, "r3")
+    with Store(tmp_path) as store:
+        assert [store.plans.get(one).state for one in (accepted, running, done)] == ["lost", "lost", "finished"]
+        assert "restarted" in store.plans.get(running).why_lost
+        again = store.plans.begin("ann", "r2", SHA, "goal")
+        assert (again.outcome, again.plan.plan_id, again.plan.state) == (Outcome.NEW, running, PlanState.ACCEPTED)
+        assert again.plan.why_lost == ""
+        assert store.plans.begin("ann", "r1", "b" * 64, "goal").outcome is Outcome.CONFLICT
+
+
+def test_a_plan_that_was_given_up_may_run_again(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan.plan_id
+        store.plans.give_up(plan_id, "cancelled by the client")
+        assert store.plans.get(plan_id).why_lost == "cancelled by the client"
+        assert store.plans.begin("ann", "r1", SHA, "goal").outcome is Outcome.NEW
+
+
+def test_a_plan_is_answered_once(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan.plan_id
+        store.plans.finish(plan_id, "CERTIFIED", b"first", archive=b"first")
+        for late in (
+            lambda: store.plans.finish(plan_id, "NOT_FOUND", b"second", archive=b"second"),
+            lambda: store.plans.give_up(plan_id, "late"),
+            lambda: store.plans.running(plan_id),
+        ):
+            with pytest.raises(NotStoredError, match="has had its reply"):
+                late()
+        assert store.plans.get(plan_id).reply == b"first"
+        assert _archive(store, plan_id) == b"first"
+
+
+def test_an_unknown_plan_is_named(tmp_path: Path) -> None:
+    with Store(tmp_path) as store, pytest.raises(NotStoredError, match="no plan 'nobody'"):
+        store.plans.get("nobody")
+
+
+def test_the_oldest_plans_go_first_reviewed_ones_last_and_open_ones_never(tmp_path: Path) -> None:
+    with Store(tmp_path, StoreLimits(max_plans=4)) as store:
+        open_one = store.plans.begin("ann", "open", SHA, "goal").plan.plan_id
+        reviewed = _finished(store, "reviewed")
+        store.reviews.add(reviewed, Decision.ACCEPTED, "rev", "p" * 64, "c" * 64)
+        old, new = _finished(store, "old"), _finished(store, "new")
+        newest = _finished(store, "newest")
+        assert [_is_there(store, one) for one in (open_one, reviewed, old, new, newest)] == [1, 1, 0, 1, 1]
+        _finished(store, "a"), _finished(store, "b")
+        assert [_is_there(store, one) for one in (open_one, reviewed, new, newest)] == [1, 1, 0, 0]
+        assert store.stats().n_plans == 4
+
+
+def test_replies_and_archives_stay_within_the_bytes_and_the_newest_is_always_there(tmp_path: Path) -> None:
+    with Store(tmp_path, StoreLimits(max_bytes=3000)) as store:
+        plans = []
+        for number in range(5):
+            plan_id = store.plans.begin("ann", str(number), SHA, "goal").plan.plan_id
+            store.plans.finish(plan_id, "CERTIFIED", b"r" * 500, archive=b"a" * 500)
+            plans.append(plan_id)
+        assert [_is_there(store, one) for one in plans] == [0, 0, 1, 1, 1]
+        assert store.stats().plan_bytes == 3000
+        assert sorted(path.name for path in (tmp_path / "archives").iterdir()) == sorted([*plans[2:], "lock"])
+        plan_id = store.plans.begin("ann", "huge", SHA, "goal").plan.plan_id
+        with pytest.raises(TooLargeError, match="3001 bytes; the store keeps 3000 at most"):
+            store.plans.finish(plan_id, "CERTIFIED", b"r" * 3001)
+
+
+def test_the_last_reviewed_plan_gives_way_to_a_new_one_only(tmp_path: Path) -> None:
+    with Store(tmp_path, StoreLimits(max_plans=1)) as store:
+        reviewed = _finished(store, "reviewed")
+        store.reviews.add(reviewed, Decision.REJECTED, "rev", "p" * 64, "c" * 64)
+        new = _finished(store, "new")
+        assert (_is_there(store, reviewed), _is_there(store, new)) == (False, True)
+        assert store.reviews.of(reviewed) == ()
+
+
+def test_a_reply_that_was_just_stored_stays_even_beside_reviewed_ones(tmp_path: Path) -> None:
+    with Store(tmp_path, StoreLimits(max_bytes=1000)) as store:
+        reviewed = _finished(store, "reviewed", b"r" * 600)
+        store.reviews.add(reviewed, Decision.ACCEPTED, "rev", "p" * 64, "c" * 64)
+        new = _finished(store, "new", b"r" * 600)
+        assert (_is_there(store, reviewed), _is_there(store, new)) == (False, True)
+
+
+def test_archives_without_a_plan_are_removed_at_start_and_others_stay(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = store.plans.begin("ann", "r", SHA, "goal").plan.plan_id
+        store.plans.finish(plan_id, "CERTIFIED", b"", archive=b"archive")
+    (tmp_path / "archives" / ("f" * 32)).write_bytes(b"of a plan that never finished")
+    (tmp_path / "archives" / ".partial-x").write_bytes(b"half")
+    with Store(tmp_path) as store:
+        assert {path.name for path in (tmp_path / "archives").iterdir()} == {plan_id, "lock"}
+        assert _archive(store, plan_id) == b"archive"
+
+
+def test_an_archive_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = _finished(store, "r")
+        with pytest.raises(NotStoredError, match="has no archive"):
+            store.plans.open_archive(plan_id)
+
+
+def test_an_accepted_review_is_bound_to_the_plan_and_the_certificate_that_were_looked_at(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = _finished(store, "r1")
+        for plan_sha, certificate_sha in (("x" * 64, "c" * 64), ("p" * 64, "x" * 64), ("p" * 64, "")):
+            with pytest.raises(ReviewRefusedError, match="is not that of the stored plan"):
+                store.reviews.add(plan_id, Decision.ACCEPTED, "rev", plan_sha, certificate_sha)
+        assert not store.reviews.is_accepted(plan_id)
+        review = store.reviews.add(plan_id, Decision.ACCEPTED, "rev", "p" * 64, "c" * 64, "looks right")
+        assert store.reviews.of(plan_id) == (review,)
+        assert store.reviews.is_accepted(plan_id)
+
+
+def test_the_last_word_counts_and_every_word_stays(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = _finished(store, "r1")
+        for decision in (Decision.ACCEPTED, Decision.REJECTED):
+            store.reviews.add(plan_id, decision, "rev", "p" * 64, "c" * 64)
+        assert [review.decision for review in store.reviews.of(plan_id)] == [Decision.ACCEPTED, Decision.REJECTED]
+        assert not store.reviews.is_accepted(plan_id)
+
+
+def test_nothing_unfinished_unproven_or_unknown_is_accepted(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan.plan_id
+        with pytest.raises(ReviewRefusedError, match="only a finished one"):
+            store.reviews.add(plan_id, Decision.ACCEPTED, "rev", "", "")
+        store.plans.finish(plan_id, "NOT_FOUND", b"", "p" * 64, "")
+        with pytest.raises(ReviewRefusedError, match="has no certificate"):
+            store.reviews.add(plan_id, Decision.ACCEPTED, "rev", "p" * 64, "")
+        store.reviews.add(plan_id, Decision.REJECTED, "rev", "p" * 64, "")
+        with pytest.raises(NotStoredError, match="no plan 'other'"):
+            store.reviews.add("other", Decision.ACCEPTED, "rev", "p" * 64, "c" * 64)
+
+
+def test_reviews_are_bounded(tmp_path: Path) -> None:
+    with Store(tmp_path, StoreLimits(max_reviews=2)) as store:
+        plan_id = _finished(store, "r1")
+        with pytest.raises(ReviewRefusedError, match="at most 4000 would do"):
+            store.reviews.add(plan_id, Decision.REJECTED, "rev", "p" * 64, "c" * 64, "x" * 4001)
+        for _ in range(2):
+            store.reviews.add(plan_id, Decision.REJECTED, "rev", "p" * 64, "c" * 64)
+        with pytest.raises(ReviewRefusedError, match="2 reviews already"):
+            store.reviews.add(plan_id, Decision.REJECTED, "rev", "p" * 64, "c" * 64)
+
+
+def test_a_scene_is_kept_once_and_comes_back_as_it_was(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        scene_id = store.scenes.put("ann", b"scene" * 100)
+        assert store.scenes.put("bob", b"scene" * 100) == scene_id
+        assert store.stats().n_scenes == 1
+    with Store(tmp_path) as store:
+        assert store.scenes.get(scene_id) == b"scene" * 100
+        with pytest.raises(NotStoredError, match="no scene 'scene:0'"):
+            store.scenes.get("scene:0")
+
+
+def test_scenes_not_used_for_longest_go_first(tmp_path: Path) -> None:
+    ticks = itertools.count()
+    with Store(tmp_path, StoreLimits(max_scenes=2), clock=lambda: float(next(ticks))) as store:
+        first, second = store.scenes.put("ann", b"1"), store.scenes.put("ann", b"2")
+        store.scenes.get(first)
+        store.scenes.put("ann", b"3")
+        assert store.scenes.get(first) == b"1"
+        with pytest.raises(NotStoredError):
+            store.scenes.get(second)
+        assert store.stats().n_scenes == 2
+
+
+def test_scenes_stay_within_their_bytes(tmp_path: Path) -> None:
+    with Store(tmp_path, StoreLimits(max_scene_bytes=40)) as store:
+        for number in range(5):
+            newest = store.scenes.put("ann", bytes(range(number, number + 16)))
+        assert store.scenes.get(newest)
+        assert 0 < store.stats().scene_bytes <= 40
+        with pytest.raises(TooLargeError, match="40 at most"):
+            store.scenes.put("ann", bytes(range(100)))
