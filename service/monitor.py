@@ -7,7 +7,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import numpy as np
+from jaxtyping import Float
+
 from scopt import Iteration, Result, Settings, Status
+
+OnIteration = Callable[[str, tuple[str, ...], Iteration, Float[np.ndarray, "T n"]], None]
+"""Told the step at work, the names of its coordinates, a trial of the optimiser, and the waypoints it is at."""
 
 OnProgress = Callable[[str, float], None]
 """Told the step at work and the fraction of the plan that is done."""
@@ -31,6 +37,7 @@ class Monitor:
         time_limit_s: wall time for the whole plan.
         should_stop: asked often; True ends the plan as cancelled.
         on_progress: told what is being done.
+        on_iteration: told every trial of the optimiser.
         timings: seconds by step, in the order of the steps.
         history: (step, iterations) of every solve.
     """
@@ -38,6 +45,7 @@ class Monitor:
     time_limit_s: float
     should_stop: Callable[[], bool] | None = None
     on_progress: OnProgress | None = None
+    on_iteration: OnIteration | None = None
     timings: dict[str, float] = field(default_factory=dict)
     history: list[tuple[str, tuple[Iteration, ...]]] = field(default_factory=list)
     started: float = field(default_factory=time.perf_counter)
@@ -64,6 +72,13 @@ class Monitor:
         """Tell whoever watches."""
         if self.on_progress is not None:
             self.on_progress(step, fraction)
+
+    def iterations_of(
+        self, step: str, names: tuple[str, ...]
+    ) -> Callable[[Iteration, Float[np.ndarray, "T n"]], None] | None:
+        """What the optimiser tells its trials while it works on a step; None where nobody listens."""
+        tell = self.on_iteration
+        return None if tell is None else lambda iteration, x: tell(step, names, iteration, x)
 
     @contextmanager
     def step(self, name: str, fraction: float) -> Iterator[None]:

@@ -335,7 +335,8 @@ class PhaseSolver:
         for start in starts[:MOST_STARTS]:
             self.monitor.check()
             solver = TrustRegionSQP(self.monitor.settings(self.settings))
-            result = solver.solve(problem, start, should_stop=self.monitor.should_stop)
+            tell = self.monitor.iterations_of(name, self.body.robot.joint_names)
+            result = solver.solve(problem, start, tell, self.monitor.should_stop)
             self.monitor.note(name, result)
             solved = Solved(result, problem, self.body)
             if solved.is_feasible:

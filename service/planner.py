@@ -17,7 +17,7 @@ from scopt import Status as SolveStatus
 from service.execute import make_motion
 from service.explain import explain
 from service.explain_conflict import Conflict
-from service.monitor import Interrupted, Monitor, OnProgress
+from service.monitor import Interrupted, Monitor, OnIteration, OnProgress
 from service.phases import PhaseSolver, TaskPlan, Terms
 from service.repair import repaired
 from service.request import Options, PlanRequest
@@ -48,6 +48,7 @@ def plan(
     should_stop: Callable[[], bool] | None = None,
     robot: RobotModel | None = None,
     terms: Terms | None = None,
+    on_iteration: OnIteration | None = None,
 ) -> PlanResult:
     """Plan, time and certify what a request asks for.
 
@@ -58,6 +59,7 @@ def plan(
         robot: the request's robot where it is at hand already (a server's, a benchmark's); else it is loaded.
         terms: costs and constraints of the caller's own for every phase, kept at its waypoints like any other; the
             certificate does not speak of them.
+        on_iteration: told every trial of the optimiser and the waypoints it is at.
 
     Returns:
         The verdict with the best motion found; only a request that cannot be used is an error.
@@ -69,7 +71,8 @@ def plan(
     check_planned(request)
     # Small matrices all through: BLAS threads cost more than they bring, and another plan can use the core.
     with _thread_pools().limit(limits=1, user_api="blas"):
-        return _plan(request, on_progress, should_stop, robot, terms)
+        monitor = Monitor(request.options.time_limit_s, should_stop, on_progress, on_iteration)
+        return _plan(request, monitor, robot, terms)
 
 
 @cache
@@ -78,18 +81,14 @@ def _thread_pools() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _plan(
-    request: PlanRequest,
-    on_progress: OnProgress | None,
-    should_stop: Callable[[], bool] | None,
-    robot: RobotModel | None,
-    terms: Terms | None,
-) -> PlanResult:
-    monitor = Monitor(request.options.time_limit_s, should_stop, on_progress)
-    setup = prepare(request, lambda step: monitor.report(step, 0.02), robot)
+def _plan(request: PlanRequest, monitor: Monitor, robot: RobotModel | None, terms: Terms | None) -> PlanResult:
+    setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over)
     monitor.timings.update(setup.timings)
     attempt = _Attempt()
     try:
+        if setup.is_stopped:
+            monitor.check()
+            raise Interrupted(SolveStatus.CANCELLED)
         _run(setup, monitor, attempt, terms)
     except Interrupted as interruption:
         verdict, text = VERDICT_OF_INTERRUPT[interruption.status]

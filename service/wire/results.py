@@ -1,0 +1,125 @@
+"""Results as messages: what a client executes, shows and reviews."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from service.motion_json import file_columns, file_positions, sample_times, samples_of
+from service.proto.planner.v1.result_pb2 import Certificate as CertificateMessage
+from service.proto.planner.v1.result_pb2 import Check, MotionResult, PhaseTimes, Trajectory
+from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
+from service.request_file import request_hash
+from service.result import PlanResult, Verdict
+from service.result_json import plain
+from service.verify import Certificate, Motion
+
+
+def result_to_message(result: PlanResult) -> MotionResult:
+    """Everything of a result but what is drawn: pieces, bodies, clouds and intermediate points are in its files."""
+    message = MotionResult(
+        verdict=verdict_number(result.verdict.value),
+        explanation=result.explanation,
+        notes=result.notes,
+        found_from=result.found_from,
+        request_sha256=request_hash(result.request),
+        planning_time_s=result.planning_time_s,
+        timings=result.timings,
+    )
+    message.figures.update(plain(result.figures))
+    for detection in result.detections:
+        message.detections.add().update(plain(detection))
+    if result.conflict is not None:
+        message.conflict.update(plain(result.conflict.to_dict()))
+    if result.motion is not None:
+        message.trajectory.CopyFrom(_trajectory(result, result.motion))
+    if result.certificate is not None:
+        message.certificate.CopyFrom(_certificate(result.certificate))
+    return message
+
+
+def verdict_number(name: str) -> VerdictMessage:
+    """The verdict on the wire."""
+    return VerdictMessage.Value(f"VERDICT_{name}")
+
+
+def verdict_name(number: int) -> str:
+    """The verdict as ``result.json`` writes it; one of a later version as it stands.
+
+    An unspecified one is an error: no server of ours leaves it out.
+    """
+    name = str(VerdictMessage.Name(number)).removeprefix("VERDICT_")  # type: ignore[arg-type]
+    return Verdict(name).value
+
+
+def checks_to_messages(checks: Iterable[Mapping[str, Any]]) -> list[Check]:
+    """The checks of a certificate's JSON; a value that is no number there is NaN."""
+    return [
+        Check(
+            name=check["name"],
+            ok=check["ok"],
+            value=_number(check["value"]),
+            limit=_number(check["limit"]),
+            unit=check["unit"],
+            text=check["text"],
+            basis=check["basis"],
+        )
+        for check in checks
+    ]
+
+
+def trajectory_sha256(names: Sequence[str], times: np.ndarray, positions: np.ndarray) -> str:
+    """What reviews bind to.
+
+    Args:
+        names: of the columns.
+        times: (S,) of the samples.
+        positions: (S, columns), or the same row by row.
+    """
+    digest = hashlib.sha256("\n".join(names).encode() + b"\0")
+    digest.update(np.ascontiguousarray(times, dtype="<f8").tobytes())
+    digest.update(np.ascontiguousarray(positions, dtype="<f8").tobytes())
+    return digest.hexdigest()
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _trajectory(result: PlanResult, motion: Motion) -> Trajectory:
+    s, times = samples_of(motion), sample_times(motion)
+    names = file_columns(result.robot)
+    positions = file_positions(result.robot, motion.curve(s)[:, : result.robot.n])
+    return Trajectory(
+        joint_names=names,
+        times=times,
+        positions=positions.ravel(),
+        phases=[
+            PhaseTimes(
+                name=phase.name,
+                start_s=float(np.interp(phase.first, s, times)),
+                end_s=float(np.interp(phase.last, s, times)),
+            )
+            for phase in motion.phases
+        ],
+        is_timed=motion.law is not None,
+        sha256=trajectory_sha256(names, times, positions),
+    )
+
+
+def _certificate(certificate: Certificate) -> CertificateMessage:
+    data = certificate.to_dict()
+    text = json.dumps(data, allow_nan=False).encode()
+    return CertificateMessage(
+        status=certificate.status.value,
+        checks=checks_to_messages(data["checks"]),
+        min_clearance_m=data["min_clearance_m"],
+        min_clearance_pair=data["min_clearance_pair"] or (),
+        min_balance_margin_m=data["min_balance_margin_m"],
+        json=text,
+        sha256=hashlib.sha256(text).hexdigest(),
+    )
