@@ -25,7 +25,7 @@ from jaxtyping import Float
 from benchmarks.tables import print_table
 from costs.robot import LinkBody, RobotModel
 from service.bench import COLUMNS, failures, run_bench, table
-from service.obstacles import obstacle_pieces
+from service.obstacles import obstacles_of
 from service.problem_set import BenchProblem, BenchRobot, read_problems
 from service.setup import load_requested_robot
 
@@ -111,7 +111,7 @@ def judged(
         assert request.goal is not None
         start = np.array([request.start.positions_by_joint[joint] for joint in robot.joint_names])
         goal = np.array([request.goal.joints[joint] for joint in robot.joint_names])
-        pieces = [piece.vertices for piece in obstacle_pieces(request)]
+        pieces = [piece.vertices for piece in obstacles_of(request).pieces]
         length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
         yield {
             "length": float(length / np.linalg.norm(goal - start)),

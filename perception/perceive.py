@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece, Scene
 from perception.clean import Reach, voxel_downsample
@@ -18,8 +18,12 @@ from perception.convex.pieces import make_pieces
 from perception.convex.unknown import unknown_pieces
 from perception.detect.valve import ValveDetection, detect_in
 from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
+from perception.errors import CancelledError
 from perception.floor import FloorPlane, floor_pieces
+from perception.solids.decompose import Work
+from perception.solids.match import KnownMesh, MeshMatch, match_mesh
 from perception.solids.pieces import made_by_coacd
+from perception.solids.process import never
 from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]
@@ -40,6 +44,7 @@ class Perceived:
         view: what they were made from; ``pieces[i].points`` are indices into ``view.obstacles``.
         floor: the floor's plane; None when none was seen.
         valves: detections, best first; empty unless a valve was asked for.
+        matches: by name where each known mesh was found, and how surely.
         shown: (M, 3) decimated points for a viewer, at most 60,000 [m].
         timings: seconds by step.
         notes: sentences a user should read.
@@ -53,6 +58,7 @@ class Perceived:
     shown: Float[np.ndarray, "M 3"]
     timings: Mapping[str, float]
     notes: tuple[str, ...]
+    matches: Mapping[str, MeshMatch] = field(default_factory=dict)
 
     @property
     def valve(self) -> ValveDetection | None:
@@ -84,6 +90,8 @@ def perceive(
     unknown: Unknown = "free",
     seed: int = 0,
     method: Literal["planes", "coacd"] = "planes",
+    known: Sequence[KnownMesh] = (),
+    should_stop: Callable[[], bool] = never,
 ) -> Perceived:
     """Floor, convex pieces and, on request, wheel valves of a cloud in world coordinates (z up).
 
@@ -98,9 +106,13 @@ def perceive(
             place left out.
         seed: of all random choices; the same input and seed give the same result.
         method: ``planes`` (slabs, then hulls of the rest) or ``coacd`` (cells, then CoACD; slower and coarser).
+        known: objects to look for, of unique names; points that one found with confidence explains are kept out of the
+            pieces, and the object itself is not in the scene.
+        should_stop: asked between steps and while CoACD runs.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
+        CancelledError: ``should_stop`` said so.
         CloudError: nothing of the cloud lies in reach.
     """
     clock = Clock()
@@ -113,8 +125,16 @@ def perceive(
         is_other, stem = without_valve(view.obstacles, valves[0])
         kept = kept[is_other]
     clock.lap("valve")
+    matches: dict[str, MeshMatch] = {}
+    for one in known:
+        stop_if(should_stop, one.name)
+        matches[one.name] = match_mesh(one.solid, view, initial=one.pose_world_mesh)
+        clock.lap("known meshes")
+    kept = unexplained(view.obstacles, kept, matches)
+    stop_if(should_stop, "cloud")
     if method == "coacd":
-        made = made_by_coacd(view.obstacles[kept], view.starts[kept], view.cloud.rays)
+        work = Work(should_stop=should_stop)
+        made = made_by_coacd(view.obstacles[kept], view.starts[kept], view.cloud.rays, work=work)
     else:
         made = make_pieces(view.obstacles[kept], view.starts[kept], view.cloud.rays, seed)
     pieces = tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces)
@@ -126,7 +146,28 @@ def perceive(
     extra = [*floors_of(view), *([] if stem is None else [stem])]
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
     scene = Scene((*extra, *(piece.shape for piece in pieces), *hidden))
-    return Perceived(scene, pieces, view, view.floor, valves, shown_points(view.near.points), timings, view.notes)
+    return Perceived(
+        scene, pieces, view, view.floor, valves, shown_points(view.near.points), timings, view.notes, matches
+    )
+
+
+def stop_if(should_stop: Callable[[], bool], name: str) -> None:
+    """
+    Raises:
+        CancelledError: it is to stop.
+    """
+    if should_stop():
+        raise CancelledError(f"{name}: perception was cancelled")
+
+
+def unexplained(
+    points: Float[np.ndarray, "N 3"], kept: Int[np.ndarray, "K"], matches: Mapping[str, MeshMatch]
+) -> Int[np.ndarray, "L"]:
+    """Those of the kept indices whose points no mesh explains that was found with confidence."""
+    for match in matches.values():
+        if match.confidence >= CONFIDENT:
+            kept = kept[~match.explains(points[kept])]
+    return kept
 
 
 def floors_of(view: View) -> list[ConvexPiece]:

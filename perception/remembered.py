@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -39,7 +40,7 @@ class Memory:
 
     def perceive(self, cloud: Cloud, **settings: Any) -> Perceived:
         """``perceive(cloud, **settings)``, or the very result that it gave for the same input before."""
-        key = content_key(cloud, settings)
+        key = content_key(cloud, {name: value for name, value in settings.items() if name != "should_stop"})
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key][0]
@@ -74,6 +75,8 @@ def _feed(update: Callable[[bytes], None], value: object) -> None:
         update(f"sequence {len(value)};".encode())
         for item in value:
             _feed(update, item)
+    elif is_dataclass(value):
+        _feed(update, [type(value).__name__, *(getattr(value, one.name) for one in fields(value))])
     else:
         text = repr(value).encode()
         update(f"{type(value).__name__} {len(text)};".encode() + text)

@@ -12,7 +12,7 @@ from costs.scene import ConvexPiece, Scene
 from perception.cloud import Cloud
 from perception.convex.pieces import updated_pieces
 from perception.convex.unknown import unknown_pieces
-from perception.perceive import Clock, Perceived, floors_of, shown_points, without_valve
+from perception.perceive import Clock, Perceived, floors_of, shown_points, unexplained, without_valve
 from perception.view import make_view
 
 _SAME = 0.01
@@ -29,8 +29,8 @@ def update(
 
     Pieces that no ray of the new scan passes through stay in the scene as they are: the same objects, the same names.
     What their surfaces do not explain becomes new pieces with new names.  The floor stays while its corners move by
-    less than 1 cm.  A valve that was found stays where it was, and is not looked for again; unknown space is made anew
-    if it was asked for.
+    less than 1 cm.  A valve or known mesh that was found stays where it was, and is not looked for again; unknown space
+    is made anew if it was asked for.
 
     Args:
         before: what the scan before showed.
@@ -48,6 +48,7 @@ def update(
     if before.valve is not None:
         is_other, _ = without_valve(view.obstacles, before.valve)
         kept = kept[is_other]
+    kept = unexplained(view.obstacles, kept, before.matches)
     clock.lap("view")
     made = updated_pieces(before.pieces, view.obstacles[kept], view.starts[kept], view.cloud.rays, seed)
     pieces = tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces)
@@ -59,9 +60,8 @@ def update(
     floors = _steady(before.scene, floors_of(view))
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
     scene = Scene((*floors, *stem, *(piece.shape for piece in pieces), *hidden))
-    return Perceived(
-        scene, pieces, view, view.floor, before.valves, shown_points(view.near.points), timings, view.notes
-    )
+    shown = shown_points(view.near.points)
+    return Perceived(scene, pieces, view, view.floor, before.valves, shown, timings, view.notes, before.matches)
 
 
 def _steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:

@@ -1,75 +1,104 @@
-"""Mesh files of a request as convex parts."""
+"""Mesh files of a request as solids, and solids as convex parts."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import ConvexHull
 
+from costs.robot import RobotError, StillShape, object_shapes
+from scopt import Status
 from service.errors import RequestError
+from service.monitor import Interrupted
 
 if TYPE_CHECKING:
-    from perception import View
+    from perception.mesh import Mesh
+    from perception.solids.closed import Solid
+
+URDF = ".urdf"
+FORMATS = (".stl", ".obj", ".ply", URDF)
+
+
+def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
+    """What a file describes, in its own frame [m].
+
+    Args:
+        path: STL, OBJ or PLY, or a URDF, whose collision shapes with every joint at zero are one object.
+        field: of the request that names it.
+        scale: metres per unit of the file.
+
+    Raises:
+        RequestError: naming ``field``: no such file, another format, too large or broken.
+    """
+    from perception import PerceptionError  # takes a while, and most scenes need none
+    from perception.solids.closed import solid_of, united
+    from perception.solids.read import read_mesh
+
+    if not path.is_file():
+        raise RequestError(f"{field}: {path} is not there; paths start at the request's folder")
+    if path.suffix.lower() not in FORMATS:
+        raise RequestError(f"{field}: {path.name}: format '{path.suffix}' is not read; {', '.join(FORMATS)} would do")
+    try:
+        if path.suffix.lower() != URDF:
+            return solid_of(read_mesh(path, scale), path.name)
+        return united([solid_of(_body(shape, scale), shape.where) for shape in object_shapes(path)], path.name)
+    except (PerceptionError, RobotError) as error:
+        raise RequestError(f"{field}: {error}") from None
 
 
 def convex_parts(
-    path: Path, field: str, scale: float = 1.0, *, decompose: bool = True
+    solid: Solid,
+    name: str,
+    field: str,
+    *,
+    decompose: bool = True,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> list[Float[np.ndarray, "V 3"]]:
-    """Vertices of convex parts that together contain the mesh [m].
+    """Vertices of convex parts that together contain a solid [m].
 
     A convex mesh is one part. CoACD's parts (Wei et al., SIGGRAPH 2022) follow the surface to about 1 cm.
 
     Args:
-        path: STL, OBJ or PLY.
-        field: of the request that names it.
-        scale: metres per unit of the file.
+        solid: the object.
+        name: what to call it in errors.
+        field: of the request that names its file.
         decompose: whether to split it; else its hull is the one part.
+        should_stop: asked while CoACD runs, which is killed once it says so.
 
     Raises:
-        RequestError: naming ``field``: no such file, another format, too large, broken, or too long to split.
+        RequestError: naming ``field``: CoACD crashed or needs too much.
+        Interrupted: ``should_stop`` said so.
     """
-    from perception import PerceptionError  # takes a while, and most scenes need none
+    from perception import PerceptionError
+    from perception.errors import CancelledError
     from perception.solids import decompose as solids
-    from perception.solids.closed import solid_of
-    from perception.solids.read import read_mesh
 
-    _check_there(path, field)
     try:
-        mesh = read_mesh(path, scale)
-        solid = solid_of(mesh, path.name)
-        return list(solids.convex_parts(solid, name=path.name)) if decompose else [solids.hull_part(solid)]
+        if not decompose:
+            return [solids.hull_part(solid)]
+        return list(solids.convex_parts(solid, work=solids.Work(should_stop=should_stop), name=name))
+    except CancelledError:
+        raise Interrupted(Status.CANCELLED) from None
     except PerceptionError as error:
         raise RequestError(f"{field}: {error}") from None
 
 
-def found_pose(
-    path: Path, scale: float, initial: Float[np.ndarray, "4 4"], view: View, field: str
-) -> Float[np.ndarray, "4 4"]:
-    """Where the mesh stands in the scan, near where it is thought to be.
-
-    Raises:
-        RequestError: naming ``field``: the file cannot be used, or the scan does not show the mesh there.
-    """
-    from perception import CONFIDENT, PerceptionError
-    from perception.solids.match import match_mesh
+def _body(shape: StillShape, scale: float) -> Mesh:
+    """A shape's triangles in the object's frame; a round one as the polytope around it."""
+    from perception.mesh import Mesh
     from perception.solids.read import read_mesh
 
-    _check_there(path, field)
-    try:
-        found = match_mesh(read_mesh(path, scale), view, initial=initial)
-    except PerceptionError as error:
-        raise RequestError(f"{field}: {error}") from None
-    if found.confidence < CONFIDENT:
-        place = ", ".join(f"{value:.2f}" for value in initial[:3, 3])
-        raise RequestError(
-            f"{field}: the scan does not show {path.name} near ({place}): confidence {found.confidence:.2f}, "
-            f"{CONFIDENT} is needed; place it within 15 cm and 20 degrees, or leave match out"
-        )
-    return found.pose_world_mesh
-
-
-def _check_there(path: Path, field: str) -> None:
-    if not path.is_file():
-        raise RequestError(f"{field}: {path} is not there; paths start at the request's folder")
+    pose = shape.pose_object_shape.copy()
+    pose[:3, 3] *= scale
+    if shape.mesh is not None:
+        return read_mesh(shape.mesh, shape.scale * scale).placed(pose)
+    points = np.asarray(shape.points) * scale
+    hull = ConvexHull(points)
+    a, b, c = np.moveaxis(points[hull.simplices], 1, 0)
+    is_inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0.0
+    triangles = np.where(is_inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return Mesh(points, triangles.astype(np.int64)).placed(pose)

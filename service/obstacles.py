@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from costs.robot import shapes
 from costs.scene import ConvexPiece
 from service.errors import RequestError
-from service.mesh import convex_parts, found_pose
+from service.mesh import convex_parts, read_solid
 from service.request import PlanRequest
 from service.request_scene import (
     BoxRequest,
@@ -26,33 +29,93 @@ from service.request_scene import (
 )
 
 if TYPE_CHECKING:
-    from perception import View
+    from perception.solids.closed import Solid
+    from perception.solids.match import KnownMesh, MeshMatch
 
 FLOOR_HALF_WIDTH_M = 10.0
 FLOOR_THICKNESS_M = 0.2
 
 
-def obstacle_pieces(request: PlanRequest, view: View | None = None) -> tuple[ConvexPiece, ...]:
+@dataclass(frozen=True)
+class Obstacles:
+    """The obstacles of a request: convex pieces in the world, and what a user should know of them."""
+
+    pieces: tuple[ConvexPiece, ...]
+    notes: tuple[str, ...]
+
+
+def known_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
+    """The meshes that the request's scan is to show.
+
+    Raises:
+        RequestError: a mesh file that cannot be used.
+    """
+    from perception.solids.match import KnownMesh  # takes a while, and only requests with a scan need it
+
+    return tuple(
+        KnownMesh(one.name, _solid(request, one, f"scene.obstacles[{index}].file"), _pose(one))
+        for index, one in enumerate(request.scene.obstacles)
+        if isinstance(one, MeshRequest) and one.match
+    )
+
+
+def obstacles_of(
+    request: PlanRequest,
+    matches: Mapping[str, MeshMatch] = MappingProxyType({}),
+    should_stop: Callable[[], bool] = lambda: False,
+) -> Obstacles:
     """All obstacles of a request; round shapes as polytopes around them, meshes as several pieces.
 
     Args:
         request: the request.
-        view: its scan, made ready, in which meshes are looked for that ask for it.
+        matches: by name what the scan showed of meshes that were to be found in it; they stand where it shows them.
+        should_stop: asked while meshes are split.
 
     Raises:
         RequestError: a mesh file that cannot be used or is not found in the scan, or points without a volume.
+        Interrupted: ``should_stop`` said so.
     """
     pieces: list[ConvexPiece] = []
+    notes: list[str] = []
     for index, obstacle in enumerate(request.scene.obstacles):
-        field = f"scene.obstacles[{index}]"
-        pose = _pose(obstacle)
-        if isinstance(obstacle, MeshRequest) and obstacle.match and view is not None:
-            pose = found_pose(request.resolve(obstacle.file), obstacle.scale, pose, view, f"{field}.match")
-        parts = _parts(request, obstacle, field)
+        field, pose = f"scene.obstacles[{index}]", _pose(obstacle)
+        if isinstance(obstacle, MeshRequest):
+            match = matches.get(obstacle.name)
+            solid = _solid(request, obstacle, f"{field}.file") if match is None else match.solid
+            notes += solid.notes
+            if match is not None:
+                pose = _pose_found(obstacle, match, f"{field}.match")
+                x, y, z = pose[:3, 3]
+                notes.append(f"{obstacle.name} found at ({x:.3f}, {y:.3f}, {z:.3f}), confidence {match.confidence:.2f}")
+            parts: Sequence[np.ndarray] = convex_parts(
+                solid,
+                Path(obstacle.file).name,
+                f"{field}.file",
+                decompose=obstacle.decompose,
+                should_stop=should_stop,
+            )
+        else:
+            parts = [_shape(obstacle, field)]
         for number, vertices in enumerate(parts, start=1):
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
             pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3]))
-    return tuple(pieces)
+    return Obstacles(tuple(pieces), tuple(notes))
+
+
+def _solid(request: PlanRequest, obstacle: MeshRequest, field: str) -> Solid:
+    return read_solid(request.resolve(obstacle.file), field, obstacle.scale)
+
+
+def _pose_found(obstacle: MeshRequest, match: MeshMatch, field: str) -> Float[np.ndarray, "4 4"]:
+    from perception import CONFIDENT
+
+    if match.confidence < CONFIDENT:
+        place = ", ".join(f"{value:.2f}" for value in obstacle.position)
+        raise RequestError(
+            f"{field}: the scan does not show {Path(obstacle.file).name} near ({place}): confidence "
+            f"{match.confidence:.2f}, {CONFIDENT} is needed; place it within 15 cm and 20 degrees, or leave match out"
+        )
+    return match.pose_world_mesh
 
 
 def _pose(obstacle: ObstacleRequest) -> Float[np.ndarray, "4 4"]:
@@ -69,23 +132,21 @@ def flat_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
     return ConvexPiece("floor", corners + centre, "floor")
 
 
-def _parts(request: PlanRequest, obstacle: ObstacleRequest, field: str) -> Sequence[Float[np.ndarray, "V 3"]]:
-    """Vertices of the obstacle's convex parts in its own frame."""
+def _shape(
+    obstacle: BoxRequest | SphereRequest | CylinderRequest | CapsuleRequest | ConvexRequest, field: str
+) -> Float[np.ndarray, "V 3"]:
+    """Vertices of a convex obstacle in its own frame."""
     match obstacle:
         case BoxRequest():
-            return [shapes.box(np.array(obstacle.size))]
+            return shapes.box(np.array(obstacle.size))
         case SphereRequest():
-            return [shapes.sphere(obstacle.radius)]
+            return shapes.sphere(obstacle.radius)
         case CylinderRequest():
-            return [shapes.cylinder(obstacle.radius, obstacle.height)]
+            return shapes.cylinder(obstacle.radius, obstacle.height)
         case CapsuleRequest():
-            return [shapes.capsule(obstacle.radius, obstacle.height)]
+            return shapes.capsule(obstacle.radius, obstacle.height)
         case ConvexRequest():
-            return [_hull(np.array(obstacle.points), f"{field}.points")]
-        case MeshRequest():
-            return convex_parts(
-                request.resolve(obstacle.file), f"{field}.file", obstacle.scale, decompose=obstacle.decompose
-            )
+            return _hull(np.array(obstacle.points), f"{field}.points")
 
 
 def _hull(points: Float[np.ndarray, "V 3"], field: str) -> Float[np.ndarray, "W 3"]:

@@ -14,10 +14,12 @@ from jaxtyping import Float
 
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
+from scopt import Status
 from service.attached import robot_with_attached
 from service.errors import RequestError, would_do
 from service.keep import KeptPose, kept_poses
-from service.obstacles import flat_floor, obstacle_pieces
+from service.monitor import Interrupted
+from service.obstacles import Obstacles, flat_floor, known_meshes, obstacles_of
 from service.request import PlanRequest
 from service.start import (
     FEET_GROUP,
@@ -56,6 +58,7 @@ class PlanSetup:
         overlaps: what the robot is in at its start, to be left first.
         notes: what was assumed, snapped or noticed.
         timings: seconds by step.
+        is_stopped: whether it was to stop before all of the scene was there; the scene is then empty.
     """
 
     request: PlanRequest
@@ -69,6 +72,7 @@ class PlanSetup:
     overlaps: tuple[Overlap, ...]
     notes: tuple[str, ...]
     timings: Mapping[str, float]
+    is_stopped: bool = False
 
     @property
     def contacts(self) -> tuple[str, ...]:
@@ -77,7 +81,10 @@ class PlanSetup:
 
 
 def prepare(
-    request: PlanRequest, on_step: Callable[[str], None] | None = None, robot: RobotModel | None = None
+    request: PlanRequest,
+    on_step: Callable[[str], None] | None = None,
+    robot: RobotModel | None = None,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> PlanSetup:
     """Load the robot, read the scan, and check the request against both.
 
@@ -85,6 +92,7 @@ def prepare(
         request: the request.
         on_step: told the name of each step before it begins.
         robot: the request's robot where it is at hand already; else it is loaded.
+        should_stop: asked while the scene is made; once it says so, what comes back ``is_stopped``.
 
     Raises:
         RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
@@ -95,23 +103,33 @@ def prepare(
     if robot is None:
         robot = _timed(timings, "load_robot", lambda: load_requested_robot(request))
     robot = robot_with_attached(robot, request)
-    return _prepare(request, robot, say, timings)
+    return _prepare(request, robot, say, timings, should_stop)
 
 
 def _prepare(
-    request: PlanRequest, robot: RobotModel, say: Callable[[str], None], timings: dict[str, float]
+    request: PlanRequest,
+    robot: RobotModel,
+    say: Callable[[str], None],
+    timings: dict[str, float],
+    should_stop: Callable[[], bool],
 ) -> PlanSetup:
     start, notes, program = _start(robot, request)
     _check_goal(robot, request)
     kept = _kept(robot, start, request)
     soles = _soles(robot, start, request, program)
     say("perceive scene")
-    perceived = _timed(timings, "perceive", lambda: _perceive(request, robot, start, soles))
-    scene = _timed(timings, "build_scene", lambda: _scene(request, robot, start, perceived))
+    try:
+        perceived = _timed(timings, "perceive", lambda: _perceive(request, robot, start, soles, should_stop))
+        obstacles = _timed(timings, "build_scene", lambda: _obstacles(request, perceived, should_stop))
+    except Interrupted:
+        empty = Scene(())
+        return PlanSetup(request, robot, start, empty, None, soles, kept, program, (), notes, timings, is_stopped=True)
+    scene = _scene(request, robot, start, perceived, obstacles.pieces)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
     inside = _timed(timings, "check_start", check)
     notes += tuple(f"start is in collision: {one}; the first phase leaves it" for one in inside)
+    notes += obstacles.notes
     if perceived is not None:
         notes += perceived.notes
     return PlanSetup(request, robot, start, scene, perceived, soles, kept, program, inside, notes, timings)
@@ -130,9 +148,10 @@ def _start(robot: RobotModel, request: PlanRequest) -> tuple[Float[np.ndarray, "
 
 def _timed(timings: dict[str, float], step: str, run: Callable[[], T]) -> T:
     started = time.perf_counter()
-    value = run()
-    timings[step] = time.perf_counter() - started
-    return value
+    try:
+        return run()
+    finally:
+        timings[step] = time.perf_counter() - started
 
 
 def load_requested_robot(request: PlanRequest) -> RobotModel:
@@ -226,16 +245,22 @@ def _soles(
 
 
 def _perceive(
-    request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"], soles: Mapping[str, np.ndarray]
+    request: PlanRequest,
+    robot: RobotModel,
+    start: Float[np.ndarray, "n"],
+    soles: Mapping[str, np.ndarray],
+    should_stop: Callable[[], bool],
 ) -> Perceived | None:
     if request.scene.cloud is None:
         return None
     from perception import PerceptionError, Reach, perceive, read_clouds  # takes a while, and most scenes need none
+    from perception.errors import CancelledError
 
     scene = request.scene
     task = None if request.task is None else request.task.valve
     hint = scene.hint if task is None or task.hint is None else task.hint
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
+    known = known_meshes(request)
     try:
         cloud = read_clouds(
             [(request.resolve(one.file), one.transform) for one in scene.cloud_files],
@@ -255,16 +280,28 @@ def _perceive(
             unknown=scene.unknown,
             seed=request.options.seed,
             method=scene.method,
+            known=known,
+            should_stop=should_stop,
         )
+    except CancelledError:
+        raise Interrupted(Status.CANCELLED) from None
     except PerceptionError as error:
         raise RequestError(f"scene.cloud: {error}") from None
 
 
+def _obstacles(request: PlanRequest, perceived: Perceived | None, should_stop: Callable[[], bool]) -> Obstacles:
+    return obstacles_of(request, {} if perceived is None else perceived.matches, should_stop)
+
+
 def _scene(
-    request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"], perceived: Perceived | None
+    request: PlanRequest,
+    robot: RobotModel,
+    start: Float[np.ndarray, "n"],
+    perceived: Perceived | None,
+    obstacles: tuple[ConvexPiece, ...],
 ) -> Scene:
     """Obstacles first, then what the scan shows, then the floor; a floor given in the request replaces the scan's."""
-    pieces: list[ConvexPiece] = list(obstacle_pieces(request, None if perceived is None else perceived.view))
+    pieces: list[ConvexPiece] = list(obstacles)
     floor = request.scene.floor
     seen = () if perceived is None else perceived.scene.pieces
     pieces += [piece for piece in seen if floor is None or piece.kind != FLOOR_KIND]

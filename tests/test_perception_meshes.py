@@ -202,7 +202,7 @@ def test_a_tool_on_a_table_is_found_from_a_point_near_it(tool_on_a_table: tuple[
     assert angle <= 2.0
     assert found.confidence >= CONFIDENT
     assert found.residuals["rms"] < 0.012
-    on_mesh = view.obstacles[found.on_mesh]
+    on_mesh = view.obstacles[found.explains(view.obstacles)]
     assert np.linalg.norm(on_mesh - middle, axis=1).max() < 0.35
 
 
@@ -234,4 +234,4 @@ def test_another_object_gets_a_low_confidence(
 def test_where_nothing_is_nothing_is_found(tool_on_a_table: tuple[View, np.ndarray, np.ndarray]) -> None:
     found = match_mesh(TOOL, tool_on_a_table[0], hint=np.array([-1.5, -1.5, 1.8]))
     assert found.confidence == 0.0
-    assert not found.on_mesh.any()
+    assert not found.explains(tool_on_a_table[0].obstacles).any()

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from service.errors import RequestError
-from service.mesh import convex_parts
+from service.mesh import convex_parts, read_solid
 
 CUBE = [
     (0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
@@ -33,8 +33,12 @@ def _obj(path: Path, cubes: list[list[tuple[float, ...]]]) -> Path:
     return path
 
 
+def _parts(path: Path) -> list[np.ndarray]:
+    return convex_parts(read_solid(path, "file"), path.name, "file")
+
+
 def test_a_convex_mesh_is_one_part(tmp_path: Path) -> None:
-    (part,) = convex_parts(_obj(tmp_path / "cube.obj", [_cube((0, 0, 0), (1, 2, 3))]), "file")
+    (part,) = _parts(_obj(tmp_path / "cube.obj", [_cube((0, 0, 0), (1, 2, 3))]))
     np.testing.assert_allclose(part.min(axis=0), [0, 0, 0])
     np.testing.assert_allclose(part.max(axis=0), [1, 2, 3])
     assert len(part) == 8
@@ -42,7 +46,7 @@ def test_a_convex_mesh_is_one_part(tmp_path: Path) -> None:
 
 def test_separate_solids_are_parts_of_their_own(tmp_path: Path) -> None:
     top, leg = ((0, 0, 0.7), (1, 0.6, 0.75)), ((0.01, 0.01, 0), (0.06, 0.59, 0.7))
-    parts = convex_parts(_obj(tmp_path / "table.obj", [_cube(*top), _cube(*leg)]), "file")
+    parts = _parts(_obj(tmp_path / "table.obj", [_cube(*top), _cube(*leg)]))
     assert len(parts) == 2
     rng = np.random.default_rng(0)
     inside = np.vstack([rng.uniform(*box, size=(200, 3)) for box in (top, leg)])
@@ -67,7 +71,7 @@ def test_a_hollow_solid_is_split_into_parts_that_contain_its_surface(tmp_path: P
         "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
         + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces)
     )
-    parts = convex_parts(path, "file")
+    parts = _parts(path)
     assert len(parts) >= 2
     hulls = [ConvexHull(part).equations for part in parts]
     depth = np.min([np.max(np.array(corners) @ h[:, :3].T + h[:, 3], axis=1) for h in hulls], axis=0)
@@ -79,7 +83,7 @@ def test_a_hollow_solid_is_split_into_parts_that_contain_its_surface(tmp_path: P
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
-        ("a.dae", b"<x/>", "file: a.dae: format '.dae' is not read; .stl, .obj, .ply would do"),
+        ("a.dae", b"<x/>", "file: a.dae: format '.dae' is not read; .stl, .obj, .ply, .urdf would do"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "file: a.obj: has 1 triangles; a solid with 4 to"),
         ("a.obj", b"rubbish\n", "file: a.obj: has 0 triangles"),
         ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f" + b"\x00" * 50, "file: a.stl: "),
@@ -95,10 +99,10 @@ def test_a_hollow_solid_is_split_into_parts_that_contain_its_surface(tmp_path: P
 def test_a_broken_mesh_is_refused_by_name(tmp_path: Path, name: str, content: bytes, problem: str) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RequestError) as caught:
-        convex_parts(tmp_path / name, "file")
+        read_solid(tmp_path / name, "file")
     assert str(caught.value).startswith(problem)
 
 
 def test_a_missing_mesh_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RequestError, match="is not there; paths start at the request's folder"):
-        convex_parts(tmp_path / "none.stl", "file")
+        read_solid(tmp_path / "none.stl", "file")

@@ -6,6 +6,7 @@ from costs.robot.errors import RobotError
 from costs.robot.load import Root
 from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
 from costs.robot.named import bundled_robots, load_robot
+from costs.robot.still import StillShape, object_shapes
 
 __all__ = [
     "BASE_NAMES",
@@ -15,8 +16,10 @@ __all__ = [
     "RobotModel",
     "RobotSource",
     "Root",
+    "StillShape",
     "bundled_robots",
     "load_robot",
+    "object_shapes",
     "with_attached",
     "with_revolute",
 ]

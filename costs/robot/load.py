@@ -146,16 +146,25 @@ def _bodies(
     return tuple(bodies), files
 
 
+def primitive_points(shape: Shape) -> Float[np.ndarray, "V 3"]:
+    """Points whose hull contains a shape that is no mesh, in its own frame [m]."""
+    match shape.kind:
+        case "box":
+            return shapes.box(shape.size)
+        case "sphere":
+            return shapes.sphere(float(shape.size[0]))
+        case "cylinder":
+            return shapes.cylinder(float(shape.size[0]), float(shape.size[1]))
+        case "capsule":
+            return shapes.capsule(float(shape.size[0]), float(shape.size[1]))
+        case _:
+            raise ValueError(f"{shape.kind} is no primitive shape")
+
+
 def _shape_points(shape: Shape, roots: Sequence[Path], files: dict[str, Path], where: str) -> Float[np.ndarray, "V 3"]:
     """Points whose hull contains the shape, in its own frame [m]; a mesh's file is noted in ``files``."""
-    if shape.kind == "box":
-        return shapes.box(shape.size)
-    if shape.kind == "sphere":
-        return shapes.sphere(float(shape.size[0]))
-    if shape.kind == "cylinder":
-        return shapes.cylinder(float(shape.size[0]), float(shape.size[1]))
-    if shape.kind == "capsule":
-        return shapes.capsule(float(shape.size[0]), float(shape.size[1]))
+    if shape.kind != "mesh":
+        return primitive_points(shape)
     key, path = resolve_mesh(shape.uri, roots, where)
     if files.setdefault(key, path) != path:
         raise RobotError(f"{where}: mesh '{shape.uri}' names another file than '{key}' elsewhere; rename one")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy import sparse
 from perception.errors import MeshError
 from perception.mesh import Mesh
 
+MAX_TRIANGLES = 500_000
 _WELD = 1e-6  # of the mesh's size
 _SMALL_HOLE = 0.15  # of the part's size
 _NO_VOLUME = 1e-6  # of the cube of the part's size
@@ -71,6 +73,22 @@ def solid_of(mesh: Mesh, name: str = "mesh") -> Solid:
             f"{name}: {len(opened)} of {len(closed) + len(opened)} parts are not closed ({n_edges} open edges); "
             "their surface is taken for a shell"
         )
+    return Solid(tuple(closed), tuple(opened), tuple(notes))
+
+
+def united(solids: Iterable[Solid], name: str = "object") -> Solid:
+    """Several solids as one; they may overlap.
+
+    Raises:
+        MeshError: they have more triangles than one mesh file may have; said as soon as it is known.
+    """
+    closed: list[Mesh] = []
+    opened: list[Mesh] = []
+    notes: list[str] = []
+    for solid in solids:
+        closed, opened, notes = [*closed, *solid.closed], [*opened, *solid.open], [*notes, *solid.notes]
+        if sum(len(mesh.triangles) for mesh in (*closed, *opened)) > MAX_TRIANGLES:
+            raise MeshError(f"{name}: has more than {MAX_TRIANGLES} triangles; simplify its meshes")
     return Solid(tuple(closed), tuple(opened), tuple(notes))
 
 

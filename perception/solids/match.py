@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from perception.convex.coarse import coarsened
@@ -16,7 +16,7 @@ from perception.convex.split import clusters
 from perception.detect.sightlines import Sightlines, sight_index
 from perception.errors import MeshError
 from perception.mesh import Mesh
-from perception.solids.closed import solid_of
+from perception.solids.closed import Solid, solid_of
 from perception.solids.fit import Pose, Region, fitted
 from perception.solids.surface import Surface
 from perception.view import View
@@ -38,6 +38,21 @@ _DIFFERENT_DEG, _DIFFERENT_M = 20.0, 0.05
 
 
 @dataclass(frozen=True)
+class KnownMesh:
+    """An object of known shape that stands about where it is said to.
+
+    Attributes:
+        name: what to call it.
+        solid: its shape in its own frame [m].
+        pose_world_mesh: (4, 4), right within 20 degrees and 15 cm.
+    """
+
+    name: str
+    solid: Solid
+    pose_world_mesh: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
 class MeshMatch:
     """A mesh found in a scan.
 
@@ -48,17 +63,37 @@ class MeshMatch:
             that should have met it and went on; ``hidden``, the share that met something before it; ``unexplained``,
             points close before its surface as a share of those on it; ``rival``, how well the best clearly different
             pose does against this one (near 1: the scan does not tell them apart); ``n_points`` on it.
-        on_mesh: (M,) which of the view's obstacle points it explains.
+        solid: the mesh in its own frame.
+        tolerance: how far from its surface its points lie at most [m].
     """
 
     pose_world_mesh: Float[np.ndarray, "4 4"]
     confidence: float
     residuals: Mapping[str, float]
-    on_mesh: Bool[np.ndarray, "M"]
+    solid: Solid
+    tolerance: float
+
+    def explains(self, points: Float[np.ndarray, "M 3"]) -> Bool[np.ndarray, "M"]:
+        """Which points of the world lie on the mesh's surface, or inside of its closed parts."""
+        pose = Pose(self.pose_world_mesh[:3, :3], self.pose_world_mesh[:3, 3])
+        points = pose.into_mesh(points)
+        whole = _joined([*self.solid.closed, *self.solid.open])
+        explained = np.zeros(len(points), dtype=bool)
+        near = _about(points, whole, self.tolerance)
+        if len(near):
+            offset = points[near] - Surface(whole).nearest(points[near])[0]
+            explained[near] = np.linalg.norm(offset, axis=1) <= self.tolerance
+        for part in self.solid.closed:
+            # Each by itself: they may overlap, and then counting crossings of all of them would tell nothing.
+            rest = _about(points, part, 0.0)
+            rest = rest[~explained[rest]]
+            if len(rest):
+                explained[rest] = Surface(part).contains(points[rest])
+        return explained
 
 
 def match_mesh(
-    mesh: Mesh,
+    mesh: Mesh | Solid,
     view: View,
     hint: Float[np.ndarray, "3"] | None = None,
     initial: Float[np.ndarray, "4 4"] | None = None,
@@ -68,7 +103,7 @@ def match_mesh(
     Only what a ray could have met counts, so a scan from one side will do.
 
     Args:
-        mesh: the object, in its own frame [m].
+        mesh: the object, in its own frame [m]; as a solid where it is checked already.
         view: the scan, made ready.
         hint: (3,) a point on or near the object; without it and ``initial`` every cluster of its size is tried.
         initial: (4, 4) about where it stands (20 degrees, 15 cm); only poses near it are tried.
@@ -76,7 +111,7 @@ def match_mesh(
     Raises:
         MeshError: the mesh cannot be used.
     """
-    solid = solid_of(mesh)
+    solid = mesh if isinstance(mesh, Solid) else solid_of(mesh)
     whole = [*solid.closed, *solid.open]
     surface = Surface(_joined(whole))
     lower = np.min([part.vertices.min(axis=0) for part in whole], axis=0)
@@ -92,14 +127,12 @@ def match_mesh(
         starts = _starts(place, centre, radius, region, initial)
         candidates += [(score, pose, judge) for score, pose in _searched(surface, judge, region, starts, radius)]
     if not candidates:
-        return MeshMatch(
-            np.eye(4) if initial is None else initial, 0.0, {"n_points": 0.0}, np.zeros(len(view.obstacles), dtype=bool)
-        )
+        return MeshMatch(np.eye(4) if initial is None else initial, 0.0, {"n_points": 0.0}, solid, 0.0)
     candidates.sort(key=lambda one: -one[0])
     best, pose, judge = candidates[0]
     rivals = [score for score, other, _ in candidates if _is_different(pose, other, centre)]
     rival = float(max(0.0, max(rivals, default=0.0)) / best) if best > 0.0 else 1.0
-    return _match(pose, judge, rival, view, surface)
+    return _match(pose, judge, rival, solid)
 
 
 @dataclass(frozen=True)
@@ -246,7 +279,7 @@ def _is_different(one: Pose, other: Pose, centre: Float[np.ndarray, "3"]) -> boo
     return bool(angle > _DIFFERENT_DEG or np.linalg.norm(one.of(centre) - other.of(centre)) > _DIFFERENT_M)
 
 
-def _match(pose: Pose, judge: _Judge, rival: float, view: View, surface: Surface) -> MeshMatch:
+def _match(pose: Pose, judge: _Judge, rival: float, solid: Solid) -> MeshMatch:
     verdict = judge.verdict(pose, len(judge.rays) or 1, len(judge.region.points))
     met = max(1, verdict.agreeing + verdict.through)
     through = verdict.through / met
@@ -264,9 +297,13 @@ def _match(pose: Pose, judge: _Judge, rival: float, view: View, surface: Surface
     }
     enough = min(1.0, verdict.agreeing / (2.0 * _MIN_AGREEING))
     confidence = enough * _falling(through, 0.08, 0.25) * _falling(hidden, 0.4, 0.9) * _falling(unexplained, 0.2, 0.8)
-    offset, _ = surface.nearest(pose.into_mesh(view.obstacles))
-    on_mesh = np.linalg.norm(pose.into_mesh(view.obstacles) - offset, axis=1) <= verdict.tolerance
-    return MeshMatch(pose.matrix, float(confidence), residuals, on_mesh)
+    return MeshMatch(pose.matrix, float(confidence), residuals, solid, verdict.tolerance)
+
+
+def _about(points: Float[np.ndarray, "N 3"], mesh: Mesh, by: float) -> Int[np.ndarray, "K"]:
+    """Indices of the points in the mesh's box, grown by a length."""
+    within = (points >= mesh.vertices.min(axis=0) - by) & (points <= mesh.vertices.max(axis=0) + by)
+    return np.flatnonzero(within.all(axis=1))
 
 
 def _falling(value: float, good: float, bad: float) -> float:

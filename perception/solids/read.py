@@ -6,23 +6,24 @@ import io
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from perception.errors import MeshError
 from perception.mesh import Mesh
+from perception.solids.closed import MAX_TRIANGLES
 
 SUFFIXES = (".stl", ".obj", ".ply")
 MAX_BYTES = 32 * 2**20
-MAX_TRIANGLES = 500_000
 _LARGEST_M = 100.0
 _SMALLEST_M = 1e-3
 
 
-def read_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
+def read_mesh(path: Path | str, scale: float | Float[np.ndarray, "3"] = 1.0) -> Mesh:
     """Triangles of a mesh file; faces with more corners come as fans of triangles.
 
     Args:
         path: the file; its suffix tells the format. Text and binary STL are told apart by content.
-        scale: metres per unit of the file.
+        scale: metres per unit of the file, along each axis where there are three.
 
     Raises:
         MeshError: naming the file, what is wrong and what would do.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from perception.mesh import Mesh
 
@@ -24,6 +24,11 @@ class Surface:
         """The nearest place on the mesh for each point, and the unit outward normal there."""
         answer = self._scene.compute_closest_points(self._tensor(points.astype(np.float32)))
         return _array(answer["points"]), _array(answer["primitive_normals"])
+
+    def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+        """Which points are inside of the mesh, which must be closed; three rays vote where one may hit an edge."""
+        asked = self._tensor(points.astype(np.float32))
+        return np.asarray(_array(self._scene.compute_occupancy(asked, nsamples=3)) > 0.5)
 
     def hits(self, starts: Float[np.ndarray, "R 3"], direction: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R"]:
         """Distance to where each ray of unit direction first meets the mesh [m]; infinite where it does not."""
