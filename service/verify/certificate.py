@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
 from typing import Any
 
@@ -140,7 +141,7 @@ class Certificate:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; NaN and infinity become None."""
-        return {"format": FORMAT, **_plain(asdict(self))}
+        return {"format": FORMAT, **_plain(self)}
 
     def to_json(self) -> str:
         """Compact JSON."""
@@ -226,17 +227,18 @@ def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
+    kind = type(value)
+    if kind is float:
+        return value if math.isfinite(value) else None
+    if value is None or kind is int or kind is str or kind is bool:
+        return value
+    if kind is list or kind is tuple:
         return [_plain(item) for item in value]
+    if is_dataclass(value):
+        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    return _plain(value.item())
 
 
 def _number(value: float | None) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -44,16 +44,16 @@ def result_to_message(result: PlanResult) -> MotionResult:
 
 def verdict_number(name: str) -> VerdictMessage:
     """The verdict on the wire."""
-    return VerdictMessage.Value(f"VERDICT_{name}")
+    return cast(VerdictMessage, VerdictMessage.Value(f"VERDICT_{name}"))
 
 
 def verdict_name(number: int) -> str:
-    """The verdict as ``result.json`` writes it; one of a later version as it stands.
+    """The verdict as ``result.json`` writes it.
 
-    An unspecified one is an error: no server of ours leaves it out.
+    Raises:
+        ValueError: there is no such verdict.
     """
-    name = str(VerdictMessage.Name(number)).removeprefix("VERDICT_")  # type: ignore[arg-type]
-    return Verdict(name).value
+    return Verdict(VerdictMessage.Name(cast(VerdictMessage, number)).removeprefix("VERDICT_")).value
 
 
 def checks_to_messages(checks: Iterable[Mapping[str, Any]]) -> list[Check]:
