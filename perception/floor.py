@@ -69,9 +69,14 @@ def on_floor(
     """
     above = floor.above(points)
     mask = above <= clearance
-    for sole in soles:
-        mask |= (above <= SOLE_MARGIN) & _under(points[:, :2], np.asarray(sole)[:, :2])
-    return np.asarray(mask & _within(points[:, :2], floor.outlines))
+    if len(soles):
+        low = np.flatnonzero(above <= SOLE_MARGIN)
+        for sole in soles:
+            mask[low[_under(points[low, :2], np.asarray(sole)[:, :2])]] = True
+    if floor.outlines:
+        low = np.flatnonzero(mask)
+        mask[low] = _within(points[low, :2], floor.outlines)
+    return np.asarray(mask)
 
 
 def on_floors(
@@ -94,8 +99,11 @@ def _within(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "
     if not outlines:
         return np.ones(len(xy), dtype=bool)
     mask = np.zeros(len(xy), dtype=bool)
+    left = np.arange(len(xy))
     for outline in outlines:
-        mask |= _under(xy, outline, _EDGE)
+        inside = _under(xy[left], outline, _EDGE)
+        mask[left[inside]] = True
+        left = left[~inside]
     return mask
 
 
@@ -107,9 +115,12 @@ def _under(
     order = np.argsort(np.arctan2(*(polygon - centre).T[::-1]))
     corners = polygon[order]
     edges = np.roll(corners, -1, axis=0) - corners
-    relative = xy[:, None, :] - corners
     slack = margin * np.linalg.norm(edges, axis=1) + 1e-12
-    return np.asarray((edges[:, 0] * relative[..., 1] - edges[:, 1] * relative[..., 0] >= -slack).all(axis=1))
+    inside = np.ones(len(xy), dtype=bool)
+    x, y = xy.T
+    for (cx, cy), (ex, ey), most in zip(corners, edges, slack, strict=True):
+        inside &= ex * (y - cy) - ey * (x - cx) >= -most
+    return inside
 
 
 def floor_piece(floor: FloorPlane, reach: Reach) -> ConvexPiece:
