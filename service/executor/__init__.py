@@ -17,6 +17,7 @@ from service.executor.interface import (
     WorkerState,
     WorkerStats,
 )
+from service.executor.local_pool import LocalPool
 
 __all__ = [
     "CancellableExecutor",
@@ -26,6 +27,7 @@ __all__ = [
     "Job",
     "JobCancelled",
     "JobFailed",
+    "LocalPool",
     "OnEvent",
     "PoolClosed",
     "PoolStats",

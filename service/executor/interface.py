@@ -139,7 +139,7 @@ class CancellableExecutor(Executor):
         max_attempts: int = MAX_ATTEMPTS,
         **kwargs: Any,
     ) -> Job[T]:
-        """Run ``fn(*args, **kwargs)``; with ``control`` as well if it has a parameter of that name.
+        """Run ``fn(*args, **kwargs)``; with ``control=Control`` as well if it has a parameter of that name.
 
         Args:
             fn: importable from a module by its name.

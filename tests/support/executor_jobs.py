@@ -1,0 +1,210 @@
+"""Functions that workers run in the tests of executors: short, light, some of them deadly."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import stat
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from service.executor import Control
+
+WARMED_UP: list[str] = []
+
+
+class Stubborn(Exception):  # noqa: N818
+    """Can be pickled, but not read back."""
+
+    def __init__(self, left: int, right: int) -> None:
+        super().__init__(f"{left} and {right}")
+
+
+def add(left: Any, right: Any) -> Any:
+    return left + right
+
+
+def size_of(data: bytes) -> int:
+    return len(data)
+
+
+def many_bytes(count: int) -> bytes:
+    return bytes(count)
+
+
+def pid() -> int:
+    return os.getpid()
+
+
+def nap(seconds: float) -> float:
+    time.sleep(seconds)
+    return seconds
+
+
+def leave_mark(folder: Path, name: str) -> str:
+    """Append a line to a file: it tells how often and in which order this was run."""
+    with (folder / "marks").open("a") as marks:
+        marks.write(f"{name}\n")
+    return name
+
+
+def leave_mark_late(folder: Path, name: str, seconds: float) -> str:
+    time.sleep(seconds)
+    return leave_mark(folder, name)
+
+
+def wait_for_file(path: Path) -> bool:
+    while not path.exists():
+        time.sleep(0.002)
+    return True
+
+
+def count_up(count: int, control: Control) -> str:
+    for i in range(count):
+        control.report(i)
+    return "counted"
+
+
+def until_stopped(control: Control) -> str:
+    control.report(os.getpid())
+    while not control.should_stop():
+        time.sleep(0.001)
+    return "the best so far"
+
+
+def until_stopped_then(seconds: float, control: Control) -> str:
+    control.report("running")
+    while not control.should_stop():
+        time.sleep(0.0005)
+    time.sleep(seconds)
+    return "stopped"
+
+
+def never_asks(control: Control) -> None:
+    control.report(os.getpid())
+    while True:
+        time.sleep(0.01)
+
+
+def stuck_in_native_code(control: Control) -> None:
+    """Hold the interpreter's lock in a call that does not come back."""
+    control.report(os.getpid())
+    ctypes.PyDLL(None).sleep(60)
+
+
+def kill_own_worker(folder: Path, times: int) -> int:
+    """Die of SIGKILL that many times, then say how often this was run."""
+    leave_mark(folder, "run")
+    runs = len((folder / "marks").read_text().split())
+    if runs <= times:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return runs
+
+
+def crash() -> None:
+    print("the last words", file=sys.stderr, flush=True)
+    ctypes.string_at(0)
+
+
+def leave_without_a_word(code: int) -> None:
+    os._exit(code)
+
+
+def raise_value_error(text: str) -> None:
+    raise ValueError(text)
+
+
+def raise_stubborn() -> None:
+    raise Stubborn(1, 2)
+
+
+def raise_exit() -> None:
+    raise SystemExit(3)
+
+
+def return_a_lock() -> object:
+    return threading.Lock()
+
+
+def report_a_lock(control: Control) -> None:
+    control.report(threading.Lock())
+
+
+def allocate(count: int) -> int:
+    return len(bytearray(count))
+
+
+def environment(name: str) -> str | None:
+    return os.environ.get(name)
+
+
+def say(text: str) -> None:
+    print(text)
+
+
+def signal_own_group_with(number: int) -> str:
+    """What Ctrl-C does to this process, which alone gets it here."""
+    os.kill(os.getpid(), number)
+    time.sleep(0.05)
+    return "still here"
+
+
+def start_child(control: Control) -> None:
+    """Start a process in a session of its own, as readers of strangers' files are, and wait for it."""
+    child = subprocess.Popen(["sleep", "60"], start_new_session=True)
+    control.report((os.getpid(), child.pid))
+    child.wait()
+
+
+def talk_nonsense() -> None:
+    for fd in _sockets():
+        os.write(fd, b"\xff" * 64)
+    time.sleep(30)
+
+
+def hang_up() -> None:
+    for fd in _sockets():
+        os.close(fd)
+    time.sleep(30)
+
+
+def report_then_return(count: int, control: Control) -> bytes:
+    control.report(os.getpid())
+    return bytes(count)
+
+
+def warm_up() -> None:
+    WARMED_UP.append("warm")
+
+
+def was_warmed_up() -> list[str]:
+    return WARMED_UP
+
+
+def warm_up_badly() -> None:
+    raise OSError("no robot there")
+
+
+def warm_up_for_ever() -> None:
+    time.sleep(60)
+
+
+def thread_names() -> list[str]:
+    return [thread.name for thread in threading.enumerate()]
+
+
+def _sockets() -> list[int]:
+    fds = [int(name) for name in os.listdir("/proc/self/fd")]
+    return [fd for fd in fds if _is_socket(fd)]
+
+
+def _is_socket(fd: int) -> bool:
+    try:
+        return stat.S_ISSOCK(os.fstat(fd).st_mode)
+    except OSError:
+        return False

@@ -1,0 +1,342 @@
+"""What becomes of a pool's jobs when workers die, lie, stop listening, or never become ready."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from concurrent.futures import CancelledError
+from pathlib import Path
+
+import executor_jobs as jobs
+import pytest
+from executor_waiting import Events, is_running, parent_of, until
+
+from service.executor import Job, JobCancelled, LocalPool, WorkerDied, WorkerState
+
+SOON_S = 20.0  # far more than anything takes
+SUPPORT = Path(jobs.__file__).parent
+
+
+def pids(pool: LocalPool) -> list[int]:
+    return [worker.pid for worker in pool.stats().workers if worker.pid is not None]
+
+
+def test_killing_workers_under_load_loses_no_job_and_answers_none_twice(tmp_path: Path) -> None:
+    answered: Counter[int] = Counter()
+    with LocalPool(2) as pool:
+        assert pool.wait_ready(SOON_S)
+        todo = [pool.submit(jobs.leave_mark_late, tmp_path, str(i), 0.004, max_attempts=50) for i in range(150)]
+        for job in todo:
+            job.add_done_callback(lambda job: answered.update([job.number]))
+        kills = 0
+        while not all(job.done() for job in todo):
+            busy = [worker.pid for worker in pool.stats().workers if worker.state is WorkerState.BUSY]
+            if busy and busy[0] is not None:
+                os.kill(busy[0], signal.SIGKILL)
+                kills += 1
+            time.sleep(0.05)
+        assert [job.result(0) for job in todo] == [str(i) for i in range(150)]
+        assert kills >= 3
+        assert pool.stats().restarts >= 3
+    assert answered == Counter(job.number for job in todo)
+    assert set((tmp_path / "marks").read_text().split()) == {str(i) for i in range(150)}
+
+
+def test_a_job_whose_worker_dies_is_begun_again(tmp_path: Path) -> None:
+    with LocalPool(1) as pool:
+        job = pool.submit(jobs.kill_own_worker, tmp_path, 2)
+        assert job.result(SOON_S) == 3
+        assert job.attempts == 3
+
+
+def test_a_job_begun_again_goes_before_those_that_wait(tmp_path: Path) -> None:
+    with LocalPool(1) as pool:
+        deadly = pool.submit(jobs.kill_own_worker, tmp_path, 1)
+        waiting = pool.submit(jobs.leave_mark, tmp_path, "waited")
+        assert deadly.result(SOON_S) == 2
+        waiting.result(SOON_S)
+    assert (tmp_path / "marks").read_text().split() == ["run", "run", "waited"]
+
+
+def test_a_job_that_always_kills_its_worker_is_given_up_and_the_pool_lives(tmp_path: Path) -> None:
+    with LocalPool(1) as pool:
+        job = pool.submit(jobs.kill_own_worker, tmp_path, 99)
+        with pytest.raises(WorkerDied, match=r"worker ended \(SIGKILL\), job begun 3 times") as caught:
+            job.result(SOON_S)
+        assert (caught.value.how, caught.value.attempts) == ("SIGKILL", 3)
+        assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
+        assert pool.stats().restarts == 3
+
+
+def test_a_crash_names_its_signal_and_keeps_the_last_words() -> None:
+    with LocalPool(1) as pool, pytest.raises(WorkerDied, match="SIGSEGV") as caught:
+        pool.submit(jobs.crash, max_attempts=1).result(SOON_S)
+    assert "the last words" in caught.value.said
+    assert "executor_jobs.py" in caught.value.said  # the stack at the crash
+
+
+def test_a_worker_that_leaves_names_its_exit_code() -> None:
+    with LocalPool(1) as pool, pytest.raises(WorkerDied, match="exit 7"):
+        pool.submit(jobs.leave_without_a_word, 7, max_attempts=2).result(SOON_S)
+
+
+def test_a_job_that_is_cancelled_is_not_begun_again() -> None:
+    events = Events()
+    with LocalPool(1, grace_s=30.0) as pool:
+        job = pool.submit(jobs.never_asks, on_event=events)
+        worker = events.first()
+        job.cancel()
+        time.sleep(0.02)
+        os.kill(worker, signal.SIGKILL)
+        with pytest.raises(JobCancelled):
+            job.result(SOON_S)
+        assert job.attempts == 1
+
+
+def test_a_job_waiting_to_be_begun_again_can_be_cancelled(tmp_path: Path) -> None:
+    with LocalPool(1, warm_up=jobs.warm_up, start_timeout_s=SOON_S) as pool:
+        events = Events()
+        job = pool.submit(jobs.never_asks, on_event=events)
+        os.kill(parent_of(events.first()), signal.SIGKILL)  # so that it takes a while until there is another worker
+        assert until(lambda: pool.place(job) == 1)
+        assert job.cancel()
+        with pytest.raises(CancelledError):
+            job.result(SOON_S)
+
+
+def test_each_job_is_answered_once_however_close_its_end_is_to_the_kill() -> None:
+    answered: Counter[int] = Counter()
+    outcomes: Counter[str] = Counter()
+    grace_s = 0.02
+
+    def note(job: Job[str]) -> None:
+        answered[job.number] += 1
+        outcomes["killed" if job.exception() else job.result()] += 1
+
+    with LocalPool(2, grace_s=grace_s) as pool:
+        for i in range(24):
+            job = pool.submit(jobs.until_stopped_then, grace_s * (0.5 + i / 24), on_event=(events := Events()))
+            job.add_done_callback(note)
+            events.first()
+            job.cancel()
+        assert pool.drain(SOON_S)
+    assert set(answered.values()) == {1}
+    assert sum(outcomes.values()) == 24
+    assert set(outcomes) == {"killed", "stopped"}
+
+
+def test_a_worker_stopped_in_the_middle_of_its_answer_holds_up_nobody() -> None:
+    stopped: list[int] = []
+
+    def stop(worker: int) -> None:  # runs where answers are read, so that this one cannot be through yet
+        if not stopped:
+            os.kill(worker, signal.SIGSTOP)
+        stopped.append(worker)
+
+    with LocalPool(2) as pool:
+        assert pool.wait_ready(SOON_S)
+        job = pool.submit(jobs.report_then_return, 20_000_000, on_event=stop)
+        assert until(lambda: stopped)
+        assert [pool.submit(jobs.add, i, i).result(SOON_S) for i in range(20)] == [2 * i for i in range(20)]
+        assert not job.done()
+        os.kill(stopped[0], signal.SIGKILL)
+        assert job.result(SOON_S) == bytes(20_000_000)
+        assert job.attempts == 2
+
+
+def test_a_worker_that_stops_reading_holds_up_nobody() -> None:
+    with LocalPool(2, grace_s=0.05) as pool:
+        assert pool.wait_ready(SOON_S)
+        deaf = pids(pool)[0]
+        os.kill(deaf, signal.SIGSTOP)
+        job = pool.submit(jobs.size_of, bytes(20_000_000))
+        assert until(lambda: job.pid is not None)
+        assert job.pid == deaf
+        assert [pool.submit(jobs.add, i, i).result(SOON_S) for i in range(20)] == [2 * i for i in range(20)]
+        job.cancel()
+        with pytest.raises(JobCancelled):
+            job.result(SOON_S)
+        assert pool.wait_ready(SOON_S)
+        assert not is_running(deaf)
+
+
+@pytest.mark.parametrize("fn", [jobs.talk_nonsense, jobs.hang_up])
+def test_a_worker_that_talks_nonsense_or_hangs_up_is_replaced(fn: object) -> None:
+    with LocalPool(1) as pool:
+        with pytest.raises(WorkerDied, match="SIGKILL"):
+            pool.submit(fn, max_attempts=2).result(SOON_S)
+        assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
+
+
+def test_what_a_killed_worker_had_started_ends_with_it() -> None:
+    events = Events()
+    with LocalPool(1, grace_s=0.05) as pool:
+        job = pool.submit(jobs.start_child, on_event=events)
+        worker, child = events.first()
+        assert os.getsid(child) != os.getsid(worker)
+        job.cancel()
+        assert until(lambda: not is_running(worker) and not is_running(child))
+        assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
+
+
+def test_the_pool_outlives_the_process_it_forks_from(tmp_path: Path) -> None:
+    with LocalPool(2) as pool:
+        assert pool.wait_ready(SOON_S)
+        old = pids(pool)
+        job = pool.submit(jobs.wait_for_file, tmp_path / "go")
+        assert until(job.running)
+        os.kill(parent_of(old[0]), signal.SIGKILL)
+        assert until(lambda: not any(is_running(pid) for pid in old))
+        (tmp_path / "go").touch()
+        assert job.result(SOON_S)
+        assert job.attempts == 2
+        assert pool.wait_ready(SOON_S)
+        assert not set(pids(pool)) & set(old)
+
+
+SERVER = """
+import sys, time
+sys.path.insert(0, sys.argv[1])
+import executor_jobs as jobs
+from service.executor import LocalPool
+
+def tell(event):
+    print(*(event if isinstance(event, tuple) else [event]), flush=True)
+
+pool = LocalPool(3)
+pool.submit(jobs.start_child, on_event=tell)
+pool.submit(jobs.stuck_in_native_code, on_event=tell)
+pool.wait_ready()
+print(*(worker.pid for worker in pool.stats().workers), flush=True)
+time.sleep(60)
+"""
+
+
+def test_nothing_is_left_when_the_server_is_killed() -> None:
+    with subprocess.Popen([sys.executable, "-c", SERVER, str(SUPPORT)], stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        told = {int(pid) for _ in range(3) for pid in server.stdout.readline().split()}
+        assert len(told) == 4  # three workers and what one of them started
+        nursery = {parent_of(min(told))}
+        server.kill()
+        killed = time.monotonic()
+        assert until(lambda: not any(is_running(pid) for pid in told | nursery))
+        assert time.monotonic() - killed < 1.0
+
+
+def test_a_server_killed_while_its_modules_load_leaves_nothing(tmp_path: Path) -> None:
+    note = f"pathlib.Path({str(tmp_path / 'pid')!r}).write_text(str(os.getpid()))"
+    (tmp_path / "loads_slowly.py").write_text(f"import os, pathlib, time; {note}; time.sleep(60)")
+    code = (
+        f"import sys, time; sys.path.insert(0, {str(tmp_path)!r}); from service.executor import LocalPool\n"
+        "LocalPool(1, preload=('loads_slowly',)); time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code]) as server:
+        assert until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text())
+        server.kill()
+        assert until(lambda: not is_running(int((tmp_path / "pid").read_text())))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_workers_leave_interrupts_to_the_server(number: int) -> None:
+    with LocalPool(1) as pool:
+        assert pool.submit(jobs.signal_own_group_with, number).result(SOON_S) == "still here"
+        nursery = parent_of(pids(pool)[0])
+        os.kill(nursery, number)
+        time.sleep(0.02)
+        assert is_running(nursery)
+
+
+def test_a_worker_has_no_more_memory_than_it_may() -> None:
+    with LocalPool(1, max_bytes=2**29) as pool:
+        with pytest.raises(MemoryError):
+            pool.submit(jobs.allocate, 2**30).result(SOON_S)
+        assert pool.submit(jobs.allocate, 2**20).result(SOON_S) == 2**20
+        assert pool.stats().restarts == 0
+
+
+def test_a_worker_is_replaced_after_its_share_of_jobs() -> None:
+    with LocalPool(1, recycle_after=5) as pool:
+        seen = [pool.submit(jobs.pid).result(SOON_S) for _ in range(5)]
+        assert until(lambda: seen[0] not in pids(pool) and pool.stats().ready == 1)
+        seen += [pool.submit(jobs.pid).result(SOON_S) for _ in range(3)]
+        assert [len(set(seen[:5])), len(set(seen[5:]))] == [1, 1]
+        assert seen[0] != seen[5]
+        assert pool.stats().restarts == 0
+
+
+def test_a_pool_grows_and_shrinks_without_losing_what_runs(tmp_path: Path) -> None:
+    with LocalPool(1) as pool:
+        pool.resize(3)
+        assert pool.wait_ready(SOON_S)
+        assert until(lambda: pool.stats().ready == 3)
+        running = [pool.submit(jobs.wait_for_file, tmp_path / "go") for _ in range(2)]
+        assert until(lambda: pool.stats().running == 2)
+        pool.resize(1)
+        assert until(lambda: len(pool.stats().workers) == 2)
+        (tmp_path / "go").touch()
+        assert all(job.result(SOON_S) for job in running)
+        assert until(lambda: len(pool.stats().workers) == 1)
+        assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
+        assert pool.stats().restarts == 0
+
+
+def test_every_worker_is_warmed_up_before_its_first_job() -> None:
+    with LocalPool(2, warm_up=jobs.warm_up) as pool:
+        answers = [pool.submit(jobs.was_warmed_up).result(SOON_S) for _ in range(6)]
+    assert answers == [["warm"]] * 6
+
+
+def test_jobs_do_not_wait_for_workers_that_cannot_be_warmed_up(caplog: pytest.LogCaptureFixture) -> None:
+    with LocalPool(1, warm_up=jobs.warm_up_badly) as pool:
+        assert not pool.wait_ready(0.01)
+        with pytest.raises(WorkerDied, match="none could be started") as caught:
+            pool.submit(jobs.pid).result(SOON_S)
+    assert "no robot there" in caught.value.said
+    assert "no robot there" in caplog.text
+
+
+def test_jobs_do_not_wait_for_workers_that_never_become_ready() -> None:
+    with (
+        LocalPool(1, warm_up=jobs.warm_up_for_ever, start_timeout_s=0.4) as pool,
+        pytest.raises(WorkerDied, match="none could be started"),
+    ):
+        pool.submit(jobs.pid).result(SOON_S)
+
+
+def test_jobs_do_not_wait_for_modules_that_are_not_there() -> None:
+    with (
+        LocalPool(1, preload=("no_such_module",)) as pool,
+        pytest.raises(WorkerDied, match="No module named 'no_such_module'"),
+    ):
+        pool.submit(jobs.pid).result(SOON_S)
+
+
+def test_modules_that_start_threads_are_imported_by_each_worker(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, "service.executor"), LocalPool(2, preload=("executor_thread",)) as pool:
+        assert pool.submit(jobs.thread_names).result(SOON_S) == ["MainThread", "of the module"]
+    assert "executor_thread: 2 threads once imported" in caplog.text
+
+
+def test_workers_compute_with_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "8")
+    with LocalPool(1) as pool:
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            assert pool.submit(jobs.environment, name).result(SOON_S) == "1"
+
+
+def test_a_closed_pool_leaves_neither_processes_nor_threads_nor_descriptors() -> None:
+    fds = len(os.listdir("/proc/self/fd"))
+    with LocalPool(2) as pool:
+        assert pool.wait_ready(SOON_S)
+        workers = pids(pool)
+        nursery = parent_of(workers[0])
+    assert not any(is_running(pid) for pid in (*workers, nursery))
+    assert "scopt-pool" not in {thread.name for thread in threading.enumerate()}
+    assert len(os.listdir("/proc/self/fd")) == fds

@@ -1,0 +1,306 @@
+"""What becomes of jobs in a pool where nothing goes wrong: results, errors, events, stops, deadlines."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, wait
+from functools import partial
+from pathlib import Path
+
+import executor_jobs as jobs
+import pytest
+from executor_waiting import Events, until
+
+from service.executor import DeadlineExceeded, JobCancelled, JobFailed, LocalPool, PoolClosed, WorkerState
+
+SOON_S = 20.0  # far more than anything takes
+
+
+@pytest.fixture(scope="module")
+def pool() -> Iterator[LocalPool]:
+    """Two workers that all tests of this file share, since each leaves them as they were."""
+    with LocalPool(2, grace_s=0.1) as pool:
+        assert pool.wait_ready(SOON_S)
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def single() -> Iterator[LocalPool]:
+    """One worker, so that jobs wait for each other."""
+    with LocalPool(1, grace_s=0.1) as pool:
+        assert pool.wait_ready(SOON_S)
+        yield pool
+
+
+def test_a_result_comes_back(pool: LocalPool) -> None:
+    assert pool.submit(jobs.add, 1, right=2).result(SOON_S) == 3
+
+
+def test_functions_run_in_another_process(pool: LocalPool) -> None:
+    assert pool.submit(jobs.pid).result(SOON_S) in {worker.pid for worker in pool.stats().workers}
+
+
+def test_map_and_wait_work_as_with_any_executor(pool: LocalPool) -> None:
+    assert list(pool.map(jobs.add, range(20), range(20))) == [2 * i for i in range(20)]
+    done, left = wait([pool.submit(pow, 2, i) for i in range(5)], SOON_S)
+    assert (sorted(job.result() for job in done), left) == ([1, 2, 4, 8, 16], set())
+
+
+def test_partial_functions_run(pool: LocalPool) -> None:
+    events = Events()
+    assert pool.submit(partial(jobs.count_up, count=2), on_event=events).result(SOON_S) == "counted"
+    assert events.seen == [0, 1]
+
+
+def test_many_bytes_go_there_and_back(pool: LocalPool) -> None:
+    assert pool.submit(jobs.size_of, bytes(20_000_000)).result(SOON_S) == 20_000_000
+    assert pool.submit(jobs.many_bytes, 20_000_000).result(SOON_S) == bytes(20_000_000)
+
+
+def test_an_exception_comes_back_with_where_it_was_raised(pool: LocalPool) -> None:
+    error = pool.submit(jobs.raise_value_error, "no such joint").exception(SOON_S)
+    assert isinstance(error, ValueError)
+    assert str(error) == "no such joint"
+    assert "in raise_value_error" in str(error.__cause__)
+
+
+def test_an_exception_that_cannot_be_read_back_is_told_in_words(pool: LocalPool) -> None:
+    with pytest.raises(JobFailed, match=r"Stubborn: 1 and 2"):
+        pool.submit(jobs.raise_stubborn).result(SOON_S)
+
+
+def test_leaving_is_an_error_and_ends_no_worker(pool: LocalPool) -> None:
+    restarts = pool.stats().restarts
+    with pytest.raises(JobFailed, match="SystemExit: 3"):
+        pool.submit(jobs.raise_exit).result(SOON_S)
+    assert pool.stats().restarts == restarts
+
+
+def test_a_result_that_cannot_be_carried_is_an_error(pool: LocalPool) -> None:
+    with pytest.raises(JobFailed, match="returned what cannot be carried between processes, a lock"):
+        pool.submit(jobs.return_a_lock).result(SOON_S)
+
+
+def test_an_event_that_cannot_be_carried_is_an_error(pool: LocalPool) -> None:
+    with pytest.raises(TypeError, match="pickle"):
+        pool.submit(jobs.report_a_lock).result(SOON_S)
+
+
+def test_a_call_that_cannot_be_pickled_is_refused_at_once(pool: LocalPool) -> None:
+    with pytest.raises(TypeError, match="picklable"):
+        pool.submit(lambda: 1)
+    with pytest.raises(TypeError, match="picklable"):
+        pool.submit(jobs.add, 1, (i for i in range(3)))
+
+
+def test_a_function_of_the_main_script_is_refused_at_once(pool: LocalPool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs.add, "__module__", "__main__")
+    with pytest.raises(TypeError, match="add is a function of the main script"):
+        pool.submit(jobs.add, 1, 2)
+
+
+def test_events_arrive_in_order_and_before_the_result(pool: LocalPool) -> None:
+    events = Events()
+    job = pool.submit(jobs.count_up, 500, on_event=events)
+    job.add_done_callback(lambda _: events("done"))
+    assert job.result(SOON_S) == "counted"
+    assert until(lambda: "done" in events.seen)
+    assert events.seen == [*range(500), "done"]
+
+
+def test_an_event_handler_that_fails_harms_no_job(pool: LocalPool, caplog: pytest.LogCaptureFixture) -> None:
+    job = pool.submit(jobs.count_up, 2, on_event=lambda event: 1 / 0)
+    assert job.result(SOON_S) == "counted"
+    assert "an event of job" in caplog.text
+
+
+def test_jobs_run_in_the_order_in_which_they_came(single: LocalPool, tmp_path: Path) -> None:
+    names = [f"job {i}" for i in range(30)]
+    wait([single.submit(jobs.leave_mark, tmp_path, name) for name in names], SOON_S)
+    assert (tmp_path / "marks").read_text().splitlines() == names
+
+
+def test_a_queued_job_knows_its_place(single: LocalPool, tmp_path: Path) -> None:
+    running = single.submit(jobs.wait_for_file, tmp_path / "go")
+    queued = [single.submit(jobs.pid) for _ in range(3)]
+    assert until(running.running)
+    assert [single.place(job) for job in (running, *queued)] == [None, 1, 2, 3]
+    assert (single.stats().running, single.stats().queued) == (1, 3)
+    queued[0].cancel()
+    assert [single.place(job) for job in queued] == [None, 1, 2]
+    (tmp_path / "go").touch()
+    wait(queued, SOON_S)
+    assert single.place(queued[2]) is None
+
+
+def test_a_queued_job_that_is_cancelled_never_runs(single: LocalPool, tmp_path: Path) -> None:
+    running = single.submit(jobs.wait_for_file, tmp_path / "go")
+    queued = single.submit(jobs.leave_mark, tmp_path, "queued")
+    done = Events()
+    queued.add_done_callback(done)
+    assert queued.cancel()
+    assert queued.cancelled()
+    with pytest.raises(CancelledError):
+        queued.result(SOON_S)
+    assert wait([queued], SOON_S).done == {queued}
+    (tmp_path / "go").touch()
+    assert running.result(SOON_S)
+    single.submit(jobs.pid).result(SOON_S)
+    assert not (tmp_path / "marks").exists()
+    assert done.seen == [queued]
+
+
+def test_a_running_job_stops_when_asked_and_hands_over_what_it_has(pool: LocalPool) -> None:
+    events = Events()
+    job = pool.submit(jobs.until_stopped, on_event=events)
+    events.first()
+    restarts = pool.stats().restarts
+    assert job.cancel()
+    assert job.result(SOON_S) == "the best so far"
+    assert pool.stats().restarts == restarts
+
+
+def test_a_stop_reaches_one_job_alone(pool: LocalPool) -> None:
+    first, second = Events(), Events()
+    stopped = pool.submit(jobs.until_stopped, on_event=first)
+    other = pool.submit(jobs.until_stopped, on_event=second)
+    first.first(), second.first()
+    stopped.cancel()
+    assert stopped.result(SOON_S) == "the best so far"
+    time.sleep(0.15)
+    assert other.running()
+    after = pool.submit(jobs.until_stopped)  # on the worker that was asked to stop just now
+    time.sleep(0.05)
+    assert after.running()
+    other.cancel(), after.cancel()
+    assert {other.result(SOON_S), after.result(SOON_S)} == {"the best so far"}
+
+
+def test_nothing_is_left_to_cancel_of_a_job_that_is_done(pool: LocalPool) -> None:
+    job = pool.submit(jobs.add, 1, 2)
+    job.result(SOON_S)
+    assert not job.cancel()
+    assert job.result() == 3
+
+
+@pytest.mark.parametrize("fn", [jobs.never_asks, jobs.stuck_in_native_code])
+def test_a_job_that_does_not_stop_is_killed_and_its_worker_replaced(fn: object) -> None:
+    events = Events()
+    with LocalPool(1, grace_s=0.05) as pool:
+        job = pool.submit(fn, on_event=events)
+        worker = events.first()
+        assert job.cancel()
+        with pytest.raises(JobCancelled, match="killed"):
+            job.result(SOON_S)
+        assert not job.cancelled()
+        assert pool.submit(jobs.pid).result(SOON_S) != worker
+        assert pool.stats().restarts == 1
+
+
+def test_a_deadline_that_passes_while_a_job_waits_ends_it_unrun(single: LocalPool, tmp_path: Path) -> None:
+    running = single.submit(jobs.wait_for_file, tmp_path / "go")
+    queued = single.submit(jobs.leave_mark, tmp_path, "queued", deadline=time.monotonic() + 0.05)
+    late = single.submit(jobs.leave_mark, tmp_path, "late", deadline=time.monotonic() - 1.0)
+    for job in (queued, late):
+        with pytest.raises(DeadlineExceeded, match="begun 0 times"):
+            job.result(SOON_S)
+    assert single.stats().queued == 0
+    (tmp_path / "go").touch()
+    assert running.result(SOON_S)
+    single.submit(jobs.pid).result(SOON_S)
+    assert not (tmp_path / "marks").exists()
+
+
+def test_a_deadline_stops_a_running_job(pool: LocalPool) -> None:
+    job = pool.submit(jobs.until_stopped, deadline=time.monotonic() + 0.05)
+    assert job.result(SOON_S) == "the best so far"
+
+
+def test_a_deadline_kills_a_job_that_does_not_stop() -> None:
+    with LocalPool(1, grace_s=0.05) as pool:
+        pool.wait_ready(SOON_S)
+        with pytest.raises(DeadlineExceeded, match="killed"):
+            pool.submit(jobs.never_asks, deadline=time.monotonic() + 0.05).result(SOON_S)
+        assert pool.submit(jobs.add, 1, 2, deadline=time.monotonic() + 60.0).result(SOON_S) == 3
+
+
+def test_a_coroutine_that_is_cancelled_stops_its_job(pool: LocalPool) -> None:
+    async def give_up() -> None:
+        job = pool.submit(jobs.until_stopped)
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(asyncio.wrap_future(job), 0.05)
+        assert job.result(SOON_S) == "the best so far"
+
+    asyncio.run(give_up())
+
+
+def test_stats_tell_of_each_worker(single: LocalPool, tmp_path: Path) -> None:
+    before = single.stats()
+    job = single.submit(jobs.wait_for_file, tmp_path / "go")
+    assert until(job.running)
+    (worker,) = single.stats().workers
+    assert (worker.state, worker.pid) == (WorkerState.BUSY, job.pid)
+    assert worker.rss_bytes > 1_000_000
+    (tmp_path / "go").touch()
+    job.result(SOON_S)
+    assert until(lambda: single.stats().done == before.done + 1)
+    (after,) = single.stats().workers
+    assert (after.state, after.jobs_done) == (WorkerState.IDLE, before.workers[0].jobs_done + 1)
+    assert (single.stats().ready, single.stats().running) == (1, 0)
+
+
+def test_what_workers_print_goes_to_the_log(
+    pool: LocalPool, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with caplog.at_level(logging.INFO, "service.executor"):
+        job = pool.submit(jobs.say, "four score and seven")
+        job.result(SOON_S)
+        assert until(lambda: "four score and seven" in caplog.text)
+    assert f"(pid {job.pid})" in caplog.text
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_pool_that_drains_takes_no_more_and_finishes_what_it_has() -> None:
+    with LocalPool(1) as pool:
+        queued = [pool.submit(jobs.nap, 0.02) for _ in range(3)]
+        assert pool.drain(SOON_S)
+        assert [job.result(0) for job in queued] == [0.02] * 3
+        with pytest.raises(PoolClosed):
+            pool.submit(jobs.pid)
+
+
+def test_what_does_not_finish_in_time_is_cancelled_by_a_drain() -> None:
+    with LocalPool(1, grace_s=0.05) as pool:
+        soft, hard = Events(), Events()
+        partial_result = pool.submit(jobs.until_stopped, on_event=soft)
+        soft.first()
+        queued = pool.submit(jobs.never_asks, on_event=hard)
+        assert not pool.drain(0.05)
+        assert partial_result.result(0) == "the best so far"
+        assert queued.cancelled()
+    assert hard.seen == []
+
+
+def test_shutdown_finishes_jobs_unless_told_to_cancel_what_waits(tmp_path: Path) -> None:
+    with LocalPool(1) as pool:
+        finished = [pool.submit(jobs.leave_mark, tmp_path, str(i)) for i in range(3)]
+    assert [job.result(0) for job in finished] == ["0", "1", "2"]
+    pool = LocalPool(1)
+    running = pool.submit(jobs.nap, 0.05)
+    assert until(running.running)
+    queued = pool.submit(jobs.leave_mark, tmp_path, "3")
+    pool.shutdown(cancel_futures=True)
+    pool.shutdown()
+    assert running.result(0) == 0.05
+    assert queued.cancelled()
+    assert "3" not in (tmp_path / "marks").read_text().split()
+    with pytest.raises(PoolClosed):
+        pool.submit(jobs.pid)
+
+
+def test_a_pool_needs_a_worker() -> None:
+    with pytest.raises(ValueError, match="workers must be at least 1; got 0"):
+        LocalPool(0)
