@@ -1,6 +1,6 @@
 """Atlas brings its left hook over a table: prints the verdict and writes a viewer to look at.
 
-The request is plain data here; `scopt plan examples/requests/reach.yaml` reads the like from a file.
+The request is plain data here; `scopt plan examples/requests/pose_goal.yaml` reads the like from a file.
 """
 
 from service import parse_request, plan, write_result

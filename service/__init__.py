@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from service.errors import RequestError, ResultError, ServiceError
-    from service.output import read_result, write_result
+    from service.output import write_result
     from service.planner import plan
     from service.request import PlanRequest
     from service.request_file import load_request, parse_request, request_hash
     from service.result import PlanResult
+    from service.result_folder import read_result
     from service.setup import PlanSetup, prepare
 
 _HOME = {
@@ -28,7 +29,7 @@ _HOME = {
     "parse_request": "service.request_file",
     "plan": "service.planner",
     "prepare": "service.setup",
-    "read_result": "service.output",
+    "read_result": "service.result_folder",
     "request_hash": "service.request_file",
     "write_result": "service.output",
 }

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli_report import HIT_COLUMNS, hit_row, print_figures, print_table, print_verdict
+from service.cli_report import HIT_COLUMNS, hit_row, print_figures, print_findings, print_table, print_verdict
 from service.cli_run import cancellable, consoles, print_json, progress, run
 from service.scan_choices import Method, Unknown
 
@@ -80,7 +80,7 @@ def plan_command(
             "go with --trajopt; a request holds all of them"
         )
     files = given if trajopt else None
-    raise typer.Exit(run(lambda: _plan(request, files, cloud, folder, as_json), as_json))
+    raise typer.Exit(run(lambda: _plan(request, files, cloud, folder, as_json), as_json, has_verdict=True))
 
 
 @app.command("verify", epilog=EXIT_CODE_HELP)
@@ -89,7 +89,7 @@ def verify_command(
     as_json: Json = False,
 ) -> None:
     """Check a result anew, without the planner."""
-    raise typer.Exit(run(lambda: _verify(result, as_json), as_json))
+    raise typer.Exit(run(lambda: _verify(result, as_json), as_json, has_verdict=True))
 
 
 @app.command("view")
@@ -238,8 +238,9 @@ def _plan(
             request = load_trajopt_request(request_file, TrajoptFiles(**trajopt))
         if cloud is not None:
             request = with_cloud(request, cloud)
-        from service.output import check_folder, write_result
+        from service.output import write_result
         from service.planner import plan
+        from service.result_folder import check_folder
         from service.result_json import summary_json
 
         check_folder(folder)
@@ -250,10 +251,11 @@ def _plan(
     if as_json:
         print_json({**summary, "result": str(files.result), "viewer": str(files.viewer)})
     else:
-        print_verdict(out, summary)
+        print_findings(out, summary)
         print_figures(out, summary)
         out.print(f"viewer           {files.viewer}", markup=False, soft_wrap=True)
         out.print(f"trajectory       {files.trajectory}", markup=False, soft_wrap=True)
+        print_verdict(out, summary)
     return str(result.verdict.value)
 
 
@@ -268,8 +270,9 @@ def _verify(path: Path, as_json: bool) -> str:
     if as_json:
         print_json(summary)
     else:
-        print_verdict(out, summary)
+        print_findings(out, summary)
         print_figures(out, summary)
+        print_verdict(out, summary)
     return str(summary["verdict"])
 
 
@@ -278,7 +281,7 @@ def _view(path: Path) -> None:
     import webbrowser
 
     from service.errors import ResultError
-    from service.output import ResultFiles, read_result, result_path
+    from service.result_folder import ResultFiles, read_result, result_path
 
     read_result(path)
     viewer = ResultFiles(result_path(path).parent).viewer.resolve()

@@ -14,25 +14,34 @@ HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "residuals")
 _COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
 
 
-def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
-    """The verdict, the checks as a table, what stands in the way, and the notes.
+def print_findings(out: Console, summary: Mapping[str, Any]) -> None:
+    """The checks as a table, what stands in the way, and the notes.
 
     Args:
         out: where to.
         summary: the keys of ``result.json`` that it shows; the others may be missing.
     """
-    verdict = str(summary["verdict"])
     checks = summary.get("checks") or []
     if checks:
         out.print(_checks(_tightest(checks)))
     touching = _deepest(summary.get("exempt") or [])
     if touching:
         print_table(out, ("pair that may touch", "deepest", "allowed", "phase"), touching)
-    out.print(Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}"))
     for sentence in summary.get("explanation") or []:
         out.print(Text(f"  {sentence}"), soft_wrap=True)
     for note in summary.get("notes") or []:
         out.print(Text(f"  note: {note}", style="dim"), soft_wrap=True)
+
+
+def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
+    """The last line of a command, which starts with the verdict; then what stands in the way, or how it went."""
+    verdict = str(summary["verdict"])
+    sentence = " ".join(next(iter(summary.get("explanation") or []), "").split())
+    if not sentence and "planning_time_s" in summary:
+        clearance = _millimetres(summary.get("min_clearance_m"))
+        sentence = f"clearance {clearance}, planned in {summary['planning_time_s']:.2f} s"
+    line = Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}")
+    out.print(line.append(f"  {sentence}" if sentence else "", style="not bold default"), soft_wrap=True)
 
 
 def print_figures(out: Console, summary: Mapping[str, Any]) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 from rich.console import Console
 
+from service.cli_report import print_verdict
 from service.errors import RequestError, ResultError
 
 EXIT_CODES = {
@@ -26,6 +27,7 @@ EXIT_CODES = {
     "CANCELLED": 130,
 }
 EXIT_INTERNAL = 70
+INTERNAL_ERROR = "INTERNAL_ERROR"
 MIN_WIDTH = 120  # a table in a log file need not be squeezed into 80 columns
 TRACEBACK_VARIABLE = "SCOPT_TRACEBACK"
 
@@ -58,19 +60,36 @@ def without_result(verdict: str, explanation: tuple[str, ...], **more: object) -
     }
 
 
-def run(command: Callable[[], str | None], as_json: bool = False) -> int:
+class EndedError(Exception):
+    """A command that ended for a reason with an exit code of its own.
+
+    Attributes:
+        verdict: one word for it; lines: what to say on stderr.
+    """
+
+    def __init__(self, verdict: str, lines: tuple[str, ...], exit_code: int) -> None:
+        super().__init__("\n".join(lines))
+        self.verdict = verdict
+        self.lines = lines
+        self.exit_code = exit_code
+
+
+def run(command: Callable[[], str | None], as_json: bool = False, has_verdict: bool = False) -> int:
     """Run a command that returns a verdict, or None where there is nothing to judge; its exit code, whatever happens.
 
-    Wrong input is one line per problem on stderr. With ``as_json``, stdout gets an object in these cases too.
+    Wrong input is one line per problem on stderr. On stdout, such an end too is an object with ``as_json``, else, with
+    ``has_verdict``, a line that starts with the verdict.
     """
-    _, err = consoles()
+    out, err = consoles()
     try:
         given = command()
         return 0 if given is None else EXIT_CODES[given]
+    except EndedError as error:
+        ended = error
     except (RequestError, ResultError) as error:
-        verdict, lines = "INVALID_REQUEST", str(error).splitlines()
+        ended = _ended("INVALID_REQUEST", *str(error).splitlines())
     except KeyboardInterrupt:
-        verdict, lines = "CANCELLED", ["cancelled"]
+        ended = _ended("CANCELLED", "cancelled")
     except BrokenPipeError:
         # The reader of stdout has gone; nobody is left to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -79,15 +98,18 @@ def run(command: Callable[[], str | None], as_json: bool = False) -> int:
         if os.environ.get(TRACEBACK_VARIABLE):
             raise
         line = " ".join(f"internal error, please report it: {type(error).__name__}: {error}".split())
-        err.print(f"{line} ({TRACEBACK_VARIABLE}=1 shows where)", style="red", markup=False, soft_wrap=True)
-        if as_json:
-            print_json(without_result("INTERNAL_ERROR", (line,)))
-        return EXIT_INTERNAL
-    for line in lines:
+        ended = EndedError(INTERNAL_ERROR, (f"{line} ({TRACEBACK_VARIABLE}=1 shows where)",), EXIT_INTERNAL)
+    for line in ended.lines:
         err.print(line, style="red", markup=False, soft_wrap=True)
     if as_json:
-        print_json(without_result(verdict, tuple(lines)))
-    return EXIT_CODES[verdict]
+        print_json(without_result(ended.verdict, ended.lines))
+    elif has_verdict:
+        print_verdict(out, {"verdict": ended.verdict, "explanation": ended.lines})
+    return ended.exit_code
+
+
+def _ended(verdict: str, *lines: str) -> EndedError:
+    return EndedError(verdict, lines, EXIT_CODES[verdict])
 
 
 @contextmanager

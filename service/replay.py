@@ -12,7 +12,7 @@ from costs.robot import RobotError, RobotModel, load_robot
 from service.consistency import CHANGED, contradictions
 from service.errors import ResultError, shown
 from service.motion_json import motion_from_json
-from service.output import TRAJECTORY_NAME, read_result, result_path
+from service.result_folder import TRAJECTORY_NAME, read_result, result_path
 from service.result_json import proof_summary
 from service.verify import Certificate, Motion, Status, VerifyError, verify
 

@@ -14,10 +14,10 @@ from costs.scene import ConvexPiece
 from service.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
 from service.request_file import request_hash, to_json
 from service.result import PlanResult
+from service.result_folder import FORMAT
 from service.verify import Certificate
 from service.verify.certificate import link_vertices, robot_hash
 
-FORMAT = "scopt-result/1"
 MAX_CLOUD_POINTS = 60_000
 
 

@@ -25,7 +25,7 @@ from service.errors import RequestError
 from service.result import PlanResult, Verdict
 
 ROOT = Path(__file__).parents[1]
-REQUEST = ROOT / "examples" / "requests" / "joints.yaml"
+REQUEST = ROOT / "examples" / "requests" / "joint_goal.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -61,12 +61,11 @@ def test_a_certified_plan_ends_with_its_figures_and_files(
     result = _scopt("plan", REQUEST, "--out", tmp_path / "plan")
     assert result.exit_code == 0, result.stderr
     lines = result.stdout.splitlines()
-    assert "CERTIFIED" in lines
-    ends = [line.split()[0] for line in lines[-6:]]
-    assert ends == ["phases", "planning", "clearance", "balance", "viewer", "trajectory"]
-    assert lines[-2].endswith("viewer.html")
-    assert Path(lines[-1].split(maxsplit=1)[1]).is_file()
-    assert lines[-4].endswith(f" {1000 * made.certificate.min_clearance_m:.1f} mm between {first} and {second}")
+    ends = [line.split()[0] for line in lines[-7:]]
+    assert ends == ["phases", "planning", "clearance", "balance", "viewer", "trajectory", "CERTIFIED"]
+    assert lines[-3].endswith("viewer.html")
+    assert Path(lines[-2].split(maxsplit=1)[1]).is_file()
+    assert lines[-5].endswith(f" {1000 * made.certificate.min_clearance_m:.1f} mm between {first} and {second}")
     assert "write result" in result.stderr
 
 
@@ -99,6 +98,17 @@ def test_a_wrong_request_is_one_line_and_exit_code_3(planner: SimpleNamespace, t
     data = _only_object(result)
     assert (data["verdict"], data["explanation"]) == ("INVALID_REQUEST", [problem])
     assert not (tmp_path / "plan").exists()
+
+
+def test_the_last_line_on_stdout_starts_with_the_verdict_whatever_happens(
+    planner: SimpleNamespace, tmp_path: Path
+) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text("robot: {name: atlas}\ngoal: {posture: [red]}\n")
+    assert _scopt("plan", path).stdout.splitlines()[-1].startswith("INVALID_REQUEST  wrong.yaml: goal.posture: a text")
+    assert _scopt("verify", tmp_path).stdout.splitlines()[-1].startswith("INVALID_REQUEST  ")
+    planner.plan = lambda request, on_progress, should_stop: 1 // 0
+    assert _scopt("plan", REQUEST).stdout.splitlines()[-1].startswith("INTERNAL_ERROR  internal error")
 
 
 def test_a_request_that_the_robot_refuses_is_invalid_too(planner: SimpleNamespace, tmp_path: Path) -> None:

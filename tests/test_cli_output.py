@@ -20,10 +20,11 @@ from costs.robot import load_robot
 from service import output
 from service.errors import ResultError
 from service.motion_json import file_columns, file_positions, samples_of
-from service.output import check_folder, read_result, write_result
+from service.output import write_result
 from service.phase_json import phase_from_json, phase_json
 from service.replay import read_motion, verify_result
 from service.result import PlanResult, Verdict
+from service.result_folder import check_folder, read_result
 from service.verify import Phase, PlantedContact, Status
 
 ROOT = Path(__file__).parents[1]
@@ -304,7 +305,7 @@ def test_an_interruption_between_the_two_renames_brings_the_earlier_result_back(
         if target.name == "earlier":
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(output.os, "rename", interrupted)
+    monkeypatch.setattr(os, "rename", interrupted)
     with pytest.raises(KeyboardInterrupt):
         write_result(replace(plan, notes=("second",)), tmp_path / "plan")
     assert read_result(tmp_path / "plan")["notes"] == ["made by hand"]
@@ -337,7 +338,7 @@ def test_an_earlier_result_returns_when_the_new_one_cannot_take_its_place(
             raise OSError(5, "Input/output error")
         rename(source, target)
 
-    monkeypatch.setattr(output.os, "rename", refuse_fresh)
+    monkeypatch.setattr(os, "rename", refuse_fresh)
     with pytest.raises(ResultError, match="cannot be written: Input/output error"):
         write_result(plan, tmp_path / "plan")
     assert [path.name for path in tmp_path.iterdir()] == ["plan"]

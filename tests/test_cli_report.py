@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
-from service.cli_report import print_figures, print_verdict
+from service.cli_report import print_figures, print_findings, print_verdict
 
 
 def _check(name: str, ok: bool, value: float | None, limit: float, unit: str = "m") -> dict[str, Any]:
@@ -16,9 +16,10 @@ def _check(name: str, ok: bool, value: float | None, limit: float, unit: str = "
 
 def _printed(summary: dict[str, Any]) -> list[str]:
     screen = Console(file=StringIO(), width=160)
-    print_verdict(screen, summary)
+    print_findings(screen, summary)
     if "planning_time_s" in summary:
         print_figures(screen, summary)
+    print_verdict(screen, summary)
     assert isinstance(screen.file, StringIO)
     return [line.rstrip() for line in screen.file.getvalue().splitlines()]
 
@@ -41,18 +42,19 @@ def test_every_failure_is_shown_and_of_the_rest_the_tightest_of_its_kind() -> No
     assert "FAILS" in lines[1]
     assert "2 mm" in lines[1]
     assert "text of balance.turn  (tightest of 2)" in lines[3]
-    assert lines[-2:] == ["NOT_FOUND", "  a foot slips"]
+    assert lines[-2:] == ["  a foot slips", "NOT_FOUND  a foot slips"]
 
 
 def test_brackets_in_names_are_printed_as_they_are() -> None:
     lines = _printed({"verdict": "INFEASIBLE", "explanation": ["piece [red]x[/red] is in the way"]})
-    assert lines == ["INFEASIBLE", "  piece [red]x[/red] is in the way"]
+    assert lines == ["  piece [red]x[/red] is in the way", "INFEASIBLE  piece [red]x[/red] is in the way"]
 
 
 def test_figures_say_when_nothing_is_proven() -> None:
     lines = _printed({"verdict": "NOT_FOUND", "planning_time_s": 1.25, "timings": {"a": 0.2, "b": 1.0}})
-    assert lines[1:] == [
+    assert lines == [
         "planning time    1.25 s (b 1.00, a 0.20)",
         "clearance        none proven",
         "balance margin   none proven",
+        "NOT_FOUND  clearance none proven, planned in 1.25 s",
     ]

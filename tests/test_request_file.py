@@ -286,7 +286,7 @@ def test_the_hash_is_of_the_meaning_not_of_the_file_or_its_place(tmp_path: Path)
 
 
 def test_json_of_a_request_is_a_request() -> None:
-    request = load_request(ROOT / "examples" / "requests" / "reach.yaml")
+    request = load_request(ROOT / "examples" / "requests" / "pose_goal.yaml")
     data = json.loads(json.dumps(to_json(request), allow_nan=False))
     again = parse_request(data)
     assert request_hash(again) == request_hash(request)
