@@ -1,0 +1,96 @@
+"""What interceptors put around an RPC of any kind, and how it ends with more than a code."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, aclosing
+from dataclasses import dataclass
+from typing import Any, NoReturn, TypeAlias
+
+import grpc
+from google.protobuf import any_pb2, duration_pb2
+from google.rpc import error_details_pb2, status_pb2
+
+Context: TypeAlias = "grpc.aio.ServicerContext[Any, Any]"
+Handler: TypeAlias = "grpc.RpcMethodHandler[Any, Any]"
+Enter = Callable[[Context], AbstractAsyncContextManager[None]]
+
+DETAILS_KEY = "grpc-status-details-bin"
+# A client that opens a call and says nothing does not hold its place for ever.
+REQUEST_WAIT_S = 60.0
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why an RPC ends before it has begun.
+
+    Attributes:
+        retry_after_s: when to try again, where that may do.
+    """
+
+    code: grpc.StatusCode
+    text: str
+    retry_after_s: float | None = None
+
+
+async def refuse(context: Context, refusal: Refusal) -> NoReturn:
+    """End an RPC; with a time to try again it comes with ``google.rpc.RetryInfo``."""
+    if refusal.retry_after_s is None:
+        await context.abort(refusal.code, refusal.text)
+    delay = duration_pb2.Duration()
+    delay.FromMilliseconds(max(1, round(1000 * refusal.retry_after_s)))
+    detail = any_pb2.Any()
+    detail.Pack(error_details_pb2.RetryInfo(retry_delay=delay))
+    status = status_pb2.Status(code=refusal.code.value[0], message=refusal.text, details=[detail])
+    await context.abort(refusal.code, refusal.text, ((DETAILS_KEY, status.SerializeToString()),))
+
+
+def around(handler: Handler, enter: Enter) -> Handler:
+    """A handler that enters ``enter(context)`` before anything of the request is read, and leaves it at the end.
+
+    Raises:
+        TypeError: the handler is not asynchronous.
+    """
+    inner = _inner(handler)
+    takes_stream = handler.request_streaming
+
+    async def request_of(requests: AsyncIterator[Any], context: Context) -> Any:
+        if takes_stream:
+            return requests
+        try:
+            request = await asyncio.wait_for(context.read(), REQUEST_WAIT_S)
+        except TimeoutError:
+            await context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, f"no request came in {REQUEST_WAIT_S:g} s")
+        if request is grpc.aio.EOF:  # type: ignore[attr-defined]
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "no request came")
+        return request
+
+    async def answer(requests: AsyncIterator[Any], context: Context) -> Any:
+        async with enter(context):
+            return await inner(await request_of(requests, context), context)
+
+    async def stream(requests: AsyncIterator[Any], context: Context) -> None:
+        async with enter(context):
+            responses = inner(await request_of(requests, context), context)
+            if inspect.isasyncgen(responses):
+                async with aclosing(responses):
+                    async for response in responses:
+                        await context.write(response)
+            else:
+                await responses
+
+    # Unary requests come through a streaming handler too: gRPC reads a unary one before it calls anybody.
+    make = grpc.stream_stream_rpc_method_handler if handler.response_streaming else grpc.stream_unary_rpc_method_handler
+    return make(
+        stream if handler.response_streaming else answer, handler.request_deserializer, handler.response_serializer
+    )
+
+
+def _inner(handler: Handler) -> Callable[[Any, Context], Any]:
+    kinds = (handler.unary_unary, handler.unary_stream, handler.stream_unary, handler.stream_stream)
+    inner = next(kind for kind in kinds if kind is not None)
+    if not (inspect.iscoroutinefunction(inner) or inspect.isasyncgenfunction(inner)):
+        raise TypeError(f"{inner!r} is no coroutine function and no asynchronous generator function")
+    return inner  # type: ignore[return-value]

@@ -1,0 +1,74 @@
+"""Who is it, and may they: from what came with a call to an identity, or to the reason why not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import grpc
+
+from service.rpc import Refusal
+from service.trust.identity import LOCAL, ROLE_NEEDED, Identity
+from service.trust.tokens import Tokens
+
+_SCHEME = "bearer"
+
+
+class RefusedError(Exception):
+    """A call that may not come in."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        self.refusal = refusal
+        super().__init__(refusal.text)
+
+
+def authenticate(
+    metadata: Iterable[tuple[str, str | bytes]], common_names: Iterable[bytes], tokens: Tokens | None
+) -> Identity:
+    """Who makes a call.
+
+    Args:
+        metadata: of the call; ``authorization: Bearer TOKEN`` counts, and comes before a certificate.
+        common_names: on the certificate of the peer, which TLS has verified; none without one.
+        tokens: who is known; None: nobody has to say who they are.
+
+    Raises:
+        RefusedError: UNAUTHENTICATED, with a text that never repeats what was sent as a token.
+    """
+    if tokens is None:
+        return LOCAL
+    headers = [value for key, value in metadata if key == "authorization"]
+    if headers:
+        scheme, _, token = str(headers[0]).partition(" ")
+        if len(headers) > 1 or scheme.lower() != _SCHEME or not token.strip():
+            raise _unknown("authorization is not understood; one 'authorization: Bearer TOKEN' would do")
+        identity = tokens.of_token(token.strip())
+        if identity is None:
+            raise _unknown("the token is not known to this server, or not any more")
+        return identity
+    names = [name.decode("utf-8", "replace") for name in common_names]
+    if not names:
+        also = " or a client certificate" if tokens.has_certificates else ""
+        raise _unknown(f"who calls is not said; metadata 'authorization: Bearer TOKEN'{also} would do")
+    identity = tokens.of_common_name(names[0]) if len(names) == 1 else None
+    if identity is None:
+        raise _unknown("the client certificate's common name is not known to this server")
+    return identity
+
+
+def authorize(method: str, identity: Identity) -> None:
+    """Whether an identity may call a method.
+
+    Raises:
+        RefusedError: PERMISSION_DENIED, naming the role that is missing.
+    """
+    if method not in ROLE_NEEDED:
+        raise RefusedError(Refusal(grpc.StatusCode.PERMISSION_DENIED, "nobody may call this method"))
+    role = ROLE_NEEDED[method]
+    if role not in identity.roles:
+        has = ", ".join(sorted(identity.roles))
+        words = f"{method.rpartition('/')[2]} needs the role {role}; {identity.name} has {has}"
+        raise RefusedError(Refusal(grpc.StatusCode.PERMISSION_DENIED, words))
+
+
+def _unknown(words: str) -> RefusedError:
+    return RefusedError(Refusal(grpc.StatusCode.UNAUTHENTICATED, words))

@@ -1,0 +1,76 @@
+"""The gate that every RPC comes through: who is it, may they, and not too often."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from contextlib import asynccontextmanager
+
+import grpc
+
+from service.rpc import Context, Handler, Refusal, around, refuse
+from service.trust.access import RefusedError, authenticate, authorize
+from service.trust.identity import _CALLER, LOCAL, OPEN_TO_ALL, Caller
+from service.trust.limits import Limits, peer_key
+from service.trust.tokens import Tokens
+
+
+class Gate(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
+    """Refuses what may not come in before its request is read; who came in is ``current_caller``.
+
+    A refused identity counts as a request of its peer's address, so that tokens cannot be tried at leisure.
+
+    Args:
+        tokens: who is known; None: everybody is ``LOCAL``, for a server that only this machine can reach.
+    """
+
+    def __init__(self, tokens: Tokens | None, limits: Limits) -> None:
+        self._tokens = tokens
+        self._limits = limits
+
+    async def intercept_service(
+        self,
+        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Handler]],
+        handler_call_details: grpc.HandlerCallDetails,
+    ) -> Handler:
+        """A handler that lets in whom it may."""
+        handler = await continuation(handler_call_details)
+        method = handler_call_details.method
+        # An unknown method has no handler.
+        return around(handler, lambda context: self._through(method, context)) if handler else handler
+
+    @asynccontextmanager
+    async def _through(self, method: str, context: Context) -> AsyncIterator[None]:
+        try:
+            caller = self._caller(method, context)
+        except RefusedError as error:
+            await refuse(context, error.refusal)
+        set_before = _CALLER.set(caller)
+        try:
+            yield
+        finally:
+            _CALLER.reset(set_before)
+            self._limits.leave(caller.key)
+
+    def _caller(self, method: str, context: Context) -> Caller:
+        """Raises: RefusedError: this call may not come in."""
+        peer = peer_key(context.peer())
+        caller = Caller(None, peer) if method in OPEN_TO_ALL else self._known(context, peer)
+        self._unless(self._limits.request(caller.key))
+        if caller.identity is not None:
+            authorize(method, caller.identity)
+        self._unless(self._limits.enter(caller.key))
+        return caller
+
+    def _known(self, context: Context, peer: str) -> Caller:
+        metadata: Iterable[tuple[str, str | bytes]] = context.invocation_metadata() or ()
+        try:
+            identity = authenticate(metadata, context.auth_context().get("x509_common_name", ()), self._tokens)
+        except RefusedError:
+            self._unless(self._limits.request(peer))
+            raise
+        # Those who need not say who they are share a name, but not its limits.
+        return Caller(identity, peer if identity is LOCAL else identity.name)
+
+    def _unless(self, refusal: Refusal | None) -> None:
+        if refusal is not None:
+            raise RefusedError(refusal)

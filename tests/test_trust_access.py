@@ -1,0 +1,246 @@
+"""Who calls follows from a token or a certificate, what they may from their roles; limits hold for each client."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import grpc
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.proto.planner.v1 import planner_pb2
+from service.trust import (
+    LOCAL,
+    OPEN_TO_ALL,
+    ROLE_NEEDED,
+    ClientLimits,
+    Identity,
+    Limits,
+    RefusedError,
+    Role,
+    TlsFiles,
+    TokenBuckets,
+    Tokens,
+    authenticate,
+    authorize,
+    is_loopback,
+    listen_problems,
+    make_token,
+    peer_key,
+)
+
+PLAN = "/planner.v1.PlannerService/Plan"
+
+
+@pytest.fixture
+def known(tmp_path: Path) -> tuple[str, Tokens]:
+    token, line = make_token("ann", [Role.PLAN])
+    path = tmp_path / "tokens.yaml"
+    path.write_text(f"{line}\n- {{name: robot, roles: [plan, review], certificate: robot.local}}\n")
+    path.chmod(0o600)
+    return token, Tokens(path)
+
+
+def test_a_bearer_token_or_a_verified_certificate_says_who_calls(known: tuple[str, Tokens]) -> None:
+    token, tokens = known
+    assert authenticate([("x", "y"), ("authorization", f"Bearer {token}")], (), tokens).name == "ann"
+    assert authenticate([("authorization", f"bearer  {token} ")], (), tokens).name == "ann"
+    assert authenticate([], [b"robot.local"], tokens).name == "robot"
+    assert authenticate([("authorization", f"Bearer {token}")], [b"robot.local"], tokens).name == "ann"
+
+
+@pytest.mark.parametrize(
+    ("metadata", "names", "words"),
+    [
+        ([], [], "who calls is not said; metadata 'authorization: Bearer TOKEN' or a client certificate would do"),
+        ([("authorization", "Bearer scopt_wrong")], [], "the token is not known"),
+        ([("authorization", "Bearer scopt_wrong")], [b"robot.local"], "the token is not known"),
+        ([("authorization", "Basic c2NvcHQ=")], [], "authorization is not understood"),
+        ([("authorization", "Bearer ")], [], "authorization is not understood"),
+        ([("authorization", "Bearer a"), ("authorization", "Bearer b")], [], "authorization is not understood"),
+        ([], [b"other.local"], "common name is not known"),
+        ([], [b"robot.local", b"other.local"], "common name is not known"),
+        ([], [b"\xff"], "common name is not known"),
+    ],
+)
+def test_whoever_is_not_known_is_unauthenticated_and_told_what_would_do(
+    known: tuple[str, Tokens], metadata: list[tuple[str, str]], names: list[bytes], words: str
+) -> None:
+    with pytest.raises(RefusedError) as caught:
+        authenticate(metadata, names, known[1])
+    assert caught.value.refusal.code is grpc.StatusCode.UNAUTHENTICATED
+    assert words in caught.value.refusal.text
+    assert "scopt_wrong" not in caught.value.refusal.text
+
+
+def test_without_tokens_everybody_is_local_and_may_everything() -> None:
+    assert authenticate([("authorization", "Bearer x")], (), None) is LOCAL
+    for method in ROLE_NEEDED:
+        authorize(method, LOCAL)
+
+
+def test_every_method_of_the_planner_has_its_role() -> None:
+    service = planner_pb2.DESCRIPTOR.services_by_name["PlannerService"]
+    methods = {f"/{service.full_name}/{method.name}" for method in service.methods}
+    assert methods == {method for method in ROLE_NEEDED if method.startswith("/planner.")}
+    needs = {method.rpartition("/")[2]: ROLE_NEEDED[method] for method in methods}
+    assert {name for name, role in needs.items() if role is not Role.PLAN} == {"ReviewPlan", "GetStatus"}
+    assert (needs["ReviewPlan"], needs["GetStatus"]) == (Role.REVIEW, Role.ADMIN)
+    assert not OPEN_TO_ALL & set(ROLE_NEEDED)
+
+
+@pytest.mark.parametrize("method", sorted(ROLE_NEEDED))
+@pytest.mark.parametrize("role", list(Role))
+def test_one_role_includes_no_other(method: str, role: Role) -> None:
+    identity = Identity("ann", frozenset({role}))
+    if ROLE_NEEDED[method] is role:
+        authorize(method, identity)
+    else:
+        with pytest.raises(RefusedError, match=rf"needs the role {ROLE_NEEDED[method]}; ann has {role}"):
+            authorize(method, identity)
+
+
+def test_a_method_without_a_role_nobody_may_call() -> None:
+    for method in ("/planner.v1.PlannerService/NewOne", "/other.Service/Plan", ""):
+        with pytest.raises(RefusedError, match="nobody may call") as caught:
+            authorize(method, LOCAL)
+        assert caught.value.refusal.code is grpc.StatusCode.PERMISSION_DENIED
+
+
+class _Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_a_bucket_gives_its_burst_at_once_and_its_rate_in_the_long_run() -> None:
+    clock = _Clock()
+    buckets = TokenBuckets(rate=2.0, burst=3.0, clock=clock)
+    assert [buckets.take("ann") for _ in range(4)] == [0.0, 0.0, 0.0, 0.5]
+    assert buckets.take("bob") == 0.0
+    clock.now = 0.5
+    assert [buckets.take("ann") for _ in range(2)] == [0.0, 0.5]
+    clock.now = 1000.0
+    assert [buckets.take("ann") for _ in range(4)] == [0.0, 0.0, 0.0, 0.5]
+
+
+@given(st.lists(st.tuples(st.floats(0, 5), st.floats(0, 20)), max_size=50))
+def test_what_a_bucket_gives_never_exceeds_burst_and_rate_by_more_than_one_amount(
+    asked: list[tuple[float, float]],
+) -> None:
+    clock = _Clock()
+    buckets = TokenBuckets(rate=2.0, burst=10.0, clock=clock)
+    given_out = 0.0
+    for wait, amount in asked:
+        clock.now += wait
+        if buckets.take("ann", amount) == 0.0:
+            given_out += amount
+        assert given_out <= 10.0 + 2.0 * clock.now + max(0.0, max(one for _, one in asked) - 10.0) + 1e-9
+
+
+@given(st.lists(st.floats(0.1, 20), min_size=1, max_size=20))
+def test_after_the_wait_it_was_told_a_client_gets_what_it_asked_for(amounts: list[float]) -> None:
+    clock = _Clock()
+    buckets = TokenBuckets(rate=3.0, burst=7.0, clock=clock)
+    for amount in amounts:
+        wait = buckets.take("ann", amount)
+        if wait > 0.0:
+            clock.now += wait + 1e-9
+            assert buckets.take("ann", amount) == 0.0
+
+
+def test_the_number_of_buckets_is_bounded() -> None:
+    buckets = TokenBuckets(1.0, 1.0, max_keys=100)
+    for number in range(1000):
+        buckets.take(str(number))
+    assert len(buckets) == 100
+
+
+def test_a_client_above_its_limits_is_told_when_to_come_again() -> None:
+    clock = _Clock()
+    limits = Limits(ClientLimits(requests_per_s=4, requests_burst=1, max_open_calls=2), clock=clock)
+    assert limits.request("ann") is None
+    refusal = limits.request("ann")
+    assert refusal is not None
+    assert (refusal.code, refusal.retry_after_s) == (grpc.StatusCode.RESOURCE_EXHAUSTED, 0.25)
+    assert refusal.text == "more than 4 requests a second; try again in 0.2 s"
+    assert [limits.enter("ann") is None for _ in range(3)] == [True, True, False]
+    limits.leave("ann")
+    assert limits.enter("ann") is None
+
+
+def test_uploaded_bytes_are_limited_by_themselves() -> None:
+    clock = _Clock()
+    limits = Limits(ClientLimits(upload_bytes_per_s=10, upload_bytes_burst=100), clock=clock)
+    assert limits.upload("ann", 100) is None
+    refusal = limits.upload("ann", 50)
+    assert refusal is not None
+    assert refusal.retry_after_s == 5.0
+    clock.now = 5.0
+    assert limits.upload("ann", 50) is None
+
+
+@pytest.mark.parametrize(
+    ("peer", "key"),
+    [
+        ("ipv4:127.0.0.1:53210", "127.0.0.1"),
+        ("ipv6:%5B::1%5D:53210", "::/64"),
+        ("ipv6:[2001:db8:1:2:3:4:5:6]:1", "2001:db8:1:2::/64"),
+        ("ipv6:[2001:db8:1:2:9::]:2", "2001:db8:1:2::/64"),
+        ("ipv6:[::ffff:10.0.0.7]:80", "10.0.0.7"),
+        ("ipv6:[fe80::1%eth0]:80", "fe80::/64"),
+        ("unix:", "unix"),
+        ("unix:/run/x.sock", "unix"),
+        ("ipv4:nonsense", "ipv4"),
+        ("ipv4:nonsense:5", "unknown"),
+        ("", "unknown"),
+    ],
+)
+def test_a_peer_is_counted_under_its_address_and_not_its_port(peer: str, key: str) -> None:
+    assert peer_key(peer) == key
+
+
+@pytest.mark.parametrize(
+    "address", ["127.0.0.1:50051", "localhost:0", "[::1]:50051", "127.8.8.8:1", "unix:/run/scopt.sock"]
+)
+def test_a_server_on_its_own_machine_listens_as_it_likes(address: str) -> None:
+    assert listen_problems(address, None, None) == []
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0:50051", "[::]:50051", "10.0.0.7:50051", "robot.local:50051"])
+def test_a_server_that_others_reach_needs_both_tls_and_tokens(address: str, known: tuple[str, Tokens]) -> None:
+    tls = TlsFiles(Path("cert.pem"), Path("key.pem"))
+    words = listen_problems(address, None, None)
+    assert len(words) == 2
+    assert "--tls-cert and --tls-key are needed; 127.0.0.1 would do without" in words[0]
+    assert "--tokens is needed" in words[1]
+    assert len(listen_problems(address, tls, None)) == len(listen_problems(address, None, known[1])) == 1
+    assert listen_problems(address, tls, known[1]) == []
+
+
+def test_certificates_of_clients_and_who_they_are_go_together(tmp_path: Path) -> None:
+    path = tmp_path / "tokens.yaml"
+    path.write_text("- {name: robot, roles: [plan], certificate: robot.local}\n")
+    path.chmod(0o600)
+    tokens, cert, key = Tokens(path), Path("cert.pem"), Path("key.pem")
+    assert "--client-ca is needed" in listen_problems("10.0.0.7:1", TlsFiles(cert, key), tokens)[0]
+    assert listen_problems("10.0.0.7:1", TlsFiles(cert, key, Path("ca.pem")), tokens) == []
+    assert (
+        "--client-ca without --tokens" in listen_problems("127.0.0.1:1", TlsFiles(cert, key, Path("ca.pem")), None)[0]
+    )
+
+
+@pytest.mark.parametrize(
+    "address", ["", "50051", "host", "a:b", "[::1]", "::1:50051", "127.0.0.1:70000", "unix:", "a/b:1"]
+)
+def test_what_is_no_address_is_refused(address: str) -> None:
+    assert len(listen_problems(address, None, None)) == 1
+
+
+@pytest.mark.parametrize(
+    "host", ["0.0.0.0", "::", "", "192.168.1.1", "localhost.evil.org", "127.0.0.1.evil.org", "2130706433"]
+)
+def test_only_what_surely_is_this_machine_is_loopback(host: str) -> None:
+    assert not is_loopback(host)

@@ -1,0 +1,251 @@
+"""Every call comes through the gate: over the wire, in each of the ways a call can be refused or let in."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Coroutine
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+from google.rpc import error_details_pb2
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+from grpc_status import rpc_status
+from small_service import serving
+
+import service.rpc
+from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
+from service.trust import ClientLimits, Gate, Limits, Role, Tokens, make_token
+
+
+@pytest.fixture
+def known(tmp_path: Path) -> tuple[dict[Role, str], Tokens]:
+    made = {role: make_token(f"has-{role}", [role]) for role in Role}
+    path = tmp_path / "tokens.yaml"
+    path.write_text("\n".join(line for _, line in made.values()))
+    path.chmod(0o600)
+    return {role: token for role, (token, _) in made.items()}, Tokens(path)
+
+
+def _with(token: str) -> tuple[tuple[str, str], ...]:
+    return (("authorization", f"Bearer {token}"),)
+
+
+def _run(coroutine: Coroutine[Any, Any, None]) -> None:
+    asyncio.run(asyncio.wait_for(coroutine, 20))
+
+
+async def _code(call: Any) -> tuple[grpc.StatusCode, str]:
+    return await call.code(), await call.details()
+
+
+def test_calls_of_every_kind_come_through_and_know_their_caller(known: tuple[dict[Role, str], Tokens]) -> None:
+    tokens, file = known
+
+    async def calls() -> None:
+        async with (
+            serving([Gate(file, Limits())]) as (address, answering),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
+            stub, plan = planner_pb2_grpc.PlannerServiceStub(channel), _with(tokens[Role.PLAN])
+            await stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
+            answers = [a async for a in stub.Plan(planner_pb2.PlanRequest(request_id="r7"), metadata=plan)]
+            assert answers[0].accepted.request_id == "r7"
+            assert [answer.file.path for answer in answers[1:]] == ["0", "1", "2"]
+            chunks = (planner_pb2.UploadCloudRequest(chunk=b"x" * 1000) for _ in range(50))
+            assert (await stub.UploadCloud(chunks, metadata=plan)).size_bytes == 50_000
+            await stub.ReviewPlan(planner_pb2.ReviewPlanRequest(), metadata=_with(tokens[Role.REVIEW]))
+            await stub.GetStatus(planner_pb2.GetStatusRequest(), metadata=_with(tokens[Role.ADMIN]))
+        assert answering.callers == [
+            ("ListRobots", "has-plan"),
+            ("Plan", "has-plan"),
+            ("UploadCloud", "has-plan"),
+            ("ReviewPlan", "has-review"),
+            ("GetStatus", "has-admin"),
+        ]
+
+    _run(calls())
+
+
+def test_without_a_known_token_or_the_right_role_nothing_is_called(known: tuple[dict[Role, str], Tokens]) -> None:
+    tokens, file = known
+
+    async def calls() -> None:
+        async with (
+            serving([Gate(file, Limits())]) as (address, answering),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
+            stub = planner_pb2_grpc.PlannerServiceStub(channel)
+            code, words = await _code(stub.ListRobots(planner_pb2.ListRobotsRequest()))
+            assert code is grpc.StatusCode.UNAUTHENTICATED
+            assert "authorization: Bearer TOKEN" in words
+            code, words = await _code(stub.Plan(planner_pb2.PlanRequest(), metadata=_with("scopt_wrong")))
+            assert code is grpc.StatusCode.UNAUTHENTICATED
+            assert "scopt_wrong" not in words
+            review = stub.ReviewPlan(planner_pb2.ReviewPlanRequest(), metadata=_with(tokens[Role.PLAN]))
+            assert await _code(review) == (
+                grpc.StatusCode.PERMISSION_DENIED,
+                "ReviewPlan needs the role review; has-plan has plan",
+            )
+            assert (await _code(stub.UploadCloud(iter(()))))[0] is grpc.StatusCode.UNAUTHENTICATED
+            other = channel.unary_unary("/planner.v1.PlannerService/Nothing")
+            assert (await _code(other(b"")))[0] is grpc.StatusCode.UNIMPLEMENTED
+        assert answering.callers == []
+
+    _run(calls())
+
+
+def test_health_is_told_to_all_and_watched_by_the_known_only(known: tuple[dict[Role, str], Tokens]) -> None:
+    tokens, file = known
+
+    async def calls() -> None:
+        async with serving([Gate(file, Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+            stub = health_pb2_grpc.HealthStub(channel)
+            answer = await stub.Check(health_pb2.HealthCheckRequest())
+            assert answer.status == health_pb2.HealthCheckResponse.SERVING
+            assert (await _code(stub.Watch(health_pb2.HealthCheckRequest())))[0] is grpc.StatusCode.UNAUTHENTICATED
+            watch = stub.Watch(health_pb2.HealthCheckRequest(), metadata=_with(tokens[Role.PLAN]))
+            assert (await watch.read()).status == health_pb2.HealthCheckResponse.SERVING
+
+    _run(calls())
+
+
+def test_without_a_tokens_file_everybody_on_this_machine_is_local() -> None:
+    async def calls() -> None:
+        async with (
+            serving([Gate(None, Limits())]) as (address, answering),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
+            stub = planner_pb2_grpc.PlannerServiceStub(channel)
+            await stub.GetStatus(planner_pb2.GetStatusRequest(), metadata=_with("whatever"))
+        assert answering.callers == [("GetStatus", "local")]
+
+    _run(calls())
+
+
+def test_the_request_of_a_refused_call_is_not_read(known: tuple[dict[Role, str], Tokens]) -> None:
+    """The largest message is refused for who sent it, not for its size: nobody looked at it."""
+
+    async def calls() -> None:
+        large = planner_pb2.PlanRequest(request_id="x" * 20 * 2**20)
+        async with serving([Gate(known[1], Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+            stub = planner_pb2_grpc.PlannerServiceStub(channel)
+            assert (await _code(stub.Plan(large)))[0] is grpc.StatusCode.UNAUTHENTICATED
+            allowed = stub.Plan(large, metadata=_with(known[0][Role.PLAN]))
+            assert (await _code(allowed))[0] is grpc.StatusCode.RESOURCE_EXHAUSTED
+
+    _run(calls())
+
+
+def test_too_many_requests_of_one_client_are_refused_with_a_time_and_leave_others_alone(
+    known: tuple[dict[Role, str], Tokens],
+) -> None:
+    tokens, file = known
+
+    async def calls() -> None:
+        gate = Gate(file, Limits(ClientLimits(requests_per_s=0.5, requests_burst=3)))
+        async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+            stub, plan = planner_pb2_grpc.PlannerServiceStub(channel), _with(tokens[Role.PLAN])
+            for _ in range(3):
+                await stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
+            with pytest.raises(grpc.aio.AioRpcError) as caught:
+                await stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
+            assert caught.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
+            assert 1.0 < _retry_after(caught.value) <= 2.0
+            await stub.GetStatus(planner_pb2.GetStatusRequest(), metadata=_with(tokens[Role.ADMIN]))
+
+    _run(calls())
+
+
+def test_tokens_cannot_be_tried_at_leisure(known: tuple[dict[Role, str], Tokens]) -> None:
+    async def calls() -> None:
+        gate = Gate(known[1], Limits(ClientLimits(requests_per_s=0.5, requests_burst=5)))
+        async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+            stub = planner_pb2_grpc.PlannerServiceStub(channel)
+            codes = [
+                (await _code(stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=_with(str(n)))))[0]
+                for n in range(8)
+            ]
+            assert codes == [grpc.StatusCode.UNAUTHENTICATED] * 5 + [grpc.StatusCode.RESOURCE_EXHAUSTED] * 3
+            plan = _with(known[0][Role.PLAN])
+            await stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
+
+    _run(calls())
+
+
+def test_open_calls_are_limited_and_their_places_are_given_back(known: tuple[dict[Role, str], Tokens]) -> None:
+    async def calls() -> None:
+        gate = Gate(known[1], Limits(ClientLimits(max_open_calls=2)))
+        async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+            stub, plan = planner_pb2_grpc.PlannerServiceStub(channel), _with(known[0][Role.PLAN])
+            open_calls = [stub.UploadCloud(metadata=plan) for _ in range(2)]
+            for call in open_calls:
+                await call.write(planner_pb2.UploadCloudRequest(chunk=b"x"))
+            await asyncio.sleep(0.05)
+            third = stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
+            assert await _code(third) == (
+                grpc.StatusCode.RESOURCE_EXHAUSTED,
+                "2 calls of this client are being answered; try again when one has ended",
+            )
+            open_calls[0].cancel()
+            await open_calls[1].done_writing()
+            assert (await open_calls[1]).size_bytes == 1
+            await asyncio.sleep(0.05)
+            for _ in range(3):
+                await stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
+
+    _run(calls())
+
+
+def test_a_call_that_says_nothing_or_too_little_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(service.rpc, "REQUEST_WAIT_S", 0.1)
+
+    async def calls() -> None:
+        async with (
+            serving([Gate(None, Limits())]) as (address, answering),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
+            method = channel.stream_unary("/planner.v1.PlannerService/ListRobots")
+            silent = method()
+            assert await _code(silent) == (grpc.StatusCode.DEADLINE_EXCEEDED, "no request came in 0.1 s")
+            empty = method()
+            await empty.done_writing()
+            assert await _code(empty) == (grpc.StatusCode.INVALID_ARGUMENT, "no request came")
+        assert answering.callers == []
+
+    _run(calls())
+
+
+def test_what_a_handler_says_at_its_end_reaches_the_client_unchanged() -> None:
+    async def calls() -> None:
+        async with serving([Gate(None, Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+            stub = planner_pb2_grpc.PlannerServiceStub(channel)
+            aborted = stub.Plan(planner_pb2.PlanRequest(request_id="abort"))
+            assert await _code(aborted) == (grpc.StatusCode.INVALID_ARGUMENT, "no goal")
+
+    _run(calls())
+
+
+def test_garbage_on_the_wire_gets_an_error_and_the_server_goes_on() -> None:
+    async def calls() -> None:
+        async with serving([Gate(None, Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+            host, port = address.split(":")
+            reader, writer = await asyncio.open_connection(host, int(port))
+            writer.write(os.urandom(4096))
+            await asyncio.wait_for(reader.read(), 5)
+            writer.close()
+            await planner_pb2_grpc.PlannerServiceStub(channel).ListRobots(planner_pb2.ListRobotsRequest())
+
+    _run(calls())
+
+
+def _retry_after(error: grpc.aio.AioRpcError) -> float:
+    """What ``google.rpc.RetryInfo`` in an error says [s]."""
+    metadata = dict(error.trailing_metadata() or ())
+    status = rpc_status.status_pb2.Status.FromString(metadata["grpc-status-details-bin"])
+    assert status.message == error.details()
+    info = error_details_pb2.RetryInfo()
+    assert status.details[0].Unpack(info)
+    return info.retry_delay.ToTimedelta().total_seconds()
