@@ -6,6 +6,7 @@ then the arrays that the line announces.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import resource
 import signal
@@ -41,6 +42,8 @@ def _limit(max_bytes: int, max_cpu_s: int, max_wall_s: float) -> None:
         _, hardest = resource.getrlimit(kind)  # whoever started us may have set a lower one, which is not ours to raise
         resource.setrlimit(kind, (limit if hardest == resource.RLIM_INFINITY else min(limit, hardest), hardest))
     signal.setitimer(signal.ITIMER_REAL, max_wall_s)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: killed as soon as whoever asked is gone
 
 
 def _parsed(task: dict[str, Any]) -> dict[str, Any]:

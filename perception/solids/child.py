@@ -7,6 +7,7 @@ and ``counts_i``, how many each part has.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import resource
 import signal
@@ -28,6 +29,8 @@ def main(folder: Path) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     # The one who started this process may be gone before it ends.
     signal.setitimer(signal.ITIMER_REAL, task["max_s"])
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: or even sooner
     import coacd
 
     coacd.set_log_level("off")
