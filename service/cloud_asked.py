@@ -31,7 +31,7 @@ class CloudAsked:
         sensor: where the rays of files that do not say so started [m].
         reach_m: horizontal radius about the world's origin that is kept [m].
         robot: a bundled robot whose own points are left out.
-        posture: file that holds what a request's ``start`` holds; None: as the robot stands by default.
+        start: where that robot stands; None: as it stands by default.
         seed: of all random choices.
     """
 
@@ -42,7 +42,7 @@ class CloudAsked:
     sensor: tuple[float, float, float] | None = None
     reach_m: float = 4.0
     robot: str | None = None
-    posture: Path | None = None
+    start: StartRequest | None = None
     seed: int = 0
 
     @property
@@ -61,13 +61,18 @@ class CloudRead:
 
 
 def cloud_asked(options: Mapping[str, Any]) -> CloudAsked:
-    """What was asked on a command line, where ``sensor`` is a text.
+    """What was asked on a command line, where ``sensor`` is a text and ``posture`` a file with a request's ``start``.
 
     Raises:
-        RequestError: the sensor is not three numbers.
+        RequestError: the sensor is not three numbers, or the file cannot be used.
     """
-    sensor = options["sensor"]
-    return CloudAsked(**{**options, "sensor": None if sensor is None else point(sensor, "--sensor")})
+    given = dict(options)
+    sensor, posture = given.pop("sensor"), given.pop("posture")
+    return CloudAsked(
+        **given,
+        sensor=None if sensor is None else point(sensor, "--sensor"),
+        start=None if posture is None else load_start(posture),
+    )
 
 
 def read_asked(asked: CloudAsked, on_step: OnStep) -> CloudRead:
@@ -83,7 +88,7 @@ def read_asked(asked: CloudAsked, on_step: OnStep) -> CloudRead:
     soles: list[np.ndarray] = []
     if asked.robot is not None:
         on_step("load robot")
-        hulls, soles = _robot_in_the_way(asked.robot, asked.posture)
+        hulls, soles = _robot_in_the_way(asked.robot, asked.start)
     on_step("read cloud")
     try:
         cloud = read_clouds(
@@ -136,12 +141,12 @@ def _poses(asked: CloudAsked) -> list[np.ndarray | None]:
     return list(poses * n_files if n_given == 1 else poses)
 
 
-def _robot_in_the_way(name: str, posture: Path | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def _robot_in_the_way(name: str, start: StartRequest | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Hulls and soles of a bundled robot in the world."""
     try:
         robot = load_robot(name)
     except RobotError as error:
         raise RequestError(f"--robot: {error}") from None
-    q, _ = start_configuration(robot, StartRequest() if posture is None else load_start(posture))
+    q, _ = start_configuration(robot, start or StartRequest())
     feet = robot.link_groups.get(FEET_GROUP, ()) if robot.is_floating else ()
     return [vertices for _, vertices in placed_bodies(robot, q)], [sole(robot, q, foot) for foot in feet]

@@ -19,11 +19,12 @@ from service.explain import explain
 from service.explain_conflict import Conflict
 from service.monitor import Interrupted, Monitor, OnIteration, OnProgress
 from service.phases import PhaseSolver, TaskPlan, Terms
+from service.planned import check_planned
 from service.repair import repaired
 from service.request import Options, PlanRequest
 from service.result import PlanResult, Verdict
 from service.setup import PlanSetup, prepare
-from service.tasks import check_planned, plan_task
+from service.tasks import plan_task
 from service.timing import TimingSettings
 from service.verify import Basis, Certificate, Motion, Status, verify
 from service.whole_body import Aims, WholeBody

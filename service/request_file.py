@@ -85,7 +85,7 @@ def load_start(path: str | Path) -> StartRequest:
     Raises:
         RequestError: one line per problem.
     """
-    return _from_file(Path(path), lambda data: _validated(data, _START_ADAPTER))
+    return _from_file(Path(path), parse_start)
 
 
 def load_scene(path: str | Path) -> SceneRequest:
@@ -94,7 +94,7 @@ def load_scene(path: str | Path) -> SceneRequest:
     Raises:
         RequestError: one line per problem.
     """
-    return _from_file(Path(path), lambda data: _validated(data, _SCENE_ADAPTER))
+    return _from_file(Path(path), parse_scene)
 
 
 def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
@@ -104,6 +104,24 @@ def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
         RequestError: one line per problem.
     """
     return dataclasses.replace(_validated(data, _ADAPTER), folder=Path(folder))
+
+
+def parse_start(data: object) -> StartRequest:
+    """Check what a request's ``start`` holds, given as ``parse_request`` takes it.
+
+    Raises:
+        RequestError: one line per problem.
+    """
+    return _validated(data, _START_ADAPTER)
+
+
+def parse_scene(data: object) -> SceneRequest:
+    """Check what a request's ``scene`` holds, given as ``parse_request`` takes it.
+
+    Raises:
+        RequestError: one line per problem.
+    """
+    return _validated(data, _SCENE_ADAPTER)
 
 
 def with_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:

@@ -5,27 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from service.errors import RequestError, UnplannedTaskError
+from service.errors import RequestError
 from service.phases import PhaseSolver, TaskPlan
-from service.request import PlanRequest
 from service.setup import PlanSetup
 from service.tasks.escape import escape
 from service.tasks.reach import plan_reach
 from service.tasks.settle import needs_settling, settle
-
-UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
-
-
-def check_planned(request: PlanRequest) -> None:
-    """
-    Raises:
-        UnplannedTaskError: the task is one that nothing here can plan yet.
-    """
-    for name, words in UNPLANNED.items():
-        if request.task is not None and getattr(request.task, name) is not None:
-            raise UnplannedTaskError(
-                f"task.{name}: there is no planner for {words} yet; task.valve, task.trajopt and goals are planned"
-            )
 
 
 def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:

@@ -103,9 +103,14 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     )
 
 
+def warm_robots() -> WarmRobots:
+    """The robots that this process keeps."""
+    return _ROBOTS
+
+
 def warm_up(names: tuple[str, ...] = ("atlas",)) -> None:
     """Load what most requests need, so that the first one need not wait for it."""
-    import ompl.base  # noqa: F401
+    import ompl.base
     import ompl.geometric  # noqa: F401
 
     import perception  # noqa: F401

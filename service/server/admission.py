@@ -1,0 +1,110 @@
+"""Who is let in: a bounded queue, and no deadline that cannot be met."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import grpc
+import numpy as np
+
+from service.server.refusal import Refusal, overloaded
+
+REMEMBERED = 256  # durations by kind of work
+FIRST_GUESS_S = 1.0  # of a kind that has never run
+QUICKEST = 10.0  # percentile of durations below which no deadline is believed to be kept
+
+
+@dataclass
+class Durations:
+    """How long work of each kind has taken lately [s]."""
+
+    _seconds: dict[str, deque[float]] = field(default_factory=dict)
+
+    def add(self, kind: str, seconds: float) -> None:
+        """Something of a kind is done."""
+        self._seconds.setdefault(kind, deque(maxlen=REMEMBERED)).append(seconds)
+
+    def mean(self, kind: str) -> float:
+        """Expected of the next."""
+        known = self._seconds.get(kind)
+        return float(np.mean(known)) if known else FIRST_GUESS_S
+
+    def quickest(self, kind: str) -> float:
+        """What hardly any takes less than; 0 where nothing is known."""
+        known = self._seconds.get(kind)
+        return float(np.percentile(known, QUICKEST)) if known else 0.0
+
+    def percentile(self, share: float) -> float:
+        """Over all kinds; 0 where nothing is known."""
+        known = [seconds for kind in self._seconds.values() for seconds in kind]
+        return float(np.percentile(known, share)) if known else 0.0
+
+
+@dataclass
+class Admission:
+    """The count of what waits and runs, and the rule that keeps it bounded.
+
+    Attributes:
+        workers: how many run at a time.
+        queue_limit: how many may wait.
+        durations: by kind of work.
+    """
+
+    workers: int
+    queue_limit: int
+    durations: Durations = field(default_factory=Durations)
+    _open: dict[int, str] = field(default_factory=dict)  # kind by ticket
+    _tickets: int = 0
+
+    @property
+    def queued(self) -> int:
+        """How many wait."""
+        return max(len(self._open) - self.workers, 0)
+
+    @property
+    def running(self) -> int:
+        """How many are worked on."""
+        return min(len(self._open), self.workers)
+
+    def expected_wait_s(self) -> float:
+        """Until a worker would begin with another one."""
+        if len(self._open) < self.workers:
+            return 0.0
+        # Of those that run, half is done on average.
+        ahead = list(self._open.values())
+        work = sum(self.durations.mean(kind) * (0.5 if i < self.workers else 1.0) for i, kind in enumerate(ahead))
+        return work / self.workers
+
+    def is_full(self) -> bool:
+        """Whether nothing more may wait."""
+        return len(self._open) >= self.workers + self.queue_limit
+
+    def check(self, kind: str, left_s: float | None) -> None:
+        """Refuse what would not fit the queue, or could not be done in the ``left_s`` seconds it has.
+
+        Raises:
+            Refusal: RESOURCE_EXHAUSTED with a delay, or DEADLINE_EXCEEDED.
+        """
+        wait = self.expected_wait_s()
+        if self.is_full():
+            raise overloaded(f"{self.queued} requests wait already; about {wait:.1f} s until there is room", wait / 2.0)
+        needed = wait + self.durations.quickest(kind)
+        if left_s is not None and left_s < needed:
+            raise Refusal(
+                grpc.StatusCode.DEADLINE_EXCEEDED,
+                f"the deadline is in {left_s:.2f} s and work would take {needed:.2f} s, {wait:.2f} of it waiting; "
+                "it was not begun",
+            )
+
+    def enter(self, kind: str) -> int:
+        """One more; returns the ticket to leave with."""
+        self._tickets += 1
+        self._open[self._tickets] = kind
+        return self._tickets
+
+    def leave(self, ticket: int, seconds: float | None) -> None:
+        """One less; ``seconds`` are what it took a worker, None where that says nothing (cancelled, refused)."""
+        kind = self._open.pop(ticket)
+        if seconds is not None:
+            self.durations.add(kind, seconds)

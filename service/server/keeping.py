@@ -1,0 +1,209 @@
+"""GetPlan, ReviewPlan, Verify, ListRobots and GetStatus."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import tarfile
+import time
+from collections.abc import AsyncIterator, Mapping
+from importlib.metadata import version
+
+import grpc
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from service.executor import WorkerState
+from service.executor.linux import rss_bytes
+from service.proto.planner.v1 import planner_pb2 as wire
+from service.proto.planner.v1.result_pb2 import FileChunk
+from service.server.archive import chunks
+from service.server.perceiving import accepted, deadline_of
+from service.server.planning import stored_result
+from service.server.refusal import Refusal, invalid
+from service.server.registration import Context
+from service.server.settings import ServerSettings
+from service.server.workshop import Workshop
+from service.store import Decision, PlanRecord, PlanState, Review, Store
+from service.trust import Role, current_caller
+from service.wire.results import checks_to_messages, verdict_number
+from service.work.look import describe_robots, verify
+
+_STATES = {
+    PlanState.ACCEPTED: wire.PLAN_STATE_QUEUED,
+    PlanState.RUNNING: wire.PLAN_STATE_RUNNING,
+    PlanState.FINISHED: wire.PLAN_STATE_FINISHED,
+    PlanState.LOST: wire.PLAN_STATE_LOST,
+}
+_DECISIONS = {Decision.ACCEPTED: wire.DECISION_ACCEPTED, Decision.REJECTED: wire.DECISION_REJECTED}
+
+
+class Keeping:
+    """Answers the methods about what is kept here.
+
+    Args:
+        settings: of the server.
+        workshop: where plans are verified.
+        store: where they are kept.
+        verdicts: plans by verdict since the start.
+    """
+
+    def __init__(self, settings: ServerSettings, workshop: Workshop, store: Store, verdicts: Mapping[str, int]) -> None:
+        self._settings = settings
+        self._workshop = workshop
+        self._store = store
+        self._verdicts = verdicts
+        self._started = time.monotonic()
+        self._robots: wire.ListRobotsResponse | None = None
+        self.is_draining = False
+
+    async def get_plan(self, message: wire.GetPlanRequest, context: Context) -> AsyncIterator[wire.GetPlanResponse]:
+        """A plan, its reviews, and its files if they are asked for.
+
+        Raises:
+            NotStoredError: it is not there, or has no files.
+        """
+        record = self._record(message.plan_id)
+        yield wire.GetPlanResponse(record=self._plan(record))
+        if message.with_files:
+            async for chunk in chunks(self._store, record.plan_id):
+                yield wire.GetPlanResponse(file=chunk)
+
+    async def review(self, message: wire.ReviewPlanRequest, context: Context) -> wire.ReviewPlanResponse:
+        """Keep what a person says of a plan that was looked at.
+
+        Raises:
+            Refusal: no decision; StoreError: no such plan, or another one than was looked at.
+        """
+        known = {number: decision for decision, number in _DECISIONS.items()}
+        if message.decision not in known:
+            raise invalid(["decision: DECISION_ACCEPTED or DECISION_REJECTED would do"])
+        review = await asyncio.to_thread(
+            self._store.reviews.add,
+            message.plan_id,
+            known[message.decision],
+            current_caller().name,
+            message.trajectory_sha256,
+            message.certificate_sha256,
+            message.comment,
+        )
+        return wire.ReviewPlanResponse(review=_review(review))
+
+    async def verify(self, message: wire.VerifyRequest, context: Context) -> wire.VerifyResponse:
+        """Check a motion anew.
+
+        Raises:
+            Refusal: there is nothing to check, or it cannot be read.
+        """
+        if bool(message.plan_id) == bool(message.files):
+            raise invalid(["plan_id: either a plan_id or files are needed"])
+        if message.plan_id:
+            record = self._record(message.plan_id)
+            files = await asyncio.to_thread(self._files, record.plan_id)
+        else:
+            files = _joined(list(message.files))
+        found = accepted(
+            await self._workshop.run(
+                "verify", verify, files, deadline=deadline_of(context), budget_s=self._settings.budget_s("verify")
+            )
+        )
+        return wire.VerifyResponse(
+            verdict=verdict_number(found["verdict"]),
+            explanation=found["explanation"],
+            notes=found["notes"],
+            checks=checks_to_messages(found["checks"]),
+            min_clearance_m=found["min_clearance_m"],
+            min_balance_margin_m=found["min_balance_margin_m"],
+        )
+
+    async def robots(self, message: wire.ListRobotsRequest, context: Context) -> wire.ListRobotsResponse:
+        """The robots that can be named."""
+        if self._robots is None:
+            found = await self._workshop.run(
+                "robots", describe_robots, deadline=deadline_of(context), budget_s=self._settings.budget_s("robots")
+            )
+            self._robots = wire.ListRobotsResponse(robots=[wire.RobotInfo(**robot) for robot in found])
+        return self._robots
+
+    async def status(self, message: wire.GetStatusRequest, context: Context) -> wire.GetStatusResponse:
+        """What the server is doing."""
+        pool, admission = self._workshop.executor.stats(), self._workshop.admission
+        workers = [
+            wire.WorkerStatus(
+                pid=worker.pid or 0,
+                state=worker.state.value,
+                work=self._workshop.kind_at(worker.pid) if worker.state is WorkerState.BUSY else "",
+                jobs_done=worker.jobs_done,
+                resident_bytes=worker.rss_bytes,
+            )
+            for worker in pool.workers
+        ]
+        return wire.GetStatusResponse(
+            version=version("scopt"),
+            uptime_s=time.monotonic() - self._started,
+            queued=admission.queued,
+            queue_limit=admission.queue_limit,
+            workers=workers,
+            worker_restarts=pool.restarts,
+            verdicts=self._verdicts,
+            solve_p50_s=admission.durations.percentile(50.0),
+            solve_p99_s=admission.durations.percentile(99.0),
+            is_draining=self.is_draining,
+            resident_bytes=rss_bytes(os.getpid()),
+        )
+
+    def _record(self, plan_id: str) -> PlanRecord:
+        """A plan of the caller's own, or any to those who review."""
+        if not plan_id:
+            raise invalid(["plan_id: is missing"])
+        record = self._store.plans.get(plan_id)
+        caller = current_caller()
+        roles = frozenset() if caller.identity is None else caller.identity.roles
+        if record.client != caller.name and not roles & {Role.REVIEW, Role.ADMIN}:
+            raise Refusal(
+                grpc.StatusCode.PERMISSION_DENIED, "the plan is another client's; the role review or admin is needed"
+            )
+        return record
+
+    def _plan(self, record: PlanRecord) -> wire.PlanRecord:
+        message = wire.PlanRecord(
+            plan_id=record.plan_id,
+            request_id=record.request_id,
+            state=_STATES[record.state],
+            reviews=[_review(review) for review in self._store.reviews.of(record.plan_id)],
+            is_approved=self._store.reviews.is_accepted(record.plan_id),
+            created=_time(record.created),
+        )
+        if record.state is PlanState.FINISHED:
+            message.result.CopyFrom(stored_result(record))
+        if record.finished is not None:
+            message.finished.CopyFrom(_time(record.finished))
+        return message
+
+    def _files(self, plan_id: str) -> dict[str, bytes]:
+        with self._store.plans.open_archive(plan_id) as file, tarfile.open(fileobj=file, mode="r:") as archive:
+            opened = ((member.name, archive.extractfile(member)) for member in archive)
+            return {name: content.read() for name, content in opened if content is not None}
+
+
+def _joined(parts: list[FileChunk]) -> dict[str, bytes]:
+    files: dict[str, bytes] = {}
+    for part in parts:
+        files[part.path] = files.get(part.path, b"") + part.data
+    return files
+
+
+def _review(review: Review) -> wire.Review:
+    return wire.Review(
+        decision=_DECISIONS[review.decision],
+        reviewer=review.reviewer,
+        comment=review.comment,
+        trajectory_sha256=review.plan_sha256,
+        certificate_sha256=review.certificate_sha256,
+        time=_time(review.time),
+    )
+
+
+def _time(seconds: float) -> Timestamp:
+    stamp = Timestamp()
+    stamp.FromNanoseconds(int(seconds * 1e9))
+    return stamp

@@ -1,0 +1,221 @@
+"""UploadCloud, BuildScene and Detect."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import grpc
+
+from service.cloud_asked import CloudAsked
+from service.errors import RequestError
+from service.proto.planner.v1.planner_pb2 import (
+    BuildSceneRequest,
+    BuildSceneResponse,
+    CloudsSpec,
+    DetectRequest,
+    DetectResponse,
+    UploadCloudRequest,
+    UploadCloudResponse,
+)
+from service.request_file import parse_scene, parse_start
+from service.request_scene import SceneRequest
+from service.server.refusal import Refusal, invalid
+from service.server.registration import Context
+from service.server.settings import ServerSettings
+from service.server.workshop import Workshop, outcome
+from service.store import CLOUD_SUFFIXES, CloudStore, Store
+from service.trust import AllowedFolders, current_caller
+from service.trust import Limits as ClientLimiter
+from service.trust.folders import UPLOADED
+from service.wire.perceived import detections_to_messages, scene_to_message
+from service.wire.plain import to_plain
+from service.work.look import SceneTask, build_scene, detect
+from service.work.plan import Refused
+
+T = TypeVar("T")
+MAX_REACH_M = 50.0
+DEFAULT_REACH_M = 4.0
+
+
+class Perceiving:
+    """Answers the methods about clouds.
+
+    Args:
+        settings: of the server.
+        folders: that requests may name files in.
+        workshop: where clouds are looked at.
+        store: where scenes are kept; clouds: where clouds are.
+        limiter: of how much a client may upload.
+    """
+
+    def __init__(
+        self,
+        settings: ServerSettings,
+        folders: AllowedFolders,
+        workshop: Workshop,
+        store: Store,
+        clouds: CloudStore,
+        limiter: ClientLimiter,
+    ) -> None:
+        self._settings = settings
+        self._folders = folders
+        self._workshop = workshop
+        self._store = store
+        self._clouds = clouds
+        self._limiter = limiter
+
+    async def upload(self, requests: AsyncIterator[UploadCloudRequest], context: Context) -> UploadCloudResponse:
+        """Take a cloud in; one that is known need not be sent.
+
+        Raises:
+            Refusal: it cannot be taken.
+        """
+        client = current_caller()
+        first = await anext(requests, None)
+        if first is None or first.WhichOneof("part") != "header":
+            raise invalid(["header: the first message of an upload needs one"])
+        suffix = "." + first.header.format.removeprefix(".").lower()
+        if suffix not in CLOUD_SUFFIXES:
+            known = ", ".join(one.removeprefix(".") for one in CLOUD_SUFFIXES)
+            raise invalid([f"header.format: {known} would do, got {first.header.format!r}"])
+        claimed = first.header.sha256.lower()
+        cloud_id = f"{UPLOADED}{claimed}{suffix}"
+        if claimed and self._clouds.has(cloud_id):
+            return UploadCloudResponse(cloud_id=cloud_id, size_bytes=first.header.size_bytes, was_known=True)
+        with self._clouds.upload(client.name, suffix) as upload:
+            async for request in requests:
+                if request.WhichOneof("part") != "chunk":
+                    raise invalid(["chunk: every message after the first needs one"])
+                refusal = self._limiter.upload(client.key, len(request.chunk))
+                if refusal is not None:
+                    raise Refusal(refusal.code, refusal.text)
+                await asyncio.to_thread(upload.write, request.chunk)
+            size = upload.n_bytes
+            kept = await asyncio.to_thread(_kept, upload.finish, claimed)
+        return UploadCloudResponse(cloud_id=kept, size_bytes=size)
+
+    async def build_scene(self, message: BuildSceneRequest, context: Context) -> AsyncIterator[BuildSceneResponse]:
+        """Pieces, floor and objects of clouds.
+
+        Raises:
+            Refusal: they cannot be had.
+        """
+        scene = self._scene(message, {"method": message.method, "unknown": message.unknown})
+        steps: asyncio.Queue[str | None] = asyncio.Queue()
+        with self._placed(message.clouds, scene) as clouds:
+            task = SceneTask(clouds, tuple(message.detect), scene.hint, scene.unknown, scene.method)
+            piece = self._workshop.start(
+                "scene",
+                build_scene,
+                task,
+                deadline=deadline_of(context),
+                budget_s=self._settings.budget_s("scene"),
+                on_event=steps.put_nowait,
+            )
+            piece.ended.add_done_callback(lambda _: steps.put_nowait(None))
+            try:
+                while (step := await steps.get()) is not None:
+                    yield BuildSceneResponse(step=step)
+                text = accepted(await outcome(piece))
+            finally:
+                piece.cancel()
+        scene_id = await asyncio.to_thread(self._store.scenes.put, current_caller().name, text)
+        yield BuildSceneResponse(scene=scene_to_message(scene_id, text))
+
+    async def detect(self, message: DetectRequest, context: Context) -> DetectResponse:
+        """Objects of a kind.
+
+        Raises:
+            Refusal: they cannot be looked for.
+        """
+        scene = self._scene(message, {})
+        with self._placed(message.clouds, scene) as clouds:
+            found = accepted(
+                await self._workshop.run(
+                    "detect",
+                    detect,
+                    clouds,
+                    message.kind,
+                    scene.hint,
+                    deadline=deadline_of(context),
+                    budget_s=self._settings.budget_s("detect"),
+                )
+            )
+        return DetectResponse(hits=detections_to_messages(found["hits"]), notes=found["notes"])
+
+    def _scene(self, message: BuildSceneRequest | DetectRequest, more: dict[str, Any]) -> SceneRequest:
+        """What is asked of clouds, held to the rules of a request's scene.
+
+        Raises:
+            Refusal: INVALID_ARGUMENT, naming every field.
+        """
+        given = message.clouds
+        plain = to_plain(message)
+        clouds = plain.get("clouds", {})
+        data = {key: clouds[key] for key in ("unit", "apply_viewpoint", "sensor") if key in clouds}
+        data |= {key: plain[key] for key in ("hint", *more) if key in plain}
+        problems = [] if clouds.get("clouds") else ["clouds: at least one is needed"]
+        reach = given.reach_m if given.HasField("reach_m") else DEFAULT_REACH_M
+        if not 0.1 <= reach <= MAX_REACH_M:
+            problems.append(f"reach_m: 0.1 to {MAX_REACH_M:g} would do, got {reach:g}")
+        try:
+            scene = parse_scene({**data, "cloud": clouds.get("clouds") or None})
+            parse_start(clouds.get("start", {}))
+        except RequestError as error:
+            raise invalid([*problems, *error.problems], "clouds") from None
+        problems += [f"{field.removeprefix('scene.')}: {words}" for field, words in self._folders.scene_problems(scene)]
+        if problems:
+            raise invalid([problem.replace("cloud[", "clouds[", 1) for problem in problems], "clouds")
+        return scene
+
+    @contextmanager
+    def _placed(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudAsked]:
+        """The clouds where they are kept, which they are while the body runs."""
+        named = scene.cloud_files
+        with self._clouds.using([one.file for one in named if one.file.startswith(UPLOADED)]) as files:
+            yield CloudAsked(
+                files=tuple(Path(files.get(one.file, one.file)) for one in named),
+                unit=scene.unit,
+                transforms=tuple(_numbers(one.position, one.quaternion_wxyz) for one in named),
+                apply_viewpoint=scene.apply_viewpoint,
+                sensor=scene.sensor,
+                reach_m=given.reach_m if given.HasField("reach_m") else DEFAULT_REACH_M,
+                robot=given.robot if given.HasField("robot") else None,
+                start=parse_start(to_plain(given.start)) if given.HasField("start") else None,
+                seed=given.seed,
+            )
+
+
+def accepted(answer: T | Refused) -> T:
+    """A worker's answer.
+
+    Raises:
+        Refusal: it cannot be had of what was given.
+    """
+    if isinstance(answer, Refused):
+        raise invalid(answer.problems)
+    return answer
+
+
+def deadline_of(context: Context) -> float | None:
+    """On the clock of ``time.monotonic`` [s]; None where the client set none."""
+    left = context.time_remaining()
+    return None if left is None else time.monotonic() + left
+
+
+def _kept(finish: Callable[[], str], claimed: str) -> str:
+    cloud_id = finish()
+    if claimed and f"{UPLOADED}{claimed}." not in cloud_id:
+        raise Refusal(
+            grpc.StatusCode.DATA_LOSS, f"what came is {cloud_id}, not the sha256 {claimed} that was announced"
+        )
+    return cloud_id
+
+
+def _numbers(*groups: Sequence[float]) -> str:
+    return " ".join(repr(number) for group in groups for number in group)

@@ -1,0 +1,197 @@
+"""Plan: from a request to its verdict, once, however often it is asked for and whoever dies on the way."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from collections.abc import AsyncIterator, Callable, Mapping
+
+import grpc
+
+from service.proto.planner.v1.planner_pb2 import PlanAccepted, PlanFinished, PlanRequest, PlanResponse
+from service.proto.planner.v1.result_pb2 import MotionResult
+from service.request import PlanRequest as Request
+from service.request_file import request_hash
+from service.result import Verdict
+from service.server.archive import chunks
+from service.server.asked import WITHIN, Door, kind_of, with_clouds
+from service.server.incidents import refusal_for
+from service.server.refusal import Refusal, invalid, refusal_of_problems
+from service.server.registration import Context
+from service.server.running import RunningPlan, RunningPlans
+from service.server.workshop import Workshop, outcome
+from service.store import CloudStore, Outcome, PlanRecord, Store
+from service.trust import current_caller
+from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
+
+REQUEST_ID = re.compile(r"[A-Za-z0-9._:@/+=-]{0,100}")
+SMALL_BYTES = 64 * 2**10  # larger requests are read off the event loop
+
+
+class Planning:
+    """Answers ``Plan``.
+
+    Args:
+        door: what requests must pass.
+        workshop: where they are worked on.
+        store: where they are kept.
+        clouds: that were uploaded.
+        on_verdict: told kind, verdict and seconds by step of every plan that has one.
+    """
+
+    def __init__(
+        self,
+        door: Door,
+        workshop: Workshop,
+        store: Store,
+        clouds: CloudStore,
+        on_verdict: Callable[[str, str, Mapping[str, float]], None],
+    ) -> None:
+        self._door = door
+        self._workshop = workshop
+        self._store = store
+        self._clouds = clouds
+        self._on_verdict = on_verdict
+        self._tasks: set[asyncio.Task[None]] = set()
+        self.running = RunningPlans()
+
+    async def plan(self, message: PlanRequest, context: Context) -> AsyncIterator[PlanResponse]:
+        """What happens to a request, up to its end and its files.
+
+        Raises:
+            Refusal: it was not let in, or came to nothing.
+        """
+        received = time.monotonic()
+        client = current_caller().name
+        request = await self._checked(message)
+        left = context.time_remaining()
+        deadline = None if left is None else received + left
+        record, plan = await self._begin(message, request, client, deadline)
+        accepted = PlanAccepted(plan_id=record.plan_id, request_id=record.request_id)
+        if plan is None:
+            accepted.is_known = True
+            yield PlanResponse(accepted=accepted)
+            yield PlanResponse(finished=PlanFinished(plan_id=record.plan_id, result=stored_result(record)))
+        else:
+            with plan.watched() as is_first:
+                accepted.is_known = not is_first
+                yield PlanResponse(accepted=accepted)
+                async for response in plan.events():
+                    yield response
+        if message.with_files:
+            async for chunk in chunks(self._store, record.plan_id):
+                yield PlanResponse(file=chunk)
+
+    async def _checked(self, message: PlanRequest) -> Request:
+        if not REQUEST_ID.fullmatch(message.request_id):
+            raise invalid(["request_id: at most 100 letters, digits and ._:@/+=- would do"])
+        if not message.HasField("request"):
+            raise invalid(["request: is missing"])
+        if message.request.ByteSize() <= SMALL_BYTES:
+            return self._door.request(message.request)
+        return await asyncio.to_thread(self._door.request, message.request)
+
+    async def _begin(
+        self, message: PlanRequest, request: Request, client: str, deadline: float | None
+    ) -> tuple[PlanRecord, RunningPlan | None]:
+        """The record of a request, and the plan under way; None for one that has been finished before."""
+        kind = kind_of(request)
+        admission = self._workshop.admission
+        if not message.request_id:  # it cannot be known: nothing is written for what is not let in
+            admission.check(kind, _left(deadline))
+        sha = request_hash(request) + ("+files" if message.with_files else "")
+        while True:
+            begun = self._store.plans.begin(client, message.request_id, sha, kind)
+            known = self.running.get(begun.plan.plan_id)
+            if known is None or not known.is_stopping:
+                break
+            await known.ended()
+        record = begun.plan
+        if begun.outcome is Outcome.CONFLICT:
+            raise Refusal(
+                grpc.StatusCode.ALREADY_EXISTS,
+                f"request_id {message.request_id!r} stands for another request of this client; choose another id",
+            )
+        if begun.outcome is Outcome.FINISHED or known is not None:
+            return record, known
+        try:
+            admission.check(kind, _left(deadline))
+        except Refusal as refusal:
+            self._store.plans.give_up(record.plan_id, refusal.text)
+            raise
+        return record, self._started(record, request, message, deadline)
+
+    def _started(
+        self, record: PlanRecord, request: Request, message: PlanRequest, deadline: float | None
+    ) -> RunningPlan:
+        plan = RunningPlan(record.plan_id, self._workshop)
+        forget = self.running.add(plan)
+        work = asyncio.create_task(self._work(plan, request, message, record.kind, deadline))
+        self._tasks.add(work)
+        work.add_done_callback(self._tasks.discard)
+        work.add_done_callback(lambda _: forget())
+        return plan
+
+    async def _work(
+        self, plan: RunningPlan, request: Request, message: PlanRequest, kind: str, deadline: float | None
+    ) -> None:
+        """See a plan to its end; whatever happens, its watchers hear of it and the store knows."""
+        try:
+            with with_clouds(request, self._clouds) as placed:
+                task = PlanTask(placed, deadline, message.with_files, message.with_waypoints, request)
+                piece = self._workshop.start(
+                    kind,
+                    run_plan,
+                    task,
+                    deadline=deadline,
+                    budget_s=request.options.time_limit_s,
+                    on_event=plan.progress,
+                )
+                plan.worked_on_by(piece)
+                answer = await outcome(piece)
+            if isinstance(answer, Refused):
+                raise refusal_of_problems(_as_named(answer.problems, request, placed), answer.is_unplanned, WITHIN)
+            if answer.verdict == Verdict.CANCELLED.value:
+                raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was a plan")
+            await self._keep(plan.plan_id, answer)
+            self._on_verdict(kind, answer.verdict, answer.timings)
+            plan.finish(PlanFinished(plan_id=plan.plan_id, result=MotionResult.FromString(answer.reply)))
+        except Exception as error:
+            refusal = refusal_for(error)
+            self._store.plans.give_up(plan.plan_id, refusal.text)
+            plan.fail(refusal)
+
+    async def _keep(self, plan_id: str, answer: PlanAnswer) -> None:
+        """Have the store know before the client does: what was told is there after a restart."""
+        finish = self._store.plans.finish
+        hashes = answer.trajectory_sha256, answer.certificate_sha256
+        if answer.archive:
+            await asyncio.to_thread(finish, plan_id, answer.verdict, answer.reply, *hashes, answer.archive)
+        else:
+            finish(plan_id, answer.verdict, answer.reply, *hashes)
+
+    async def ended(self) -> None:
+        """Wait until nothing is under way."""
+        while self._tasks:
+            await asyncio.wait(self._tasks)
+
+
+def stored_result(record: PlanRecord) -> MotionResult:
+    """The result of a finished plan."""
+    return MotionResult.FromString(record.reply)
+
+
+def _left(deadline: float | None) -> float | None:
+    return None if deadline is None else deadline - time.monotonic()
+
+
+def _as_named(problems: tuple[str, ...], request: Request, placed: Request) -> tuple[str, ...]:
+    """Problems that speak of clouds as the client named them, not of where they are kept."""
+    names = {
+        str(there.file): asked.file
+        for asked, there in zip(request.scene.cloud_files, placed.scene.cloud_files, strict=True)
+    }
+    for path, name in names.items():
+        problems = tuple(problem.replace(path, name) for problem in problems)
+    return problems

@@ -1,0 +1,113 @@
+"""How the service's methods are registered: messages that cannot be read are answered, and refusals become statuses."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any, TypeVar
+
+import grpc
+from google.protobuf.message import DecodeError, Message
+from google.protobuf.message_factory import GetMessageClass
+
+from service.proto.planner.v1 import planner_pb2
+from service.server.incidents import refusal_for
+from service.server.refusal import invalid
+
+SERVICE = planner_pb2.DESCRIPTOR.services_by_name["PlannerService"]
+Context = grpc.aio.ServicerContext[Any, Any]
+T = TypeVar("T")
+
+
+class UnreadableMessage:
+    """Stands for bytes that are no message of the method's type."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+
+def method_handlers(servicer: object) -> grpc.GenericRpcHandler[Any, Any]:
+    """Handlers for all methods of the service; ``servicer`` has a coroutine or asynchronous generator for each.
+
+    A method that answers once is ``async def Name(self, request, context)``, one that streams yields its messages. One
+    that takes a stream gets an asynchronous iterator.
+    """
+    handlers = {}
+    for method in SERVICE.methods:
+        behaviour = getattr(servicer, method.name)
+        kind = GetMessageClass(method.input_type)
+        if method.server_streaming:
+            handlers[method.name] = grpc.unary_stream_rpc_method_handler(_streaming(behaviour), _reader(kind), _written)
+        elif method.client_streaming:
+            handlers[method.name] = grpc.stream_unary_rpc_method_handler(_taking(behaviour), _reader(kind), _written)
+        else:
+            handlers[method.name] = grpc.unary_unary_rpc_method_handler(_answering(behaviour), _reader(kind), _written)
+    return grpc.method_handlers_generic_handler(SERVICE.full_name, handlers)
+
+
+def _reader(kind: type[Message]) -> Callable[[bytes], Message | UnreadableMessage]:
+    def read(data: bytes) -> Message | UnreadableMessage:
+        try:
+            return kind.FromString(data)
+        except DecodeError:
+            return UnreadableMessage(kind.DESCRIPTOR.full_name)
+
+    return read
+
+
+def _written(message: Message) -> bytes:
+    return message.SerializeToString()
+
+
+def _readable(request: T | UnreadableMessage) -> T:
+    if isinstance(request, UnreadableMessage):
+        raise invalid([f"the bytes are no {request.name}"])
+    return request
+
+
+async def _refused(context: Context, error: Exception) -> None:
+    """End a call as an error says."""
+    refusal = refusal_for(error)
+    await context.abort(refusal.code, refusal.text, refusal.metadata())
+
+
+def _answering(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable[[Any, Context], Any]:
+    async def call(request: Any, context: Context) -> Message | None:
+        try:
+            return await behaviour(_readable(request), context)
+        except grpc.aio.AbortError:
+            raise
+        except Exception as error:
+            await _refused(context, error)
+            return None
+
+    return call
+
+
+def _taking(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable[[Any, Context], Any]:
+    async def readable(requests: AsyncIterator[Any]) -> AsyncIterator[Any]:
+        async for request in requests:
+            yield _readable(request)
+
+    async def call(requests: AsyncIterator[Any], context: Context) -> Message | None:
+        try:
+            return await behaviour(readable(requests), context)
+        except grpc.aio.AbortError:
+            raise
+        except Exception as error:
+            await _refused(context, error)
+            return None
+
+    return call
+
+
+def _streaming(behaviour: Callable[[Any, Context], AsyncIterator[Message]]) -> Callable[[Any, Context], Any]:
+    async def call(request: Any, context: Context) -> AsyncIterator[Message]:
+        try:
+            async for message in behaviour(_readable(request), context):
+                yield message
+        except grpc.aio.AbortError:
+            raise
+        except Exception as error:
+            await _refused(context, error)
+
+    return call

@@ -1,0 +1,208 @@
+"""A server from its start to its end: store, workers, port, and a drain when it is told to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+import grpc
+import structlog
+from grpc_health.v1 import health, health_pb2, health_pb2_grpc
+from grpc_health.v1.health import aio as health_aio  # type: ignore[attr-defined]
+from grpc_reflection.v1alpha import reflection
+
+from service.errors import ServiceError
+from service.executor import CancellableExecutor
+from service.server.admission import Admission
+from service.server.asked import Door
+from service.server.keeping import Keeping
+from service.server.perceiving import Perceiving
+from service.server.planning import Planning
+from service.server.registration import SERVICE, method_handlers
+from service.server.servicer import Servicer
+from service.server.settings import MOST_STREAMS, ServerSettings
+from service.server.workshop import Workshop
+from service.store import CloudStore, Store
+from service.trust import Gate, TlsFiles, Tokens, TrustError, allowed_folders, listen_problems, server_credentials
+from service.trust import Limits as ClientLimiter
+
+_LOG = structlog.get_logger("scopt.server")
+PRELOAD = ("service.work.plan", "service.work.look", "perception", "service.tasks.valve_task", "service.trajopt")
+OVERTIME_EVERY_S = 0.5
+CLOUDS_FOLDER, STORE_FOLDER = "clouds", "plans"
+
+
+@dataclass(frozen=True)
+class Port:
+    """Where a server listens, and for whom.
+
+    Attributes:
+        address: ``HOST:PORT``, ``[IPV6]:PORT`` or ``unix:PATH``; port 0 for any that is free.
+        tls: its certificate; None without TLS.
+        tokens: who may come in; None: everybody who can reach a server that only this machine can reach.
+        limits: of each client.
+    """
+
+    address: str
+    tls: TlsFiles | None = None
+    tokens: Tokens | None = None
+    limiter: ClientLimiter | None = None
+
+
+@dataclass(frozen=True)
+class Running:
+    """A server that answers.
+
+    Attributes:
+        address: where; with the port that was free.
+        server: of gRPC; planning, keeping, workshop, health: its parts.
+    """
+
+    address: str
+    server: grpc.aio.Server
+    planning: Planning
+    keeping: Keeping
+    workshop: Workshop
+    health: Any
+
+
+async def serve(
+    settings: ServerSettings, port: Port, executor: CancellableExecutor, on_ready: Callable[[str], None]
+) -> None:
+    """Answer until SIGTERM or SIGINT, then finish what is under way; a second signal ends at once.
+
+    Args:
+        settings: of the server.
+        port: where it listens.
+        executor: what runs the work; it is shut down at the end.
+        on_ready: told the address as soon as requests are answered.
+
+    Raises:
+        ServiceError: it cannot be started so.
+    """
+    loop = asyncio.get_running_loop()
+    stop, now = asyncio.Event(), asyncio.Event()
+
+    def ask() -> None:
+        (now if stop.is_set() else stop).set()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ask)
+    if port.tokens is not None:
+        loop.add_signal_handler(signal.SIGHUP, _reloaded(port.tokens))
+    async with running(settings, port, executor) as server:
+        on_ready(server.address)
+        await stop.wait()
+        await _drain(server, settings.drain_s, now)
+
+
+@asynccontextmanager
+async def running(settings: ServerSettings, port: Port, executor: CancellableExecutor) -> AsyncIterator[Running]:
+    """A server that answers while the body runs; stopped without a drain.
+
+    Raises:
+        ServiceError: it cannot be started so.
+    """
+    problems = listen_problems(port.address, port.tls, port.tokens)
+    if problems:
+        raise TrustError("\n".join(problems))
+    async with AsyncExitStack() as stack:
+        stack.callback(executor.shutdown, wait=False, cancel_futures=True)
+        store = stack.enter_context(Store(settings.data / STORE_FOLDER, settings.store_limits))
+        clouds = stack.enter_context(CloudStore(settings.data / CLOUDS_FOLDER, settings.cloud_limits))
+        folders = allowed_folders(settings.allowed, clouds.has)
+        limiter = port.limiter or ClientLimiter()
+        verdicts: Counter[str] = Counter()
+
+        def count(kind: str, verdict: str, timings: Mapping[str, float]) -> None:
+            verdicts[verdict] += 1
+
+        workshop = Workshop(executor, Admission(settings.workers, settings.queue_limit))
+        planning = Planning(Door(settings, folders), workshop, store, clouds, count)
+        perceiving = Perceiving(settings, folders, workshop, store, clouds, limiter)
+        keeping = Keeping(settings, workshop, store, verdicts)
+        server = grpc.aio.server(interceptors=[Gate(port.tokens, limiter)], options=_options(settings))
+        server.add_generic_rpc_handlers((method_handlers(Servicer(planning, perceiving, keeping)),))
+        state = health_aio.HealthServicer()
+        health_pb2_grpc.add_HealthServicer_to_server(state, server)
+        names = (SERVICE.full_name, health.SERVICE_NAME, reflection.SERVICE_NAME)
+        reflection.enable_server_reflection(names, server)
+        address = _bound(server, port)
+        if not await asyncio.to_thread(executor.wait_ready):
+            raise ServiceError("no worker could be started; the log tells why")
+        await server.start()
+        stack.push_async_callback(server.stop, 0.0)
+        overtime = asyncio.create_task(_stop_overtime(workshop))
+        stack.callback(overtime.cancel)
+        for name in ("", SERVICE.full_name):
+            await state.set(name, health_pb2.HealthCheckResponse.SERVING)
+        yield Running(address, server, planning, keeping, workshop, state)
+
+
+def _options(settings: ServerSettings) -> list[tuple[str, int]]:
+    return [
+        ("grpc.max_receive_message_length", settings.limits.message_bytes),
+        ("grpc.max_send_message_length", -1),
+        ("grpc.max_concurrent_streams", MOST_STREAMS),
+        ("grpc.so_reuseport", 0),  # a second server on the port is an error, not a lottery
+        ("grpc.keepalive_time_ms", 30_000),
+        ("grpc.keepalive_timeout_ms", 10_000),
+        ("grpc.http2.min_ping_interval_without_data_ms", 10_000),
+    ]
+
+
+def _bound(server: grpc.aio.Server, port: Port) -> str:
+    """The address it listens at.
+
+    Raises:
+        TrustError: it cannot.
+    """
+    try:
+        if port.tls is None:
+            number = server.add_insecure_port(port.address)
+        else:
+            number = server.add_secure_port(port.address, server_credentials(port.tls))
+    except RuntimeError:
+        number = 0
+    if number == 0:
+        raise TrustError(f"--listen {port.address}: cannot listen there; is another server at it?")
+    host, colon, asked = port.address.rpartition(":")
+    return f"{host}{colon}{number}" if asked.isdigit() else port.address
+
+
+async def _drain(server: Running, drain_s: float, now: asyncio.Event) -> None:
+    """Take nothing more in, and see what is under way to its end, or for as long as there is."""
+    _LOG.info("draining", running=len(server.planning.running), at_most_s=drain_s)
+    server.keeping.is_draining = server.workshop.is_closed = True
+    await server.health.enter_graceful_shutdown()
+    hurry = asyncio.create_task(now.wait())
+    stopping = asyncio.create_task(server.server.stop(drain_s))
+    await asyncio.wait([stopping, hurry], return_when=asyncio.FIRST_COMPLETED)
+    hurry.cancel()
+    await server.server.stop(0.0)
+    with suppress(asyncio.CancelledError):
+        await stopping
+    await server.planning.ended()
+
+
+async def _stop_overtime(workshop: Workshop) -> None:
+    while True:
+        await asyncio.sleep(OVERTIME_EVERY_S)
+        workshop.stop_overtime()
+
+
+def _reloaded(tokens: Tokens) -> Callable[[], None]:
+    def reload() -> None:
+        try:
+            tokens.reload()
+        except TrustError as error:  # the ones before stay good
+            _LOG.error("tokens not reloaded", reason=str(error))
+        else:
+            _LOG.info("tokens reloaded")
+
+    return reload

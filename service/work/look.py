@@ -1,0 +1,99 @@
+"""Perception, verification and robots in a worker: functions of data that end in data."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from costs.robot import bundled_robots
+from service.cloud_asked import CloudAsked
+from service.errors import RequestError, ResultError
+from service.executor import Control
+from service.request_file import parse_request
+from service.work.plan import Refused, warm_robots
+
+
+@dataclass(frozen=True)
+class SceneTask:
+    """What ``scopt scene`` is asked.
+
+    Attributes:
+        clouds: the files.
+        kinds: of objects to look for.
+        hint: a point near the object that is looked for [m].
+        unknown, method: of ``perception.perceive``.
+    """
+
+    clouds: CloudAsked
+    kinds: tuple[str, ...] = ()
+    hint: tuple[float, float, float] | None = None
+    unknown: str = "free"
+    method: str = "planes"
+
+
+def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
+    """The scene's file (docs/scene-format.md); what it reports are the names of steps."""
+    from service.scene_file import SceneAsked, see_files
+
+    asked = SceneAsked(task.clouds, task.kinds, task.hint, task.unknown, task.method)  # type: ignore[arg-type]
+    try:
+        return json.dumps(see_files(asked, control.report).data, allow_nan=False).encode()
+    except RequestError as error:
+        return Refused(error.problems)
+
+
+def detect(
+    clouds: CloudAsked, kind: str, hint: tuple[float, float, float] | None, control: Control
+) -> Mapping[str, Any] | Refused:
+    """What ``scopt detect`` prints."""
+    from service.detect_file import detect_file
+
+    try:
+        return detect_file(clouds, kind, hint, control.report)
+    except RequestError as error:
+        return Refused(error.problems)
+
+
+def verify(files: Mapping[str, bytes]) -> Mapping[str, Any] | Refused:
+    """What ``scopt verify`` prints.
+
+    Args:
+        files: of a result folder, by their path in it.
+    """
+    from service.replay import verify_result
+
+    with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:
+        folder = Path(scratch)
+        for name, content in files.items():
+            path = (folder / name).resolve()
+            if not path.is_relative_to(folder.resolve()):
+                return Refused((f"files: {name!r} lies outside the result folder",))
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
+            except (OSError, ValueError):
+                return Refused((f"files: {name!r} is no path of a file",))
+        try:
+            return verify_result(folder)
+        except (ResultError, RequestError) as error:
+            return Refused(tuple(line.replace(f"{folder}: ", "files: ") for line in str(error).splitlines()))
+
+
+def describe_robots() -> list[dict[str, Any]]:
+    """The robots that ship with the package: names, joints, postures."""
+    found = []
+    for name, description in bundled_robots().items():
+        robot = warm_robots().get(parse_request({"robot": {"name": name}, "goal": {"posture": "-"}}))
+        found.append(
+            {
+                "name": name,
+                "description": description,
+                "joint_names": list(robot.joint_names),
+                "postures": sorted(robot.postures),
+            }
+        )
+    return found
