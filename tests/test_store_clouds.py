@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -69,6 +70,35 @@ def test_an_upload_that_ends_early_leaves_nothing(tmp_path: Path) -> None:
             upload.write(b"half")
         assert (store.stats().n_bytes, store.stats().n_uploads) == (0, 0)
         assert [path.name for path in tmp_path.iterdir()] == ["lock"]
+
+
+def test_an_upload_that_is_closed_while_it_is_written_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with CloudStore(tmp_path) as store:
+        is_writing, may_go_on = threading.Event(), threading.Event()
+        arrive = store._arrive
+
+        def slowly(n_bytes: int) -> None:
+            arrive(n_bytes)
+            is_writing.set()
+            may_go_on.wait(5)
+
+        monkeypatch.setattr(store, "_arrive", slowly)
+        upload = store.upload("ann", ".ply")
+        thread = threading.Thread(target=upload.write, args=(b"half",))
+        thread.start()
+        is_writing.wait(5)
+        upload.close()
+        assert store.stats().n_uploads == 1
+        may_go_on.set()
+        thread.join()
+        assert (store.stats().n_bytes, store.stats().n_uploads) == (0, 0)
+        assert [path.name for path in tmp_path.iterdir()] == ["lock"]
+        with pytest.raises(StoreError, match="is closed"):
+            upload.write(b"more")
+        with pytest.raises(StoreError, match="is closed"):
+            upload.finish()
 
 
 def test_what_a_killed_server_left_of_an_upload_is_removed_at_start(tmp_path: Path) -> None:

@@ -177,7 +177,10 @@ class CloudStore:
 
 
 class Upload:
-    """One cloud on its way in: chunks, then ``finish``; closed without it, nothing stays.  One thread at a time."""
+    """One cloud on its way in: chunks, then ``finish``; closed without it, nothing stays.
+
+    It may be closed while another thread writes: what was written is forgotten as soon as that has ended.
+    """
 
     def __init__(self, store: CloudStore, client: str, suffix: str, partial: Path) -> None:
         self._store = store
@@ -185,7 +188,8 @@ class Upload:
         self._suffix = suffix
         self._partial = partial
         self._hash = hashlib.sha256()
-        self._is_closed = False
+        self._turn = threading.Lock()
+        self._shall_close = self._is_closed = False
         self.n_bytes = 0
         try:
             self._file = partial.open("xb")
@@ -206,41 +210,57 @@ class Upload:
         Raises:
             TooLargeError: the cloud has more bytes than one may have.
             StoreFullError: there is no room for it now.
-            StoreError: it cannot be written.
+            StoreError: it cannot be written, or is closed.
         """
-        limit = self._store.limits.max_cloud_bytes
-        if self.n_bytes + len(chunk) > limit:
-            raise TooLargeError(f"the cloud has more than {limit} bytes; downsample it first")
-        self._store._arrive(len(chunk))
-        self.n_bytes += len(chunk)
-        self._hash.update(chunk)
-        try:
+        with self._taking_turn():
+            limit = self._store.limits.max_cloud_bytes
+            if self.n_bytes + len(chunk) > limit:
+                raise TooLargeError(f"the cloud has more than {limit} bytes; downsample it first")
+            self._store._arrive(len(chunk))
+            self.n_bytes += len(chunk)
+            self._hash.update(chunk)
             self._file.write(chunk)
-        except OSError as error:
-            raise StoreError(f"{self._partial}: cannot be written ({error.strerror})") from None
 
     def finish(self) -> str:
         """Keep what came, and close; returns the cloud's id.
 
         Raises:
             UploadRefusedError: nothing came.
-            StoreError: it cannot be written.
+            StoreError: it cannot be written, or is closed.
         """
-        if not self.n_bytes:
-            raise UploadRefusedError("the cloud is empty; a file with at least one point is needed")
-        cloud_id = f"sha256:{self._hash.hexdigest()}{self._suffix}"
-        try:
+        self._shall_close = True
+        with self._taking_turn():
+            if not self.n_bytes:
+                raise UploadRefusedError("the cloud is empty; a file with at least one point is needed")
+            cloud_id = f"sha256:{self._hash.hexdigest()}{self._suffix}"
             self._file.flush()
             os.fsync(self._file.fileno())
             self._store._keep(self._partial, cloud_id)
-        except OSError as error:
-            raise StoreError(f"{self._partial}: cannot be written ({error.strerror})") from None
-        finally:
-            self.close()
         return cloud_id
 
     def close(self) -> None:
         """Forget what came, unless it was finished."""
+        self._shall_close = True
+        if self._turn.acquire(blocking=False):  # or else whoever has the turn sees to it
+            try:
+                self._forget()
+            finally:
+                self._turn.release()
+
+    @contextlib.contextmanager
+    def _taking_turn(self) -> Iterator[None]:
+        try:
+            with self._turn:
+                if self._is_closed:
+                    raise StoreError("the upload is closed")
+                yield
+        except OSError as error:
+            raise StoreError(f"{self._partial}: cannot be written ({error.strerror})") from None
+        finally:
+            if self._shall_close:
+                self.close()
+
+    def _forget(self) -> None:
         if self._is_closed:
             return
         self._is_closed = True
