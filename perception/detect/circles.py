@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from jaxtyping import Bool, Float
 
 _NEAR = 0.02
 _BINS = 24
@@ -53,47 +52,52 @@ def find_circles(
     """
     if len(points) < 12:
         return []
-    tree = cKDTree(points)
     found: list[Circle] = []
     for seed in rng.choice(len(points), min(n_seeds, len(points)), replace=False):
+        square = ((points - points[seed]) ** 2).sum(axis=1)
         for ball in _BALLS:
-            near = np.asarray(tree.query_ball_point(points[seed], ball), dtype=int)
+            near = np.flatnonzero(square <= ball**2)
             if len(near) >= 12:
-                found += _best_in(points, rng.permutation(np.sort(near))[:_MOST_POINTS], rng, radii, ball, n_triples)
+                found += _best_in(points[rng.permutation(near)[:_MOST_POINTS]], rng, radii, ball, n_triples)
     found.sort(key=lambda circle: -circle.score)
     return _distinct(found, most)
 
 
 def _best_in(
-    points: Float[np.ndarray, "N 3"],
-    near: Int[np.ndarray, "K"],
+    local: Float[np.ndarray, "K 3"],
     rng: np.random.Generator,
     radii: tuple[float, float],
     ball: float,
     n_triples: int,
 ) -> list[Circle]:
-    """The best circle of one ball, if any."""
-    local = points[near]
+    """The best circles of the points in one ball, if any."""
     centres, axes, radius = _circles_through(local[rng.integers(len(local), size=(n_triples, 3))])
     fits = (radius >= radii[0]) & (radius <= min(radii[1], 0.6 * ball))
     centres, axes, radius = centres[fits], axes[fits], radius[fits]
     if not len(radius):
         return []
-    height = axes @ local.T - (axes * centres).sum(axis=1)[:, None]
-    square = (local**2).sum(axis=1) - 2.0 * centres @ local.T + (centres**2).sum(axis=1)[:, None]
-    distance = np.sqrt(np.maximum(square - height**2, 0.0))
-    on = (distance - radius[:, None]) ** 2 + height**2 < _NEAR**2
+    # Squares of the points' heights over each circle's plane and of their distances from its axis.
+    places = np.column_stack([local, np.ones(len(local)), (local**2).sum(axis=1)]).T
+    height = np.column_stack([axes, -(axes * centres).sum(axis=1)]) @ places[:4]
+    height *= height
+    distance = np.column_stack([-2.0 * centres, (centres**2).sum(axis=1), np.ones(len(centres))]) @ places
+    distance -= height
+    np.sqrt(np.maximum(distance, 0.0, out=distance), out=distance)
+    distance -= radius[:, None]
     # Clutter fills a disc; a wheel is mostly rim.
-    disc = (distance < radius[:, None] + 0.05) & (np.abs(height) < 0.05)
-    share = on.sum(axis=1) / np.maximum(disc.sum(axis=1), 1)
-    top = np.argsort(-on.sum(axis=1) * share, kind="stable")[:3]
-    out = []
-    for i in top:
-        covered = _coverage(local[on[i]] - centres[i], axes[i])
-        # Sampling noise of few points must not look like a full circle.
-        score = covered**2 * share[i] * min(1.0, on[i].sum() / 25.0)
-        out.append(Circle(centres[i], axes[i], float(radius[i]), covered, float(score)))
-    return out
+    n_disc = np.count_nonzero((distance < 0.05) & (height < 0.05**2), axis=1)
+    distance *= distance
+    distance += height
+    on = distance < _NEAR**2
+    n_on = np.count_nonzero(on, axis=1)
+    share = n_on / np.maximum(n_disc, 1)
+    top = np.argsort(-n_on * share, kind="stable")[:3]
+    covered = _coverage(local, centres[top], axes[top], on[top])
+    # Sampling noise of few points must not look like a full circle.
+    score = covered**2 * share[top] * np.minimum(1.0, n_on[top] / 25.0)
+    return [
+        Circle(centres[i], axes[i], float(radius[i]), float(covered[k]), float(score[k])) for k, i in enumerate(top)
+    ]
 
 
 def _circles_through(
@@ -101,21 +105,38 @@ def _circles_through(
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"], Float[np.ndarray, "K"]]:
     """Centre, axis and radius of the circle through each triple that is not nearly straight."""
     u, v = triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0]
-    normal = np.cross(u, v)
+    normal = _cross(u, v)
     square = (normal**2).sum(axis=1)
     good = square > 1e-8
     u, v, normal, square = u[good], v[good], normal[good], square[good]
     uu, vv = (u**2).sum(axis=1)[:, None], (v**2).sum(axis=1)[:, None]
-    to_centre = (uu * np.cross(v, normal) + vv * np.cross(normal, u)) / (2.0 * square[:, None])
-    return triples[good, 0] + to_centre, normal / np.sqrt(square)[:, None], np.linalg.norm(to_centre, axis=1)
+    to_centre = (uu * _cross(v, normal) + vv * _cross(normal, u)) / (2.0 * square[:, None])
+    return triples[good, 0] + to_centre, normal / np.sqrt(square)[:, None], np.sqrt((to_centre**2).sum(axis=1))
 
 
-def _coverage(offset: Float[np.ndarray, "K 3"], axis: Float[np.ndarray, "3"]) -> float:
-    helper = np.eye(3)[np.argmin(np.abs(axis))]
-    first = np.cross(helper, axis)
-    first /= np.linalg.norm(first)
-    angle = np.arctan2(offset @ np.cross(axis, first), offset @ first)
-    return len(np.unique(np.floor(angle / (2 * np.pi) * _BINS))) / _BINS
+def _cross(u: Float[np.ndarray, "K 3"], v: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
+    """Cross products, row by row; a third of the time ``np.cross`` takes for so few."""
+    a, b = u[:, [1, 2, 0]], v[:, [1, 2, 0]]
+    return np.asarray((u * b - a * v)[:, [1, 2, 0]])
+
+
+def _coverage(
+    points: Float[np.ndarray, "K 3"],
+    centres: Float[np.ndarray, "C 3"],
+    axes: Float[np.ndarray, "C 3"],
+    on: Bool[np.ndarray, "C K"],
+) -> Float[np.ndarray, "C"]:
+    """Share of each circle's sectors with one of the points that lie on it."""
+    first = _cross(np.eye(3)[np.argmin(np.abs(axes), axis=1)], axes)
+    first /= np.sqrt((first**2).sum(axis=1))[:, None]
+    second = _cross(axes, first)
+    circle, point = np.nonzero(on)
+    offset = points[point] - centres[circle]
+    angle = np.arctan2((offset * second[circle]).sum(axis=1), (offset * first[circle]).sum(axis=1))
+    sector = np.floor(angle / (2 * np.pi) * _BINS).astype(np.int64) % _BINS
+    filled = np.zeros((len(centres), _BINS), dtype=bool)
+    filled[circle, sector] = True
+    return np.asarray(filled.mean(axis=1))
 
 
 def _distinct(circles: list[Circle], most: int) -> list[Circle]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 from perception.cloud import Cloud
 
@@ -37,7 +36,9 @@ class Sightlines:
 
     def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Sightlines:
         """Only these."""
-        return Sightlines(self.start[keep], self.direction[keep], self.length[keep])
+        if keep.dtype == np.bool_:
+            keep = np.flatnonzero(keep)
+        return Sightlines(self.start.take(keep, 0), self.direction.take(keep, 0), self.length.take(keep))
 
     def thinned(self, most: int) -> Sightlines:
         """Every k-th, so that at most ``most`` are left."""
@@ -50,41 +51,63 @@ class SightIndex:
 
     Attributes:
         rays: all of them.
-        groups: rays that share a start: the start, their numbers and a tree of their directions; empty when there
-            are too many starts for trees to pay.
+        groups: rays that share a start: the start, their numbers and directions; empty when there are too many
+            starts for that to pay.
     """
 
     rays: Sightlines
-    groups: tuple[tuple[Float[np.ndarray, "3"], Int[np.ndarray, "K"], cKDTree], ...]
+    groups: tuple[tuple[Float[np.ndarray, "3"], Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]], ...]
 
     def passing(self, places: Float[np.ndarray, "K 3"], radius: float) -> Sightlines:
         """Rays that pass one of the places within ``radius`` (to a few percent) and do not end well before it."""
-        found = [self._of_group(group, places, radius) for group in self.groups]
-        candidates = np.concatenate(found) if self.groups else np.arange(len(self.rays))
-        rays = self.rays.selected(candidates)
-        if not len(rays):
-            return rays
         centre = places.mean(axis=0)
         size = radius + float(np.linalg.norm(places - centre, axis=1).max())
-        along = ((centre - rays.start) * rays.direction).sum(axis=1)
-        keep = (along > -size) & (rays.length > along - size)
-        if not self.groups:
-            keep[keep] &= _nearest(rays.selected(keep), places) <= radius
-        return rays.selected(keep)
+        if self.groups:
+            found = [self._of_group(group, places, radius, centre, size) for group in self.groups]
+            return self.rays.selected(np.concatenate(found))
+        along = ((centre - self.rays.start) * self.rays.direction).sum(axis=1)
+        rays = self.rays.selected((along > -size) & (self.rays.length > along - size))
+        return rays.selected(_nearest(rays, places) <= radius)
 
     def _of_group(
         self,
-        group: tuple[Float[np.ndarray, "3"], Int[np.ndarray, "K"], cKDTree],
+        group: tuple[Float[np.ndarray, "3"], Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]],
         places: Float[np.ndarray, "K 3"],
         radius: float,
+        centre: Float[np.ndarray, "3"],
+        size: float,
     ) -> Int[np.ndarray, "M"]:
-        start, numbers, tree = group
-        offset = places - start
-        distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-6)
-        chord = 2.0 * np.sin(np.arcsin(np.minimum(radius / distance, 1.0)) / 2.0)
-        lists = tree.query_ball_point(offset / distance[:, None], chord)
-        inside = np.unique(np.concatenate([np.asarray(one, dtype=np.int64) for one in lists]))
-        return np.asarray(numbers[inside])
+        """Numbers of the rays of a group."""
+        start, numbers, directions = group
+        inside = _in_cones(directions, places - start, radius)
+        numbers = numbers[inside]
+        along = directions.take(inside, 0) @ (centre - start)
+        return np.asarray(numbers[(along > -size) & (self.rays.length.take(numbers) > along - size)])
+
+
+def _in_cones(
+    directions: Float[np.ndarray, "N 3"], offset: Float[np.ndarray, "K 3"], radius: float
+) -> Int[np.ndarray, "M"]:
+    """Indices of the directions that pass one of the places within ``radius``, first by one cone about all of them.
+
+    Looking at every direction once is quicker than a tree, which answers with Python's lists.
+
+    Args:
+        directions: (N, 3) unit.
+        offset: (K, 3) of the places from where the rays start [m].
+        radius: [m].
+    """
+    distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-6)
+    towards = offset / distance[:, None]
+    half = np.arcsin(np.minimum(radius / distance, 1.0))
+    middle = towards.mean(axis=0)
+    middle /= max(float(np.linalg.norm(middle)), 1e-9)
+    widest = float((np.arccos(np.clip(towards @ middle, -1.0, 1.0)) + half).max())
+    inside = np.flatnonzero(directions @ middle >= np.cos(min(widest, np.pi)))
+    if len(offset) == 1:
+        return inside
+    is_in = (directions.take(inside, 0) @ towards.T >= np.cos(half)).any(axis=1)
+    return np.asarray(inside[is_in])
 
 
 def _nearest(rays: Sightlines, places: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "N"]:
@@ -119,6 +142,5 @@ def index_of(rays: Sightlines) -> SightIndex:
     groups = []
     for i, origin in enumerate(origins):
         numbers = np.flatnonzero(of_ray.reshape(-1) == i)
-        tree = cKDTree(rays.direction[numbers], balanced_tree=False, compact_nodes=False)
-        groups.append((np.asarray(origin), numbers, tree))
+        groups.append((np.asarray(origin), numbers, rays.direction[numbers]))
     return SightIndex(rays, tuple(groups))

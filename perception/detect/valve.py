@@ -13,8 +13,9 @@ from perception.cloud import Cloud
 from perception.detect.circles import Circle, find_circles
 from perception.detect.detection import Detection
 from perception.detect.foreground import Foreground
+from perception.detect.ring_fit import fit_ring
 from perception.detect.sightlines import SightIndex, Sightlines, index_of
-from perception.detect.wheel import Ring, fit_ring, pass_ring, rim_hits, wheel_basis
+from perception.detect.wheel import Ring, pass_ring, rim_hits, wheel_basis
 from perception.detect.wheel_evidence import Evidence, weigh_wheel
 from perception.detect.wheel_inside import look_inside
 from perception.floor import FloorPlane

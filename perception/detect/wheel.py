@@ -1,30 +1,17 @@
-"""A handwheel's rim as a ring of elliptic section, and its least-squares fit to rays that hit and rays that missed.
-
-A scanner's noise lies along its rays, so where a ray ended says how far the rim is, and whether it ended there or went
-on says where the rim's edges are.  Both enter the fit: depth of the hits, and the side of the edge for all.
-"""
+"""A handwheel's rim as a ring of elliptic section, and how rays pass it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import least_squares
 
 from perception.detect.sightlines import Sightlines
 
-_SIGMA_DEPTH = 0.01
-_SIGMA_EDGE = 0.004
 _NEAR_SURFACE = 0.04
-_BEHIND = 0.04
 _EDGE_GATE = 0.008
-_MOST_RAYS = 1200
-# Seen from the front a rim's thickness cannot be told from its distance; common handwheels are 3 cm thick.
-_USUAL_HALF_DEPTH = 0.015
-_SIGMA_HALF_DEPTH = 0.004
-_LIMITS = ((0.03, 0.45), (0.004, 0.06), (0.004, 0.04))
+_LEAST_SLOPE = 0.05
 
 
 @dataclass(frozen=True)
@@ -79,83 +66,67 @@ class Passage:
     depth: Float[np.ndarray, "N"]
 
 
-def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
+@dataclass(frozen=True)
+class Crossing:
+    """How each ray runs through the ring's section at the angle where it crosses the ring's plane.
+
+    Attributes:
+        place: (N, 2) where it crosses the plane, in the wheel's basis [m].
+        crossing: (N,) distance along the ray to that place [m].
+        distance: (N,) of that place from the axis [m].
+        unit: (N, 2) direction of that place.
+        sideways: (N, 2) of the ray's direction, what lies in the plane.
+        outward, along, slope: (N,) of the ray's direction, what points away from the axis, about it, and along it.
+        across: (N,) how far beyond the rim's centre line it crosses the plane [m].
+        alpha: (N,) curvature of the section's ellipse function on the ray [1/m^2].
+        nearest: (N,) how far before the plane the ellipse function is smallest [m].
+        level: (N,) the root of its smallest value.
+    """
+
+    place: Float[np.ndarray, "N 2"]
+    crossing: Float[np.ndarray, "N"]
+    distance: Float[np.ndarray, "N"]
+    unit: Float[np.ndarray, "N 2"]
+    sideways: Float[np.ndarray, "N 2"]
+    outward: Float[np.ndarray, "N"]
+    along: Float[np.ndarray, "N"]
+    slope: Float[np.ndarray, "N"]
+    across: Float[np.ndarray, "N"]
+    alpha: Float[np.ndarray, "N"]
+    nearest: Float[np.ndarray, "N"]
+    level: Float[np.ndarray, "N"]
+
+
+def cross_ring(rays: Sightlines, ring: Ring) -> Crossing:
     """Meet every ray with the section of the ring at the angle where the ray crosses its plane."""
     basis = ring.basis
     start = (rays.start - ring.centre) @ basis.T
     direction = rays.direction @ basis.T
-    slope = np.where(np.abs(direction[:, 2]) < 0.05, np.copysign(0.05, direction[:, 2]), direction[:, 2])
+    slope = direction[:, 2]
+    slope = np.where(np.abs(slope) < _LEAST_SLOPE, np.copysign(_LEAST_SLOPE, slope), slope)
     crossing = -start[:, 2] / slope
-    place = start[:, :2] + crossing[:, None] * direction[:, :2]
-    distance = np.maximum(np.linalg.norm(place, axis=1), 1e-9)
-    outward = (direction[:, :2] * place).sum(axis=1) / distance
-    a, b = ring.half_width, ring.half_depth
+    sideways = direction[:, :2]
+    place = start[:, :2] + crossing[:, None] * sideways
+    distance = np.maximum(np.hypot(place[:, 0], place[:, 1]), 1e-9)
+    unit = place / distance[:, None]
+    outward = (sideways * unit).sum(axis=1)
+    along = sideways[:, 1] * unit[:, 0] - sideways[:, 0] * unit[:, 1]
     across = distance - ring.radius
+    a, b = ring.half_width, ring.half_depth
     alpha = (outward / a) ** 2 + (slope / b) ** 2
-    beta = across * outward / a**2
-    lowest = np.maximum((across / a) ** 2 - beta**2 / alpha, 0.0)
-    depth = crossing - beta / alpha - np.sqrt(np.maximum(1.0 - lowest, 0.0) / alpha)
-    return Passage(place, crossing, np.sqrt(lowest), depth)
+    nearest = across * outward / (a * a * alpha)
+    level = np.abs(across * slope) / (a * b * np.sqrt(alpha))
+    return Crossing(place, crossing, distance, unit, sideways, outward, along, slope, across, alpha, nearest, level)
+
+
+def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
+    """Where every ray passes a ring, and how closely."""
+    met = cross_ring(rays, ring)
+    depth = met.crossing - met.nearest - np.sqrt(np.maximum(1.0 - met.level**2, 0.0) / met.alpha)
+    return Passage(met.place, met.crossing, met.level, depth)
 
 
 def rim_hits(rays: Sightlines, ring: Ring, passage: Passage) -> Bool[np.ndarray, "N"]:
     """Rays that ended on the rim: near its depth, and inside its section or just beside it."""
     beside = passage.level < 1.0 + _EDGE_GATE / ring.half_width
     return np.asarray(beside & (np.abs(rays.length - passage.depth) < _NEAR_SURFACE))
-
-
-def fit_ring(rays: Sightlines, ring: Ring, n_rounds: int = 3) -> Ring:
-    """Refine a ring; which rays count as hits is decided anew each round."""
-    for _ in range(n_rounds):
-        passage = pass_ring(rays, ring)
-        hit = rim_hits(rays, ring, passage)
-        missed = (rays.length > passage.depth + _BEHIND) & (passage.level < 3.0)
-        if hit.sum() < 8:
-            return ring
-        keep = np.flatnonzero(hit | missed)
-        keep = keep[:: max(1, len(keep) // _MOST_RAYS)]
-        chosen = rays.selected(keep)
-        moved, flags = _moves_of(ring), hit[keep]
-        lower = [-0.1] * 3 + [-0.6] * 2 + [limit[0] for limit in _LIMITS]
-        upper = [0.1] * 3 + [0.6] * 2 + [limit[1] for limit in _LIMITS]
-        start = np.clip([0.0] * 5 + [ring.radius, ring.half_width, ring.half_depth], lower, upper)
-        ring = _solved(chosen, flags, moved, start, (lower, upper))
-    return ring
-
-
-def _solved(
-    rays: Sightlines,
-    hit: Bool[np.ndarray, "N"],
-    moved: Callable[[Float[np.ndarray, "8"]], Ring],
-    start: Float[np.ndarray, "8"],
-    bounds: tuple[list[float], list[float]],
-) -> Ring:
-    """The ring of least robust residuals."""
-
-    def residuals(x: Float[np.ndarray, "8"]) -> Float[np.ndarray, "M"]:
-        return _residuals(rays, hit, moved(x))
-
-    return moved(least_squares(residuals, start, bounds=bounds, loss="soft_l1", max_nfev=25).x)
-
-
-def _moves_of(ring: Ring) -> Callable[[Float[np.ndarray, "8"]], Ring]:
-    """The ring at x: centre shift (3), tilt (2), radius, half width, half depth."""
-    basis = ring.basis
-
-    def moved(x: Float[np.ndarray, "8"]) -> Ring:
-        axis = ring.axis + x[3] * basis[0] + x[4] * basis[1]
-        return Ring(ring.centre + x[:3], axis / np.linalg.norm(axis), float(x[5]), float(x[6]), float(x[7]))
-
-    return moved
-
-
-def _residuals(rays: Sightlines, hit: Bool[np.ndarray, "N"], ring: Ring) -> Float[np.ndarray, "M"]:
-    """Depth of the hits, edge of hits and misses, and what is usual of a rim's thickness, in standard deviations."""
-    passage = pass_ring(rays, ring)
-    depth = np.where(hit, (rays.length - passage.depth) / _SIGMA_DEPTH, 0.0)
-    outside = (passage.level - 1.0) * ring.half_width / _SIGMA_EDGE
-    edge = np.where(hit, np.maximum(outside, 0.0), np.maximum(-outside, 0.0))
-    usual = min(_USUAL_HALF_DEPTH, ring.half_width)
-    # As strong as the mean depth of all hits, or it would drown in their number.
-    prior = np.sqrt(max(hit.sum(), 1)) * (ring.half_depth - usual) / _SIGMA_HALF_DEPTH * 0.1
-    return np.concatenate([depth, edge, [prior]])

@@ -19,6 +19,8 @@ _UNKNOWN, _HUB_SEEN, _NO_HUB = 0.4, 0.2, 0.2
 _MOST_SPOKES = 12
 _MANY_SPOKES = 0.7
 _HAND = 0.035
+_ASIDE, _WALL = (0.015, 0.1), 0.025
+_ENCLOSED, _FREE_ASIDE, _LENIENT = 0.05, 0.15, 1.5
 # Standard deviation of the axis that follows from the rim's depths.
 _SHARP, _BLUNT = np.radians([1.0, 2.0])
 _BLURRED = 0.3  # where it does not tell the axis: still worth a report
@@ -36,6 +38,7 @@ class Evidence:
         spokes: what is between hub and rim is a few narrow spokes.
         free: a hand fits between it and the floor.
         sharp: its axis is told well enough to turn it.
+        aside: what goes in through it may leave it sideways; a pipe's mouth and a bucket have walls there.
     """
 
     rim: float
@@ -45,16 +48,17 @@ class Evidence:
     spokes: float
     free: float
     sharp: float
+    aside: float
 
     @property
     def confidence(self) -> float:
         """That it is a wheel, all evidence taken together."""
-        return self.rim * self.air * self.open * self.middle * self.spokes * self.free * self.sharp
+        return self.rim * self.air * self.open * self.middle * self.spokes * self.free * self.sharp * self.aside
 
     @property
     def solid_confidence(self) -> float:
         """That it is a solid wheel, for one who knows that some wheel is there: openings and spokes do not count."""
-        return self.rim * self.air * self.free * self.sharp
+        return self.rim * self.air * self.free * self.sharp * self.aside
 
 
 def weigh_wheel(
@@ -81,7 +85,7 @@ def weigh_wheel(
     air = _shares(sector, around & ~solid, around)
     seen = ~np.isnan(rim)
     if seen.mean() < 0.4:
-        return Evidence(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return Evidence(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     # What is out of sight speaks neither for nor against the rim, but more than half must be seen.
     complete = float(np.mean(rim[seen] > 0.6) * min(1.0, np.sum(rim[seen] > 0.6) / (0.6 * _SECTORS)))
     airy = float(np.mean(air[~np.isnan(air)] > 0.7)) if (~np.isnan(air)).any() else 0.0
@@ -98,6 +102,7 @@ def weigh_wheel(
         _spoke_evidence(inside),
         _over_floor(ring, floor),
         max(_BLURRED, rising(-rms / ring.radius * np.sqrt(2.0 / max(int(hit.sum()), 1)), -_BLUNT, -_SHARP)),
+        _free_aside(rays, ring),
     )
 
 
@@ -122,6 +127,25 @@ def _over_floor(ring: Ring, floor: FloorPlane | None) -> float:
     droop = np.sqrt(max(0.0, 1.0 - float(ring.axis @ floor.normal) ** 2))
     lowest = float(floor.above(ring.centre)) - (ring.radius + ring.half_width) * droop - ring.half_depth * (1.0 - droop)
     return rising(lowest, _HAND - 0.015, _HAND + 0.035)
+
+
+def _free_aside(rays: Sightlines, ring: Ring) -> float:
+    """Whether rays through the disc get out between the rim and 10 cm behind it; as little as is seen counts as free.
+
+    A ray leaves the tube that the rim would be the mouth of where it is as far from the axis as the rim for the
+    second time.
+    """
+    basis = ring.basis
+    start, way = (rays.start - ring.centre) @ basis.T, rays.direction @ basis.T
+    speed = np.maximum((way[:, :2] ** 2).sum(axis=1), 1e-9)
+    nearest = -(start[:, :2] * way[:, :2]).sum(axis=1) / speed
+    square = nearest**2 - ((start[:, :2] ** 2).sum(axis=1) - ring.radius**2) / speed
+    leaves = nearest + np.sqrt(np.maximum(square, 0.0))
+    behind_there, behind_end = (-(start[:, 2] + t * way[:, 2]) - ring.half_depth for t in (leaves, rays.length))
+    goes_in = (square > 0.0) & (behind_end > _ASIDE[0] - 0.005)
+    told = goes_in & (behind_there > _ASIDE[0]) & (behind_there < _ASIDE[1])
+    n_out = float((rays.length[told] > leaves[told] + _WALL).sum())
+    return rising((n_out + _LENIENT) / (float(told.sum()) + _LENIENT), _ENCLOSED, _FREE_ASIDE)
 
 
 def _shares(sector: np.ndarray, these: Bool[np.ndarray, "N"], all_of: Bool[np.ndarray, "N"]) -> Float[np.ndarray, "S"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from perception.detect.sightlines import Sightlines
 from perception.detect.wheel import Passage, Ring
@@ -14,6 +14,7 @@ _DEPTH = 0.06
 _SPOKE_DEPTH = 0.04
 _CORRIDOR = 0.005
 _STEP_DEG = 2.0
+_MOST_APART, _BETWEEN = 3, 0.25
 _MIDDLE = 0.45
 _FEWEST = 5
 
@@ -129,9 +130,11 @@ def _spokes(place: Float[np.ndarray, "N 2"], solid: Bool[np.ndarray, "N"], corri
         return _Spokes(known=True, widest=2.0 * np.pi * float(is_spoke.all()))
     start = int(np.flatnonzero(~is_spoke)[0])
     runs = np.flatnonzero(np.diff(np.concatenate([[0], np.roll(is_spoke, -start).astype(int), [0]]))).reshape(-1, 2)
+    whole = _rejoined(runs, np.roll(share, -start))
     angles = []
-    for low, high in runs:
+    for low, high in whole:
         mine = (np.arange(low, high) + start) % len(angle)
+        mine = mine[is_spoke[mine]]
         centre = np.sum(share[mine] * np.exp(1j * angle[mine]))
         angles.append(float(np.angle(centre) % (2.0 * np.pi)))
     lines = np.array(angles)
@@ -142,3 +145,14 @@ def _spokes(place: Float[np.ndarray, "N 2"], solid: Bool[np.ndarray, "N"], corri
     half = float(np.percentile(nearest[explained], 90)) if explained.any() else 0.0
     widest = float(np.radians(_STEP_DEG) * (runs[:, 1] - runs[:, 0]).max())
     return _Spokes(tuple(sorted(angles)), half, float(explained.mean()), True, widest)
+
+
+def _rejoined(runs: Int[np.ndarray, "R 2"], share: Float[np.ndarray, "A"]) -> list[tuple[int, int]]:
+    """Runs of angles, those taken for one that are but a few steps apart with some hits all the way between them."""
+    joined: list[tuple[int, int]] = []
+    for low, high in runs.tolist():
+        if joined and low - joined[-1][1] <= _MOST_APART and share[joined[-1][1] : low].min() > _BETWEEN:
+            joined[-1] = (joined[-1][0], high)
+        else:
+            joined.append((low, high))
+    return joined
