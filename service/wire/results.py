@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -17,6 +16,7 @@ from service.request_file import request_hash
 from service.result import PlanResult, Verdict
 from service.result_json import plain
 from service.verify import Certificate, Motion
+from service.wire.hashes import certificate_sha256, trajectory_sha256
 
 
 def result_to_message(result: PlanResult) -> MotionResult:
@@ -72,20 +72,6 @@ def checks_to_messages(checks: Iterable[Mapping[str, Any]]) -> list[Check]:
     ]
 
 
-def trajectory_sha256(names: Sequence[str], times: np.ndarray, positions: np.ndarray) -> str:
-    """What reviews bind to.
-
-    Args:
-        names: of the columns.
-        times: (S,) of the samples.
-        positions: (S, columns), or the same row by row.
-    """
-    digest = hashlib.sha256("\n".join(names).encode() + b"\0")
-    digest.update(np.ascontiguousarray(times, dtype="<f8").tobytes())
-    digest.update(np.ascontiguousarray(positions, dtype="<f8").tobytes())
-    return digest.hexdigest()
-
-
 def _number(value: float | None) -> float:
     return float("nan") if value is None else float(value)
 
@@ -121,5 +107,5 @@ def _certificate(certificate: Certificate) -> CertificateMessage:
         min_clearance_pair=data["min_clearance_pair"] or (),
         min_balance_margin_m=data["min_balance_margin_m"],
         json=text,
-        sha256=hashlib.sha256(text).hexdigest(),
+        sha256=certificate_sha256(text),
     )

@@ -1,0 +1,17 @@
+"""Clients of a planning server: one that blocks, one for asyncio; neither imports anything of the server's."""
+
+from service.client.answers import FinishedPlan, StoredPlan
+from service.client.asynchronous import AsyncPlannerClient
+from service.client.blocking import PlannerClient
+from service.client.errors import FieldViolation, PlannerError
+from service.client.retry import Retry
+
+__all__ = [
+    "AsyncPlannerClient",
+    "FieldViolation",
+    "FinishedPlan",
+    "PlannerClient",
+    "PlannerError",
+    "Retry",
+    "StoredPlan",
+]

@@ -1,0 +1,241 @@
+"""The blocking client."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import grpc
+from google.protobuf.message import Message
+
+from service.client.answers import FinishedPlan, PlanReader, SceneReader, StoredPlan, StoredReader
+from service.client.clouds import CloudParts, cloud_to_send, local_clouds, with_cloud_ids
+from service.client.connection import OPTIONS
+from service.client.errors import planner_error
+from service.client.messages import (
+    Clouds,
+    clouds_message,
+    detect_message,
+    local_cloud_files,
+    plan_message,
+    review_message,
+    scene_message,
+    verify_message,
+)
+from service.client.received import received_files
+from service.client.settings import ClientSettings
+from service.proto.planner.v1.planner_pb2 import (
+    BuiltScene,
+    CloudsSpec,
+    DetectResponse,
+    GetPlanRequest,
+    GetStatusRequest,
+    GetStatusResponse,
+    ListRobotsRequest,
+    PlanRecord,
+    PlanResponse,
+    Review,
+    RobotInfo,
+    VerifyResponse,
+)
+from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
+from service.proto.planner.v1.request_pb2 import MotionRequest
+from service.request import PlanRequest
+
+
+class PlannerClient(ClientSettings):
+    """Calls a planning server and waits for it; usable from several threads.
+
+    Every method raises ``PlannerError`` when the call comes to nothing, and ``RequestError`` for what is wrong before
+    anything is sent. See ``ClientSettings`` for the arguments.
+    """
+
+    def __init__(self, target: str, **settings: Any) -> None:
+        super().__init__(target, **settings)
+        self._channel = (
+            grpc.insecure_channel(target, OPTIONS)
+            if self._credentials is None
+            else grpc.secure_channel(target, self._credentials, OPTIONS)
+        )
+        self._stub = PlannerServiceStub(self._channel)  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hang up; calls under way are cancelled."""
+        self._channel.close()
+
+    def plan(
+        self,
+        request: PlanRequest | MotionRequest,
+        *,
+        request_id: str | None = None,
+        out: str | Path | None = None,
+        on_progress: Callable[[PlanResponse], None] | None = None,
+        with_waypoints: bool = False,
+        deadline_s: float | None = None,
+    ) -> FinishedPlan:
+        """Have a request planned, and wait for the verdict; an exception in the meantime stops the plan.
+
+        Args:
+            request: cloud files of this machine that a ``PlanRequest`` names are uploaded first.
+            request_id: one that was used before, to get that plan; by default a new one.
+            out: folder for the result's files, as ``scopt plan`` writes it; None: they are not asked for.
+            on_progress: told that it was accepted, its place in the queue, every step and iteration.
+            with_waypoints: whether iterations tell their waypoints.
+            deadline_s: for all of it.
+
+        Raises:
+            ResultError: ``out`` holds something other than an earlier result, or cannot be written.
+        """
+        folder = None if out is None else Path(out)
+        with received_files(folder) as files:
+            reader = PlanReader(files, folder)
+            events = self.plan_events(
+                request,
+                request_id=request_id,
+                with_files=files is not None,
+                with_waypoints=with_waypoints,
+                deadline_s=deadline_s,
+            )
+            with closing(events):
+                for event in events:
+                    reader.take(event)
+                    if on_progress is not None and event.WhichOneof("event") not in ("finished", "file"):
+                        on_progress(event)
+            return reader.finished()
+
+    def plan_events(
+        self,
+        request: PlanRequest | MotionRequest,
+        *,
+        request_id: str | None = None,
+        with_files: bool = False,
+        with_waypoints: bool = False,
+        deadline_s: float | None = None,
+    ) -> Generator[PlanResponse, None, None]:
+        """All that the server tells of a plan; ``accepted`` comes first, and again when it was tried again.
+
+        Closing the iterator stops the plan.
+        """
+        attempts = self._attempts(deadline_s)
+        if isinstance(request, PlanRequest):
+            request = self.with_uploaded_clouds(request)
+        message = plan_message(request, request_id, with_files, with_waypoints)
+        yield from self._stream("Plan", message, attempts.timeout_s)
+
+    def with_uploaded_clouds(self, request: PlanRequest) -> PlanRequest:
+        """The request, its clouds that are files of this machine uploaded and named by their ids."""
+        return with_cloud_ids(request, {name: self.upload_cloud(path) for name, path in local_clouds(request).items()})
+
+    def upload_cloud(self, path: str | Path) -> str:
+        """Bring a cloud; returns its id. One that the server has is recognised by its hash and not sent again."""
+        cloud = cloud_to_send(path)
+        attempts = self._attempts(self._upload_time_s(cloud))
+        while True:
+            parts = CloudParts(cloud)
+            try:
+                return str(self._stub.UploadCloud(parts, **self._call_options(attempts)).cloud_id)
+            except grpc.RpcError as error:
+                if parts.error is not None:
+                    raise parts.error from None
+                delay = self._wait_s(attempts, planner_error(error))
+            time.sleep(delay)
+
+    def build_scene(
+        self,
+        clouds: Clouds,
+        *,
+        detect: Iterable[str] = (),
+        hint: Sequence[float] | None = None,
+        unknown: str | None = None,
+        method: str | None = None,
+        on_step: Callable[[str], None] | None = None,
+        deadline_s: float | None = None,
+    ) -> BuiltScene:
+        """Turn clouds into pieces, floor and objects; the options are those of ``scopt scene``."""
+        message = scene_message(self._clouds(clouds), detect, hint, unknown, method)
+        reader = SceneReader()
+        with closing(self._stream("BuildScene", message, deadline_s)) as events:
+            for event in events:
+                reader.take(event)
+                if on_step is not None and event.step:
+                    on_step(event.step)
+        return reader.finished()
+
+    def detect(
+        self, clouds: Clouds, kind: str, *, hint: Sequence[float] | None = None, deadline_s: float | None = None
+    ) -> DetectResponse:
+        """Find objects of a kind, best first."""
+        message = detect_message(self._clouds(clouds), kind, hint)
+        found: DetectResponse = self._ask("Detect", message, deadline_s)
+        return found
+
+    def verify(self, plan: str | Path, *, deadline_s: float | None = None) -> VerifyResponse:
+        """Have a motion checked anew: that of a plan by its id (a text), or of a result folder here (a path)."""
+        checked: VerifyResponse = self._ask("Verify", verify_message(plan), deadline_s)
+        return checked
+
+    def robots(self) -> tuple[RobotInfo, ...]:
+        """The robots that can be named."""
+        return tuple(self._ask("ListRobots", ListRobotsRequest(), self._timeout_s).robots)
+
+    def get_plan(self, plan_id: str, *, out: str | Path | None = None, deadline_s: float | None = None) -> StoredPlan:
+        """A plan and its reviews; with ``out``, its files are put into that folder."""
+        folder = None if out is None else Path(out)
+        message = GetPlanRequest(plan_id=plan_id, with_files=out is not None)
+        with received_files(folder) as files:
+            reader = StoredReader(files, folder)
+            with closing(
+                self._stream("GetPlan", message, self._timeout_s if deadline_s is None else deadline_s)
+            ) as parts:
+                for part in parts:
+                    reader.take(part)
+            return reader.finished()
+
+    def review(self, seen: PlanRecord, *, accept: bool, comment: str = "") -> Review:
+        """Accept or reject the very trajectory and certificate that ``get_plan`` has shown."""
+        message = review_message(seen, accept, comment)
+        review: Review = self._ask("ReviewPlan", message, self._timeout_s, is_repeatable=False).review
+        return review
+
+    def status(self) -> GetStatusResponse:
+        """What the server is doing."""
+        status: GetStatusResponse = self._ask("GetStatus", GetStatusRequest(), self._timeout_s)
+        return status
+
+    def _clouds(self, clouds: Clouds) -> CloudsSpec:
+        ids = {name: self.upload_cloud(path) for name, path in local_cloud_files(clouds).items()}
+        return clouds_message(clouds, ids)
+
+    def _ask(self, method: str, message: Message, deadline_s: float | None, is_repeatable: bool = True) -> Any:
+        attempts = self._attempts(deadline_s, is_repeatable)
+        while True:
+            try:
+                return getattr(self._stub, method)(message, **self._call_options(attempts))
+            except grpc.RpcError as error:
+                delay = self._wait_s(attempts, planner_error(error))
+            time.sleep(delay)
+
+    def _stream(self, method: str, message: Message, deadline_s: float | None) -> Generator[Any, None, None]:
+        attempts = self._attempts(deadline_s)
+        while True:
+            call = getattr(self._stub, method)(message, **self._call_options(attempts))
+            try:
+                yield from call
+                return
+            except grpc.RpcError as error:
+                delay = self._wait_s(attempts, planner_error(error))
+            finally:
+                call.cancel()
+            time.sleep(delay)

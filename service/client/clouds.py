@@ -1,0 +1,92 @@
+"""Cloud files of this machine, on their way to the server."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.errors import RequestError
+from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
+from service.request import PlanRequest
+
+CHUNK_BYTES = 512 * 2**10
+
+
+@dataclass(frozen=True)
+class CloudToSend:
+    """A cloud file and its hash; a server that knows it answers after the header, and no more is sent."""
+
+    path: Path
+    format: str
+    sha256: str
+    n_bytes: int
+
+
+class CloudParts(Iterator[UploadCloudRequest]):
+    """What is sent of a cloud, in order; gRPC takes it from a thread of its own.
+
+    Attributes:
+        error: why it ended early, for whoever waits for the answer; None if it did not.
+    """
+
+    def __init__(self, cloud: CloudToSend) -> None:
+        header = CloudHeader(format=cloud.format, sha256=cloud.sha256, size_bytes=cloud.n_bytes)
+        self._header: CloudHeader | None = header
+        self._chunks = _chunks(cloud.path)
+        self.error: RequestError | None = None
+
+    def __next__(self) -> UploadCloudRequest:
+        if self._header is not None:
+            header, self._header = self._header, None
+            return UploadCloudRequest(header=header)
+        try:
+            return UploadCloudRequest(chunk=next(self._chunks))
+        except RequestError as error:
+            self.error = error
+            raise StopIteration from None
+
+
+def cloud_to_send(path: str | Path) -> CloudToSend:
+    """A cloud file, read once for its hash.
+
+    Raises:
+        RequestError: it cannot be read, or its name does not tell its kind.
+    """
+    path = Path(path)
+    if not path.suffix[1:]:
+        raise RequestError(f"{path} has no suffix; one that tells its kind (.pcd, .ply, ...) is needed")
+    digest, n_bytes = hashlib.sha256(), 0
+    for chunk in _chunks(path):
+        digest.update(chunk)
+        n_bytes += len(chunk)
+    return CloudToSend(path, path.suffix[1:].lower(), digest.hexdigest(), n_bytes)
+
+
+def local_clouds(request: PlanRequest) -> dict[str, Path]:
+    """The clouds a request names that are files here, by the name it gives them."""
+    found = {cloud.file: request.resolve(cloud.file) for cloud in request.scene.cloud_files}
+    return {name: path for name, path in found.items() if path.is_file()}
+
+
+def with_cloud_ids(request: PlanRequest, ids: Mapping[str, str]) -> PlanRequest:
+    """The request with clouds named by id, where there is one for the name it gives them."""
+    scene, cloud = request.scene, request.scene.cloud
+    if cloud is None or not ids:
+        return request
+    if isinstance(cloud, str):
+        renamed: object = ids.get(cloud, cloud)
+    else:
+        renamed = tuple(dataclasses.replace(one, file=ids.get(one.file, one.file)) for one in cloud)
+    return dataclasses.replace(request, scene=dataclasses.replace(scene, cloud=renamed))  # type: ignore[arg-type]
+
+
+def _chunks(path: Path) -> Iterator[bytes]:
+    try:
+        with path.open("rb") as file:
+            while chunk := file.read(CHUNK_BYTES):
+                yield chunk
+    except OSError as error:
+        raise RequestError(f"{path} cannot be read: {error.strerror}") from None

@@ -1,0 +1,118 @@
+"""What is sent, built from what a user has at hand."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from service.errors import RequestError
+from service.proto.planner.v1.planner_pb2 import (
+    BuildSceneRequest,
+    CloudsSpec,
+    Decision,
+    DetectRequest,
+    PlanRecord,
+    PlanState,
+    ReviewPlanRequest,
+    VerifyRequest,
+)
+from service.proto.planner.v1.planner_pb2 import PlanRequest as PlanMessage
+from service.proto.planner.v1.request_pb2 import CloudFile, MotionRequest
+from service.proto.planner.v1.result_pb2 import FileChunk
+from service.request import PlanRequest
+from service.result_folder import RESULT_NAME, ROBOT_NAME, TRAJECTORY_NAME, read_result
+from service.wire.plain import fill
+from service.wire.requests import request_to_message
+
+Clouds = CloudsSpec | str | Path | Sequence[str | Path]
+"""Clouds as the wire says them, or files here and ids of uploaded ones, in the world frame and metres."""
+
+
+def plan_message(
+    request: PlanRequest | MotionRequest,
+    request_id: str | None,
+    with_files: bool,
+    with_waypoints: bool,
+) -> PlanMessage:
+    """A request with an id, which makes it safe to ask again."""
+    return PlanMessage(
+        request_id=request_id or str(uuid.uuid4()),
+        request=request if isinstance(request, MotionRequest) else request_to_message(request),
+        with_files=with_files,
+        with_waypoints=with_waypoints,
+    )
+
+
+def scene_message(
+    clouds: CloudsSpec, detect: Iterable[str], hint: Sequence[float] | None, unknown: str | None, method: str | None
+) -> BuildSceneRequest:
+    """
+    Raises:
+        RequestError: an option has a value that it cannot have.
+    """
+    message = BuildSceneRequest(clouds=clouds)
+    asked = {"detect": list(detect), "hint": list(hint or ()), "unknown": unknown, "method": method}
+    fill(message, asked)
+    return message
+
+
+def detect_message(clouds: CloudsSpec, kind: str, hint: Sequence[float] | None) -> DetectRequest:
+    """Objects of a kind in clouds."""
+    return DetectRequest(clouds=clouds, kind=kind, hint=hint or ())
+
+
+def local_cloud_files(clouds: Clouds) -> dict[str, Path]:
+    """Those that are files here, by the name they are given."""
+    if isinstance(clouds, CloudsSpec):
+        return {}
+    names = [str(cloud) for cloud in _listed(clouds)]
+    return {name: Path(name) for name in names if Path(name).is_file()}
+
+
+def clouds_message(clouds: Clouds, ids: dict[str, str]) -> CloudsSpec:
+    """The clouds, those in ``ids`` named by their id."""
+    if isinstance(clouds, CloudsSpec):
+        return clouds
+    names = [str(cloud) for cloud in _listed(clouds)]
+    return CloudsSpec(clouds=[CloudFile(file=ids.get(name, name)) for name in names])
+
+
+def verify_message(plan: str | Path) -> VerifyRequest:
+    """A plan by its id (a text), or a result folder here (a path) with the files that tell its motion.
+
+    Raises:
+        ResultError: it is no result folder.
+    """
+    if isinstance(plan, str):
+        return VerifyRequest(plan_id=plan)
+    read_result(plan)
+    paths = [plan / RESULT_NAME, plan / TRAJECTORY_NAME, *sorted((plan / ROBOT_NAME).rglob("*"))]
+    return VerifyRequest(
+        files=[
+            FileChunk(path=path.relative_to(plan).as_posix(), data=path.read_bytes(), is_last=True)
+            for path in paths
+            if path.is_file()
+        ]
+    )
+
+
+def review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> ReviewPlanRequest:
+    """A review of the very trajectory and certificate that were seen.
+
+    Raises:
+        RequestError: the plan has not finished.
+    """
+    if seen.state != PlanState.PLAN_STATE_FINISHED:
+        raise RequestError(f"plan {seen.plan_id} is not finished; only a finished plan is reviewed")
+    return ReviewPlanRequest(
+        plan_id=seen.plan_id,
+        decision=Decision.DECISION_ACCEPTED if is_accepted else Decision.DECISION_REJECTED,
+        comment=comment,
+        trajectory_sha256=seen.result.trajectory.sha256,
+        certificate_sha256=seen.result.certificate.sha256,
+    )
+
+
+def _listed(clouds: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
+    return (clouds,) if isinstance(clouds, str | Path) else clouds

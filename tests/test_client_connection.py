@@ -1,0 +1,101 @@
+"""How a client reaches a server: targets, TLS on both sides, tokens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import grpc
+import pytest
+import trustme
+from hypothesis import given
+from hypothesis import strategies as st
+from planner_clients import CLIENTS
+from planner_stand_in import PlannerStandIn, serving
+
+from service.client import PlannerClient, PlannerError, Retry
+from service.client.connection import Connection
+from service.errors import RequestError
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Certificates: ``ca``, ``server`` and ``client`` of it, and ``other``, an authority of somebody else's."""
+    folder = tmp_path_factory.mktemp("tls")
+    authority = trustme.CA()
+    authority.cert_pem.write_to_path(str(folder / "ca.pem"))
+    trustme.CA().cert_pem.write_to_path(str(folder / "other.pem"))
+    for name, identity in (("server", "localhost"), ("client", "arm@lab.example")):
+        leaf = authority.issue_cert(identity)
+        leaf.private_key_pem.write_to_path(str(folder / f"{name}.key"))
+        leaf.cert_chain_pems[0].write_to_path(str(folder / f"{name}.pem"))
+    return folder
+
+
+def _server(folder: Path, is_mutual: bool) -> grpc.ServerCredentials:
+    pair = (folder / "server.key").read_bytes(), (folder / "server.pem").read_bytes()
+    return grpc.ssl_server_credentials([pair], (folder / "ca.pem").read_bytes() if is_mutual else None, is_mutual)
+
+
+@pytest.mark.parametrize("kind", CLIENTS)
+def test_tls_with_a_token(folder: Path, kind: str) -> None:
+    stand_in = PlannerStandIn()
+    with (
+        serving(stand_in, _server(folder, False)) as target,
+        CLIENTS[kind](target, tls_ca=folder / "ca.pem", token="s3cret") as client,
+    ):
+        assert client.status().version == "0.1.0"
+    assert stand_in.metadata[0]["authorization"] == "Bearer s3cret"
+
+
+@pytest.mark.parametrize("kind", CLIENTS)
+def test_both_sides_prove_who_they_are(folder: Path, kind: str) -> None:
+    proof = {"tls_ca": folder / "ca.pem", "tls_cert": folder / "client.pem", "tls_key": folder / "client.key"}
+    once = Retry(attempts=1)
+    with serving(PlannerStandIn(), _server(folder, True)) as target:
+        with CLIENTS[kind](target, **proof) as client:
+            assert client.robots()[0].name == "atlas"
+        for less in ({"tls_ca": folder / "ca.pem"}, {**proof, "tls_ca": folder / "other.pem"}, {}):
+            with CLIENTS[kind](target, retry=once, timeout_s=5.0, **less) as client, pytest.raises(PlannerError) as end:
+                client.robots()
+            assert end.value.code is grpc.StatusCode.UNAVAILABLE
+
+
+def test_a_token_goes_to_this_machine_in_the_clear_and_elsewhere_under_tls(tmp_path: Path) -> None:
+    for target in ("localhost:50051", "127.0.0.1:1", "[::1]:1", "unix:/tmp/socket"):
+        assert Connection(target, token="abc").metadata == (("authorization", "Bearer abc"),)
+    for target in ("robot:50051", "192.168.1.2:1", "[::2]:1", "localhost.evil.example:1"):
+        with pytest.raises(RequestError, match="in the clear; give tls_ca"):
+            Connection(target, token="abc")
+        assert Connection(target, tls_ca=tmp_path / "ca.pem", token="abc").is_secure
+
+
+@pytest.mark.parametrize("token", ["", "two words", "line\nend", "\u00e4"])
+def test_a_token_that_no_header_can_hold_is_refused_without_being_shown(token: str) -> None:
+    with pytest.raises(RequestError, match="printable ASCII") as caught:
+        Connection("localhost:1", token=token)
+    assert not token or token not in str(caught.value)
+    assert "abc" not in repr(Connection("localhost:1", token="abc"))
+
+
+@pytest.mark.parametrize(
+    "target", ["", "localhost", "localhost:", ":1", "localhost:70000", "a b:1", "unix:", "x:\u0661"]
+)
+def test_a_target_without_host_and_port_is_refused(target: str) -> None:
+    with pytest.raises(RequestError, match="target: HOST:PORT is needed"):
+        PlannerClient(target)
+
+
+@given(st.text(max_size=30))
+def test_any_text_is_a_target_or_refused(text: str) -> None:
+    try:
+        connection = Connection(text)
+    except RequestError:
+        return
+    assert connection.target == text
+
+
+def test_tls_files_that_cannot_be_used_are_refused(folder: Path) -> None:
+    with pytest.raises(RequestError, match="tls_cert and tls_key belong together"):
+        PlannerClient("localhost:1", tls_cert=folder / "client.pem")
+    with pytest.raises(RequestError, match=r"tls_ca: .*missing\.pem cannot be read: No such file"):
+        PlannerClient("localhost:1", tls_ca=folder / "missing.pem")
