@@ -11,8 +11,10 @@ from typing import Annotated, Any
 
 import typer
 
+from service.cli_remote import REMOTE_EXIT_CODES, request_command, review_command, top_command
 from service.cli_report import HIT_COLUMNS, hit_row, print_figures, print_findings, print_table, print_verdict
 from service.cli_run import cancellable, consoles, print_json, progress, run
+from service.cli_serve import serve_command, token_command
 from service.scan_choices import Method, Unknown
 
 EXIT_CODE_HELP = (
@@ -220,6 +222,13 @@ def bench_command(
 def robots_command(as_json: Json = False) -> None:
     """List the robots that ship with scopt."""
     raise typer.Exit(run(lambda: _robots(as_json), as_json))
+
+
+app.command("request", epilog=REMOTE_EXIT_CODES)(request_command)
+app.command("review")(review_command)
+app.command("top")(top_command)
+app.command("serve")(serve_command)
+app.command("token")(token_command)
 
 
 def _plan(

@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 
 from service.cli_report import print_verdict
-from service.errors import RequestError, ResultError
+from service.errors import ServiceError
 
 EXIT_CODES = {
     "CERTIFIED": 0,
@@ -86,7 +86,7 @@ def run(command: Callable[[], str | None], as_json: bool = False, has_verdict: b
         return 0 if given is None else EXIT_CODES[given]
     except EndedError as error:
         ended = error
-    except (RequestError, ResultError) as error:
+    except ServiceError as error:
         ended = _ended("INVALID_REQUEST", *str(error).splitlines())
     except KeyboardInterrupt:
         ended = _ended("CANCELLED", "cancelled")

@@ -7,17 +7,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from service.errors import RequestError
 from service.planned import check_planned
 from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request import PlanRequest
 from service.request_scene import SceneRequest
-from service.server.refusal import invalid
+from service.server.refusal import invalid, refusal_of
+from service.server.robots import RobotFolder
 from service.server.settings import ServerSettings
 from service.store import CloudStore
 from service.trust import AllowedFolders
 from service.trust.folders import UPLOADED
 from service.wire.requests import request_from_message
-from service.wire.unknown import unknown_fields
 
 WITHIN = "request"  # the field of PlanRequest that holds what the validator speaks of
 
@@ -29,10 +30,14 @@ class Door:
     Attributes:
         settings: of the server.
         folders: that requests may name files in.
+        clouds: that were uploaded.
+        robots: that this server knows besides those of the package.
     """
 
     settings: ServerSettings
     folders: AllowedFolders
+    clouds: CloudStore
+    robots: RobotFolder
 
     def request(self, message: MotionRequest) -> PlanRequest:
         """The request a message says.
@@ -40,11 +45,11 @@ class Door:
         Raises:
             Refusal: INVALID_ARGUMENT naming every field that is wrong, or UNIMPLEMENTED.
         """
-        unknown = list(unknown_fields(message))
-        if unknown:
-            raise invalid(unknown, WITHIN)
-        request = request_from_message(message)
-        check_planned(request)
+        try:
+            request = request_from_message(message)
+            check_planned(request)
+        except RequestError as error:
+            raise refusal_of(error, WITHIN) from None
         problems = [f"{field}: {words}" for field, words in self.folders.problems(request)]
         budget = self.settings.budget_s(kind_of(request))
         if request.options.time_limit_s > budget:
@@ -54,11 +59,22 @@ class Door:
             )
         if problems:
             raise invalid(problems, WITHIN)
-        return self._named(request)
-
-    def _named(self, request: PlanRequest) -> PlanRequest:
-        """The request with the files of a robot that this server knows by name."""
         return request
+
+    @contextmanager
+    def placed(self, request: PlanRequest) -> Iterator[PlanRequest]:
+        """The request with the files of uploaded clouds and of this server's own robots, which stay for the body.
+
+        Raises:
+            NotStoredError: a cloud has gone meanwhile.
+        """
+        named = self.robots.placed(request)
+        ids = cloud_ids(request)
+        if not ids:
+            yield named
+            return
+        with self.clouds.using(ids) as files:
+            yield replace(named, scene=_placed(request.scene, files))
 
 
 def kind_of(request: PlanRequest) -> str:
@@ -73,17 +89,6 @@ def kind_of(request: PlanRequest) -> str:
 def cloud_ids(request: PlanRequest) -> tuple[str, ...]:
     """Uploaded clouds that a request names."""
     return tuple(one.file for one in request.scene.cloud_files if one.file.startswith(UPLOADED))
-
-
-@contextmanager
-def with_clouds(request: PlanRequest, store: CloudStore) -> Iterator[PlanRequest]:
-    """The request with the files of uploaded clouds, which stay while the body runs."""
-    ids = cloud_ids(request)
-    if not ids:
-        yield request
-        return
-    with store.using(ids) as files:
-        yield replace(request, scene=_placed(request.scene, files))
 
 
 def _placed(scene: SceneRequest, files: Mapping[str, Path]) -> SceneRequest:

@@ -21,6 +21,7 @@ from service.server.perceiving import accepted, deadline_of
 from service.server.planning import stored_result
 from service.server.refusal import Refusal, invalid
 from service.server.registration import Context
+from service.server.robots import RobotFolder
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop
 from service.store import Decision, PlanRecord, PlanState, Review, Store
@@ -44,16 +45,24 @@ class Keeping:
         settings: of the server.
         workshop: where plans are verified.
         store: where they are kept.
+        robots: that this server knows besides those of the package.
         verdicts: plans by verdict since the start.
     """
 
-    def __init__(self, settings: ServerSettings, workshop: Workshop, store: Store, verdicts: Mapping[str, int]) -> None:
+    def __init__(
+        self,
+        settings: ServerSettings,
+        workshop: Workshop,
+        store: Store,
+        robots: RobotFolder,
+        verdicts: Mapping[str, int],
+    ) -> None:
         self._settings = settings
         self._workshop = workshop
         self._store = store
         self._verdicts = verdicts
         self._started = time.monotonic()
-        self._robots: wire.ListRobotsResponse | None = None
+        self._robots = robots
         self.is_draining = False
 
     async def get_plan(self, message: wire.GetPlanRequest, context: Context) -> AsyncIterator[wire.GetPlanResponse]:
@@ -116,13 +125,15 @@ class Keeping:
         )
 
     async def robots(self, message: wire.ListRobotsRequest, context: Context) -> wire.ListRobotsResponse:
-        """The robots that can be named."""
-        if self._robots is None:
-            found = await self._workshop.run(
-                "robots", describe_robots, deadline=deadline_of(context), budget_s=self._settings.budget_s("robots")
-            )
-            self._robots = wire.ListRobotsResponse(robots=[wire.RobotInfo(**robot) for robot in found])
-        return self._robots
+        """The robots that can be named; looked for anew every time."""
+        found = await self._workshop.run(
+            "robots",
+            describe_robots,
+            self._robots.requests(),
+            deadline=deadline_of(context),
+            budget_s=self._settings.budget_s("robots"),
+        )
+        return wire.ListRobotsResponse(robots=[wire.RobotInfo(**robot) for robot in found])
 
     async def status(self, message: wire.GetStatusRequest, context: Context) -> wire.GetStatusResponse:
         """What the server is doing."""

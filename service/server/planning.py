@@ -15,13 +15,13 @@ from service.request import PlanRequest as Request
 from service.request_file import request_hash
 from service.result import Verdict
 from service.server.archive import chunks
-from service.server.asked import WITHIN, Door, kind_of, with_clouds
+from service.server.asked import WITHIN, Door, kind_of
 from service.server.incidents import refusal_for
 from service.server.refusal import Refusal, invalid, refusal_of_problems
 from service.server.registration import Context
 from service.server.running import RunningPlan, RunningPlans
 from service.server.workshop import Workshop, outcome
-from service.store import CloudStore, Outcome, PlanRecord, Store
+from service.store import Outcome, PlanRecord, Store
 from service.trust import current_caller
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
@@ -36,7 +36,6 @@ class Planning:
         door: what requests must pass.
         workshop: where they are worked on.
         store: where they are kept.
-        clouds: that were uploaded.
         on_verdict: told kind, verdict and seconds by step of every plan that has one.
     """
 
@@ -45,13 +44,11 @@ class Planning:
         door: Door,
         workshop: Workshop,
         store: Store,
-        clouds: CloudStore,
         on_verdict: Callable[[str, str, Mapping[str, float]], None],
     ) -> None:
         self._door = door
         self._workshop = workshop
         self._store = store
-        self._clouds = clouds
         self._on_verdict = on_verdict
         self._tasks: set[asyncio.Task[None]] = set()
         self.running = RunningPlans()
@@ -138,7 +135,7 @@ class Planning:
     ) -> None:
         """See a plan to its end; whatever happens, its watchers hear of it and the store knows."""
         try:
-            with with_clouds(request, self._clouds) as placed:
+            with self._door.placed(request) as placed:
                 task = PlanTask(placed, deadline, message.with_files, message.with_waypoints, request)
                 piece = self._workshop.start(
                     kind,

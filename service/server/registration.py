@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import grpc
 from google.protobuf.message import DecodeError, Message
@@ -12,10 +12,10 @@ from google.protobuf.message_factory import GetMessageClass
 from service.proto.planner.v1 import planner_pb2
 from service.server.incidents import refusal_for
 from service.server.refusal import invalid
+from service.wire.unknown import unknown_fields
 
 SERVICE = planner_pb2.DESCRIPTOR.services_by_name["PlannerService"]
 Context = grpc.aio.ServicerContext[Any, Any]
-T = TypeVar("T")
 
 
 class UnreadableMessage:
@@ -58,9 +58,17 @@ def _written(message: Message) -> bytes:
     return message.SerializeToString()
 
 
-def _readable(request: T | UnreadableMessage) -> T:
+def _readable(request: Message | UnreadableMessage) -> Message:
+    """A message all of which is known.
+
+    Raises:
+        Refusal: INVALID_ARGUMENT.
+    """
     if isinstance(request, UnreadableMessage):
         raise invalid([f"the bytes are no {request.name}"])
+    unknown = list(unknown_fields(request))
+    if unknown:
+        raise invalid(unknown)
     return request
 
 

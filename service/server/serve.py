@@ -24,6 +24,7 @@ from service.server.keeping import Keeping
 from service.server.perceiving import Perceiving
 from service.server.planning import Planning
 from service.server.registration import SERVICE, method_handlers
+from service.server.robots import RobotFolder
 from service.server.servicer import Servicer
 from service.server.settings import MOST_STREAMS, ServerSettings
 from service.server.workshop import Workshop
@@ -85,17 +86,17 @@ async def serve(
     Raises:
         ServiceError: it cannot be started so.
     """
-    loop = asyncio.get_running_loop()
-    stop, now = asyncio.Event(), asyncio.Event()
-
-    def ask() -> None:
-        (now if stop.is_set() else stop).set()
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, ask)
-    if port.tokens is not None:
-        loop.add_signal_handler(signal.SIGHUP, _reloaded(port.tokens))
     async with running(settings, port, executor) as server:
+        stop, now = asyncio.Event(), asyncio.Event()
+
+        def ask() -> None:
+            (now if stop.is_set() else stop).set()
+
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, ask)
+        if port.tokens is not None:
+            loop.add_signal_handler(signal.SIGHUP, _reloaded(port.tokens))
         on_ready(server.address)
         await stop.wait()
         await _drain(server, settings.drain_s, now)
@@ -123,9 +124,10 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
             verdicts[verdict] += 1
 
         workshop = Workshop(executor, Admission(settings.workers, settings.queue_limit))
-        planning = Planning(Door(settings, folders), workshop, store, clouds, count)
+        robots = RobotFolder(settings.robots)
+        planning = Planning(Door(settings, folders, clouds, robots), workshop, store, count)
         perceiving = Perceiving(settings, folders, workshop, store, clouds, limiter)
-        keeping = Keeping(settings, workshop, store, verdicts)
+        keeping = Keeping(settings, workshop, store, robots, verdicts)
         server = grpc.aio.server(interceptors=[Gate(port.tokens, limiter)], options=_options(settings))
         server.add_generic_rpc_handlers((method_handlers(Servicer(planning, perceiving, keeping)),))
         state = health_aio.HealthServicer()

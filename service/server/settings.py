@@ -9,6 +9,9 @@ from pathlib import Path
 
 from service.store import CloudLimits, StoreLimits
 
+KINDS = (
+    "default", "valve", "door", "egress", "trajopt", "joint_goal", "pose_goal", "posture", "scene", "detect", "verify",
+)  # fmt: skip
 BUDGETS_S = {"default": 60.0, "egress": 300.0}
 WORKER_BYTES = 8 * 2**30  # of address space: libraries and threads reserve far more than they use
 MESSAGE_BYTES = 4 * 2**20

@@ -13,7 +13,7 @@ from costs.robot import bundled_robots
 from service.cloud_asked import CloudAsked
 from service.errors import RequestError, ResultError
 from service.executor import Control
-from service.request_file import parse_request
+from service.request import GoalRequest, PlanRequest, RobotRequest
 from service.work.plan import Refused, warm_robots
 
 
@@ -83,17 +83,20 @@ def verify(files: Mapping[str, bytes]) -> Mapping[str, Any] | Refused:
             return Refused(tuple(line.replace(f"{folder}: ", "files: ") for line in str(error).splitlines()))
 
 
-def describe_robots() -> list[dict[str, Any]]:
-    """The robots that ship with the package: names, joints, postures."""
-    found = []
-    for name, description in bundled_robots().items():
-        robot = warm_robots().get(parse_request({"robot": {"name": name}, "goal": {"posture": "-"}}))
-        found.append(
-            {
-                "name": name,
-                "description": description,
-                "joint_names": list(robot.joint_names),
-                "postures": sorted(robot.postures),
-            }
-        )
-    return found
+def describe_robots(more: Mapping[str, RobotRequest]) -> list[dict[str, Any]]:
+    """Robots that can be named: those of the package, and ``more`` by name; one that cannot be read says why."""
+    bundled = {name: RobotRequest(name=name) for name in bundled_robots()}
+    return [_described(name, request, bundled_robots().get(name, "")) for name, request in {**more, **bundled}.items()]
+
+
+def _described(name: str, request: RobotRequest, description: str) -> dict[str, Any]:
+    try:
+        robot = warm_robots().get(PlanRequest(robot=request, goal=GoalRequest(posture="-")))
+    except RequestError as error:
+        return {"name": name, "description": f"cannot be used: {error}"}
+    return {
+        "name": name,
+        "description": description or f"{robot.n} degrees of freedom",
+        "joint_names": list(robot.joint_names),
+        "postures": sorted(robot.postures),
+    }

@@ -25,7 +25,8 @@ from service.work.robots import WarmRobots
 
 REPORT_EVERY_S = 0.02  # iterations are told no more often than this: nobody sees more, and every one is a message
 LEAST_TIME_S = 0.01
-ANSWER_TIME_S = 0.02  # of what is left until the deadline, kept for the way back
+# Of what is left until the deadline, kept for the curve and the certificate of the best attempt, and the way back.
+ANSWER_SHARE, MOST_ANSWER_TIME_S = 0.25, 1.0
 
 _ROBOTS = WarmRobots()  # of this process
 
@@ -162,7 +163,8 @@ def _in_time(request: PlanRequest, deadline: float | None) -> PlanRequest:
     """The request with no more time than there is until the deadline."""
     if deadline is None:
         return request
-    left = max(deadline - time.monotonic() - ANSWER_TIME_S, LEAST_TIME_S)
+    left = deadline - time.monotonic()
+    left = max(left - min(ANSWER_SHARE * left, MOST_ANSWER_TIME_S), LEAST_TIME_S)
     if left >= request.options.time_limit_s:
         return request
     return replace(request, options=replace(request.options, time_limit_s=left))

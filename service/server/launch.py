@@ -1,0 +1,87 @@
+"""From what a command line says to a server that runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+
+from service.errors import RequestError, would_do
+from service.executor import CancellableExecutor
+from service.server.serve import PRELOAD, Port, serve
+from service.server.settings import BUDGETS_S, KINDS, ServerSettings
+from service.trust import TlsFiles, Tokens
+from service.work.plan import warm_up
+
+LOCAL = "local"
+
+
+@dataclass(frozen=True)
+class Launch:
+    """What ``scopt serve`` was told.
+
+    Attributes:
+        listen: where.
+        settings: fields of ``ServerSettings``; its ``data`` may be None for the user's own folder.
+        budgets: ``KIND=SECONDS`` each.
+        tls: certificate, key and authority of clients.
+        tokens: file of who may do what.
+        metrics: where metrics are served.
+        executor: ``local`` or ``ray://HOST:PORT``.
+    """
+
+    listen: str
+    settings: Mapping[str, Any]
+    budgets: tuple[str, ...] = ()
+    tls: tuple[Path | None, Path | None, Path | None] = (None, None, None)
+    tokens: Path | None = None
+    metrics: str | None = None
+    executor: str = LOCAL
+
+
+async def launch(told: Launch, on_ready: Callable[[str], None]) -> None:
+    """Serve until a signal to stop.
+
+    Raises:
+        RequestError: an option cannot be used; ServiceError: the server cannot be started so.
+    """
+    data = told.settings.get("data") or Path(platformdirs.user_data_dir("scopt")) / "service"
+    settings = ServerSettings(**{**told.settings, "data": data, "budgets_s": _budgets(told.budgets)})
+    tokens = None if told.tokens is None else Tokens(told.tokens)
+    port = Port(told.listen, _tls(told.tls), tokens)
+    await serve(settings, port, _executor(told.executor, settings), on_ready)
+
+
+def _budgets(given: tuple[str, ...]) -> dict[str, float]:
+    budgets = dict(BUDGETS_S)
+    for text in given:
+        kind, _, seconds = text.partition("=")
+        if kind not in KINDS:
+            raise RequestError(f"--budget {text}: unknown kind {kind!r}; {would_do(kind, KINDS)} would do")
+        try:
+            budgets[kind] = float(seconds)
+        except ValueError:
+            raise RequestError(f"--budget {text}: KIND=SECONDS would do, such as egress=300") from None
+        if not 0.0 < budgets[kind] <= 3600.0:
+            raise RequestError(f"--budget {text}: more than 0 and at most 3600 seconds would do")
+    return budgets
+
+
+def _tls(files: tuple[Path | None, Path | None, Path | None]) -> TlsFiles | None:
+    cert, key, client_ca = files
+    if cert is None and key is None and client_ca is None:
+        return None
+    if cert is None or key is None:
+        raise RequestError("--tls-cert and --tls-key go together, and --client-ca needs both")
+    return TlsFiles(cert, key, client_ca)
+
+
+def _executor(name: str, settings: ServerSettings) -> CancellableExecutor:
+    if name == LOCAL:
+        from service.executor.local_pool import LocalPool
+
+        return LocalPool(settings.workers, warm_up=warm_up, preload=PRELOAD, max_bytes=settings.worker_bytes)
+    raise RequestError(f"--executor: {LOCAL} or ray://HOST:PORT would do, got {name!r}")

@@ -1,0 +1,46 @@
+"""Robots that a server knows by name besides those of the package: a folder each, read anew when its files change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from service.request import PlanRequest, RobotRequest
+
+URDF_NAME, SRDF_NAME = "robot.urdf", "robot.srdf"
+
+
+@dataclass(frozen=True)
+class RobotFolder:
+    """Subfolders named like their robot, with ``robot.urdf`` and perhaps ``robot.srdf`` and meshes.
+
+    Attributes:
+        folder: that holds them; None where there are none.
+    """
+
+    folder: Path | None
+
+    def requests(self) -> Mapping[str, RobotRequest]:
+        """The robots by name, as a request would ask for their files."""
+        if self.folder is None or not self.folder.is_dir():
+            return {}
+        found = sorted(path for path in self.folder.resolve().iterdir() if (path / URDF_NAME).is_file())
+        return {path.name: _request(path) for path in found}
+
+    def placed(self, request: PlanRequest) -> PlanRequest:
+        """The request with the files of a robot that it names and that is here."""
+        name = request.robot.name
+        if name is None or self.folder is None or Path(name).name != name:
+            return request
+        folder = self.folder.resolve() / name
+        if not (folder / URDF_NAME).is_file():
+            return request
+        return replace(request, robot=replace(_request(folder), root=request.robot.root))
+
+
+def _request(folder: Path) -> RobotRequest:
+    srdf = folder / SRDF_NAME
+    return RobotRequest(
+        urdf=str(folder / URDF_NAME), srdf=str(srdf) if srdf.is_file() else None, package_dirs=(str(folder),)
+    )

@@ -1,0 +1,266 @@
+"""A real server in a real process: plans, refusals, cancellation, idempotence."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import grpc
+import numpy as np
+import pytest
+from google.rpc.error_details_pb2 import BadRequest
+from google.rpc.status_pb2 import Status
+from planner_server import ServerProcess, planner_server
+
+from service.proto.planner.v1 import planner_pb2 as wire
+from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
+from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, VERDICT_TIME_LIMIT, MotionResult
+from service.request_file import parse_request
+from service.wire.requests import request_to_message
+from service.wire.results import trajectory_sha256
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+QUICK = {"robot": {"name": "atlas"}, "start": {"posture": "stand"}, "goal": {"joints": {"l_arm_elx": 1.2}}}
+# A goal that is never reached keeps a worker busy until it is stopped.
+ENDLESS = {
+    "robot": {"name": "atlas"},
+    "start": {"posture": "stand"},
+    "scene": {
+        "obstacles": [
+            {"type": "box", "name": f"bar{i}", "size": [0.02, 2.0, 0.02], "position": [0.42, 0.0, 0.75 + 0.06 * i]}
+            for i in range(16)
+        ]
+    },
+    "goal": {"poses": [{"link": "l_hand", "position": [0.75, 0.25, 1.2]}]},
+    "options": {"starts": 64},
+}
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    with planner_server(tmp_path_factory.mktemp("server") / "data", "--queue", "2") as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def stub(server: ServerProcess) -> Iterator[PlannerServiceStub]:
+    with grpc.insecure_channel(server.address) as channel:
+        yield PlannerServiceStub(channel)
+
+
+def _plan(request: dict[str, object], **more: object) -> wire.PlanRequest:
+    return wire.PlanRequest(request=request_to_message(parse_request(request)), **more)  # type: ignore[arg-type]
+
+
+def _finished(responses: object) -> wire.PlanFinished:
+    (finished,) = [one.finished for one in responses if one.WhichOneof("event") == "finished"]  # type: ignore[attr-defined]
+    return finished
+
+
+def _violations(error: grpc.RpcError) -> dict[str, str]:
+    for key, value in error.trailing_metadata():  # type: ignore[attr-defined]
+        if key == "grpc-status-details-bin":
+            detail = BadRequest()
+            assert Status.FromString(value).details[0].Unpack(detail)
+            return {one.field: one.description for one in detail.field_violations}
+    return {}
+
+
+def test_plan_tells_what_happens_and_ends_with_a_certified_motion(stub: PlannerServiceStub) -> None:
+    responses = list(stub.Plan(_plan(QUICK), timeout=60))
+    events = [response.WhichOneof("event") for response in responses]
+    assert events[0] == "accepted"
+    assert "progress" in events
+    assert events[-1] == "finished"
+    result: MotionResult = responses[-1].finished.result
+    assert result.verdict == VERDICT_CERTIFIED
+    fractions = [one.progress.fraction for one in responses if one.WhichOneof("event") == "progress"]
+    assert fractions == sorted(fractions)
+
+
+def test_trajectory_and_certificate_carry_hashes_that_anyone_can_recompute(stub: PlannerServiceStub) -> None:
+    result = _finished(stub.Plan(_plan(QUICK), timeout=60)).result
+    trajectory = result.trajectory
+    positions = np.array(trajectory.positions).reshape(len(trajectory.times), len(trajectory.joint_names))
+    assert trajectory_sha256(trajectory.joint_names, np.array(trajectory.times), positions) == trajectory.sha256
+    assert hashlib.sha256(result.certificate.json).hexdigest() == result.certificate.sha256
+    certificate = json.loads(result.certificate.json)
+    assert certificate["status"] == "CERTIFIED"
+    assert result.certificate.min_clearance_m == certificate["min_clearance_m"]
+
+
+def test_files_of_a_plan_are_those_of_the_command_line(stub: PlannerServiceStub, tmp_path: Path) -> None:
+    files: dict[str, bytes] = {}
+    for response in stub.Plan(_plan(QUICK, with_files=True), timeout=60):
+        if response.WhichOneof("event") == "file":
+            files[response.file.path] = files.get(response.file.path, b"") + response.file.data
+    assert {"result.json", "trajectory.csv", "viewer.html", "scene.glb", "robot/robot.urdf"} <= set(files)
+    assert json.loads(files["result.json"])["verdict"] == "CERTIFIED"
+
+
+def test_finished_plan_can_be_fetched_verified_and_reviewed(stub: PlannerServiceStub) -> None:
+    plan_id = _finished(stub.Plan(_plan(QUICK, with_files=True), timeout=60)).plan_id
+    parts = list(stub.GetPlan(wire.GetPlanRequest(plan_id=plan_id, with_files=True), timeout=20))
+    record = parts[0].record
+    assert record.state == wire.PLAN_STATE_FINISHED
+    assert not record.is_approved
+    assert len(parts) > 1
+    assert stub.Verify(wire.VerifyRequest(plan_id=plan_id), timeout=60).verdict == VERDICT_CERTIFIED
+    trajectory, certificate = record.result.trajectory.sha256, record.result.certificate.sha256
+    review = wire.ReviewPlanRequest(
+        plan_id=plan_id,
+        decision=wire.DECISION_ACCEPTED,
+        comment="seen",
+        trajectory_sha256=trajectory,
+        certificate_sha256=certificate,
+    )
+    stub.ReviewPlan(review, timeout=20)
+    assert next(iter(stub.GetPlan(wire.GetPlanRequest(plan_id=plan_id)))).record.is_approved
+    review.trajectory_sha256 = "0" * 64
+    with pytest.raises(grpc.RpcError) as refused:
+        stub.ReviewPlan(review, timeout=20)
+    assert refused.value.code() is grpc.StatusCode.FAILED_PRECONDITION  # type: ignore[attr-defined]
+
+
+def test_same_request_id_gives_the_same_plan_and_another_request_is_refused(stub: PlannerServiceStub) -> None:
+    first = _finished(stub.Plan(_plan(QUICK, request_id="once"), timeout=60))
+    again = list(stub.Plan(_plan(QUICK, request_id="once"), timeout=60))
+    assert again[0].accepted.is_known
+    assert again[-1].finished == first
+    other = {**QUICK, "options": {"seed": 7}}
+    with pytest.raises(grpc.RpcError) as refused:
+        list(stub.Plan(_plan(other, request_id="once"), timeout=60))
+    assert refused.value.code() is grpc.StatusCode.ALREADY_EXISTS  # type: ignore[attr-defined]
+
+
+def test_invalid_request_names_every_field(stub: PlannerServiceStub) -> None:
+    message = _plan(QUICK)
+    message.request.options.margin_m = -1.0
+    message.request.start.joints["l_arm_elx"] = float("nan")
+    with pytest.raises(grpc.RpcError) as refused:
+        list(stub.Plan(message, timeout=20))
+    assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT  # type: ignore[attr-defined]
+    found = _violations(refused.value)
+    assert set(found) == {"request.options.margin_m", "request.start.joints.l_arm_elx"}
+
+
+def test_what_only_the_robot_knows_to_be_wrong_is_named_too(stub: PlannerServiceStub) -> None:
+    with pytest.raises(grpc.RpcError) as refused:
+        list(stub.Plan(_plan({**QUICK, "goal": {"joints": {"l_arm_elz": 1.0}}}), timeout=60))
+    assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT  # type: ignore[attr-defined]
+    assert "request.goal.joints" in _violations(refused.value)
+
+
+def test_bytes_that_are_no_message_are_an_invalid_argument(server: ServerProcess) -> None:
+    with grpc.insecure_channel(server.address) as channel:
+        call = channel.unary_stream("/planner.v1.PlannerService/Plan")
+        with pytest.raises(grpc.RpcError) as refused:
+            list(call(b"\xff\xff\xff", timeout=20))
+    assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT  # type: ignore[attr-defined]
+
+
+def test_field_of_a_later_version_is_refused_rather_than_ignored(server: ServerProcess) -> None:
+    message = _plan(QUICK)
+    payload = message.SerializeToString() + b"\xfa\x3f\x00"  # field 1023 of PlanRequest
+    inner = message.request.SerializeToString() + b"\xfa\x3f\x00"
+    with grpc.insecure_channel(server.address) as channel:
+        call = channel.unary_stream("/planner.v1.PlannerService/Plan")
+        for data in (payload, b"\x12" + _length(inner) + inner):
+            with pytest.raises(grpc.RpcError) as refused:
+                list(call(data, timeout=20))
+            assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT  # type: ignore[attr-defined]
+            assert "1023" in refused.value.details()  # type: ignore[attr-defined]
+
+
+def _length(data: bytes) -> bytes:
+    size, out = len(data), b""
+    while size > 127:
+        out += bytes([size & 127 | 128])
+        size >>= 7
+    return out + bytes([size])
+
+
+@pytest.mark.parametrize(("task", "words"), [({"door": {}}, "doors"), ({"egress": {"side": "left"}}, "vehicles")])
+def test_task_without_a_planner_is_unimplemented(stub: PlannerServiceStub, task: dict[str, object], words: str) -> None:
+    with pytest.raises(grpc.RpcError) as refused:
+        list(stub.Plan(_plan({"robot": {"name": "atlas"}, "task": task}), timeout=20))
+    assert refused.value.code() is grpc.StatusCode.UNIMPLEMENTED  # type: ignore[attr-defined]
+    assert words in refused.value.details()  # type: ignore[attr-defined]
+
+
+def test_file_of_the_server_is_refused_unless_its_folder_is_allowed(stub: PlannerServiceStub) -> None:
+    request = {**QUICK, "scene": {"cloud": "/etc/passwd"}}
+    with pytest.raises(grpc.RpcError) as refused:
+        list(stub.Plan(_plan(request), timeout=20))
+    assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT  # type: ignore[attr-defined]
+    assert "request.scene.cloud" in _violations(refused.value)
+
+
+def test_cancelled_plan_frees_its_worker(stub: PlannerServiceStub) -> None:
+    call = stub.Plan(_plan(ENDLESS), timeout=60)
+    _wait_for(call, "progress")
+    call.cancel()
+    _wait_until_idle(stub)
+
+
+def test_deadline_brings_the_best_attempt_before_it_passes(stub: PlannerServiceStub) -> None:
+    _wait_until_idle(stub)
+    result = _finished(stub.Plan(_plan(ENDLESS), timeout=4)).result
+    assert result.verdict == VERDICT_TIME_LIMIT
+    assert result.explanation
+
+
+def test_deadline_that_cannot_be_met_is_refused_at_once(stub: PlannerServiceStub) -> None:
+    busy = stub.Plan(_plan(ENDLESS), timeout=60)
+    _wait_for(busy, "progress")
+    began = time.monotonic()
+    with pytest.raises(grpc.RpcError) as refused:
+        list(stub.Plan(_plan(ENDLESS), timeout=0.2))
+    assert refused.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED  # type: ignore[attr-defined]
+    assert "not begun" in refused.value.details()  # type: ignore[attr-defined]
+    assert time.monotonic() - began < 0.2
+    busy.cancel()
+
+
+def test_full_queue_refuses_with_a_time_to_come_back(stub: PlannerServiceStub) -> None:
+    _wait_until_idle(stub)
+    calls = [stub.Plan(_plan(ENDLESS), timeout=60) for _ in range(3)]
+    for call in calls:
+        _wait_for(call, "accepted")
+    assert [next(iter(call)).WhichOneof("event") for call in calls[1:]] == ["queued", "queued"]
+    with pytest.raises(grpc.RpcError) as refused:
+        list(stub.Plan(_plan(QUICK), timeout=60))
+    assert refused.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED  # type: ignore[attr-defined]
+    keys = [key for key, _ in refused.value.trailing_metadata()]  # type: ignore[attr-defined]
+    assert "grpc-status-details-bin" in keys
+    for call in calls:
+        call.cancel()
+
+
+def test_robots_are_listed_with_joints_and_postures(stub: PlannerServiceStub) -> None:
+    (atlas,) = [
+        robot for robot in stub.ListRobots(wire.ListRobotsRequest(), timeout=60).robots if robot.name == "atlas"
+    ]
+    assert "stand" in atlas.postures
+    assert "l_arm_elx" in atlas.joint_names
+
+
+def _wait_until_idle(stub: PlannerServiceStub) -> None:
+    until = time.monotonic() + 20.0
+    while time.monotonic() < until:
+        status = stub.GetStatus(wire.GetStatusRequest(), timeout=20)
+        if status.queued == 0 and all(worker.state == "idle" for worker in status.workers):
+            return
+        time.sleep(0.02)
+    raise AssertionError("the worker does not become idle")
+
+
+def _wait_for(call: object, event: str) -> None:
+    for response in call:  # type: ignore[attr-defined]
+        if response.WhichOneof("event") == event:
+            return
+    raise AssertionError(f"no {event}")
