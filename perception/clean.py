@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 from perception.errors import PerceptionError
 
 SELF_MARGIN = 0.025
+_FEW_VOXELS = 4
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,19 @@ class Reach:
 
 def voxel_index(points: Float[np.ndarray, "N 3"], size: float) -> tuple[Int[np.ndarray, "N"], int]:
     """Number of the voxel of each point, counted 0, 1, ... in order of the voxels' coordinates, and how many."""
-    cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-    spans = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]
+    keys = np.zeros(len(points), dtype=np.int64)
+    n_keys = 1
+    for column in points.T:
+        cells = np.floor((column - column.min()) / size).astype(np.int64)
+        span = int(cells.max()) + 1
+        keys *= span
+        keys += cells
+        n_keys *= span
+    if n_keys <= _FEW_VOXELS * len(points):  # then counting beats sorting
+        is_there = np.zeros(n_keys, dtype=bool)
+        is_there[keys] = True
+        number = np.cumsum(is_there)
+        return number[keys] - 1, int(number[-1])
     distinct, index = np.unique(keys, return_inverse=True)
     return index, len(distinct)
 
@@ -83,9 +94,13 @@ def first_of_equals(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, 
         points: (N, 3) [m].
         starts: (N, 3) where their rays started [m].
     """
+    constant = starts.strides[0] == 0 or bool((starts == starts[:1]).all())
+    keys = row_keys(points if constant else np.hstack([points, starts]))
+    ordered = np.sort(keys)
+    if (ordered[1:] != ordered[:-1]).all():
+        return np.ones(len(points), dtype=bool)
     is_first = np.zeros(len(points), dtype=bool)
-    constant = bool((starts == starts[:1]).all())
-    is_first[np.unique(row_keys(points if constant else np.hstack([points, starts])), return_index=True)[1]] = True
+    is_first[np.unique(keys, return_index=True)[1]] = True
     return is_first
 
 

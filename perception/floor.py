@@ -58,6 +58,7 @@ def on_floor(
     floor: FloorPlane,
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
     clearance: float = _CLEARANCE,
+    depth: float = np.inf,
 ) -> Bool[np.ndarray, "N"]:
     """Points of the floor's extent below it, up to ``clearance`` over it, and up to 3 cm over it under a sole.
 
@@ -66,9 +67,10 @@ def on_floor(
         floor: the plane.
         soles: corners (S, 3) of each convex sole, any order, world [m].
         clearance: [m].
+        depth: how far below it points may lie [m].
     """
     above = floor.above(points)
-    mask = above <= clearance
+    mask = (above <= clearance) & (above >= -depth)
     if len(soles):
         low = np.flatnonzero(above <= SOLE_MARGIN)
         for sole in soles:
@@ -89,8 +91,7 @@ def on_floors(
     """
     mask = np.zeros(len(points), dtype=bool)
     for i, floor in enumerate(floors):
-        belongs = on_floor(points, floor, soles if i == 0 else ())
-        mask |= belongs if i == 0 else belongs & (floor.above(points) >= -_BELOW)
+        mask |= on_floor(points, floor, soles) if i == 0 else on_floor(points, floor, depth=_BELOW)
     return mask
 
 

@@ -35,16 +35,18 @@ def coarsened(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"
         starts: (3,) or (N, 3), where their rays started [m].
         size: edge of a voxel; voxels are aligned with the world's origin [m].
     """
-    cells = np.floor(points / size).astype(np.int64)
-    cells -= cells.min(axis=0)
-    spans = cells.max(axis=0) + 1
-    keys, voxel = np.unique((cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2], return_inverse=True)
-    counts = np.bincount(voxel, minlength=len(keys))
+    keys = np.zeros(len(points), dtype=np.int64)
+    for column in points.T:
+        cells = np.floor(column / size).astype(np.int64)
+        cells -= cells.min()
+        keys *= cells.max() + 1
+        keys += cells
+    distinct, voxel = np.unique(keys, return_inverse=True)
+    counts = np.bincount(voxel, minlength=len(distinct))
     # Sums of whole numbers do not depend on their order; sums of fractions would, in the last digit.
-    whole = np.rint(points / _QUANTUM)
-    sums = np.stack([np.bincount(voxel, weights=whole[:, axis], minlength=len(keys)) for axis in range(3)], axis=1)
-    means = sums * _QUANTUM / counts[:, None]
-    return Coarse(means, counts, _nearest_starts(points, starts, voxel, len(keys)), voxel)
+    sums = [np.bincount(voxel, weights=np.rint(column / _QUANTUM), minlength=len(distinct)) for column in points.T]
+    means = np.stack(sums, axis=1) * _QUANTUM / counts[:, None]
+    return Coarse(means, counts, _nearest_starts(points, starts, voxel, len(distinct)), voxel)
 
 
 def _nearest_starts(
@@ -53,7 +55,7 @@ def _nearest_starts(
     """For each voxel the start, of all its points, of the shortest ray."""
     if starts.ndim == 1:
         return np.broadcast_to(starts, (n_voxels, 3))
-    if (starts == starts[0]).all():
+    if starts.strides[0] == 0 or (starts == starts[0]).all():
         return np.broadcast_to(starts[0], (n_voxels, 3))
     distance = np.linalg.norm(points - starts, axis=1)
     order = np.lexsort((*starts.T, distance, voxel))

@@ -71,7 +71,7 @@ class FreeSpace:
             inside = cells[part::n_parts]
             for first in range(0, len(faces), _FACES):
                 some = faces[first : first + _FACES]
-                inside = inside[(inside @ some[:, :3].T <= -margin - some[:, 3]).all(axis=1)]
+                inside = inside[(some[:, :3] @ inside.T <= -margin - some[:, 3:]).all(axis=0)]
             count += len(inside)
             if most is not None and count > most:
                 break

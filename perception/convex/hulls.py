@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
+from perception.clean import row_keys
+
 MAX_VERTICES = 64
 _SKIN = 0.005
 _FACES = 8
@@ -46,7 +48,8 @@ class Hull:
     @property
     def simplified(self) -> Hull:
         """The same hull with each plane once in its faces, which then are those of no triangle."""
-        faces = np.unique(np.round(self.faces, 9), axis=0)
+        rounded = np.round(self.faces, 9)
+        faces = rounded[np.unique(row_keys(rounded), return_index=True)[1]]
         return replace(self, faces=faces, triangles=self.triangles[:0])
 
     def is_within(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
@@ -55,7 +58,7 @@ class Hull:
         # Few points are left after few faces.
         for first in range(0, len(self.faces), _FACES):
             some = self.faces[first : first + _FACES]
-            left = left[(points[left] @ some[:, :3].T <= margin - some[:, 3]).all(axis=1)]
+            left = left[(some[:, :3] @ points[left].T <= margin - some[:, 3:]).all(axis=0)]
         inside = np.zeros(len(points), dtype=bool)
         inside[left] = True
         return inside
