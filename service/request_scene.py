@@ -75,10 +75,11 @@ class ConvexRequest(_Placed):
 
 @dataclass(config=SECTION, kw_only=True)
 class MeshRequest(_Placed):
-    """A mesh file (STL, OBJ, PLY), split into convex pieces.
+    """A mesh file (STL, OBJ, PLY, or a URDF with every joint at zero), split into convex pieces.
 
     ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is one piece.  With ``match`` it is
-    looked for in the scan around where it is placed, and stands where it was found.
+    looked for in the scan around where it is placed, and stands where it was found; what of the scan is on it or in it
+    makes no further pieces.
     """
 
     type: Literal["mesh"]

@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from perception import Cloud, make_view
+from perception.convex.pieces import Pieces
 from perception.errors import CancelledError, MeshError
 from perception.mesh import Mesh
 from perception.simulate import Pose, Room, Scanner, box, scan, torus
@@ -52,8 +53,13 @@ def _depth(points: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:
     return np.asarray(np.min([(points @ h[:, :3].T + h[:, 3]).max(axis=1) for h in hulls], axis=0))
 
 
-def test_pieces_cover_what_was_seen_and_leave_the_way_of_the_rays(view: View, tmp_path: Path) -> None:
-    made = pieces_by_coacd(view, work=Work(PartsCache(tmp_path)))
+@pytest.fixture(scope="module")
+def made(view: View) -> Pieces:
+    """Its pieces, nothing of them taken from a cache."""
+    return pieces_by_coacd(view, work=Work(cache=None))
+
+
+def test_pieces_cover_what_was_seen_and_leave_the_way_of_the_rays(view: View, made: Pieces) -> None:
     parts = [piece.shape.vertices for piece in made.pieces]
     assert max(len(part) for part in parts) <= 64
     assert (_depth(view.obstacles, parts) <= 0.01).mean() > 0.995
@@ -65,16 +71,16 @@ def test_pieces_cover_what_was_seen_and_leave_the_way_of_the_rays(view: View, tm
     assert _depth(knees, parts).min() > 0.0
 
 
-def test_every_piece_knows_its_points_and_its_evidence(view: View, tmp_path: Path) -> None:
-    pieces = pieces_by_coacd(view, work=Work(PartsCache(tmp_path))).pieces
+def test_every_piece_knows_its_points_and_its_evidence(view: View, made: Pieces) -> None:
+    pieces = made.pieces
     assert [piece.name for piece in pieces] == [f"coacd/{i}" for i in range(len(pieces))]
     owned = np.concatenate([piece.points for piece in pieces])
     assert len(np.unique(owned)) == len(owned) > 0.99 * len(view.obstacles)
     assert max(piece.evidence.open_share for piece in pieces) > 0.2
 
 
-def test_the_same_scan_gives_the_same_pieces(view: View) -> None:
-    first, second = (pieces_by_coacd(view, work=Work(cache=None)).pieces for _ in range(2))
+def test_the_same_scan_gives_the_same_pieces(view: View, made: Pieces) -> None:
+    first, second = made.pieces, pieces_by_coacd(view, work=Work(cache=None)).pieces
     assert len(first) == len(second)
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.shape.vertices, other.shape.vertices)

@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from perception import make_view
+from perception import make_view, perceive
 from perception.errors import MeshError
 from perception.mesh import Mesh
+from perception.perceive import unexplained
 from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
 from perception.solids.cache import PartsCache
-from perception.solids.closed import is_closed, solid_of
-from perception.solids.decompose import Work, convex_parts
-from perception.solids.match import CONFIDENT, MeshMatch, match_mesh
+from perception.solids.closed import is_closed, solid_of, united
+from perception.solids.decompose import CoacdSettings, Work, convex_parts
+from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, match_mesh
 from perception.solids.read import read_mesh
 from perception.view import View
 
@@ -151,7 +152,7 @@ def test_a_box_without_a_lid_is_a_shell_that_can_be_reached_into(tmp_path: Path)
     lid = (np.abs(whole.vertices[whole.triangles][:, :, 2] - 0.2) < 1e-9).all(axis=1)
     solid = solid_of(Mesh(whole.vertices, whole.triangles[~lid]), "bin")
     assert "1 of 1 parts are not closed (4 open edges)" in solid.notes[-1]
-    parts = convex_parts(solid, work=Work(PartsCache(tmp_path)))
+    parts = convex_parts(solid, CoacdSettings(0.04, iterations=10, nodes=3, depth=1), Work(PartsCache(tmp_path)))
     hulls = [ConvexHull(part).equations for part in parts]
     inside = np.array([[0.2, 0.15, 0.1], [0.2, 0.15, 0.19], [0.05, 0.05, 0.1]])
     assert min((inside @ h[:, :3].T + h[:, 3]).max(axis=1).min() for h in hulls) > 0.0
@@ -235,3 +236,46 @@ def test_where_nothing_is_nothing_is_found(tool_on_a_table: tuple[View, np.ndarr
     found = match_mesh(TOOL, tool_on_a_table[0], hint=np.array([-1.5, -1.5, 1.8]))
     assert found.confidence == 0.0
     assert not found.explains(tool_on_a_table[0].obstacles).any()
+
+
+def test_a_tool_that_is_found_makes_no_pieces_of_its_own(tool_on_a_table: tuple[View, np.ndarray, np.ndarray]) -> None:
+    view, rotation, middle = tool_on_a_table
+    expected = np.eye(4)
+    expected[:3, :3], expected[:3, 3] = rotation, middle + np.array([0.03, -0.02, 0.01]) - rotation @ MIDDLE
+    known = KnownMesh("tool", solid_of(TOOL), expected)
+    seen, without = perceive(view.cloud, valve=False, known=[known]), perceive(view.cloud, valve=False)
+    match = seen.matches["tool"]
+    assert match.confidence >= CONFIDENT
+    on_tool = match.explains(seen.view.obstacles)
+    assert on_tool.sum() > 200
+    owned = np.zeros(len(on_tool), dtype=bool)
+    for piece in seen.pieces:
+        owned[piece.points] = True
+    assert not (owned & on_tool).any()
+    assert owned[~on_tool].mean() > 0.99
+    # Its body and its tall end, well over the table.
+    inside = middle + (np.array([[0.2, 0.05, 0.05], [0.05, 0.05, 0.2], [0.05, 0.05, 0.28]]) - MIDDLE) @ rotation.T
+    for perceived, is_held in ((seen, False), (without, True)):
+        hulls = [ConvexHull(piece.shape.vertices).equations for piece in perceived.pieces]
+        depth = np.min([(inside @ h[:, :3].T + h[:, 3]).max(axis=1) for h in hulls], axis=0)
+        assert (depth <= 0.0).any() == is_held
+
+
+def test_a_mesh_found_with_little_confidence_takes_no_points() -> None:
+    points, kept = np.array([[0.15, 0, 0], [0, 0, 0], [0.185, 0, 0]]), np.array([0, 2])
+    for confidence, left in ((CONFIDENT - 0.01, [0, 2]), (CONFIDENT, [])):
+        match = MeshMatch(np.eye(4), confidence, {}, solid_of(RING), 0.01)
+        np.testing.assert_array_equal(unexplained(points, kept, {"ring": match}), left)
+
+
+def test_points_inside_a_closed_mesh_are_explained_and_those_in_a_ring_s_hole_are_not() -> None:
+    match = MeshMatch(np.eye(4), 1.0, {}, solid_of(RING), 0.01)
+    inside, hole, near, far = [0.15, 0, 0], [0, 0, 0], [0.185, 0, 0], [0.2, 0, 0]
+    np.testing.assert_array_equal(match.explains(np.array([inside, hole, near, far])), [True, False, True, False])
+
+
+def test_bodies_that_overlap_have_their_inside_in_common() -> None:
+    pair = united([solid_of(box((0, 0, 0), (2, 1, 1))), solid_of(box((1, 0, 0), (3, 1, 1)))])
+    points = np.array([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5], [2.5, 0.5, 0.5], [3.5, 0.5, 0.5]])
+    explained = MeshMatch(np.eye(4), 1.0, {}, pair, 0.01).explains(points)
+    np.testing.assert_array_equal(explained, [True, True, True, False])

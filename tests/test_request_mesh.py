@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from perception.solids import closed
 from service.errors import RequestError
 from service.mesh import convex_parts, read_solid
+from service.planner import plan
+from service.request_file import load_request
+from service.result import Verdict
 
 CUBE = [
     (0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
@@ -103,6 +107,89 @@ def test_a_broken_mesh_is_refused_by_name(tmp_path: Path, name: str, content: by
     assert str(caught.value).startswith(problem)
 
 
+def test_the_example_reaches_through_a_window_frame() -> None:
+    result = plan(load_request(Path(__file__).parents[1] / "examples" / "requests" / "mesh.yaml"))
+    assert result.verdict is Verdict.CERTIFIED
+    frame = [piece for piece in result.scene.pieces if piece.name.startswith("frame/")]
+    assert len(frame) >= 4
+    assert max(piece.vertices[:, 0].max() for piece in frame) < 0.70  # where the hand ends, beyond the frame
+
+
 def test_a_missing_mesh_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RequestError, match="is not there; paths start at the request's folder"):
         read_solid(tmp_path / "none.stl", "file")
+
+
+def _urdf(folder: Path, body: str) -> Path:
+    path = folder / "thing.urdf"
+    path.write_text(f'<robot name="thing">{body}</robot>')
+    return path
+
+
+def _collision(geometry: str, xyz: str = "0 0 0") -> str:
+    return f'<collision><origin xyz="{xyz}"/><geometry>{geometry}</geometry></collision>'
+
+
+CART = (
+    '<link name="deck">' + _collision('<mesh filename="deck.obj" scale="0.001 0.001 0.001"/>') + "</link>"
+    '<link name="wheel">' + _collision('<cylinder radius="0.1" length="0.04"/>') + "</link>"
+    '<joint name="axle" type="continuous"><parent link="deck"/><child link="wheel"/>'
+    '<origin xyz="0.4 0 -0.1" rpy="1.5707963267948966 0 0"/><axis xyz="0 0 1"/></joint>'
+)
+
+
+def test_a_urdf_is_one_object_of_its_bodies_at_zero(tmp_path: Path) -> None:
+    _obj(tmp_path / "deck.obj", [_cube((0, 0, 0), (800, 500, 20))])
+    solid = read_solid(_urdf(tmp_path, CART), "file")
+    assert not solid.open
+    assert solid.notes == ()
+    deck, wheel = convex_parts(solid, "cart", "file")
+    np.testing.assert_allclose([deck.min(axis=0), deck.max(axis=0)], [[0, 0, 0], [0.8, 0.5, 0.02]], atol=1e-12)
+    np.testing.assert_allclose([wheel[:, 1].min(), wheel[:, 1].max()], [-0.02, 0.02], atol=1e-12)
+    assert (wheel[:, [0, 2]].max(axis=0) >= [0.5, 0.0]).all()
+    (hull,) = convex_parts(solid, "cart", "file", decompose=False)
+    np.testing.assert_allclose(hull.max(axis=0), [0.8, 0.5, 0.02], atol=1e-12)
+    assert hull[:, 2].min() <= -0.2
+
+
+def test_scale_is_metres_per_unit_of_all_of_a_urdf(tmp_path: Path) -> None:
+    _obj(tmp_path / "deck.obj", [_cube((0, 0, 0), (800, 500, 20))])
+    whole = [read_solid(_urdf(tmp_path, CART), "file", scale) for scale in (1.0, 0.5)]
+    full, half = (np.concatenate([mesh.vertices for mesh in solid.closed]) for solid in whole)
+    np.testing.assert_allclose(half, 0.5 * full, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("body", "problem"),
+    [
+        ('<link name="a"/>', "file: thing.urdf: no link has a <collision>"),
+        ("<!DOCTYPE a>", "file: thing.urdf: "),
+        (
+            '<link name="a">' + _collision('<mesh filename="flat.obj"/>') + "</link>",
+            "file: thing.urdf: link 'a': lies in a plane or on a line; a solid would do",
+        ),
+        (
+            '<link name="a">' + _collision('<mesh filename="thing.urdf"/>') + "</link>",
+            "file: thing.urdf: format '.urdf' is not read; .stl, .obj, .ply would do",
+        ),
+        (
+            '<link name="a">' + _collision('<mesh filename="../deck.obj"/>') + "</link>",
+            "file: thing.urdf: link 'a': mesh '../deck.obj'",
+        ),
+    ],
+)
+def test_a_urdf_that_cannot_be_used_is_refused_by_name(tmp_path: Path, body: str, problem: str) -> None:
+    _obj(tmp_path / "flat.obj", [_cube((0, 0, 0), (1, 1, 0))])
+    with pytest.raises(RequestError) as caught:
+        read_solid(_urdf(tmp_path, body), "file")
+    assert str(caught.value).startswith(problem)
+    assert "\n" not in str(caught.value)
+
+
+def test_many_large_meshes_in_one_urdf_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _obj(tmp_path / "cube.obj", [_cube((0, 0, 0), (1, 1, 1))])
+    monkeypatch.setattr(closed, "MAX_TRIANGLES", 30)
+    cube = _collision('<mesh filename="cube.obj"/>')
+    assert len(read_solid(_urdf(tmp_path, f'<link name="a">{2 * cube}</link>'), "file").closed) == 2
+    with pytest.raises(RequestError, match=r"file: thing.urdf: has more than 30 triangles; simplify its meshes"):
+        read_solid(_urdf(tmp_path, f'<link name="a">{3 * cube}</link>'), "file")

@@ -9,19 +9,23 @@ from perception.mesh import Mesh
 from perception.solids.simplify import simplified
 
 _SIMPLER = 0.1  # share of the triangles that is left of a cell's own where the surface is smooth
+_SIMPLER_SHELL = 0.01  # of a shell's, whose cells follow a surface without noise
 _STRAY = 0.2  # of a cell: how far the simpler surface may lie from the cells' own
 _CELLS_ACROSS = 40
 _SMALLEST_CELL = 0.003
 _LARGEST_CELL = 0.02
 
 
-def surface_of(occupied: Bool[np.ndarray, "X Y Z"], lower: Float[np.ndarray, "3"], size: float) -> Mesh:
+def surface_of(
+    occupied: Bool[np.ndarray, "X Y Z"], lower: Float[np.ndarray, "3"], size: float, simpler: float = _SIMPLER
+) -> Mesh:
     """A closed surface, wound outwards, half-way between the middles of occupied and empty cells.
 
     Args:
         occupied: which cells are; at least one.
         lower: (3,) lower corner of the grid [m].
         size: edge of a cell [m].
+        simpler: share of the triangles to come down to where the surface is smooth.
     """
     # open3d takes 0.7 s to import; flying edges is marching cubes without doubled corners.
     import open3d as o3d
@@ -30,7 +34,7 @@ def surface_of(occupied: Bool[np.ndarray, "X Y Z"], lower: Float[np.ndarray, "3"
     made = o3d.t.geometry.TriangleMesh.create_isosurfaces(o3d.core.Tensor.from_numpy(volume), [0.5])
     vertices = (made.vertex.positions.numpy().astype(np.float64) - 0.5) * size + lower
     full = Mesh(vertices, made.triangle.indices.numpy().astype(np.int64))
-    return simplified(full, int(_SIMPLER * len(full.triangles)), _STRAY * size)
+    return simplified(full, int(simpler * len(full.triangles)), _STRAY * size)
 
 
 def shell_of(mesh: Mesh) -> Mesh:
@@ -42,7 +46,7 @@ def shell_of(mesh: Mesh) -> Mesh:
     cells = np.floor((points - lower) / size).astype(np.int64)
     occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     occupied[tuple(cells.T)] = True
-    return surface_of(occupied, lower, size)
+    return surface_of(occupied, lower, size, _SIMPLER_SHELL)
 
 
 def samples(mesh: Mesh, spacing: float) -> Float[np.ndarray, "N 3"]:

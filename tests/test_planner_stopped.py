@@ -1,0 +1,99 @@
+"""A plan that is to stop while its scene is made: what it has started ends with it, and it says where it was."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perception import Cloud, write_pcd
+from perception.simulate import torus
+from perception.solids import child, process
+from service.output import write_result
+from service.planner import plan
+from service.request import PlanRequest
+from service.request_file import parse_request
+from service.result import PlanResult, Verdict
+from service.result_folder import read_result
+
+ROBOT = {"robot": {"name": "atlas"}, "goal": {"posture": "stand"}}
+
+
+@pytest.fixture
+def children(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Process numbers of all that CoACD was asked in."""
+    pids: list[int] = []
+    popen = process.subprocess.Popen
+
+    def noted(command: list[str], **kwargs: object) -> object:
+        started = popen(command, **kwargs)  # type: ignore[call-overload]
+        if child.__file__ in command:  # files are read in processes too
+            pids.append(started.pid)
+        return started
+
+    monkeypatch.setattr(process.subprocess, "Popen", noted)
+    return pids
+
+
+@pytest.fixture
+def with_a_ring(tmp_path: Path) -> Callable[..., PlanRequest]:
+    """Makes requests with a ring that CoACD is to split."""
+    ring = torus((0, 0, 0), (0, 0, 1), 0.5, 0.1, 90, 50)
+    lines = [f"v {x} {y} {z}\n" for x, y, z in ring.vertices]
+    lines += [f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in ring.triangles]
+    (tmp_path / "ring.obj").write_text("".join(lines))
+    obstacle = {"name": "ring", "type": "mesh", "file": "ring.obj", "position": [2.0, 0.0, 1.0]}
+    return lambda **options: parse_request({**ROBOT, "scene": {"obstacles": [obstacle]}, "options": options}, tmp_path)
+
+
+def _is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def _check_written(result: PlanResult, folder: Path) -> None:
+    write_result(result, folder)
+    assert read_result(folder)["verdict"] == result.verdict.value
+
+
+def test_a_cancel_kills_the_process_that_splits_a_mesh(
+    with_a_ring: Callable[..., PlanRequest], children: list[int], tmp_path: Path
+) -> None:
+    result = plan(with_a_ring(), should_stop=lambda: bool(children))
+    assert result.verdict is Verdict.CANCELLED
+    assert result.explanation == ("cancelled during 'build_scene'",)
+    assert result.motion is None
+    (pid,) = children
+    assert not _is_running(pid)
+    _check_written(result, tmp_path / "out")
+
+
+def test_the_time_limit_ends_the_splitting_of_a_mesh(
+    with_a_ring: Callable[..., PlanRequest], children: list[int]
+) -> None:
+    result = plan(with_a_ring(time_limit_s=0.02))
+    assert result.verdict is Verdict.TIME_LIMIT
+    assert result.explanation == ("the time limit of 0.02 s was reached during 'build_scene'",)
+    assert not any(_is_running(pid) for pid in children)
+
+
+def test_a_cancel_kills_the_process_that_splits_a_scan(children: list[int], tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    bin_walls = [np.column_stack([np.full(400, x), rng.uniform(-0.5, 0.5, 400), rng.uniform(0.3, 0.8, 400)])
+                 for x in (1.2, 1.6)]  # fmt: skip
+    rows = np.column_stack([rng.uniform(1.2, 1.6, 800), np.full(800, 0.5), rng.uniform(0.3, 0.8, 800)])
+    write_pcd(
+        tmp_path / "bin.pcd", Cloud(np.concatenate([*bin_walls, rows]), np.zeros(3)).points, (0, 0, 2, 1, 0, 0, 0)
+    )
+    scene = {"cloud": "bin.pcd", "method": "coacd"}
+    result = plan(parse_request({**ROBOT, "scene": scene}, tmp_path), should_stop=lambda: bool(children))
+    assert result.verdict is Verdict.CANCELLED
+    assert result.explanation == ("cancelled during 'perceive'",)
+    (pid,) = children
+    assert not _is_running(pid)
