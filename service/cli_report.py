@@ -37,11 +37,11 @@ def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
     """The last line of a command, which starts with the verdict; then what stands in the way, or how it went."""
     verdict = str(summary["verdict"])
     sentence = " ".join(next(iter(summary.get("explanation") or []), "").split())
-    if not sentence and "planning_time_s" in summary:
-        clearance = _millimetres(summary.get("min_clearance_m"))
-        sentence = f"clearance {clearance}, planned in {summary['planning_time_s']:.2f} s"
+    if not sentence:
+        planned = f", planned in {summary['planning_time_s']:.2f} s" if "planning_time_s" in summary else ""
+        sentence = f"clearance {_millimetres(summary.get('min_clearance_m'))}{planned}"
     line = Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}")
-    out.print(line.append(f"  {sentence}" if sentence else "", style="not bold default"), soft_wrap=True)
+    out.print(line.append(f"  {sentence}", style="not bold default"), soft_wrap=True)
 
 
 def print_figures(out: Console, summary: Mapping[str, Any]) -> None:

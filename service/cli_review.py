@@ -1,0 +1,68 @@
+"""``scopt review``: a plan, its hashes and its reviews, and one more review."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+
+from service.cli_connect import connected
+from service.cli_report import print_figures, print_findings, print_table, print_verdict
+from service.cli_run import consoles, print_json
+from service.client.summary import summary_of
+from service.errors import RequestError
+from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, Review
+
+
+def review_plan(where: Mapping[str, Any], plan_id: str, is_accepted: bool | None, comment: str, as_json: bool) -> None:
+    """Show a plan and, unless ``is_accepted`` is None, review it.
+
+    Raises:
+        RequestError: it has not finished.
+    """
+    out, err = consoles()
+    with connected(where, err) as client:
+        record = client.get_plan(plan_id).record
+        if not record.HasField("result"):
+            state = PlanState.Name(record.state).removeprefix("PLAN_STATE_").lower()
+            raise RequestError(f"plan {plan_id} is {state}; there is nothing to look at yet")
+        if not as_json:
+            _show(out, record)
+        if is_accepted is not None:
+            client.review(record, accept=is_accepted, comment=comment)
+            record = client.get_plan(plan_id).record
+    if as_json:
+        print_json(
+            {
+                **summary_of(record.result),
+                "plan_id": record.plan_id,
+                "trajectory_sha256": record.result.trajectory.sha256,
+                "certificate_sha256": record.result.certificate.sha256,
+                "is_approved": record.is_approved,
+                "reviews": [dict(zip(_COLUMNS, _row(review), strict=True)) for review in record.reviews],
+            }
+        )
+        return
+    if record.reviews:
+        print_table(out, _COLUMNS, [_row(review) for review in record.reviews])
+    state = "approved" if record.is_approved else "not approved"
+    out.print(f"plan {record.plan_id} is {state}", markup=False, soft_wrap=True)
+
+
+_COLUMNS = ("decision", "reviewer", "time", "comment")
+
+
+def _show(out: Console, record: PlanRecord) -> None:
+    summary = summary_of(record.result)
+    print_findings(out, summary)
+    print_figures(out, summary)
+    out.print(f"trajectory       {record.result.trajectory.sha256 or 'none'}", markup=False, soft_wrap=True)
+    out.print(f"certificate      {record.result.certificate.sha256 or 'none'}", markup=False, soft_wrap=True)
+    print_verdict(out, summary)
+
+
+def _row(review: Review) -> tuple[str, str, str, str]:
+    decision = Decision.Name(review.decision).removeprefix("DECISION_")
+    when = review.time.ToDatetime().isoformat(" ", "seconds")
+    return decision, review.reviewer, f"{when} UTC", review.comment
