@@ -20,6 +20,7 @@ Enter = Callable[[Context], AbstractAsyncContextManager[None]]
 DETAILS_KEY = "grpc-status-details-bin"
 # A client that opens a call and says nothing does not hold its place for ever.
 REQUEST_WAIT_S = 60.0
+GONE_AFTER_S = 0.005
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def around(handler: Handler, enter: Enter) -> Handler:
 
     async def request_of(requests: AsyncIterator[Any], context: Context) -> Any:
         if takes_stream:
-            return requests
+            return _to_their_end(requests)
         try:
             request = await asyncio.wait_for(context.read(), REQUEST_WAIT_S)
         except TimeoutError:
@@ -86,6 +87,17 @@ def around(handler: Handler, enter: Enter) -> Handler:
     return make(
         stream if handler.response_streaming else answer, handler.request_deserializer, handler.response_serializer
     )
+
+
+async def _to_their_end(requests: AsyncIterator[Any]) -> AsyncIterator[Any]:
+    """The requests of a stream.
+
+    That of a client who has gone ends as that of a client who has said everything does, a moment before the call is
+    cancelled; nobody takes the one for the other who waits that moment.
+    """
+    async for request in requests:
+        yield request
+    await asyncio.sleep(GONE_AFTER_S)
 
 
 def _inner(handler: Handler) -> Callable[[Any, Context], Any]:

@@ -13,7 +13,7 @@ import pytest
 from google.rpc import error_details_pb2
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_status import rpc_status
-from small_service import serving
+from small_service import end_of, serving
 
 import service.rpc
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
@@ -35,10 +35,6 @@ def _with(token: str) -> tuple[tuple[str, str], ...]:
 
 def _run(coroutine: Coroutine[Any, Any, None]) -> None:
     asyncio.run(asyncio.wait_for(coroutine, 20))
-
-
-async def _code(call: Any) -> tuple[grpc.StatusCode, str]:
-    return await call.code(), await call.details()
 
 
 def test_calls_of_every_kind_come_through_and_know_their_caller(known: tuple[dict[Role, str], Tokens]) -> None:
@@ -78,20 +74,20 @@ def test_without_a_known_token_or_the_right_role_nothing_is_called(known: tuple[
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
-            code, words = await _code(stub.ListRobots(planner_pb2.ListRobotsRequest()))
+            code, words = await end_of(stub.ListRobots(planner_pb2.ListRobotsRequest()))
             assert code is grpc.StatusCode.UNAUTHENTICATED
             assert "authorization: Bearer TOKEN" in words
-            code, words = await _code(stub.Plan(planner_pb2.PlanRequest(), metadata=_with("scopt_wrong")))
+            code, words = await end_of(stub.Plan(planner_pb2.PlanRequest(), metadata=_with("scopt_wrong")))
             assert code is grpc.StatusCode.UNAUTHENTICATED
             assert "scopt_wrong" not in words
             review = stub.ReviewPlan(planner_pb2.ReviewPlanRequest(), metadata=_with(tokens[Role.PLAN]))
-            assert await _code(review) == (
+            assert await end_of(review) == (
                 grpc.StatusCode.PERMISSION_DENIED,
                 "ReviewPlan needs the role review; has-plan has plan",
             )
-            assert (await _code(stub.UploadCloud(iter(()))))[0] is grpc.StatusCode.UNAUTHENTICATED
+            assert (await end_of(stub.UploadCloud(iter(()))))[0] is grpc.StatusCode.UNAUTHENTICATED
             other = channel.unary_unary("/planner.v1.PlannerService/Nothing")
-            assert (await _code(other(b"")))[0] is grpc.StatusCode.UNIMPLEMENTED
+            assert (await end_of(other(b"")))[0] is grpc.StatusCode.UNIMPLEMENTED
         assert answering.callers == []
 
     _run(calls())
@@ -105,7 +101,7 @@ def test_health_is_told_to_all_and_watched_by_the_known_only(known: tuple[dict[R
             stub = health_pb2_grpc.HealthStub(channel)
             answer = await stub.Check(health_pb2.HealthCheckRequest())
             assert answer.status == health_pb2.HealthCheckResponse.SERVING
-            assert (await _code(stub.Watch(health_pb2.HealthCheckRequest())))[0] is grpc.StatusCode.UNAUTHENTICATED
+            assert (await end_of(stub.Watch(health_pb2.HealthCheckRequest())))[0] is grpc.StatusCode.UNAUTHENTICATED
             watch = stub.Watch(health_pb2.HealthCheckRequest(), metadata=_with(tokens[Role.PLAN]))
             assert (await watch.read()).status == health_pb2.HealthCheckResponse.SERVING
 
@@ -132,9 +128,9 @@ def test_the_request_of_a_refused_call_is_not_read(known: tuple[dict[Role, str],
         large = planner_pb2.PlanRequest(request_id="x" * 20 * 2**20)
         async with serving([Gate(known[1], Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
-            assert (await _code(stub.Plan(large)))[0] is grpc.StatusCode.UNAUTHENTICATED
+            assert (await end_of(stub.Plan(large)))[0] is grpc.StatusCode.UNAUTHENTICATED
             allowed = stub.Plan(large, metadata=_with(known[0][Role.PLAN]))
-            assert (await _code(allowed))[0] is grpc.StatusCode.RESOURCE_EXHAUSTED
+            assert (await end_of(allowed))[0] is grpc.StatusCode.RESOURCE_EXHAUSTED
 
     _run(calls())
 
@@ -165,7 +161,7 @@ def test_tokens_cannot_be_tried_at_leisure(known: tuple[dict[Role, str], Tokens]
         async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
             codes = [
-                (await _code(stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=_with(str(n)))))[0]
+                (await end_of(stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=_with(str(n)))))[0]
                 for n in range(8)
             ]
             assert codes == [grpc.StatusCode.UNAUTHENTICATED] * 5 + [grpc.StatusCode.RESOURCE_EXHAUSTED] * 3
@@ -185,7 +181,7 @@ def test_open_calls_are_limited_and_their_places_are_given_back(known: tuple[dic
                 await call.write(planner_pb2.UploadCloudRequest(chunk=b"x"))
             await asyncio.sleep(0.05)
             third = stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
-            assert await _code(third) == (
+            assert await end_of(third) == (
                 grpc.StatusCode.RESOURCE_EXHAUSTED,
                 "2 calls of this client are being answered; try again when one has ended",
             )
@@ -209,11 +205,31 @@ def test_a_call_that_says_nothing_or_too_little_ends(monkeypatch: pytest.MonkeyP
         ):
             method = channel.stream_unary("/planner.v1.PlannerService/ListRobots")
             silent = method()
-            assert await _code(silent) == (grpc.StatusCode.DEADLINE_EXCEEDED, "no request came in 0.1 s")
+            assert await end_of(silent) == (grpc.StatusCode.DEADLINE_EXCEEDED, "no request came in 0.1 s")
             empty = method()
             await empty.done_writing()
-            assert await _code(empty) == (grpc.StatusCode.INVALID_ARGUMENT, "no request came")
+            assert await end_of(empty) == (grpc.StatusCode.INVALID_ARGUMENT, "no request came")
         assert answering.callers == []
+
+    _run(calls())
+
+
+def test_an_upload_that_the_client_breaks_off_never_looks_complete() -> None:
+    async def calls() -> None:
+        async with (
+            serving([Gate(None, Limits())]) as (address, answering),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
+            stub = planner_pb2_grpc.PlannerServiceStub(channel)
+            for _ in range(10):
+                call = stub.UploadCloud()
+                await call.write(planner_pb2.UploadCloudRequest(chunk=b"x"))
+                call.cancel()
+            await end_of(stub.UploadCloud(timeout=0.05))
+            await asyncio.sleep(0.1)
+            assert answering.complete_uploads == 0
+            await end_of(stub.UploadCloud(iter([planner_pb2.UploadCloudRequest(chunk=b"x")])))
+            assert answering.complete_uploads == 1
 
     _run(calls())
 
@@ -223,7 +239,7 @@ def test_what_a_handler_says_at_its_end_reaches_the_client_unchanged() -> None:
         async with serving([Gate(None, Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
             aborted = stub.Plan(planner_pb2.PlanRequest(request_id="abort"))
-            assert await _code(aborted) == (grpc.StatusCode.INVALID_ARGUMENT, "no goal")
+            assert await end_of(aborted) == (grpc.StatusCode.INVALID_ARGUMENT, "no goal")
 
     _run(calls())
 

@@ -44,11 +44,10 @@ class Gate(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
             caller = self._caller(method, context)
         except RefusedError as error:
             await refuse(context, error.refusal)
-        set_before = _CALLER.set(caller)
+        _CALLER.set(caller)  # for this call alone: gRPC answers each in a task of its own
         try:
             yield
         finally:
-            _CALLER.reset(set_before)
             self._limits.leave(caller.key)
 
     def _caller(self, method: str, context: Context) -> Caller:

@@ -18,6 +18,7 @@ class SmallService(planner_pb2_grpc.PlannerServiceServicer):
 
     def __init__(self) -> None:
         self.callers: list[tuple[str, str]] = []
+        self.complete_uploads = 0
 
     def _called(self, method: str) -> None:
         try:
@@ -40,6 +41,7 @@ class SmallService(planner_pb2_grpc.PlannerServiceServicer):
         n_bytes = 0
         async for request in requests:
             n_bytes += len(request.chunk)
+        self.complete_uploads += 1
         return planner_pb2.UploadCloudResponse(size_bytes=n_bytes)
 
     async def ListRobots(self, request: Any, context: Any) -> Any:
@@ -53,6 +55,19 @@ class SmallService(planner_pb2_grpc.PlannerServiceServicer):
     async def GetStatus(self, request: Any, context: Any) -> Any:
         self._called("GetStatus")
         return planner_pb2.GetStatusResponse()
+
+
+async def end_of(call: Any) -> tuple[grpc.StatusCode, str]:
+    """How a call ends, whatever it answers before."""
+    try:
+        if hasattr(call, "__aiter__"):
+            async for _ in call:
+                pass
+        else:
+            await call
+    except grpc.aio.AioRpcError:
+        pass
+    return await call.code(), await call.details()
 
 
 @asynccontextmanager

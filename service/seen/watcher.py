@@ -1,0 +1,104 @@
+"""Every RPC seen: counted, timed, logged with its end, and a span if spans are asked for."""
+
+from __future__ import annotations
+
+import contextvars
+import secrets
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import grpc
+import structlog
+
+from service.rpc import Context, Handler, Refusal, around, refuse
+from service.seen.metrics import Metrics
+from service.seen.spans import NoSpans, Spans
+from service.trust import current_caller, peer_key
+
+_LOG = structlog.get_logger("scopt.rpc")
+_CODES = {code.value[0]: code for code in grpc.StatusCode}
+_QUIET = ("/grpc.health.", "/grpc.reflection.", "/planner.v1.PlannerService/GetStatus")  # asked for all day long
+_OURS = {grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN, grpc.StatusCode.DATA_LOSS}
+
+
+class Watcher(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
+    """Stands before all other interceptors, so that it sees what they refuse too.
+
+    An exception that nobody expected is logged whole; the client is told the number it is logged under.
+    """
+
+    def __init__(self, metrics: Metrics, spans: Spans | None = None) -> None:
+        self._metrics = metrics
+        self._spans: Spans = spans or NoSpans()
+
+    async def intercept_service(
+        self,
+        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Handler]],
+        handler_call_details: grpc.HandlerCallDetails,
+    ) -> Handler:
+        """A handler whose calls are seen."""
+        handler = await continuation(handler_call_details)
+        method = handler_call_details.method
+        # An unknown method has no handler, and no place in the metrics: anybody can make names up.
+        return around(handler, lambda context: self._watched(method, context)) if handler else handler
+
+    @asynccontextmanager
+    async def _watched(self, method: str, context: Context) -> AsyncIterator[None]:
+        name = method.rpartition("/")[2]
+        began = time.monotonic()
+        self._metrics.request_began(name)
+        with self._spans.of_rpc(method, context.invocation_metadata() or ()) as span:
+            # By its end the handler has bound what the log shall say of it.
+            said = contextvars.copy_context()
+
+            def ended(_: Context) -> None:
+                code, seconds = _end_of(context), time.monotonic() - began
+                self._metrics.request_ended(name, code.name, seconds)
+                self._spans.ended(span, code.name)
+                said.run(_log, method, context, code, seconds)
+
+            # Only then is known how it ended: the handler may be through before it hears that nobody listens any more.
+            context.add_done_callback(ended)  # type: ignore[arg-type]
+            try:
+                async with _told(method, context):
+                    yield
+            finally:
+                said = contextvars.copy_context()
+
+
+@asynccontextmanager
+async def _told(method: str, context: Context) -> AsyncIterator[None]:
+    """An exception that nobody expected becomes INTERNAL, without a word of it to the client."""
+    try:
+        yield
+    except grpc.aio.BaseError:  # an abort, and misuse of gRPC that it tells of itself
+        raise
+    except Exception:
+        incident = secrets.token_hex(4)
+        _LOG.exception("unexpected", method=method, incident=incident)
+        await refuse(
+            context, Refusal(grpc.StatusCode.INTERNAL, f"internal error; the server's log has it as {incident}")
+        )
+
+
+def _log(method: str, context: Context, code: grpc.StatusCode, seconds: float) -> None:
+    level = "error" if code in _OURS else "debug" if method.startswith(_QUIET) else "info"
+    try:
+        client = current_caller().name
+    except LookupError:  # it did not come through the gate
+        client = peer_key(context.peer())
+    getattr(_LOG, level)(
+        "rpc", method=method.rpartition("/")[2], code=code.name, ms=round(1000 * seconds, 1), client=client
+    )
+
+
+def _end_of(context: Context) -> grpc.StatusCode:
+    """How an RPC has ended that has."""
+    if not context.done():  # no status was sent: the client had gone
+        return grpc.StatusCode.DEADLINE_EXCEEDED if context.time_remaining() == 0 else grpc.StatusCode.CANCELLED
+    code: Any = context.code()  # a code, its number, or nothing where all is well
+    if code is None or isinstance(code, grpc.StatusCode):
+        return code or grpc.StatusCode.OK
+    return _CODES.get(code, grpc.StatusCode.UNKNOWN)
