@@ -41,7 +41,7 @@ def truth_of(
         seat[:3, 3] = x, y, z
         truth.append(Truth("seat", seat, {"height": z - car["floor_z"]}))
         wheel = np.array(car["steering_wheel"]["mean"])
-        lookalikes += [("valve", wheel[None, :]), ("seat", np.array([[x, wheel[1], z], [x, 0.5 * wheel[1], z]]))]
+        lookalikes.append(("seat", np.array([[x, wheel[1], z], [x, 0.5 * wheel[1], z]])))
         unknown |= {"opening"}
     return tuple(truth), tuple(lookalikes), frozenset(unknown)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +14,9 @@ from perception.detect.circles import Circle, find_circles
 from perception.detect.detection import Detection
 from perception.detect.foreground import Foreground
 from perception.detect.ring_fit import fit_ring
+from perception.detect.seat import find_seats
 from perception.detect.sightlines import SightIndex, Sightlines, index_of
+from perception.detect.steering import could_steer, steers
 from perception.detect.wheel import Ring, pass_ring, rim_hits, wheel_basis
 from perception.detect.wheel_evidence import Evidence, weigh_wheel
 from perception.detect.wheel_inside import look_inside
@@ -28,6 +30,7 @@ _REPORTED = 0.05
 _EXAMINED = 12
 _SURE = 0.8
 _SOLID = 0.8
+_STEERING = 0.2
 _HOPELESS = 0.005
 _MOST_RAYS = 4000
 _MOST_COARSE = 60_000
@@ -109,6 +112,8 @@ def detect_in(
         # Hubs are circles as well: of two as good, the larger one first.
         circles.sort(key=lambda circle: -circle.score * _promise(circle, some) * np.sqrt(circle.radius))
         detections = _examined(circles, index, view.floor, hint is not None)
+    if hint is None:
+        detections = _not_steering(detections, view)
     detections = [d for d in detections if d.confidence >= _REPORTED]
     detections.sort(key=lambda d: -d.confidence)
     return _apart(detections)
@@ -129,6 +134,19 @@ def _examined(
         found.append(_examine(circle, index, floor, is_hinted))
         n_examined += 1
     return found
+
+
+def _not_steering(detections: list[ValveDetection], view: View) -> list[ValveDetection]:
+    """With little confidence in what a vehicle is steered by."""
+    if not any(one.confidence > _STEERING and could_steer(one.ring) for one in detections):
+        return detections
+    seats = find_seats(view)
+    return [
+        replace(one, confidence=_STEERING * one.confidence)
+        if could_steer(one.ring) and steers(one.ring, seats)
+        else one
+        for one in detections
+    ]
 
 
 def as_detection(valve: ValveDetection) -> Detection:
