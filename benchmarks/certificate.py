@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.shipped import shipped_requests
 from benchmarks.tables import Samples, print_table
 from costs.robot import load_robot
 from service.planner import plan
@@ -33,7 +34,7 @@ TARGET_MS, START_TARGET_MS = 12.0, 2.0  # medians, Panda
 def main() -> None:
     """Plan, measure, print."""
     data = Path(os.environ.get("SCOPT_DATA", ROOT.parent / "shared" / "data")) / "mbm_panda"
-    rows = [_row(path.stem, [plan(load_request(path))]) for path in sorted((ROOT / "examples/requests").glob("*.yaml"))]
+    rows = [_row(path.stem, [plan(load_request(path))]) for path in shipped_requests()]
     if (data / "panda_bench").is_dir():
         rows.append(_row("Panda problems", list(_panda(data))))
     title = f"certificate, start and goal check: CPU [ms] (Panda: aims {TARGET_MS:g} and {START_TARGET_MS:g})"

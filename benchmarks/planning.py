@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from benchmarks.shipped import shipped_requests
 from benchmarks.tables import print_table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -93,7 +94,7 @@ def measure_help() -> tuple[float, float]:
 def main() -> None:
     """Print the table of plans, their steps, and the start-up time of the command line."""
     named = [Path(name).resolve() for name in sys.argv[1:]]
-    requests = named or sorted((ROOT / "examples" / "requests").glob("*.yaml"))
+    requests = named or shipped_requests()
     header = ("request", "verdict", "import", "perception", "planning", "certificate", "total", "wall", "memory MB")
     rows, steps = [], []
     for request in requests:

@@ -10,9 +10,14 @@ import pytest
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
-def run(name: str, folder: Path) -> str:
+def run(name: str, folder: Path, *arguments: str) -> str:
     done = subprocess.run(
-        [sys.executable, str(EXAMPLES / name)], cwd=folder, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, str(EXAMPLES / name), *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -47,6 +52,29 @@ def test_a_convex_term_leaves_joints_at_rest_and_holds_the_base(tmp_path):
     assert few_joints < all_joints
     assert held_base < 7.5 < free_base
     assert "is concave" in lines[2]
+
+
+@pytest.fixture
+def planning_server(tmp_path):
+    """Where a server of one worker listens."""
+    program = "from service.cli import main; main()"
+    options = ["serve", "--listen", "127.0.0.1:0", "--workers", "1", "--drain", "0", "--data", str(tmp_path / "kept")]
+    process = subprocess.Popen([sys.executable, "-c", program, *options], stdout=subprocess.PIPE, text=True)
+    try:
+        yield process.stdout.readline().removeprefix("listening on ").strip()
+    finally:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+def test_a_client_watches_its_plan_and_reads_the_trajectory(tmp_path, planning_server):
+    lines = run("05_client.py", tmp_path, planning_server).splitlines()
+    assert any(re.fullmatch(r" *\d+ % reach", line) for line in lines)
+    assert any(re.fullmatch(r" +iteration \d+: merit .+", line) for line in lines)
+    assert lines[-3] == "CERTIFIED"
+    assert re.fullmatch(r"l_arm_elx -?[\d.]+ -> -?[\d.]+ rad in [\d.]+ s", lines[-2])
+    assert (tmp_path / lines[-1].split(" shows")[0]).is_file()
+    assert (EXAMPLES / "05_client.py").read_text().count("\n") < 60
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("[0-9]*.py")), ids=lambda path: path.name)
