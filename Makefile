@@ -1,23 +1,26 @@
-# make demo | test | check | bench | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-ray | check | bench | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 # The stamp is newer than what defines the environment, or the set-up runs again.
 READY := $(VENV)/.ready
+RAY_VENV := .venv-ray
+RAY_READY := $(RAY_VENV)/.ready
 
 # Nothing of the caller's Python leaks in.
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check bench clean
+.PHONY: help setup demo test test-ray check bench clean
 
 help:
-	@echo "make demo    plan and certify a valve turn from the scan that ships with the project"
-	@echo "make test    run the tests"
-	@echo "make check   ruff, mypy, import-linter"
-	@echo "make bench   speed and memory, as a table"
-	@echo "make clean   remove .venv, out and caches"
+	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
+	@echo "make test      run the tests"
+	@echo "make test-ray  run the tests of the executor on a Ray cluster, in an environment of its own"
+	@echo "make check     ruff, mypy, import-linter"
+	@echo "make bench     speed and memory, as a table"
+	@echo "make clean     remove .venv, .venv-ray, out and caches"
 
 setup: $(READY)
 
@@ -32,6 +35,13 @@ demo: $(READY)
 test: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term
 
+test-ray: $(RAY_READY)
+	OMP_NUM_THREADS=1 $(RAY_VENV)/bin/python -m pytest tests/test_executor_ray.py
+
+$(RAY_READY): pyproject.toml constraints.txt tools/setup.sh
+	@tools/setup.sh $(RAY_VENV) dev,ray
+	@touch $@
+
 check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -42,5 +52,5 @@ bench: $(READY)
 	$(BIN)/python benchmarks/run.py
 
 clean:
-	rm -rf $(VENV) out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage *.egg-info
+	rm -rf $(VENV) $(RAY_VENV) out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,8 +1,10 @@
 #!/usr/bin/env bash
-# Brings what pip cannot (system packages), then makes the virtual environment named by the first argument.
+# Brings what pip cannot (system packages), then makes the virtual environment named by the first argument; the second
+# one names the extras to install.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 venv=${1:-.venv}
+extras=${2:-dev}
 unset PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
 
 have_uv() { command -v uv >/dev/null 2>&1; }
@@ -60,11 +62,11 @@ install_environment() {
     if have_uv; then
         echo "setup: $(uv --version), ${python:-a Python of its own}"
         uv venv --quiet --python "${python:-3.12}" "$venv"
-        uv pip install -qq --python "$venv/bin/python" --constraints constraints.txt --editable '.[dev]'
+        uv pip install -qq --python "$venv/bin/python" --constraints constraints.txt --editable ".[$extras]"
     else
         echo "setup: venv and pip of $python (a few minutes; uv, if installed, is faster)"
         "$python" -m venv "$venv"
-        "$venv/bin/python" -m pip install -qq --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+        "$venv/bin/python" -m pip install -qq --disable-pip-version-check --constraint constraints.txt --editable ".[$extras]"
     fi
 }
 

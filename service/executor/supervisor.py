@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import pickle
 import selectors
 import threading
 import time
@@ -14,20 +13,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from service.executor.backlog import Backlog, Ending, Task
-from service.executor.errors import DeadlineExceeded, ExecutorError, JobCancelled, JobFailed, WorkerDied
+from service.executor.desk import Desk
+from service.executor.errors import ExecutorError
 from service.executor.frames import Frame, Kind
 from service.executor.interface import WorkerState
 from service.executor.nest import Nursery, Worker
 from service.executor.worker import WorkerSetup
 
 _LOG = logging.getLogger("service.executor")
-_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 5.0  # between attempts to start what does not start
-_FAILED_STARTS = 3  # in a row, and those who wait are told
-
-_ERRORS: dict[Ending, Callable[[], ExecutorError]] = {
-    Ending.CANCELLED: lambda: JobCancelled("cancelled; it did not stop by itself and was killed"),
-    Ending.DEADLINE: lambda: DeadlineExceeded("the deadline passed; it did not stop by itself and was killed"),
-}
+FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 5.0  # between attempts to start what does not start
+FAILED_STARTS = 3  # in a row, and those who wait are told
 
 
 @dataclass(frozen=True)
@@ -67,6 +62,7 @@ class Supervisor:
         self._settings = settings
         self._setup = WorkerSetup((), settings.warm_up, settings.max_bytes)
         self._backlog = backlog
+        self._desk = Desk(backlog)
         self._nursery: Nursery | None = None
         self._selector = selectors.DefaultSelector()
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -136,7 +132,7 @@ class Supervisor:
             os.close(self._wake)
         self._selector.close()
         for task in self._backlog.all_open():  # none, unless this thread failed
-            self._fail(task, ExecutorError("the pool failed; its log says why"))
+            self._desk.fail(task, ExecutorError("the pool failed; its log says why"))
         with self._ready:
             self._ready.notify_all()
 
@@ -274,7 +270,7 @@ class Supervisor:
             self.restarts += 1
             _LOG.warning("worker %d (pid %s) ended: %s", worker.number, worker.pid, how)
         if worker.task is not None:
-            self._worker_died(worker.task, how, worker.chatter.tail)
+            self._desk.worker_died(worker.task, how, worker.chatter.tail)
 
     def _start_failed(self, reason: str) -> None:
         """Wait longer before the next attempt, each time; tell those who wait when there is little hope."""
@@ -283,11 +279,9 @@ class Supervisor:
         if now < self._not_before:
             return  # another one of the same attempt
         self._failures += 1
-        self._not_before = now + min(_FIRST_WAIT_S * 2 ** (self._failures - 1), _LONGEST_WAIT_S)
-        if self._failures >= _FAILED_STARTS and self._n_up() == 0:
-            for task in self._backlog.all_queued():
-                if self._backlog.withdraw(task) and self._begins(task):
-                    self._fail(task, WorkerDied("none could be started", task.job.attempts, reason[-1000:]))
+        self._not_before = now + min(FIRST_WAIT_S * 2 ** (self._failures - 1), LONGEST_WAIT_S)
+        if self._failures >= FAILED_STARTS and self._n_up() == 0:
+            self._desk.give_up(reason)
 
     def _n_up(self) -> int:
         return sum(worker.is_up for worker in list(self.workers.values()))
@@ -334,7 +328,7 @@ class Supervisor:
             self._end_worker(worker)
         elif worker.task is not None and worker.task.job.number == frame.job:
             if frame.kind is Kind.EVENT:
-                _hand_on(worker.task, frame.payload)
+                self._desk.hand_on(worker.task, frame.payload)
             else:
                 self._answered(worker, worker.task, frame)
 
@@ -344,16 +338,10 @@ class Supervisor:
         limit = self._settings.recycle_after
         if limit is not None and worker.jobs_done >= limit:
             worker.is_tired = not any(other.is_tired for other in self.workers.values())  # one at a time
-        try:
-            content = pickle.loads(frame.payload)
-        except Exception as error:
-            self._fail(task, JobFailed(f"its answer cannot be read here: {type(error).__name__}: {error}"))
-            return
         if frame.kind is Kind.RETURNED:
-            task.job.set_result(content)
-            self._backlog.answered(task)
+            self._desk.returned(task, frame.payload)
         else:
-            self._fail(task, _raised(*content))
+            self._desk.raised(task, frame.payload)
 
     # Jobs.
 
@@ -361,26 +349,13 @@ class Supervisor:
         idle = [worker for worker in self.workers.values() if worker.state is WorkerState.IDLE and not worker.is_closed]
         idle.sort(key=lambda worker: worker.is_tired)
         for worker in idle:
-            task = self._next_task()
+            task = self._desk.next_task()
             if task is None:
                 return
             job = task.job
             job.started, job.pid, job.attempts = time.monotonic(), worker.pid, job.attempts + 1
             worker.run(task)
             self._flush(worker)
-
-    def _next_task(self) -> Task | None:
-        while (task := self._backlog.take()) is not None:
-            if self._begins(task):
-                return task
-        return None
-
-    def _begins(self, task: Task) -> bool:
-        """Whether a task that waited is still wanted; it cannot be cancelled on the quiet from now on."""
-        if task.job.attempts or task.job.set_running_or_notify_cancel():
-            return True
-        self._backlog.answered(task)
-        return False
 
     def _flush(self, worker: Worker) -> None:
         events = selectors.EVENT_READ if worker.flush() else selectors.EVENT_READ | selectors.EVENT_WRITE
@@ -390,9 +365,7 @@ class Supervisor:
 
     def _stop_task(self, task: Task, ending: Ending) -> None:
         """Ask a job to stop, or let it never begin."""
-        if self._backlog.withdraw(task):
-            if self._begins(task):
-                self._fail(task, _unbegun(task, ending))
+        if self._desk.drop(task, ending):
             return
         worker = next((worker for worker in self.workers.values() if worker.task is task), None)
         if worker is not None and task.ending is None:
@@ -408,54 +381,8 @@ class Supervisor:
         worker.task = None
         self.restarts += 1
         self._end_worker(worker)
-        self._fail(task, _ERRORS[task.ending]())
-
-    def _worker_died(self, task: Task, how: str, said: str) -> None:
-        if task.ending is not None:
-            self._fail(task, _ERRORS[task.ending]())
-        elif task.job.attempts >= task.max_attempts:
-            self._fail(task, WorkerDied(how, task.job.attempts, said))
-        else:
-            self._backlog.put_back(task)
-
-    def _fail(self, task: Task, error: BaseException) -> None:
-        if not task.job.done():
-            task.job.set_exception(error)
-        self._backlog.answered(task)
+        self._desk.killed(task)
 
     def _unregister(self, source: Any) -> None:
         if source in self._selector.get_map():
             self._selector.unregister(source)
-
-
-def _hand_on(task: Task, payload: bytes) -> None:
-    """Give the caller an event; what is wrong with that is logged, since the job goes on."""
-    if task.on_event is None:
-        return
-    try:
-        task.on_event(pickle.loads(payload))
-    except Exception:
-        _LOG.exception("an event of job %d could not be handed on", task.job.number)
-
-
-def _raised(error: Exception | None, said: str, trace: str) -> Exception:
-    raised = JobFailed(said) if error is None else error
-    raised.__cause__ = RemoteTraceback(trace)
-    return raised
-
-
-def _unbegun(task: Task, ending: Ending) -> ExecutorError:
-    if ending is Ending.CANCELLED:
-        return JobCancelled("cancelled while it waited for another worker")
-    return DeadlineExceeded(f"the deadline passed while it waited, begun {task.job.attempts} times")
-
-
-class RemoteTraceback(Exception):  # noqa: N818
-    """The traceback of an exception that was raised in a worker."""
-
-    def __init__(self, trace: str) -> None:
-        super().__init__(trace)
-        self.trace = trace
-
-    def __str__(self) -> str:
-        return f"\n{self.trace}"

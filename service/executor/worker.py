@@ -15,7 +15,7 @@ import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from service.executor.errors import JobFailed
 from service.executor.frames import Channel, Kind
@@ -49,10 +49,16 @@ def open_cell(fd: int) -> ctypes.c_uint64:
     return ctypes.c_uint64.from_buffer(mmap.mmap(fd, ctypes.sizeof(ctypes.c_uint64)))
 
 
+class Cell(Protocol):
+    """Holds the number of the job to stop."""
+
+    value: int
+
+
 class JobControl:
     """``Control`` of one job."""
 
-    def __init__(self, job: int, cell: ctypes.c_uint64, send: Callable[[Kind, int, bytes], None]) -> None:
+    def __init__(self, job: int, cell: Cell | ctypes.c_uint64, send: Callable[[Kind, int, bytes], None]) -> None:
         self._job = job
         self._cell = cell
         self._send = send
@@ -83,7 +89,8 @@ class Worker:
         if setup is None or not self._become_ready(setup.payload):
             return
         while (frame := self._channel.receive()) is not None:
-            self._send(*self._answer(frame.job, frame.payload))
+            kind, answer = run_call(frame.payload, JobControl(frame.job, self._cell, self._send))
+            self._send(kind, frame.job, answer)
 
     def _become_ready(self, payload: bytes) -> bool:
         try:
@@ -99,21 +106,23 @@ class Worker:
         self._send(Kind.READY, 0, b"")
         return True
 
-    def _answer(self, job: int, payload: bytes) -> tuple[Kind, int, bytes]:
-        try:
-            fn, args, kwargs = pickle.loads(payload)
-            del payload
-            if _takes_control(fn):
-                kwargs["control"] = JobControl(job, self._cell, self._send)
-            return Kind.RETURNED, job, _pickled(fn(*args, **kwargs))
-        except BaseException as error:
-            return Kind.RAISED, job, carried(error)
-        finally:
-            _flush()
-
     def _send(self, kind: Kind, job: int, payload: bytes) -> None:
         with self._sending:
             self._channel.send(kind, job, payload)
+
+
+def run_call(payload: bytes | bytearray, control: JobControl) -> tuple[Kind, bytes]:
+    """Run a pickled call; ``RETURNED`` and its pickled result, or ``RAISED`` and its exception as ``carried``."""
+    try:
+        fn, args, kwargs = pickle.loads(payload)
+        del payload
+        if _takes_control(fn):
+            kwargs["control"] = control
+        return Kind.RETURNED, _pickled(fn(*args, **kwargs))
+    except BaseException as error:
+        return Kind.RAISED, carried(error)
+    finally:
+        _flush()
 
 
 def carried(error: BaseException) -> bytes:
