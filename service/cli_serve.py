@@ -38,6 +38,9 @@ def serve_command(
     metrics: Annotated[str | None, typer.Option(help="Serve Prometheus metrics there.", metavar="HOST:PORT")] = None,
     executor: Annotated[str, typer.Option(help="What plans: local, or ray://HOST:PORT of a Ray cluster.")] = "local",
     drain: Annotated[float, typer.Option(help="Seconds for running plans after a signal to stop.", min=0.0)] = 30.0,
+    requests_per_s: Annotated[
+        float, typer.Option(help="Calls each client may make in the long run; five times as many at once.", min=0.1)
+    ] = 200.0,
 ) -> None:
     """Answer requests over gRPC until a signal to stop.
 
@@ -53,7 +56,8 @@ def serve_command(
         "drain_s": drain,
     }
     tls = (tls_cert, tls_key, client_ca)
-    raise typer.Exit(run(lambda: _serve(listen, settings, tuple(budget or ()), tls, tokens, metrics, executor)))
+    told = listen, settings, tuple(budget or ()), tls, tokens, metrics, executor, requests_per_s
+    raise typer.Exit(run(lambda: _serve(*told)))
 
 
 def token_command(
@@ -72,10 +76,12 @@ def _serve(
     tokens: Path | None,
     metrics: str | None,
     executor: str,
+    requests_per_s: float,
 ) -> None:
     # Before anything loads BLAS: its threads cost more than they bring, here and in the workers.
     for library in ("OMP", "OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # its C core writes lines of its own; what matters is logged here
     import asyncio
 
     from service.server.launch import Launch, launch
@@ -90,6 +96,7 @@ def _serve(
                 tokens=tokens,
                 metrics=metrics,
                 executor=executor,
+                requests_per_s=requests_per_s,
             ),
             lambda address: typer.echo(f"listening on {address}"),
         )

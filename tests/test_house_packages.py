@@ -90,6 +90,7 @@ IMPORTED_AS = {
     "grpcio-status": "grpc_status",
     "grpcio-tools": "grpc_tools",
     "open3d-cpu": "open3d",
+    "opentelemetry-sdk": "opentelemetry",
     "pillow": "PIL",
     "pin": "pinocchio",
     "prometheus-client": "prometheus_client",

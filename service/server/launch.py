@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +12,15 @@ import platformdirs
 
 from service.errors import RequestError, would_do
 from service.executor import CancellableExecutor
+from service.seen import SentSpans, set_up_logs
 from service.server.serve import PRELOAD, Port, serve
 from service.server.settings import BUDGETS_S, KINDS, ServerSettings
-from service.trust import TlsFiles, Tokens
+from service.trust import ClientLimits, Limits, TlsFiles, Tokens
 from service.work.plan import warm_up
 
 LOCAL = "local"
+BURST_S = 5.0  # of a client's rate that may come at once
+SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_ENDPOINT"  # of OpenTelemetry: where spans go, if anywhere
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class Launch:
         tokens: file of who may do what.
         metrics: where metrics are served.
         executor: ``local`` or ``ray://HOST:PORT``.
+        requests_per_s: that each client may send in the long run, five times as many at once; None for the usual.
     """
 
     listen: str
@@ -40,6 +45,7 @@ class Launch:
     tokens: Path | None = None
     metrics: str | None = None
     executor: str = LOCAL
+    requests_per_s: float | None = None
 
 
 async def launch(told: Launch, on_ready: Callable[[str], None]) -> None:
@@ -51,7 +57,9 @@ async def launch(told: Launch, on_ready: Callable[[str], None]) -> None:
     data = told.settings.get("data") or Path(platformdirs.user_data_dir("scopt")) / "service"
     settings = ServerSettings(**{**told.settings, "data": data, "budgets_s": _budgets(told.budgets)})
     tokens = None if told.tokens is None else Tokens(told.tokens)
-    port = Port(told.listen, _tls(told.tls), tokens)
+    set_up_logs()
+    spans = SentSpans() if os.environ.get(SPANS_VARIABLE) else None
+    port = Port(told.listen, _tls(told.tls), tokens, _limiter(told.requests_per_s), told.metrics, spans)
     await serve(settings, port, _executor(told.executor, settings), on_ready)
 
 
@@ -68,6 +76,12 @@ def _budgets(given: tuple[str, ...]) -> dict[str, float]:
         if not 0.0 < budgets[kind] <= 3600.0:
             raise RequestError(f"--budget {text}: more than 0 and at most 3600 seconds would do")
     return budgets
+
+
+def _limiter(requests_per_s: float | None) -> Limits | None:
+    if requests_per_s is None:
+        return None
+    return Limits(ClientLimits(requests_per_s=requests_per_s, requests_burst=BURST_S * requests_per_s))
 
 
 def _tls(files: tuple[Path | None, Path | None, Path | None]) -> TlsFiles | None:

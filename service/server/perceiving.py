@@ -24,7 +24,7 @@ from service.proto.planner.v1.planner_pb2 import (
 )
 from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
-from service.server.refusal import Refusal, invalid
+from service.server.refusal import Refusal, invalid, overloaded
 from service.server.registration import Context
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop, outcome
@@ -51,6 +51,7 @@ class Perceiving:
         workshop: where clouds are looked at.
         store: where scenes are kept; clouds: where clouds are.
         limiter: of how much a client may upload.
+        on_upload: told the bytes of every cloud that came.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class Perceiving:
         store: Store,
         clouds: CloudStore,
         limiter: ClientLimiter,
+        on_upload: Callable[[int], None],
     ) -> None:
         self._settings = settings
         self._folders = folders
@@ -68,6 +70,7 @@ class Perceiving:
         self._store = store
         self._clouds = clouds
         self._limiter = limiter
+        self._on_upload = on_upload
 
     async def upload(self, requests: AsyncIterator[UploadCloudRequest], context: Context) -> UploadCloudResponse:
         """Take a cloud in; one that is known need not be sent.
@@ -93,10 +96,11 @@ class Perceiving:
                     raise invalid(["chunk: every message after the first needs one"])
                 refusal = self._limiter.upload(client.key, len(request.chunk))
                 if refusal is not None:
-                    raise Refusal(refusal.code, refusal.text)
+                    raise overloaded(refusal.text, refusal.retry_after_s or 0.0)
                 await asyncio.to_thread(upload.write, request.chunk)
             size = upload.n_bytes
             kept = await asyncio.to_thread(_kept, upload.finish, claimed)
+        self._on_upload(size)
         return UploadCloudResponse(cloud_id=kept, size_bytes=size)
 
     async def build_scene(self, message: BuildSceneRequest, context: Context) -> AsyncIterator[BuildSceneResponse]:

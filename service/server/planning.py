@@ -8,12 +8,14 @@ import time
 from collections.abc import AsyncIterator, Callable, Mapping
 
 import grpc
+import structlog
 
 from service.proto.planner.v1.planner_pb2 import PlanAccepted, PlanFinished, PlanRequest, PlanResponse
 from service.proto.planner.v1.result_pb2 import MotionResult
 from service.request import PlanRequest as Request
 from service.request_file import request_hash
 from service.result import Verdict
+from service.seen import bind
 from service.server.archive import chunks
 from service.server.asked import WITHIN, Door, kind_of
 from service.server.incidents import refusal_for
@@ -25,6 +27,7 @@ from service.store import Outcome, PlanRecord, Store
 from service.trust import current_caller
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
+_LOG = structlog.get_logger("scopt.server")
 REQUEST_ID = re.compile(r"[A-Za-z0-9._:@/+=-]{0,100}")
 SMALL_BYTES = 64 * 2**10  # larger requests are read off the event loop
 
@@ -105,6 +108,7 @@ class Planning:
                 break
             await known.ended()
         record = begun.plan
+        bind(plan_id=record.plan_id, request_id=message.request_id)
         if begun.outcome is Outcome.CONFLICT:
             raise Refusal(
                 grpc.StatusCode.ALREADY_EXISTS,
@@ -152,7 +156,8 @@ class Planning:
             if answer.verdict == Verdict.CANCELLED.value:
                 raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was a plan")
             await self._keep(plan.plan_id, answer)
-            self._on_verdict(kind, answer.verdict, answer.timings)
+            self._on_verdict(kind, answer.verdict, {**answer.timings, "queue": piece.waited_s})
+            _LOG.info("planned", kind=kind, verdict=answer.verdict, seconds=round(answer.timings["total"], 3))
             plan.finish(PlanFinished(plan_id=plan.plan_id, result=MotionResult.FromString(answer.reply)))
         except Exception as error:
             refusal = refusal_for(error)

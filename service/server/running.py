@@ -96,6 +96,8 @@ class RunningPlan:
             await self._changed.wait()
 
     def _tell_place(self) -> None:
+        if not self._workshop.admission.queued:
+            return
         place = None if self._piece is None else self._workshop.place(self._piece)
         if place is not None:
             wait = self._workshop.admission.expected_wait_s()

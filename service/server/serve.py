@@ -18,6 +18,7 @@ from grpc_reflection.v1alpha import reflection
 
 from service.errors import ServiceError
 from service.executor import CancellableExecutor
+from service.seen import Metrics, MetricsServer, Spans, Watcher
 from service.server.admission import Admission
 from service.server.asked import Door
 from service.server.keeping import Keeping
@@ -46,13 +47,17 @@ class Port:
         address: ``HOST:PORT``, ``[IPV6]:PORT`` or ``unix:PATH``; port 0 for any that is free.
         tls: its certificate; None without TLS.
         tokens: who may come in; None: everybody who can reach a server that only this machine can reach.
-        limits: of each client.
+        limiter: of what each client may ask.
+        metrics: where this machine may read them; None: nowhere.
+        spans: what is told of every call.
     """
 
     address: str
     tls: TlsFiles | None = None
     tokens: Tokens | None = None
     limiter: ClientLimiter | None = None
+    metrics: str | None = None
+    spans: Spans | None = None
 
 
 @dataclass(frozen=True)
@@ -118,17 +123,24 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         clouds = stack.enter_context(CloudStore(settings.data / CLOUDS_FOLDER, settings.cloud_limits))
         folders = allowed_folders(settings.allowed, clouds.has)
         limiter = port.limiter or ClientLimiter()
+        metrics = Metrics()
+        metrics.watch(pool=executor.stats, store=store, clouds=clouds)
+        if port.metrics is not None:
+            stack.enter_context(MetricsServer(port.metrics, metrics.registry))
         verdicts: Counter[str] = Counter()
 
         def count(kind: str, verdict: str, timings: Mapping[str, float]) -> None:
             verdicts[verdict] += 1
+            metrics.plan_finished(kind, verdict, timings)
 
         workshop = Workshop(executor, Admission(settings.workers, settings.queue_limit))
         robots = RobotFolder(settings.robots)
         planning = Planning(Door(settings, folders, clouds, robots), workshop, store, count)
-        perceiving = Perceiving(settings, folders, workshop, store, clouds, limiter)
+        perceiving = Perceiving(settings, folders, workshop, store, clouds, limiter, metrics.uploaded)
         keeping = Keeping(settings, workshop, store, robots, verdicts)
-        server = grpc.aio.server(interceptors=[Gate(port.tokens, limiter)], options=_options(settings))
+        server = grpc.aio.server(
+            interceptors=[Watcher(metrics, port.spans), Gate(port.tokens, limiter)], options=_options(settings)
+        )
         server.add_generic_rpc_handlers((method_handlers(Servicer(planning, perceiving, keeping)),))
         state = health_aio.HealthServicer()
         health_pb2_grpc.add_HealthServicer_to_server(state, server)

@@ -33,6 +33,11 @@ class Piece(Generic[T]):
     job: Job[T]
     ended: asyncio.Future[T]
 
+    @property
+    def waited_s(self) -> float:
+        """From its submission until a worker had time for it; 0 while none has."""
+        return 0.0 if self.job.started is None else self.job.started - self.job.submitted
+
     def cancel(self) -> None:
         """Stop it, whether it waits or runs."""
         self.job.cancel()

@@ -62,8 +62,8 @@ class ClientLimits:
         max_open_calls: being answered at the same time.
     """
 
-    requests_per_s: float = 50.0
-    requests_burst: float = 200.0
+    requests_per_s: float = 200.0
+    requests_burst: float = 1000.0
     upload_bytes_per_s: float = 16 * 2**20
     upload_bytes_burst: float = 256 * 2**20
     max_open_calls: int = 64

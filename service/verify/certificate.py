@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Any
 
 import numpy as np
+import orjson
 from jaxtyping import Float
 
 from costs.robot.model import RobotModel
@@ -141,11 +141,12 @@ class Certificate:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; NaN and infinity become None."""
-        return {"format": FORMAT, **_plain(self)}
+        return dict(json.loads(self.to_json()))
 
     def to_json(self) -> str:
-        """Compact JSON."""
-        return json.dumps(self.to_dict(), allow_nan=False, separators=(",", ":"))
+        """Compact JSON; NaN and infinity become null."""
+        data = {"format": FORMAT, **{item.name: getattr(self, item.name) for item in fields(self)}}
+        return orjson.dumps(data, option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
     @staticmethod
     def from_json(text: str) -> Certificate:
@@ -224,21 +225,6 @@ def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
         digest.update(name.encode() + b"\0" + len(vertices).to_bytes(8, "little"))
         digest.update(np.rint(vertices * 1e6).astype("<i8").tobytes())
     return "sha256:" + digest.hexdigest()
-
-
-def _plain(value: Any) -> Any:
-    kind = type(value)
-    if kind is float:
-        return value if math.isfinite(value) else None
-    if value is None or kind is int or kind is str or kind is bool:
-        return value
-    if kind is list or kind is tuple:
-        return [_plain(item) for item in value]
-    if is_dataclass(value):
-        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
-    if isinstance(value, Enum):
-        return value.value
-    return _plain(value.item())
 
 
 def _number(value: float | None) -> float:

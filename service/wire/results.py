@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
@@ -80,17 +80,14 @@ def _trajectory(result: PlanResult, motion: Motion) -> Trajectory:
     s, times = samples_of(motion), sample_times(motion)
     names = file_columns(result.robot)
     positions = file_positions(result.robot, motion.curve(s)[:, : result.robot.n])
+    ends = np.interp([(phase.first, phase.last) for phase in motion.phases], s, times) if motion.phases else ()
     return Trajectory(
         joint_names=names,
-        times=times,
-        positions=positions.ravel(),
+        times=times.tolist(),
+        positions=positions.ravel().tolist(),
         phases=[
-            PhaseTimes(
-                name=phase.name,
-                start_s=float(np.interp(phase.first, s, times)),
-                end_s=float(np.interp(phase.last, s, times)),
-            )
-            for phase in motion.phases
+            PhaseTimes(name=phase.name, start_s=start, end_s=end)
+            for phase, (start, end) in zip(motion.phases, ends, strict=True)
         ],
         is_timed=motion.law is not None,
         sha256=trajectory_sha256(names, times, positions),
@@ -98,14 +95,28 @@ def _trajectory(result: PlanResult, motion: Motion) -> Trajectory:
 
 
 def _certificate(certificate: Certificate) -> CertificateMessage:
-    data = certificate.to_dict()
-    text = json.dumps(data, allow_nan=False).encode()
+    text = certificate.to_json().encode()
     return CertificateMessage(
         status=certificate.status.value,
-        checks=checks_to_messages(data["checks"]),
-        min_clearance_m=data["min_clearance_m"],
-        min_clearance_pair=data["min_clearance_pair"] or (),
-        min_balance_margin_m=data["min_balance_margin_m"],
+        checks=[
+            Check(
+                name=check.name,
+                ok=bool(check.ok),
+                value=float(check.value),
+                limit=float(check.limit),
+                unit=check.unit,
+                text=check.text,
+                basis=check.basis.value,
+            )
+            for check in certificate.checks
+        ],
+        min_clearance_m=_or_none(certificate.min_clearance_m),
+        min_clearance_pair=certificate.min_clearance_pair or (),
+        min_balance_margin_m=_or_none(certificate.min_balance_margin_m),
         json=text,
         sha256=certificate_sha256(text),
     )
+
+
+def _or_none(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
