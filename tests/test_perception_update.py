@@ -94,6 +94,40 @@ def test_a_box_that_was_taken_away_is_gone(before: Perceived) -> None:
     assert not any(meets(piece, (0.25, 1.25, 0.1), (0.65, 1.65, 0.8)) for piece in after.scene.pieces)
 
 
+def boxes_only(seed: int, *corners: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Cloud:
+    """Boxes on a floor, nothing behind them."""
+    return scan(Room(wall_x=None, boxes=corners).meshes(), SENSOR, SCANNER, seed=seed, misses=True)
+
+
+def standing(perceived: Perceived) -> list[ConvexPiece]:
+    """All pieces but the floor's."""
+    return [piece.shape for piece in perceived.pieces]
+
+
+RIGHT = ((0.8, -1.3, 0.0), (1.2, -0.9, 0.6))
+LEFT = ((0.8, 1.2, 0.0), (1.2, 1.6, 0.8))
+
+
+def test_the_outermost_thing_is_gone_once_rays_pass_where_it_was() -> None:
+    seen = perceive(boxes_only(1, RIGHT, LEFT), valve=False)
+    after = update(seen, boxes_only(2, RIGHT))
+    assert any(meets(piece, *LEFT) for piece in standing(seen))
+    assert not any(meets(piece, *LEFT) for piece in standing(after))
+    kept = {id(piece) for piece in standing(after)}
+    assert all(id(piece) in kept for piece in standing(seen) if meets(piece, *RIGHT))
+
+
+def test_a_scan_without_obstacles_leaves_what_it_cannot_see() -> None:
+    seen = perceive(boxes_only(1, RIGHT, LEFT), valve=False)
+    empty = boxes_only(2)
+    right = empty.selected(empty.points[:, 1] < 0.0)
+    half = replace(right, misses=right.misses[right.misses[:, 1] < 0.0])
+    after = update(seen, half)
+    assert not any(meets(piece, *RIGHT) for piece in standing(after))
+    assert any(meets(piece, *LEFT) for piece in standing(after))
+    assert not update(seen, empty).pieces
+
+
 def test_new_pieces_take_names_that_were_never_taken(before: Perceived) -> None:
     after = update(before, scanned(4, moved=0.35))
     old = {id(piece) for piece in before.scene.pieces}

@@ -19,34 +19,50 @@ class Coarse:
         counts: (M,) how many points each stands for.
         starts: (M, 3) where the nearest sensor stood that saw one of them [m].
         voxel: (N,) number of the mean that each point went into.
+        column: (M,) which voxel along x each is in, ascending.
+        size: edge of a voxel [m].
     """
 
     points: Float[np.ndarray, "M 3"]
     counts: Int[np.ndarray, "M"]
     starts: Float[np.ndarray, "M 3"]
     voxel: Int[np.ndarray, "N"]
+    column: Int[np.ndarray, "M"]
+    size: float
+
+    def within(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
+        """Indices of the points in an axis-aligned box."""
+        first = int(np.searchsorted(self.column, np.floor((lower[0] - _QUANTUM) / self.size)))
+        last = int(np.searchsorted(self.column, np.floor((upper[0] + _QUANTUM) / self.size), side="right"))
+        inside = np.ones(last - first, dtype=bool)
+        for column, low, high in zip(self.points[first:last].T, lower, upper, strict=True):
+            inside &= (column >= low) & (column <= high)
+        return np.asarray(first + np.flatnonzero(inside))
 
 
 def coarsened(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], size: float) -> Coarse:
     """One point for each voxel of edge ``size`` [m]; the order of the points does not matter.
 
     Args:
-        points: (N, 3) [m], at least one.
+        points: (N, 3) [m].
         starts: (3,) or (N, 3), where their rays started [m].
         size: edge of a voxel; voxels are aligned with the world's origin [m].
     """
     keys = np.zeros(len(points), dtype=np.int64)
-    for column in points.T:
-        cells = np.floor(column / size).astype(np.int64)
-        cells -= cells.min()
-        keys *= cells.max() + 1
-        keys += cells
+    if not len(points):
+        return Coarse(points, keys, points, keys, keys, size)
+    cells = [np.floor(column / size).astype(np.int64) for column in points.T]
+    lowest = [int(column.min()) for column in cells]
+    spans = [int(column.max()) - low + 1 for column, low in zip(cells, lowest, strict=True)]
+    for column, low, span in zip(cells, lowest, spans, strict=True):
+        keys = keys * span + (column - low)
     distinct, voxel = np.unique(keys, return_inverse=True)
+    along_x = distinct // (spans[1] * spans[2]) + lowest[0]
     counts = np.bincount(voxel, minlength=len(distinct))
     # Sums of whole numbers do not depend on their order; sums of fractions would, in the last digit.
     sums = [np.bincount(voxel, weights=np.rint(column / _QUANTUM), minlength=len(distinct)) for column in points.T]
     means = np.stack(sums, axis=1) * _QUANTUM / counts[:, None]
-    return Coarse(means, counts, _nearest_starts(points, starts, voxel, len(distinct)), voxel)
+    return Coarse(means, counts, _nearest_starts(points, starts, voxel, len(distinct)), voxel, along_x, size)
 
 
 def _nearest_starts(

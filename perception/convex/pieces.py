@@ -66,6 +66,7 @@ def make_pieces(
     if not len(points):
         return Pieces((), {})
     clock = _Clock()
+    rays = _from_one_place(rays)
     coarse = coarsened(points, starts, VOXEL)
     free = _seen_free(coarse, rays)
     clock.lap("free space")
@@ -91,13 +92,14 @@ def updated_pieces(
         before: pieces of the scan before.
         points, starts, rays, seed: see ``make_pieces``.
     """
-    if not len(points):
+    if not len(points) and not len(before):
         return Pieces((), {})
     clock = _Clock()
+    rays = _from_one_place(rays)
     coarse = coarsened(points, starts, VOXEL)
-    free = _seen_free(coarse, rays)
+    free = _seen_free(coarse, rays, before)
     clock.lap("free space")
-    standing = still_standing(before, free)
+    standing = still_standing(before, free, coarse)
     clock.lap("contradicted")
     left = unexplained(standing, coarse)
     clock.lap("unexplained")
@@ -154,10 +156,23 @@ class _Clock:
         self._since = now
 
 
-def _seen_free(coarse: Coarse, rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]) -> FreeSpace:
-    """What the rays saw to be free around the points, in cells that are aligned with the world's origin."""
-    lower = _CELL * np.floor((coarse.points.min(axis=0) - _AROUND) / _CELL)
-    return carve(*rays, coarse.points, lower, coarse.points.max(axis=0) + _AROUND, _CELL)
+def _from_one_place(
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]:
+    """The rays with their start told once, (3,), where it is the same for all."""
+    starts, ends = rays
+    return (starts[0] if starts.ndim == 2 and len(starts) and (starts == starts[0]).all() else starts), ends
+
+
+def _seen_free(
+    coarse: Coarse,
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    before: Sequence[Piece] = (),
+) -> FreeSpace:
+    """What the rays saw to be free around points and pieces, in cells that are aligned with the world's origin."""
+    held = np.concatenate([coarse.points, *(piece.shape.vertices for piece in before)])
+    lower = _CELL * np.floor((held.min(axis=0) - _AROUND) / _CELL)
+    return carve(*rays, coarse.points, lower, held.max(axis=0) + _AROUND, _CELL)
 
 
 def _clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], free: FreeSpace) -> list[Hull]:
@@ -219,27 +234,15 @@ def _assembled(
         serial[body.kind] += 1
         pieces.append((Piece(shape, coarse.voxel[:0], evidence_of(hull, free), body.plane), hull.simplified))
     taken = np.zeros(len(points), dtype=bool)
-    columns = np.floor(coarse.points[:, 0] / VOXEL)
     groups = _Groups.of(coarse.voxel, len(coarse.points))
     assembled = []
     for piece, hull in pieces:
-        mine = groups.members(_near(coarse.points, columns, hull, _WITHIN + VOXEL))
+        mine = groups.members(coarse.within(hull.lower - (_WITHIN + VOXEL), hull.upper + (_WITHIN + VOXEL)))
         mine = mine[~taken[mine]]
         mine = np.sort(mine[hull.is_within(points[mine], _WITHIN)])
         taken[mine] = True
         assembled.append(replace(piece, points=mine))
     return tuple(assembled)
-
-
-def _near(
-    points: Float[np.ndarray, "M 3"], columns: Float[np.ndarray, "M"], hull: Hull, margin: float
-) -> Int[np.ndarray, "K"]:
-    """Points within ``margin`` of the hull's bounding box; they are in order of their columns of voxels along x."""
-    lower, upper = hull.lower - margin, hull.upper + margin
-    first = int(np.searchsorted(columns, np.floor(lower[0] / VOXEL)))
-    last = int(np.searchsorted(columns, np.floor(upper[0] / VOXEL), side="right"))
-    y, z = points[first:last, 1], points[first:last, 2]
-    return first + np.flatnonzero((y >= lower[1]) & (y <= upper[1]) & (z >= lower[2]) & (z <= upper[2]))
 
 
 @dataclass(frozen=True)

@@ -170,12 +170,13 @@ def _settled(
     A single normal is off by many degrees where points are few, and its plane is a strip of the true one.
     """
     count = 0
+    places, directions = points[among], normals[among]
     for _ in range(settings.n_refits):
         if len(region) < 10:
             break
         normal, offset = _fit(points[region], starts[region])
-        near = np.abs(points[among] @ normal - offset) < settings.distance
-        region = among[near & (normals[among] @ normal > settings.normal_dot)]
+        near = np.abs(places @ normal - offset) < settings.distance
+        region = among[near & (directions @ normal > settings.normal_dot)]
         if len(region) <= 1.01 * count:
             break
         count = len(region)

@@ -95,12 +95,14 @@ def _crossings(
     plane: Plane, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"]
 ) -> Float[np.ndarray, "K 2"]:
     """Where rays went through the plane, either way: a scan from behind sees an opening as well."""
-    before = np.broadcast_to(starts @ plane.normal - plane.offset, len(ends))
-    after = ends @ plane.normal - plane.offset
+    before, after = starts @ plane.normal - plane.offset, ends @ plane.normal - plane.offset
     through = np.flatnonzero((np.minimum(before, after) < -_BEHIND) & (np.maximum(before, after) > _BEHIND))
-    t = before[through] / (before[through] - after[through])
-    first = np.broadcast_to(starts, ends.shape)[through]
-    return np.asarray((first + t[:, None] * (ends[through] - first)) @ plane.basis.T)
+    first, last = starts, ends[through]
+    if starts.ndim == 2:
+        before, first = before[through], starts[through]
+    t = before / (before - after[through])
+    u, v = (first @ axis + t * (last @ axis - first @ axis) for axis in plane.basis)
+    return np.stack([u, v], axis=1)
 
 
 def _free_within(plane: Plane, flat: Float[np.ndarray, "N 2"], free: FreeSpace) -> Float[np.ndarray, "K 2"]:
@@ -121,9 +123,9 @@ def _raster(
     flat: Float[np.ndarray, "N 2"], lower: Float[np.ndarray, "2"], shape: np.ndarray
 ) -> Bool[np.ndarray, "U V"]:
     grid = np.zeros(shape, dtype=bool)
-    cells = np.floor((flat - lower) / _CELL).astype(int)
-    cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
-    grid[tuple(cells.T)] = True
+    u, v = (np.floor((column - low) / _CELL) for column, low in zip(flat.T, lower, strict=True))
+    inside = (u >= 0) & (u < shape[0]) & (v >= 0) & (v < shape[1])
+    grid[u[inside].astype(int), v[inside].astype(int)] = True
     return grid
 
 

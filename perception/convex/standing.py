@@ -22,14 +22,17 @@ _FREE_SHARE = 0.06
 _DEEP = 0.03
 _DEEP_CELLS = 6
 _DEEP_SHARE = 0.003
+_FREE_WITHIN = 0.5
+_AROUND = 0.02
 _LEAST_POINTS = 4
 
 
-def still_standing(pieces: Sequence[Piece], free: FreeSpace) -> list[tuple[Piece, Hull]]:
+def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> list[tuple[Piece, Hull]]:
     """Pieces that the new rays do not pass through, with their hulls.
 
     Rays may graze a piece about as much as they did before, but hardly any may pass deep inside: of a thing that is
-    gone, a sparse scan sees no more than some cells.
+    gone, a sparse scan sees no more than some cells.  What is so small that it holds only some, as what noise had
+    left, is gone when most of them are free and nothing of it is seen.
     """
     standing = []
     for piece in pieces:
@@ -40,23 +43,35 @@ def still_standing(pieces: Sequence[Piece], free: FreeSpace) -> list[tuple[Piece
         if (
             free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, grazed) <= grazed
             and free.count_inside(hull.faces, hull.vertices, _DEEP, deep) <= deep
+            and (free.contains(_within(hull)).mean() <= _FREE_WITHIN or len(_held(hull, coarse)))
         ):
             standing.append((piece, hull))
     return standing
+
+
+def _held(hull: Hull, coarse: Coarse) -> Int[np.ndarray, "K"]:
+    """Points at most 1 cm before each of its faces."""
+    near = coarse.within(hull.lower - _AROUND, hull.upper + _AROUND)
+    return np.asarray(near[hull.is_within(coarse.points[near], _WITHIN)])
+
+
+def _within(hull: Hull) -> Float[np.ndarray, "V 3"]:
+    """Places half-way between the hull's middle and its vertices."""
+    return np.asarray(0.5 * (hull.vertices + hull.vertices.mean(axis=0)))
 
 
 def unexplained(standing: Sequence[tuple[Piece, Hull]], coarse: Coarse) -> Int[np.ndarray, "K"]:
     """Points of clusters that are more than noise about the pieces that stand."""
     distance = np.full(len(coarse.points), np.inf)
     reach = _FUZZ + _FUZZ_OF_RANGE * np.linalg.norm(coarse.points - coarse.starts, axis=1)
-    farthest = float(reach.max())
+    farthest = float(reach.max(initial=0.0))
     for _, hull in standing:
-        near = np.flatnonzero(distance > _WITHIN)
-        near = near[_is_in_box(coarse.points[near], hull, farthest)]
+        near = coarse.within(hull.lower - farthest, hull.upper + farthest)
+        near = near[distance[near] > _WITHIN]
         inside = hull.is_within(coarse.points[near], _WITHIN)
         distance[near[inside]] = 0.0
         near = near[~inside]
-        outside = (coarse.points[near] @ hull.faces[:, :3].T + hull.faces[:, 3]).max(axis=1, initial=-np.inf)
+        outside = (hull.faces[:, :3] @ coarse.points[near].T + hull.faces[:, 3:]).max(axis=0, initial=-np.inf)
         distance[near] = np.minimum(distance[near], outside)
     left = np.flatnonzero(distance > _WITHIN)
     for piece, hull in standing:
@@ -79,18 +94,8 @@ def _noise_about(
 ) -> Bool[np.ndarray, "K"]:
     """Which of the points left are the noise of a slab's plane."""
     settings = PlaneSettings()
-    inside = np.flatnonzero(_is_in_box(coarse.points, hull, settings.distance))
-    members = inside[hull.is_within(coarse.points[inside], _WITHIN)]
+    members = _held(hull, coarse)
     if len(members) < settings.min_points:
         return np.zeros(len(left), dtype=bool)
     slab = Plane(plane[:3], float(plane[3]), members, members[:0])
     return noise_of(slab, coarse.points, coarse.counts, left, settings)
-
-
-def _is_in_box(points: Float[np.ndarray, "N 3"], hull: Hull, margin: float) -> Bool[np.ndarray, "N"]:
-    """Which points lie within ``margin`` of the hull's bounding box."""
-    lower, upper = hull.lower - margin, hull.upper + margin
-    inside = (points[:, 0] >= lower[0]) & (points[:, 0] <= upper[0])
-    for axis in (1, 2):
-        inside &= (points[:, axis] >= lower[axis]) & (points[:, axis] <= upper[axis])
-    return np.asarray(inside)
