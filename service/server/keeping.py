@@ -7,6 +7,7 @@ import os
 import tarfile
 import time
 from collections.abc import AsyncIterator, Mapping
+from functools import cache
 from importlib.metadata import version
 
 import grpc
@@ -149,7 +150,7 @@ class Keeping:
             for worker in pool.workers
         ]
         return wire.GetStatusResponse(
-            version=version("scopt"),
+            version=_version(),
             uptime_s=time.monotonic() - self._started,
             queued=admission.queued,
             queue_limit=admission.queue_limit,
@@ -218,3 +219,8 @@ def _time(seconds: float) -> Timestamp:
     stamp = Timestamp()
     stamp.FromNanoseconds(int(seconds * 1e9))
     return stamp
+
+
+@cache
+def _version() -> str:
+    return version("scopt")

@@ -18,7 +18,7 @@ from service.server.settings import BUDGETS_S, KINDS, ServerSettings
 from service.trust import ClientLimits, Limits, TlsFiles, Tokens
 from service.work.plan import warm_up
 
-LOCAL = "local"
+LOCAL, RAY = "local", "ray://"
 BURST_S = 5.0  # of a client's rate that may come at once
 SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_ENDPOINT"  # of OpenTelemetry: where spans go, if anywhere
 
@@ -98,4 +98,13 @@ def _executor(name: str, settings: ServerSettings) -> CancellableExecutor:
         from service.executor.local_pool import LocalPool
 
         return LocalPool(settings.workers, warm_up=warm_up, preload=PRELOAD, max_bytes=settings.worker_bytes)
+    if name.startswith(RAY):
+        try:
+            from service.executor.ray_pool import RayPool
+        except ImportError:
+            raise RequestError(f"--executor {name}: Ray is not installed; pip install 'scopt[ray]' would do") from None
+        try:
+            return RayPool(name, settings.workers, warm_up=warm_up, preload=PRELOAD)
+        except ConnectionError as error:
+            raise RequestError(f"--executor {name}: {error}") from None
     raise RequestError(f"--executor: {LOCAL} or ray://HOST:PORT would do, got {name!r}")

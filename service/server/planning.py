@@ -140,7 +140,8 @@ class Planning:
         """See a plan to its end; whatever happens, its watchers hear of it and the store knows."""
         try:
             with self._door.placed(request) as placed:
-                task = PlanTask(placed, deadline, message.with_files, message.with_waypoints, request)
+                until = None if deadline is None else time.time() + deadline - time.monotonic()
+                task = PlanTask(placed, until, message.with_files, message.with_waypoints, request)
                 piece = self._workshop.start(
                     kind,
                     run_plan,

@@ -37,14 +37,14 @@ class PlanTask:
 
     Attributes:
         request: what is asked; every path in it can be opened here.
-        deadline: on the clock of ``time.monotonic``, which all processes of a machine share [s]; None without one.
+        until: when the answer must be there [s since 1970, which workers on other machines understand]; None: whenever.
         with_files: whether the result's files are wanted.
         with_waypoints: whether progress tells waypoints.
         original: as the client said it, whose hash is the request's; None where it is the same.
     """
 
     request: PlanRequest
-    deadline: float | None = None
+    until: float | None = None
     with_files: bool = False
     with_waypoints: bool = False
     original: PlanRequest | None = None
@@ -84,7 +84,7 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     teller = _Teller(control, task.with_waypoints)
     try:
         result = plan(
-            _in_time(request, task.deadline),
+            _in_time(request, task.until),
             on_progress=teller.step,
             should_stop=control.should_stop,
             robot=_ROBOTS.get(request),
@@ -159,11 +159,11 @@ class _Teller:
         self._control.report(progress.SerializeToString())
 
 
-def _in_time(request: PlanRequest, deadline: float | None) -> PlanRequest:
-    """The request with no more time than there is until the deadline."""
-    if deadline is None:
+def _in_time(request: PlanRequest, until: float | None) -> PlanRequest:
+    """The request with no more time than there is."""
+    if until is None:
         return request
-    left = deadline - time.monotonic()
+    left = until - time.time()
     left = max(left - min(ANSWER_SHARE * left, MOST_ANSWER_TIME_S), LEAST_TIME_S)
     if left >= request.options.time_limit_s:
         return request
