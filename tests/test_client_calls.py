@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +16,8 @@ import grpc
 import pytest
 from google.protobuf.duration_pb2 import Duration
 from google.rpc.error_details_pb2 import BadRequest, RetryInfo
+from hypothesis import given
+from hypothesis import strategies as st
 from planner_clients import CLIENTS
 from planner_stand_in import (
     FILES,
@@ -33,6 +36,7 @@ from planner_stand_in import (
 from service.client import AsyncPlannerClient, FieldViolation, PlannerClient, PlannerError, Retry
 from service.errors import RequestError, ResultError
 from service.proto.planner.v1 import planner_pb2 as pb
+from service.proto.planner.v1.result_pb2 import FileChunk
 from service.request import PlanRequest
 from service.request_file import parse_request
 from service.wire.requests import request_from_message, request_to_message
@@ -394,6 +398,24 @@ def test_files_have_a_bound(tmp_path: Path) -> None:
     files.take(b)
     with pytest.raises(PlannerError, match="more than 2 files"):
         files.take(c)
+
+
+_STEPS = st.sampled_from(["robot", "..", ".", "", "result.json", "~", "a:b", "x" * 300, "\u00e4" * 200]) | st.text()
+
+
+@given(st.lists(_STEPS, max_size=4).map("/".join))
+def test_no_path_leads_out_of_the_folder(path: str) -> None:
+    from service.client.received import ReceivedFiles
+
+    with tempfile.TemporaryDirectory() as parent:
+        folder = Path(parent) / "fresh"
+        folder.mkdir()
+        with ReceivedFiles(folder) as files:
+            try:
+                files.take(FileChunk(path=path, data=b"x", is_last=True))
+            except PlannerError:
+                assert list(folder.rglob("*")) == []
+        assert list(Path(parent).iterdir()) == [folder]
 
 
 def test_without_files_an_earlier_result_stays(stand_in: PlannerStandIn, target: str, tmp_path: Path) -> None:

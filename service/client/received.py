@@ -19,7 +19,8 @@ from service.result_folder import WRITTEN, check_folder, replaced
 
 MAX_FILES = 5000
 MAX_BYTES = 1 * 2**30  # of all files together
-_STEP = re.compile(r"[^/\\:\x00-\x1f\x7f]{1,200}")
+MAX_NAME_BYTES = 255
+_STEP = re.compile(r"[^/\\:\x00-\x1f\x7f]+")
 
 
 class ReceivedFiles:
@@ -86,7 +87,7 @@ class ReceivedFiles:
 
     def _new(self, path: str) -> BinaryIO:
         steps = path.split("/")
-        if steps[0] not in WRITTEN or not all(_STEP.fullmatch(step) and step not in (".", "..") for step in steps):
+        if steps[0] not in WRITTEN or not all(_is_name(step) for step in steps):
             raise _broken(f"file {shown(path)} has no place in a result folder")
         if len(steps) > 20 or len(self._seen) >= self._max_files:
             raise _broken(f"more than {self._max_files} files, or deeper than 20 folders, at {shown(path)}")
@@ -122,6 +123,11 @@ def received_files(folder: Path | None) -> Iterator[ReceivedFiles | None]:
             files.finish()
     except OSError as error:
         raise ResultError(f"{folder} cannot be written: {error.strerror or error}") from None
+
+
+def _is_name(step: str) -> bool:
+    """Whether a step of a path is the plain name of a file or folder."""
+    return _STEP.fullmatch(step) is not None and step not in (".", "..") and len(step.encode()) <= MAX_NAME_BYTES
 
 
 def _broken(text: str) -> PlannerError:
