@@ -182,7 +182,7 @@ def _tampered(result: dict[str, Any], what: str) -> dict[str, Any]:
         for phase in other["phases"]:
             phase["support"]["polygon"] = [[x + 0.2, y] for x, y in phase["support"]["polygon"]]
     elif what == "limit":
-        column = other["curve"]["joint_names"].index("l_arm_shx")
+        column = other["curve"]["joint_names"].index("neck_ry")  # what moves only the head is soon looked through
         for row in other["curve"]["positions"]:
             row[column] -= 2.0
     return other
