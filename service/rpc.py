@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, aclosing
-from dataclasses import dataclass
 from typing import Any, NoReturn, TypeAlias
 
 import grpc
-from google.protobuf import any_pb2, duration_pb2
+from google.protobuf import duration_pb2
+from google.protobuf.message import Message
 from google.rpc import error_details_pb2, status_pb2
 
 Context: TypeAlias = "grpc.aio.ServicerContext[Any, Any]"
@@ -18,34 +18,51 @@ Handler: TypeAlias = "grpc.RpcMethodHandler[Any, Any]"
 Enter = Callable[[Context], AbstractAsyncContextManager[None]]
 
 DETAILS_KEY = "grpc-status-details-bin"
+MAX_TEXT = 1000  # of a status: it travels in a header
 # A client that opens a call and says nothing does not hold its place for ever.
 REQUEST_WAIT_S = 60.0
 GONE_AFTER_S = 0.005
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """Why an RPC ends before it has begun.
+class Refusal(Exception):  # noqa: N818 - an answer, not an accident
+    """Ends an RPC with a status, a sentence for people, and details for programs.
 
     Attributes:
-        retry_after_s: when to try again, where that may do.
+        code: the status.
+        text: the sentence.
+        retry_after_s: when to try again, where that may do (``google.rpc.RetryInfo``).
+        details: further messages of google.rpc.
     """
 
-    code: grpc.StatusCode
-    text: str
-    retry_after_s: float | None = None
+    def __init__(
+        self,
+        code: grpc.StatusCode,
+        text: str,
+        retry_after_s: float | None = None,
+        details: Sequence[Message] = (),
+    ) -> None:
+        super().__init__(text)
+        self.code, self.text, self.retry_after_s = code, text[:MAX_TEXT], retry_after_s
+        self.details = tuple(details)
+
+    def metadata(self) -> tuple[tuple[str, bytes], ...]:
+        """The details as trailing metadata; none where there are none."""
+        details = list(self.details)
+        if self.retry_after_s is not None:
+            delay = duration_pb2.Duration()
+            delay.FromMilliseconds(max(1, round(1000 * self.retry_after_s)))
+            details.append(error_details_pb2.RetryInfo(retry_delay=delay))
+        if not details:
+            return ()
+        status = status_pb2.Status(code=self.code.value[0], message=self.text)
+        for detail in details:
+            status.details.add().Pack(detail)
+        return ((DETAILS_KEY, status.SerializeToString()),)
 
 
 async def refuse(context: Context, refusal: Refusal) -> NoReturn:
-    """End an RPC; with a time to try again it comes with ``google.rpc.RetryInfo``."""
-    if refusal.retry_after_s is None:
-        await context.abort(refusal.code, refusal.text)
-    delay = duration_pb2.Duration()
-    delay.FromMilliseconds(max(1, round(1000 * refusal.retry_after_s)))
-    detail = any_pb2.Any()
-    detail.Pack(error_details_pb2.RetryInfo(retry_delay=delay))
-    status = status_pb2.Status(code=refusal.code.value[0], message=refusal.text, details=[detail])
-    await context.abort(refusal.code, refusal.text, ((DETAILS_KEY, status.SerializeToString()),))
+    """End an RPC."""
+    await context.abort(refusal.code, refusal.text, refusal.metadata())
 
 
 def around(handler: Handler, enter: Enter) -> Handler:

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.proto.planner.v1 import planner_pb2
+from service.rpc import Refusal
 from service.trust import (
     LOCAL,
     OPEN_TO_ALL,
@@ -17,7 +18,6 @@ from service.trust import (
     ClientLimits,
     Identity,
     Limits,
-    RefusedError,
     Role,
     TlsFiles,
     TokenBuckets,
@@ -67,11 +67,11 @@ def test_a_bearer_token_or_a_verified_certificate_says_who_calls(known: tuple[st
 def test_whoever_is_not_known_is_unauthenticated_and_told_what_would_do(
     known: tuple[str, Tokens], metadata: list[tuple[str, str]], names: list[bytes], words: str
 ) -> None:
-    with pytest.raises(RefusedError) as caught:
+    with pytest.raises(Refusal) as caught:
         authenticate(metadata, names, known[1])
-    assert caught.value.refusal.code is grpc.StatusCode.UNAUTHENTICATED
-    assert words in caught.value.refusal.text
-    assert "scopt_wrong" not in caught.value.refusal.text
+    assert caught.value.code is grpc.StatusCode.UNAUTHENTICATED
+    assert words in caught.value.text
+    assert "scopt_wrong" not in caught.value.text
 
 
 def test_without_tokens_everybody_is_local_and_may_everything() -> None:
@@ -97,15 +97,15 @@ def test_one_role_includes_no_other(method: str, role: Role) -> None:
     if ROLE_NEEDED[method] is role:
         authorize(method, identity)
     else:
-        with pytest.raises(RefusedError, match=rf"needs the role {ROLE_NEEDED[method]}; ann has {role}"):
+        with pytest.raises(Refusal, match=rf"needs the role {ROLE_NEEDED[method]}; ann has {role}"):
             authorize(method, identity)
 
 
 def test_a_method_without_a_role_nobody_may_call() -> None:
     for method in ("/planner.v1.PlannerService/NewOne", "/other.Service/Plan", ""):
-        with pytest.raises(RefusedError, match="nobody may call") as caught:
+        with pytest.raises(Refusal, match="nobody may call") as caught:
             authorize(method, LOCAL)
-        assert caught.value.refusal.code is grpc.StatusCode.PERMISSION_DENIED
+        assert caught.value.code is grpc.StatusCode.PERMISSION_DENIED
 
 
 class _Clock:

@@ -9,7 +9,8 @@ from statistics import fmean
 
 import grpc
 
-from service.server.refusal import Refusal, overloaded
+from service.rpc import Refusal
+from service.server.refusal import overloaded
 
 REMEMBERED = 256  # durations by kind of work
 FIRST_GUESS_S = 1.0  # of a kind that has never run

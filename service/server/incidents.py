@@ -8,7 +8,8 @@ import grpc
 import structlog
 
 from service.errors import RequestError
-from service.server.refusal import Refusal, refusal_of
+from service.rpc import Refusal
+from service.server.refusal import refusal_of
 from service.store import StoreError
 
 _LOG = structlog.get_logger("scopt.server")

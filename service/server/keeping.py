@@ -17,11 +17,11 @@ from service.executor import WorkerState
 from service.executor.linux import rss_bytes
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.result_pb2 import FileChunk
+from service.rpc import Context, Refusal
 from service.server.archive import chunks
 from service.server.perceiving import accepted, deadline_of
 from service.server.planning import stored_result
-from service.server.refusal import Refusal, invalid
-from service.server.registration import Context
+from service.server.refusal import invalid
 from service.server.robots import RobotFolder
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop

@@ -24,8 +24,8 @@ from service.proto.planner.v1.planner_pb2 import (
 )
 from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
-from service.server.refusal import Refusal, invalid, overloaded
-from service.server.registration import Context
+from service.rpc import Context, Refusal
+from service.server.refusal import invalid, overloaded
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop, outcome
 from service.store import CLOUD_SUFFIXES, CloudStore, Store

@@ -15,12 +15,12 @@ from service.proto.planner.v1.result_pb2 import MotionResult
 from service.request import PlanRequest as Request
 from service.request_file import request_hash
 from service.result import Verdict
+from service.rpc import Context, Refusal
 from service.seen import bind
 from service.server.archive import chunks
 from service.server.asked import WITHIN, Door, kind_of
 from service.server.incidents import refusal_for
-from service.server.refusal import Refusal, invalid, refusal_of_problems
-from service.server.registration import Context
+from service.server.refusal import invalid, refusal_of_problems
 from service.server.running import RunningPlan, RunningPlans
 from service.server.workshop import Workshop, outcome
 from service.store import Outcome, PlanRecord, Store

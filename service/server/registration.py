@@ -10,12 +10,12 @@ from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 
 from service.proto.planner.v1 import planner_pb2
+from service.rpc import Context, refuse
 from service.server.incidents import refusal_for
 from service.server.refusal import invalid
 from service.wire.unknown import unknown_fields
 
 SERVICE = planner_pb2.DESCRIPTOR.services_by_name["PlannerService"]
-Context = grpc.aio.ServicerContext[Any, Any]
 
 
 class UnreadableMessage:
@@ -72,12 +72,6 @@ def _readable(request: Message | UnreadableMessage) -> Message:
     return request
 
 
-async def _refused(context: Context, error: Exception) -> None:
-    """End a call as an error says."""
-    refusal = refusal_for(error)
-    await context.abort(refusal.code, refusal.text, refusal.metadata())
-
-
 def _answering(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable[[Any, Context], Any]:
     async def call(request: Any, context: Context) -> Message | None:
         try:
@@ -85,8 +79,7 @@ def _answering(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Calla
         except grpc.aio.AbortError:
             raise
         except Exception as error:
-            await _refused(context, error)
-            return None
+            await refuse(context, refusal_for(error))
 
     return call
 
@@ -102,8 +95,7 @@ def _taking(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable
         except grpc.aio.AbortError:
             raise
         except Exception as error:
-            await _refused(context, error)
-            return None
+            await refuse(context, refusal_for(error))
 
     return call
 
@@ -116,6 +108,6 @@ def _streaming(behaviour: Callable[[Any, Context], AsyncIterator[Message]]) -> C
         except grpc.aio.AbortError:
             raise
         except Exception as error:
-            await _refused(context, error)
+            await refuse(context, refusal_for(error))
 
     return call

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from service.proto.planner.v1.planner_pb2 import PlanFinished, PlanProgress, PlanQueued, PlanResponse
-from service.server.refusal import Refusal
+from service.rpc import Refusal
 from service.server.workshop import Piece, Workshop
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.trust.access import RefusedError, authenticate, authorize
+from service.trust.access import authenticate, authorize
 from service.trust.errors import TrustError
 from service.trust.folders import AllowedFolders, allowed_folders
 from service.trust.gate import Gate
@@ -22,7 +22,6 @@ __all__ = [
     "Gate",
     "Identity",
     "Limits",
-    "RefusedError",
     "Role",
     "TlsFiles",
     "TokenBuckets",

@@ -13,14 +13,6 @@ from service.trust.tokens import Tokens
 _SCHEME = "bearer"
 
 
-class RefusedError(Exception):
-    """A call that may not come in."""
-
-    def __init__(self, refusal: Refusal) -> None:
-        self.refusal = refusal
-        super().__init__(refusal.text)
-
-
 def authenticate(
     metadata: Iterable[tuple[str, str | bytes]], common_names: Iterable[bytes], tokens: Tokens | None
 ) -> Identity:
@@ -32,7 +24,7 @@ def authenticate(
         tokens: who is known; None: nobody has to say who they are.
 
     Raises:
-        RefusedError: UNAUTHENTICATED, with a text that never repeats what was sent as a token.
+        Refusal: UNAUTHENTICATED, with a text that never repeats what was sent as a token.
     """
     if tokens is None:
         return LOCAL
@@ -59,16 +51,16 @@ def authorize(method: str, identity: Identity) -> None:
     """Whether an identity may call a method.
 
     Raises:
-        RefusedError: PERMISSION_DENIED, naming the role that is missing.
+        Refusal: PERMISSION_DENIED, naming the role that is missing.
     """
     if method not in ROLE_NEEDED:
-        raise RefusedError(Refusal(grpc.StatusCode.PERMISSION_DENIED, "nobody may call this method"))
+        raise Refusal(grpc.StatusCode.PERMISSION_DENIED, "nobody may call this method")
     role = ROLE_NEEDED[method]
     if role not in identity.roles:
         has = ", ".join(sorted(identity.roles))
         words = f"{method.rpartition('/')[2]} needs the role {role}; {identity.name} has {has}"
-        raise RefusedError(Refusal(grpc.StatusCode.PERMISSION_DENIED, words))
+        raise Refusal(grpc.StatusCode.PERMISSION_DENIED, words)
 
 
-def _unknown(words: str) -> RefusedError:
-    return RefusedError(Refusal(grpc.StatusCode.UNAUTHENTICATED, words))
+def _unknown(words: str) -> Refusal:
+    return Refusal(grpc.StatusCode.UNAUTHENTICATED, words)

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 import grpc
 
 from service.rpc import Context, Handler, Refusal, around, refuse
-from service.trust.access import RefusedError, authenticate, authorize
+from service.trust.access import authenticate, authorize
 from service.trust.identity import _CALLER, LOCAL, OPEN_TO_ALL, Caller
 from service.trust.limits import Limits, peer_key
 from service.trust.tokens import Tokens
@@ -42,8 +42,8 @@ class Gate(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
     async def _through(self, method: str, context: Context) -> AsyncIterator[None]:
         try:
             caller = self._caller(method, context)
-        except RefusedError as error:
-            await refuse(context, error.refusal)
+        except Refusal as refusal:
+            await refuse(context, refusal)
         _CALLER.set(caller)  # for this call alone: gRPC answers each in a task of its own
         try:
             yield
@@ -51,7 +51,7 @@ class Gate(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
             self._limits.leave(caller.key)
 
     def _caller(self, method: str, context: Context) -> Caller:
-        """Raises: RefusedError: this call may not come in."""
+        """Raises: Refusal: this call may not come in."""
         peer = peer_key(context.peer())
         caller = Caller(None, peer) if method in OPEN_TO_ALL else self._known(context, peer)
         self._unless(self._limits.request(caller.key))
@@ -64,7 +64,7 @@ class Gate(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
         metadata: Iterable[tuple[str, str | bytes]] = context.invocation_metadata() or ()
         try:
             identity = authenticate(metadata, context.auth_context().get("x509_common_name", ()), self._tokens)
-        except RefusedError:
+        except Refusal:
             self._unless(self._limits.request(peer))
             raise
         # Those who need not say who they are share a name, but not its limits.
@@ -72,4 +72,4 @@ class Gate(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
 
     def _unless(self, refusal: Refusal | None) -> None:
         if refusal is not None:
-            raise RefusedError(refusal)
+            raise refusal
