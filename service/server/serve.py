@@ -160,7 +160,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
 
 def _options(settings: ServerSettings) -> list[tuple[str, int]]:
     return [
-        ("grpc.max_receive_message_length", settings.limits.message_bytes),
+        ("grpc.max_receive_message_length", settings.message_bytes),
         ("grpc.max_send_message_length", -1),
         ("grpc.max_concurrent_streams", MOST_STREAMS),
         ("grpc.so_reuseport", 0),  # a second server on the port is an error, not a lottery

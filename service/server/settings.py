@@ -19,21 +19,6 @@ MOST_STREAMS = 256  # calls at a time over one connection
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What requests may be.
-
-    Attributes:
-        message_bytes: of one message; larger ones never reach the service.
-        waypoints: a request may ask for.
-        joints: its robot may have.
-    """
-
-    message_bytes: int = MESSAGE_BYTES
-    waypoints: int = 500
-    joints: int = 128
-
-
-@dataclass(frozen=True)
 class ServerSettings:
     """Everything but the transport's secrets.
 
@@ -45,6 +30,7 @@ class ServerSettings:
         allowed: folders from which requests may name files.
         robots: folder of further robots, a subfolder each.
         drain_s: after a signal to stop, for what is under way.
+        message_bytes: of one message; larger ones never reach the service.
         worker_bytes: of address space each worker may have; None for no limit.
     """
 
@@ -56,7 +42,7 @@ class ServerSettings:
     robots: Path | None = None
     drain_s: float = 30.0
     worker_bytes: int | None = WORKER_BYTES
-    limits: Limits = field(default_factory=Limits)
+    message_bytes: int = MESSAGE_BYTES
     store_limits: StoreLimits = field(default_factory=StoreLimits)
     cloud_limits: CloudLimits = field(default_factory=CloudLimits)
 
