@@ -33,13 +33,15 @@ def request_plan(
         report("read request", 0.0)
         request = load_request(request_file)
         check_folder(folder)
+        end_s = None if deadline_s is None else time.monotonic() + deadline_s
         with connected(where, err) as client:
             if names := list(local_clouds(request)):
                 report(f"upload {', '.join(names)}", 0.0)
-                request = client.with_uploaded_clouds(request)
+                request = client.with_uploaded_clouds(request, deadline_s=deadline_s)
             report("send request", 0.0)
             tell = _Teller(report, 0.0 if err.is_terminal else SELDOM_S)
-            plan = client.plan(request, request_id=request_id, out=folder, on_progress=tell, deadline_s=deadline_s)
+            left_s = None if end_s is None else end_s - time.monotonic()
+            plan = client.plan(request, request_id=request_id, out=folder, on_progress=tell, deadline_s=left_s)
     summary = summary_of(plan.result)
     files = None if plan.folder is None else ResultFiles(plan.folder)
     if as_json:

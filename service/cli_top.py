@@ -69,7 +69,7 @@ def drawn(status: GetStatusResponse, target: str, away: str = "") -> Group:
         head.append("   draining: no new requests", style="bold yellow")
     lines = [
         f"queue       {status.queued} of {status.queue_limit}",
-        f"solve       median {status.solve_p50_s:.2f} s, 99 % within {status.solve_p99_s:.2f} s",
+        f"solve       {_latency(status)}",
         f"memory      {status.resident_bytes / MIB:.0f} MB, {status.worker_restarts} workers restarted",
         f"verdicts    {', '.join(f'{name} {count}' for name, count in _by_count(status)) or 'none yet'}",
     ]
@@ -80,6 +80,12 @@ def drawn(status: GetStatusResponse, target: str, away: str = "") -> Group:
         memory = f"{worker.resident_bytes / MIB:.0f}"
         table.add_row(*map(Text, (str(worker.pid), worker.state, worker.work, str(worker.jobs_done), memory)))
     return Group(head, *(Text(line) for line in lines), Text(), table)
+
+
+def _latency(status: GetStatusResponse) -> str:
+    if not status.verdicts:
+        return "none yet"
+    return f"median {status.solve_p50_s:.2f} s, 99 % within {status.solve_p99_s:.2f} s"
 
 
 def _by_count(status: GetStatusResponse) -> list[tuple[str, int]]:

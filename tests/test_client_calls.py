@@ -260,6 +260,23 @@ def test_an_overloaded_server_is_asked_again_with_the_same_id_after_the_told_del
     assert (plan.folder / "trajectory.csv").read_bytes() == FILES["trajectory.csv"]
 
 
+def test_a_result_of_an_attempt_that_broke_off_does_not_count(
+    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
+) -> None:
+    def cut_off(request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
+        yield accepted(request)
+        yield finished()
+        context.abort(Code.UNAVAILABLE, "restarting")
+
+    stand_in.plans += [cut_off, lambda request, context: iter([accepted(request)])]
+    with (
+        connect(retry=Retry(first_delay_s=0.01)) as client,
+        pytest.raises(PlannerError, match="ended the call without a plan"),
+    ):
+        client.plan(REQUEST, out=tmp_path / "plan")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("retry", "deadline_s", "delay_s", "asked"),
     [
@@ -291,6 +308,15 @@ def test_a_deadline_ends_a_plan_that_goes_on(connect: Callable[..., Any], stand_
     with connect() as client, pytest.raises(PlannerError, match="DEADLINE_EXCEEDED"):
         client.plan(REQUEST, deadline_s=0.2)
     assert stand_in.stopped.wait(5.0)
+
+
+def test_a_deadline_counts_the_clouds_too(
+    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
+) -> None:
+    written_cloud(tmp_path)
+    with connect() as client, pytest.raises(PlannerError, match="DEADLINE_EXCEEDED"):
+        client.plan(_with_scan(tmp_path, "scan.pcd"), deadline_s=0.0)
+    assert stand_in.asked == []
 
 
 def test_an_exception_on_the_way_stops_the_plan_and_writes_nothing(

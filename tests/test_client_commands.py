@@ -143,7 +143,7 @@ def test_nothing_is_sent_that_the_validator_or_the_folder_refuses(
     result = _scopt("request", path, "--target", target)
     assert result.exit_code == 3
     assert result.stderr.splitlines()[-1] == "wrong.yaml: options: unknown key 'wayponts'; waypoints, … would do"
-    assert _request(target, "--out", tmp_path).exit_code == 3  # holds something else
+    assert _request(target, "--out", tmp_path, name="valve").exit_code == 3  # holds something else
     assert _request("nowhere").exit_code == 3
     assert _scopt("request", path).exit_code == 2
     assert stand_in.asked == []

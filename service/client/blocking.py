@@ -130,18 +130,22 @@ class PlannerClient(ClientSettings):
         """
         attempts = self._attempts(deadline_s)
         if isinstance(request, PlanRequest):
-            request = self.with_uploaded_clouds(request)
+            request = self.with_uploaded_clouds(request, deadline_s=attempts.timeout_s)
         message = plan_message(request, request_id, with_files, with_waypoints)
         yield from self._stream("Plan", message, attempts.timeout_s)
 
-    def with_uploaded_clouds(self, request: PlanRequest) -> PlanRequest:
+    def with_uploaded_clouds(self, request: PlanRequest, *, deadline_s: float | None = None) -> PlanRequest:
         """The request, its clouds that are files of this machine uploaded and named by their ids."""
-        return with_cloud_ids(request, {name: self.upload_cloud(path) for name, path in local_clouds(request).items()})
+        attempts = self._attempts(deadline_s)
+        ids = {
+            name: self.upload_cloud(path, deadline_s=attempts.timeout_s) for name, path in local_clouds(request).items()
+        }
+        return with_cloud_ids(request, ids)
 
-    def upload_cloud(self, path: str | Path) -> str:
+    def upload_cloud(self, path: str | Path, *, deadline_s: float | None = None) -> str:
         """Bring a cloud; returns its id. One that the server has is recognised by its hash and not sent again."""
         cloud = cloud_to_send(path)
-        attempts = self._attempts(self._upload_time_s(cloud))
+        attempts = self._attempts(self._upload_time_s(cloud) if deadline_s is None else deadline_s)
         while True:
             parts = CloudParts(cloud)
             try:
