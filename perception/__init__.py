@@ -4,7 +4,7 @@ from perception.clean import Reach, inside_hulls, voxel_downsample
 from perception.cloud import Cloud, make_cloud
 from perception.convex.piece import Evidence, Piece
 from perception.convex.pieces import Pieces, make_pieces
-from perception.detect import KINDS, detect
+from perception.detect import KINDS, detect, detect_kinds
 from perception.detect.detection import Detection
 from perception.detect.valve import ValveDetection, detect_valves
 from perception.detect.valve_bodies import has_clear_spokes, stem_of, valve_bodies, wheel_points
@@ -45,6 +45,7 @@ __all__ = [
     "ValveDetection",
     "View",
     "detect",
+    "detect_kinds",
     "detect_valves",
     "find_floor",
     "find_floors",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from perception import KINDS, Detection, PerceptionError, View, detect, make_view
+from perception import KINDS, Detection, PerceptionError, View, detect_kinds, make_view
 from service.cloud_asked import CloudAsked, OnStep, read_asked
 from service.errors import RequestError, would_do
 from service.result_json import plain
@@ -66,11 +66,8 @@ def found(
     view: View, kinds: Sequence[str], hint: tuple[float, float, float] | None, on_step: OnStep
 ) -> list[Detection]:
     """Hits of all kinds, best first within each."""
-    hits: list[Detection] = []
-    for kind in kinds:
-        on_step(f"look for {kind}")
-        hits += detect(kind, view, None if hint is None else np.array(hint))
-    return hits
+    place = None if hint is None else np.array(hint)
+    return detect_kinds(kinds, view, place, on_kind=lambda kind: on_step(f"look for {kind}"))
 
 
 def hit_json(hit: Detection) -> dict[str, Any]:

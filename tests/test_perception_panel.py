@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perception import CONFIDENT, Detection, View, detect, make_view, read_cloud
+from perception import CONFIDENT, Detection, PerceptionError, View, detect, detect_kinds, make_view, read_cloud
 from perception.detect.relief import find_discs
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
 from perception.simulate.mesh import Mesh
 from perception.simulate.objects.fixtures import BoxLever, Panel
+from perception.simulate.scenes import make_scene
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.4)
 SCANNER = Scanner(n_beams=541, fan_deg=135.0, n_lines=90)
@@ -96,3 +97,18 @@ def test_a_raised_disc_is_found_where_points_are_unevenly_dense() -> None:
     np.testing.assert_allclose(discs[0].centre, [0.14, 0.1], atol=0.002)
     assert discs[0].radius == pytest.approx(0.03, abs=0.003)
     assert discs[0].height == pytest.approx(0.01, abs=0.001)
+
+
+def test_several_kinds_looked_for_at_once_are_found_as_each_alone() -> None:
+    view = make_view(make_scene("lever_box", seed=1).scan("sparse"))
+    told: list[str] = []
+    both = detect_kinds(("panel", "lever"), view, on_kind=told.append)
+    alone = [*detect("panel", view), *detect("lever", view)]
+    assert told == ["panel", "lever"]
+    assert [one.kind for one in both] == [one.kind for one in alone]
+    assert any(one.kind == "lever" for one in both)
+    for one, other in zip(both, alone, strict=True):
+        assert one.confidence == other.confidence
+        np.testing.assert_array_equal(one.pose_world_object, other.pose_world_object)
+    with pytest.raises(PerceptionError, match="unknown kind 'handle'"):
+        detect_kinds(("lever", "handle"), view)

@@ -1,6 +1,6 @@
 """Objects a task needs, found in a scan with an honest confidence."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +10,7 @@ from perception.detect.beam import detect_beam
 from perception.detect.detection import Detection
 from perception.detect.door import detect_door
 from perception.detect.drill import detect_drill
+from perception.detect.faces import FacesInSight
 from perception.detect.hose import detect_hose
 from perception.detect.lever import detect_lever
 from perception.detect.opening import detect_opening
@@ -33,6 +34,7 @@ _DETECTORS: Mapping[str, Detector] = {
     "opening": detect_opening,
 }
 KINDS = tuple(_DETECTORS)
+_ON_FACES = {"lever": detect_lever, "panel": detect_panel}
 
 
 def detect(kind: str, view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
@@ -46,6 +48,37 @@ def detect(kind: str, view: View, hint: Float[np.ndarray, "3"] | None = None) ->
     Raises:
         PerceptionError: the kind is unknown.
     """
-    if kind not in _DETECTORS:
-        raise PerceptionError(f"unknown kind '{kind}'; one of {', '.join(KINDS)} is needed")
-    return sorted(_DETECTORS[kind](view, hint), key=lambda one: -one.confidence)
+    return detect_kinds((kind,), view, hint)
+
+
+def detect_kinds(
+    kinds: Sequence[str],
+    view: View,
+    hint: Float[np.ndarray, "3"] | None = None,
+    on_kind: Callable[[str], None] = lambda _: None,
+) -> list[Detection]:
+    """Objects of several kinds, in the order of the kinds, best first within each; what some share is made once.
+
+    Args:
+        kinds: of :data:`KINDS`.
+        view: the scan, made ready.
+        hint: (3,) a point near the object, as an operator would click it [m].
+        on_kind: told each kind before it is looked for.
+
+    Raises:
+        PerceptionError: a kind is unknown.
+    """
+    for kind in kinds:
+        if kind not in _DETECTORS:
+            raise PerceptionError(f"unknown kind '{kind}'; one of {', '.join(KINDS)} is needed")
+    found: list[Detection] = []
+    seen: FacesInSight | None = None
+    for kind in kinds:
+        on_kind(kind)
+        if kind in _ON_FACES:
+            seen = seen or FacesInSight.of(view, hint)
+            hits = _ON_FACES[kind](view, hint, seen)
+        else:
+            hits = _DETECTORS[kind](view, hint)
+        found += sorted(hits, key=lambda one: -one.confidence)
+    return found

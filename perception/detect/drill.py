@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize
-from scipy.spatial.transform import Rotation
 
 from perception.clean import voxel_downsample
 from perception.detect.confidence import rising
@@ -104,38 +103,45 @@ def solids_of(shape: Shape) -> Solids:
 
 def meet(rays: Sightlines, shape: Shape, level: float) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
     """How far outside the drill each ray passes (negative inside), and how deep along it the nearest part lies [m]."""
-    rotation = Rotation.from_euler("z", -shape.yaw).as_matrix()
+    rotation = _about_up(-shape.yaw)
     start = (rays.start - (shape.x, shape.y, level)) @ rotation.T
     way = rays.direction @ rotation.T
     solids = solids_of(shape)
-    outside, depth = np.full(len(rays), np.inf), np.full(len(rays), np.inf)
-    for first, last, radius in zip(solids.first, solids.last, solids.radius, strict=True):
-        apart, along = _ray_to_segment(start, way, first, last)
-        beyond = apart - radius
-        enters = along - np.sqrt(np.maximum(radius**2 - np.minimum(apart, radius) ** 2, 0.0))
-        is_hit, was_hit = beyond < 0.0, outside < 0.0
-        # Of the parts a ray meets the first counts; of those it misses the nearest.
-        better = np.where(is_hit & was_hit, enters < depth, beyond < outside)
-        depth = np.where(better, enters, depth)
-        outside = np.minimum(outside, beyond)
-    return outside, depth
+    apart, along = _rays_to_segments(start, way, solids.first, solids.last)
+    radius = solids.radius[:, None]
+    beyond = apart - radius
+    enters = along - np.sqrt(np.maximum(radius**2 - np.minimum(apart, radius) ** 2, 0.0))
+    # Of the parts a ray meets the first counts; of those it misses the nearest.
+    outside, is_hit = beyond.min(axis=0), beyond < 0.0
+    nearest = np.take_along_axis(enters, beyond.argmin(axis=0)[None], axis=0)[0]
+    first = np.where(is_hit, enters, np.inf).min(axis=0)
+    return outside, np.where(outside < 0.0, first, nearest)
 
 
-def _ray_to_segment(
+def _about_up(angle: float) -> Float[np.ndarray, "3 3"]:
+    """Turn about the vertical."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _rays_to_segments(
     start: Float[np.ndarray, "N 3"],
     way: Float[np.ndarray, "N 3"],
-    first: Float[np.ndarray, "3"],
-    last: Float[np.ndarray, "3"],
-) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Distance of each ray from a segment, and where along the ray it is nearest [m]."""
+    first: Float[np.ndarray, "S 3"],
+    last: Float[np.ndarray, "S 3"],
+) -> tuple[Float[np.ndarray, "S N"], Float[np.ndarray, "S N"]]:
+    """Distance of each ray from each segment, and where along the ray it is nearest [m]."""
     side = last - first
-    offset = start - first
-    a, b = way @ side, float(side @ side)
-    c, d = (way * offset).sum(axis=1), offset @ side
+    a, b = side @ way.T, (side**2).sum(axis=1)[:, None]
+    c = (way * start).sum(axis=1) - first @ way.T
+    d = side @ start.T - (side * first).sum(axis=1)[:, None]
     share = np.clip((d - a * c) / np.maximum(b - a**2, 1e-9), 0.0, 1.0)
     along = share * a - c
-    nearest = offset + along[:, None] * way - share[:, None] * side
-    return np.linalg.norm(nearest, axis=1), along
+    square = np.zeros_like(along)
+    for i in range(3):
+        offset = start[:, i] - first[:, i, None] + along * way[:, i] - share * side[:, i, None]
+        square += offset * offset
+    return np.sqrt(square), along
 
 
 def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
@@ -173,8 +179,10 @@ def _examine(index: SightIndex, cluster: StandingCluster, is_hinted: bool) -> De
     tall = float(np.percentile(cluster.points[:, 2], 98)) - cluster.level
     grip = float(np.clip(tall - 2.0 * _FOOT[2] - 0.03 - _BODY_RADIUS, 0.08, 0.17))
 
+    may_end = ~on_support & (rays.ends[:, 2] > cluster.level + 0.01)
+
     def cost(values: Float[np.ndarray, "6"]) -> float:
-        return _cost(rays, on_support, cluster.level, Shape.of(values))
+        return _cost(rays, may_end, cluster.level, Shape.of(values))
 
     starts = _starts(cluster, grip)
     ranked = sorted(starts, key=lambda shape: cost(shape.values))
@@ -215,11 +223,11 @@ def _distinct(shapes: list[Shape]) -> list[Shape]:
     return kept
 
 
-def _cost(rays: Sightlines, on_support: Bool[np.ndarray, "N"], level: float, shape: Shape) -> float:
+def _cost(rays: Sightlines, may_end: Bool[np.ndarray, "N"], level: float, shape: Shape) -> float:
     """Mean squared residual of depth and outline, none worse than three standard deviations, and what is usual."""
     outside, depth = meet(rays, shape, level)
     gap = rays.length - depth
-    ended = (np.abs(gap) < 0.12) & ~on_support & (rays.ends[:, 2] > level + 0.01)
+    ended = (np.abs(gap) < 0.12) & may_end
     on = (gap / _SIGMA_DEPTH) ** 2 + (np.maximum(outside, 0.0) / _SIGMA_EDGE) ** 2
     off = (np.maximum(-outside, 0.0) / _SIGMA_EDGE) ** 2 * (gap > 0.0)
     each = np.minimum(np.where(ended, on, off), _WORST)
@@ -250,7 +258,7 @@ def _judged(
     )
     foot = 2.0 * _FOOT[2]
     pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_euler("z", shape.yaw).as_matrix()
+    pose[:3, :3] = _about_up(shape.yaw)
     pose[:3, 3] = (shape.x, shape.y, cluster.level + foot + 0.5 * shape.grip)
     sizes = {"grip_length": shape.grip, "body_length": shape.body}
     residuals = {
@@ -271,7 +279,7 @@ def _notch(rays: Sightlines, shape: Shape, level: float) -> tuple[float, int]:
     The plane of chuck and grip is crossed there by rays that come from the side; seen from ahead or behind, the
     body's overhang hides the notch and nothing can be said.
     """
-    rotation = Rotation.from_euler("z", -shape.yaw).as_matrix()
+    rotation = _about_up(-shape.yaw)
     start = (rays.start - (shape.x, shape.y, level)) @ rotation.T
     way = rays.direction @ rotation.T
     slope = np.where(np.abs(way[:, 1]) < 1e-3, 1e-3, way[:, 1])

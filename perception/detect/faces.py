@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
+from threadpoolctl import threadpool_limits
 
 from perception.clean import voxel_downsample, voxel_index
 from perception.convex.planes import PlaneSettings, find_planes
-from perception.detect.sightlines import SightIndex, Sightlines
+from perception.detect.sightlines import SightIndex, Sightlines, sight_index
 from perception.view import View
 
 _VOXEL = 0.02
@@ -79,10 +80,29 @@ class FaceRays:
         return FaceRays(self.rays.selected(keep), self.at[keep], self.ends[keep])
 
 
-def find_faces(
+@dataclass(frozen=True)
+class FacesInSight:
+    """What detectors of things on faces start from, made once for a view and hint.
+
+    Attributes:
+        faces: upright and slanting ones in arm's reach or so, refined by the rays that ended on them, largest first.
+        index: all rays of the scan.
+    """
+
+    faces: tuple[Face, ...]
+    index: SightIndex
+
+    @staticmethod
+    def of(view: View, hint: Float[np.ndarray, "3"] | None = None) -> FacesInSight:
+        """The faces of a scan made ready; with a hint, those near it."""
+        index = sight_index(view.cloud)
+        with threadpool_limits(limits=1, user_api="blas"):
+            return FacesInSight(tuple(_find_faces(view, index, hint, np.random.default_rng(view.seed))), index)
+
+
+def _find_faces(
     view: View, index: SightIndex, hint: Float[np.ndarray, "3"] | None, rng: np.random.Generator
 ) -> list[Face]:
-    """Upright and slanting faces in arm's reach or so, refined by the rays that ended on them, largest first."""
     points, starts = view.obstacles, view.starts
     near = np.linalg.norm(points - starts, axis=1) < _RANGE
     if hint is not None:

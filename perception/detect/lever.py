@@ -15,9 +15,8 @@ from perception.detect.bar_starts import Run, misfits, sample_about, starts_abou
 from perception.detect.bars import Bar, SurroundingRays
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
-from perception.detect.faces import Face, FaceRays, face_rays, find_faces
+from perception.detect.faces import Face, FaceRays, FacesInSight, face_rays
 from perception.detect.lever_pivot import Pivot, find_pivot
-from perception.detect.sightlines import sight_index
 from perception.view import View
 
 _STAND_OFF = (0.028, 0.13)
@@ -43,7 +42,9 @@ class _Found:
     confidence: float
 
 
-def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+def detect_lever(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, seen: FacesInSight | None = None
+) -> list[Detection]:
     """Levers, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
     The pivot is claimed where something is seen between the bar and its face at one end and not at the other.
@@ -51,17 +52,17 @@ def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     Args:
         view: the scan, made ready.
         hint: (3,) a point near the lever; weaker evidence is enough then [m].
+        seen: faces of the view near the hint, where they are at hand.
     """
     if not len(view.obstacles):
         return []
-    rng = np.random.default_rng(view.seed)
-    index = sight_index(view.cloud)
+    seen = seen or FacesInSight.of(view, hint)
     found: list[_Found] = []
     with threadpool_limits(limits=1, user_api="blas"):
-        for face in find_faces(view, index, hint, rng):
-            seen = face_rays(face, index, _BEYOND)
-            for run in _runs(face, seen, hint):
-                one = _examined(face, seen, run)
+        for face in seen.faces:
+            rays = face_rays(face, seen.index, _BEYOND)
+            for run in _runs(face, rays, hint):
+                one = _examined(face, rays, run)
                 if one is not None:
                     found.append(one)
     found.sort(key=lambda one: -one.confidence)

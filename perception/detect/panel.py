@@ -10,9 +10,9 @@ from threadpoolctl import threadpool_limits
 
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
-from perception.detect.faces import Face, FaceRays, face_rays, find_faces
+from perception.detect.faces import Face, FaceRays, FacesInSight, face_rays
 from perception.detect.relief import Disc, find_discs
-from perception.detect.sightlines import SightIndex, sight_index
+from perception.detect.sightlines import SightIndex
 from perception.view import View
 
 _SIZES = (0.07, 0.7)
@@ -34,7 +34,9 @@ class _Edges:
     seen: tuple[bool, bool, bool, bool]
 
 
-def detect_panel(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+def detect_panel(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, seen: FacesInSight | None = None
+) -> list[Detection]:
     """Button panels, best first; origin the centre of the front face, z its normal to the sensor, y up.
 
     A button is claimed where the scan shows a round relief of 5 mm or more that its noise does not explain.
@@ -42,14 +44,13 @@ def detect_panel(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     Args:
         view: the scan, made ready.
         hint: (3,) a point near the panel; fewer of its edges need be seen then [m].
+        seen: faces of the view near the hint, where they are at hand.
     """
     if not len(view.obstacles):
         return []
-    rng = np.random.default_rng(view.seed)
-    index = sight_index(view.cloud)
+    seen = seen or FacesInSight.of(view, hint)
     with threadpool_limits(limits=1, user_api="blas"):
-        faces = [face for face in find_faces(view, index, hint, rng) if _is_panel_sized(face)]
-        found = [_examined(face, index, hint is not None) for face in faces]
+        found = [_examined(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
     panels = [one for one in found if one is not None and one.confidence >= _REPORTED]
     return sorted(panels, key=lambda one: -one.confidence)
 

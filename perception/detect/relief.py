@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
-from scipy.signal import fftconvolve
+from jaxtyping import Complex, Float
+from scipy.fft import fft2, ifft2, next_fast_len
 
 _CELL = 0.004
 _RADII = np.arange(0.008, 0.061, 0.004)
@@ -57,9 +57,9 @@ def find_discs(
         most: how many to look for.
     """
     found: list[Disc] = []
-    left = points
+    left, kernels = points, _kernels(low, high)
     while len(found) < most:
-        disc = _best(left, low, high, sigma)
+        disc = _best(left, kernels, low, high, sigma)
         if disc is None or disc.gain < least_gain:
             break
         found.append(disc)
@@ -67,29 +67,60 @@ def find_discs(
     return found
 
 
+@dataclass(frozen=True)
+class _Kernels:
+    """Discs to sum over, made ready for a face.
+
+    Attributes:
+        shape: of the face's grid.
+        padded: of the transforms.
+        radii: (R,) [m].
+        spectra: (R, ...) of the discs, moved so that sums come out at their centres.
+    """
+
+    shape: tuple[int, int]
+    padded: tuple[int, int]
+    radii: tuple[float, ...]
+    spectra: tuple[Complex[np.ndarray, "A B"], ...]
+
+
+def _kernels(low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> _Kernels:
+    """Discs of all radii that a face has room for."""
+    radii = [float(radius) for radius in _RADII if 2.0 * radius <= 0.8 * (high - low).min()]
+    rows, columns = (int(n) for n in np.ceil((high - low) / _CELL).astype(int) + 1)
+    reach = int(np.ceil(max(radii, default=0.0) / _CELL))
+    padded = (next_fast_len(rows + reach), next_fast_len(columns + reach))
+    spectra = []
+    for radius in radii:
+        offset = [_CELL * np.minimum(np.arange(n), n - np.arange(n)) for n in padded]
+        spectra.append(fft2((np.hypot(offset[0][:, None], offset[1][None, :]) <= radius).astype(float)))
+    return _Kernels((rows, columns), padded, tuple(radii), tuple(spectra))
+
+
 def _best(
-    points: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], sigma: float
+    points: Float[np.ndarray, "N 3"],
+    kernels: _Kernels,
+    low: Float[np.ndarray, "2"],
+    high: Float[np.ndarray, "2"],
+    sigma: float,
 ) -> Disc | None:
     """The disc of greatest gain, ``(sum of heights)^2 / (2 n sigma^2)``, over all centres and radii."""
-    shape = np.ceil((high - low) / _CELL).astype(int) + 1
+    shape = kernels.shape
     cell = np.floor((points[:, :2] - low) / _CELL).astype(int)
     inside = ((cell >= 0) & (cell < shape)).all(axis=1)
     if inside.sum() < _FEWEST:
         return None
-    flat = np.ravel_multi_index(tuple(cell[inside].T), tuple(shape))
+    flat = np.ravel_multi_index(tuple(cell[inside].T), shape)
     counts, sums = (
-        np.bincount(flat, weight, minlength=int(np.prod(shape))).reshape(shape)
+        np.bincount(flat, weight, minlength=shape[0] * shape[1]).reshape(shape)
         for weight in (np.ones(int(inside.sum())), points[inside, 2])
     )
+    # Discs are real: one transform carries counts and sums.
+    both = fft2(counts + 1j * sums, s=kernels.padded)
     best: tuple[float, Float[np.ndarray, "2"], float] | None = None
-    for radius in _RADII:
-        if 2.0 * radius > 0.8 * (high - low).min():
-            break
-        reach = int(np.ceil(radius / _CELL))
-        offset = _CELL * np.arange(-reach, reach + 1)
-        kernel = (np.hypot(offset[:, None], offset[None, :]) <= radius).astype(float)
-        n = np.round(fftconvolve(counts, kernel, mode="same"))
-        total = fftconvolve(sums, kernel, mode="same")
+    for radius, spectrum in zip(kernels.radii, kernels.spectra, strict=True):
+        summed = ifft2(both * spectrum)[: shape[0], : shape[1]]
+        n, total = np.round(summed.real), summed.imag
         valid = (n >= _FEWEST) & (total > _LEAST_HEIGHT * n)
         gain = np.where(valid, total**2 / (2.0 * np.maximum(n, 1.0) * sigma**2), 0.0)
         margin = int(0.7 * radius / _CELL)

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from perception.cloud import Cloud
 
 _MOST_ORIGINS = 12
+_BLOCK = 50_000
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,11 @@ def _in_cones(
     inside = np.flatnonzero(directions @ middle >= np.cos(min(widest, np.pi)))
     if len(offset) == 1:
         return inside
-    is_in = (directions.take(inside, 0) @ towards.T >= np.cos(half)).any(axis=1)
-    return np.asarray(inside[is_in])
+    near, least = directions.take(inside, 0), np.cos(half)
+    # In blocks that stay in the processor's cache.
+    size = max(1, _BLOCK // len(offset))
+    blocks = [(near[i : i + size] @ towards.T >= least).any(axis=1) for i in range(0, len(near), size)]
+    return np.asarray(inside[np.concatenate([np.zeros(0, dtype=bool), *blocks])])
 
 
 def _nearest(rays: Sightlines, places: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "N"]:
