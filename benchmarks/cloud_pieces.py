@@ -9,8 +9,8 @@ any point of the cloud).
 Time and memory: of a process that does nothing else.
 
 A row's last column names the targets it misses.  From the checkout's root: ``python -m benchmarks.cloud_pieces
-[--only NAME] [--variant V] [--seed N] [--misses]``.  Recorded scans come from the folder ``SCOPT_DATA`` (default:
-``../shared/data``).
+[--only NAME] [--variant V] [--seed N] [--misses] [--method planes|coacd]``.  Recorded scans come from the folder
+``SCOPT_DATA`` (default: ``../shared/data``).
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def ray_samples(cloud: Cloud, radius: float, rng: np.random.Generator) -> Float[
     return np.asarray(samples[(samples[:, 2] > 0.05) & (np.hypot(samples[:, 0], samples[:, 1]) < radius)])
 
 
-def measured(case: Case, cloud: Cloud, folder: Path) -> Figures:
+def measured(case: Case, cloud: Cloud, folder: Path, method: str = "planes") -> Figures:
     """Make pieces of a scan and judge them."""
     rng = np.random.default_rng(3)
     seen, judge = cloud, cloud
@@ -147,7 +147,7 @@ def measured(case: Case, cloud: Cloud, folder: Path) -> Figures:
     else:
         caster = case.surface()
         surface, distance = true_points(caster, seen), caster.distance
-    made = made_of(seen, case.reach, folder)
+    made = made_of(seen, case.reach, folder, method)
     union = Union(made.pieces)
     surface = surface[(surface[:, 2] > 0.03) & case.reach.contains(surface)]
     false = None
@@ -169,12 +169,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="of the simulated scenes' details")
     parser.add_argument("--misses", action="store_true", help="let simulated scans tell rays without return")
+    parser.add_argument("--method", choices=("planes", "coacd"), default="planes", help="how pieces are made")
     chosen = parser.parse_args(arguments)
-    folder = data_folder()
+    folder, method = data_folder(), chosen.method
     simulated = simulated_cases(chosen.variant or _VARIANTS, seed=chosen.seed, misses=chosen.misses)
-    _print_cases("recorded scans of known scenes", _named(scene_cases(folder), chosen.only))
-    _print_cases("third-party clouds, a fifth of the rays withheld", _named(recorded_cases(folder), chosen.only))
-    _print_cases("simulated scenes", _named(simulated, chosen.only))
+    _print_cases("recorded scans of known scenes", _named(scene_cases(folder), chosen.only), method)
+    _print_cases(
+        "third-party clouds, a fifth of the rays withheld", _named(recorded_cases(folder), chosen.only), method
+    )
+    _print_cases("simulated scenes", _named(simulated, chosen.only), method)
 
 
 def _named(cases: Iterator[Case], only: str) -> Iterator[Case]:
@@ -184,13 +187,13 @@ def _named(cases: Iterator[Case], only: str) -> Iterator[Case]:
 HEADER = ("scan", "points", "cover 1 cm", "2 cm", "false %", "pieces", "verts", "wall s", "cpu s", "peak MB", "misses")
 
 
-def _print_cases(title: str, cases: Iterator[Case]) -> None:
+def _print_cases(title: str, cases: Iterator[Case], method: str) -> None:
     rows: list[tuple[str, ...]] = []
     all_figures: list[Figures] = []
     with tempfile.TemporaryDirectory() as folder:
         for case in cases:
             try:
-                figures = measured(case, case.load(), Path(folder))
+                figures = measured(case, case.load(), Path(folder), method)
             except subprocess.CalledProcessError:
                 rows.append((case.name, *[""] * (len(HEADER) - 2), "FAILED"))
                 continue

@@ -5,12 +5,15 @@ Of this package and of the simulator nothing is imported here: what they need wo
 
 from __future__ import annotations
 
+import os
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -25,7 +28,7 @@ class Made:
     Attributes:
         pieces: (V, 3) vertices of each, the floor's included [m].
         wall: from cloud to pieces [s].
-        cpu: of all threads [s].
+        cpu: of all threads and of the processes it started [s].
         memory: peak of the whole process, the interpreter and the cloud included [MB].
     """
 
@@ -35,12 +38,14 @@ class Made:
     memory: float
 
 
-def made_of(cloud: Cloud, reach: Reach, folder: Path) -> Made:
-    """Run the worker on a cloud; files go to ``folder``."""
+def made_of(cloud: Cloud, reach: Reach, folder: Path, method: str = "planes") -> Made:
+    """Run the worker on a cloud; files go to ``folder``, and nothing that was kept before is used."""
     source, target = folder / "cloud.npz", folder / "pieces.npz"
     miss_origin = {} if cloud.miss_origin is None else {"miss_origin": cloud.miss_origin}
     np.savez(source, points=cloud.points, origin=cloud.origin, misses=cloud.misses, **asdict(reach), **miss_origin)
-    subprocess.run([sys.executable, "-m", "benchmarks.cloud_worker", str(source), str(target)], check=True)
+    command = [sys.executable, "-m", "benchmarks.cloud_worker", str(source), str(target), method]
+    with tempfile.TemporaryDirectory(dir=folder) as fresh:
+        subprocess.run(command, check=True, env={**os.environ, "XDG_CACHE_HOME": fresh})
     with np.load(target) as stored:
         pieces = np.split(stored["vertices"], np.cumsum(stored["counts"])[:-1])
         return Made(tuple(pieces), *(float(x) for x in stored["figures"]))
@@ -55,19 +60,25 @@ def _peak() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
-def main(source: str, target: str) -> None:
+def _cpu() -> float:
+    """Of this process and those it started and waited for [s]."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def main(source: str, target: str, method: Literal["planes", "coacd"]) -> None:
     """Perceive once and store pieces and figures."""
     with np.load(source) as stored:
         given = {key: stored[key] for key in ("points", "origin", "misses", "miss_origin") if key in stored}
         reach = Reach(**{key: float(stored[key]) for key in ("x", "y", "radius", "top", "bottom")})
     cloud = Cloud(**given)
-    wall, cpu = time.perf_counter(), time.process_time()
-    perceived = perceive(cloud, reach=reach, valve=False)
-    figures = [time.perf_counter() - wall, time.process_time() - cpu, _peak()]
+    wall, cpu = time.perf_counter(), _cpu()
+    perceived = perceive(cloud, reach=reach, valve=False, method=method)
+    figures = [time.perf_counter() - wall, _cpu() - cpu, _peak()]
     vertices = [piece.vertices for piece in perceived.scene.pieces]
     counts = [len(one) for one in vertices]
     np.savez(target, vertices=np.concatenate([np.zeros((0, 3)), *vertices]), counts=counts, figures=figures)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(*sys.argv[1:])  # type: ignore[arg-type]
