@@ -18,7 +18,7 @@ Handler: TypeAlias = "grpc.RpcMethodHandler[Any, Any]"
 Enter = Callable[[Context], AbstractAsyncContextManager[None]]
 
 DETAILS_KEY = "grpc-status-details-bin"
-MAX_TEXT = 1000  # of a status: it travels in a header
+MAX_TEXT_BYTES = 1000  # of a status: it travels in a header, and headers of more than 8 KiB end the call otherwise
 # A client that opens a call and says nothing does not hold its place for ever.
 REQUEST_WAIT_S = 60.0
 GONE_AFTER_S = 0.005
@@ -42,7 +42,7 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an accident
         details: Sequence[Message] = (),
     ) -> None:
         super().__init__(text)
-        self.code, self.text, self.retry_after_s = code, text[:MAX_TEXT], retry_after_s
+        self.code, self.text, self.retry_after_s = code, shortened(text, MAX_TEXT_BYTES), retry_after_s
         self.details = tuple(details)
 
     def metadata(self) -> tuple[tuple[str, bytes], ...]:
@@ -58,6 +58,11 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an accident
         for detail in details:
             status.details.add().Pack(detail)
         return ((DETAILS_KEY, status.SerializeToString()),)
+
+
+def shortened(text: str, n_bytes: int) -> str:
+    """The beginning of a text, as UTF-8 of at most ``n_bytes``."""
+    return text.encode(errors="replace")[:n_bytes].decode(errors="ignore")
 
 
 async def refuse(context: Context, refusal: Refusal) -> NoReturn:

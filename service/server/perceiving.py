@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import Any, TypeVar
 import grpc
 
 from service.cloud_asked import CloudAsked
-from service.errors import RequestError
+from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
     BuildSceneResponse,
@@ -28,7 +29,7 @@ from service.rpc import Context, Refusal
 from service.server.refusal import invalid, overloaded
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop, outcome
-from service.store import CLOUD_SUFFIXES, CloudStore, Store
+from service.store import CLOUD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
 from service.trust import AllowedFolders, current_caller
 from service.trust import Limits as ClientLimiter
 from service.trust.folders import UPLOADED
@@ -40,6 +41,7 @@ from service.work.plan import Refused
 T = TypeVar("T")
 MAX_REACH_M = 50.0
 DEFAULT_REACH_M = 4.0
+SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 class Perceiving:
@@ -85,8 +87,10 @@ class Perceiving:
         suffix = "." + first.header.format.removeprefix(".").lower()
         if suffix not in CLOUD_SUFFIXES:
             known = ", ".join(one.removeprefix(".") for one in CLOUD_SUFFIXES)
-            raise invalid([f"header.format: {known} would do, got {first.header.format!r}"])
+            raise invalid([f"header.format: {known} would do, got {shown(first.header.format)}"])
         claimed = first.header.sha256.lower()
+        if claimed and not SHA256.fullmatch(claimed):
+            raise invalid([f"header.sha256: 64 hexadecimal digits or nothing would do, got {shown(claimed)}"])
         cloud_id = f"{UPLOADED}{claimed}{suffix}"
         if claimed and self._clouds.has(cloud_id):
             return UploadCloudResponse(cloud_id=cloud_id, size_bytes=first.header.size_bytes, was_known=True)
@@ -97,7 +101,10 @@ class Perceiving:
                 refusal = self._limiter.upload(client.key, len(request.chunk))
                 if refusal is not None:
                     raise overloaded(refusal.text, refusal.retry_after_s or 0.0)
-                await asyncio.to_thread(upload.write, request.chunk)
+                try:
+                    await asyncio.to_thread(upload.write, request.chunk)
+                except TooLargeError as error:
+                    raise invalid([f"chunk: {error}"]) from None
             size = upload.n_bytes
             kept = await asyncio.to_thread(_kept, upload.finish, claimed)
         self._on_upload(size)
@@ -213,7 +220,10 @@ def deadline_of(context: Context) -> float | None:
 
 
 def _kept(finish: Callable[[], str], claimed: str) -> str:
-    cloud_id = finish()
+    try:
+        cloud_id = finish()
+    except UploadRefusedError as error:
+        raise invalid([f"chunk: {error}"]) from None
     if claimed and f"{UPLOADED}{claimed}." not in cloud_id:
         raise Refusal(
             grpc.StatusCode.DATA_LOSS, f"what came is {cloud_id}, not the sha256 {claimed} that was announced"

@@ -66,7 +66,7 @@ def _readable(request: Message | UnreadableMessage) -> Message:
     """
     if isinstance(request, UnreadableMessage):
         raise invalid([f"the bytes are no {request.name}"])
-    unknown = list(unknown_fields(request))
+    unknown = list(dict.fromkeys(unknown_fields(request)))
     if unknown:
         raise invalid(unknown)
     return request

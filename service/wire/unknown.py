@@ -11,10 +11,12 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 
 
 def unknown_fields(message: Message, path: str = "") -> Iterator[str]:
-    """One problem for every field number that is not known, anywhere in the message."""
+    """One problem for every field number that is not known, anywhere in the message; it is called ``field_NUMBER``."""
     for field in UnknownFieldSet(message):  # type: ignore[attr-defined]
-        name = f"field number {field.field_number} of {message.DESCRIPTOR.name}"
-        yield f"{path}: {name} is unknown here; is the client newer than the server?".removeprefix(": ")
+        number = field.field_number
+        where = f"{path}.field_{number}".removeprefix(".")
+        name = f"field number {number} of {message.DESCRIPTOR.name}"
+        yield f"{where}: {name} is unknown here; is the client newer than the server?"
     for field, value in message.ListFields():
         if field.message_type is None or isinstance(value, Struct):
             continue

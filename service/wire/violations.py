@@ -7,6 +7,10 @@ from collections.abc import Iterable
 
 from google.rpc.error_details_pb2 import BadRequest
 
+from service.rpc import shortened
+
+# They travel in a header, together with the status: a call whose headers exceed 8 KiB ends in something else.
+MAX_BYTES, MAX_PROBLEM_BYTES, MAX_FIELD_BYTES = 2000, 400, 200
 _STEP = r"[A-Za-z_][A-Za-z0-9_]*(?:\[\d+\])?"
 _LEADING = re.compile(rf"^({_STEP}(?:\.[^\s.:]+)*): ")
 _WITHIN = re.compile(rf"\bin ((?:robot|start|scene|goal|task|keep|attached|options)(?:\.{_STEP})+)")
@@ -14,14 +18,28 @@ _BEGINNINGS = {"start is ": "start", "robot": "robot"}
 
 
 def bad_request(problems: Iterable[str], within: str = "") -> BadRequest:
-    """One violation per problem; ``within`` is the field of the message that holds the request."""
-    return BadRequest(field_violations=[violation(problem, within) for problem in problems])
+    """One violation per problem, as many as there is room for; the last says how many there was none for.
+
+    Args:
+        within: the field of the message that holds the request.
+    """
+    bad, lines = BadRequest(), list(problems)
+    for index, problem in enumerate(lines):
+        one = violation(problem, within)
+        if bad.ByteSize() + one.ByteSize() > MAX_BYTES:
+            one.description = f"{len(lines) - index} more problems, this field's the first; they are not listed"
+            bad.field_violations.append(one)
+            break
+        bad.field_violations.append(one)
+    return bad
 
 
 def violation(problem: str, within: str = "") -> BadRequest.FieldViolation:
     """The field a problem speaks of (the whole request where it names none), and the problem."""
-    field = _field(problem)
-    return BadRequest.FieldViolation(field=".".join(part for part in (within, field) if part), description=problem)
+    field = ".".join(part for part in (within, _field(problem)) if part)
+    return BadRequest.FieldViolation(
+        field=shortened(field, MAX_FIELD_BYTES), description=shortened(problem, MAX_PROBLEM_BYTES)
+    )
 
 
 def _field(problem: str) -> str:

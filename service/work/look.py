@@ -11,7 +11,7 @@ from typing import Any
 
 from costs.robot import bundled_robots
 from service.cloud_asked import CloudAsked
-from service.errors import RequestError, ResultError
+from service.errors import RequestError, ResultError, shown
 from service.executor import Control
 from service.request import GoalRequest, PlanRequest, RobotRequest
 from service.work.plan import Refused, warm_robots
@@ -69,18 +69,20 @@ def verify(files: Mapping[str, bytes]) -> Mapping[str, Any] | Refused:
     with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:
         folder = Path(scratch)
         for name, content in files.items():
-            path = (folder / name).resolve()
-            if not path.is_relative_to(folder.resolve()):
-                return Refused((f"files: {name!r} lies outside the result folder",))
             try:
+                path = (folder / name).resolve()
+                if not path.is_relative_to(folder.resolve()):
+                    return Refused((f"files: {shown(name)} lies outside the result folder",))
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
             except (OSError, ValueError):
-                return Refused((f"files: {name!r} is no path of a file",))
+                return Refused((f"files: {shown(name)} is no path of a file",))
         try:
             return verify_result(folder)
         except (ResultError, RequestError) as error:
-            return Refused(tuple(line.replace(f"{folder}: ", "files: ") for line in str(error).splitlines()))
+            # Speak of the files as the client named them, not of where they lie for a moment.
+            lines = (line.removeprefix(f"{folder}: ").replace(f"{folder}/", "") for line in str(error).splitlines())
+            return Refused(tuple(f"files: {line}" for line in lines))
 
 
 def describe_robots(more: Mapping[str, RobotRequest]) -> list[dict[str, Any]]:

@@ -1,0 +1,80 @@
+"""What a client hears of a wrong request: every field is named, and it all fits the headers it travels in."""
+
+from __future__ import annotations
+
+import pytest
+from google.rpc.error_details_pb2 import BadRequest
+from google.rpc.status_pb2 import Status
+
+from service.proto.planner.v1 import planner_pb2 as wire
+from service.rpc import MAX_TEXT_BYTES, Refusal, shortened
+from service.server.refusal import invalid
+from service.wire.unknown import unknown_fields
+from service.wire.violations import violation
+from service.work.look import verify
+from service.work.plan import Refused
+
+HEADERS_BYTES = 8 * 2**10  # beyond which gRPC ends a call in its own way
+
+
+def _told(refusal: Refusal) -> list[BadRequest.FieldViolation]:
+    ((_, data),) = refusal.metadata()
+    detail = BadRequest()
+    assert Status.FromString(data).details[0].Unpack(detail)
+    return list(detail.field_violations)
+
+
+def _header_bytes(refusal: Refusal) -> int:
+    """The text percent-encoded, the details in base 64: the most they can take."""
+    text = sum(1 if " " <= letter <= "~" else 3 * len(letter.encode()) for letter in refusal.text)
+    return text + sum(4 * (len(value) + 2) // 3 for _, value in refusal.metadata())
+
+
+@pytest.mark.parametrize("words", ["a number is needed", "🦾" * 300, "x" * 100_000])
+def test_refusal_of_a_thousand_problems_fits_the_headers(words: str) -> None:
+    refusal = invalid([f"scene.obstacles[{i}].size: {words}" for i in range(1000)], "request")
+    assert _header_bytes(refusal) < HEADERS_BYTES
+
+
+def test_refusal_that_leaves_problems_out_says_how_many() -> None:
+    problems = [f"scene.obstacles[{i}].size: a number is needed" for i in range(1000)]
+    told = _told(invalid(problems, "request"))
+    assert told[0].field == "request.scene.obstacles[0].size"
+    assert told[-1].field == f"request.scene.obstacles[{len(told) - 1}].size"
+    assert told[-1].description.startswith(f"{1000 - len(told) + 1} more problems")
+
+
+def test_few_problems_are_all_told_in_full() -> None:
+    problems = ["options.margin_m: a positive number would do, got -1", "goal: is missing"]
+    told = _told(invalid(problems, "request"))
+    assert [(one.field, one.description) for one in told] == [
+        ("request.options.margin_m", problems[0]),
+        ("request.goal", problems[1]),
+    ]
+
+
+def test_text_is_cut_between_letters() -> None:
+    assert shortened("a🦾b", 4) == "a"
+    assert shortened("a🦾b", 6) == "a🦾b"
+    assert len(invalid(["🦾" * 1000]).text.encode()) <= MAX_TEXT_BYTES
+
+
+def test_unknown_field_is_named_by_its_number() -> None:
+    message = wire.GetPlanRequest.FromString(b"\xfa\x3f\x00")
+    (problem,) = unknown_fields(message)
+    assert violation(problem).field == "field_1023"
+    spec = wire.DetectRequest.FromString(b"\x0a\x03\xfa\x3f\x00")
+    assert [violation(problem).field for problem in unknown_fields(spec)] == ["clouds.field_1023"]
+
+
+@pytest.mark.parametrize("name", ["\0", "a\0b", "../out", "", "x" * 5000])
+def test_files_to_verify_with_names_of_no_file_are_refused(name: str) -> None:
+    answer = verify({name: b"{}"})
+    assert isinstance(answer, Refused)
+    assert violation(answer.problems[0]).field == "files"
+
+
+def test_files_that_cannot_be_verified_are_named_as_the_client_named_them() -> None:
+    answer = verify({"other.json": b"{}"})
+    assert isinstance(answer, Refused)
+    assert answer.problems == ("files: result.json cannot be read: No such file or directory",)
