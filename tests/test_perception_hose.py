@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from perception import CONFIDENT, Cloud, View, make_view
 from perception.detect.hose import detect_hose
+from perception.detect.sightlines import Sightlines
+from perception.detect.slender import is_flat
+from perception.detect.tips import find_tips
+from perception.detect.tube import STRAIGHT, Tube, meet_tubes, misfits, refined
+from perception.detect.tube_evidence import weigh_tube
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.objects.fixtures import Standpipe
+from perception.simulate.objects.loose import can, pot
 
 SENSOR = Pose((0.1, 0.0, 1.5), pitch=0.5)
 SCANNER = Scanner(n_beams=721, fan_deg=180.0, n_lines=90)
@@ -18,24 +25,122 @@ def view_of(*meshes: Mesh, seed: int = 0) -> View:
     return make_view(scan([*room, *meshes], SENSOR, SCANNER, seed))
 
 
-def test_a_standpipe_is_found_where_it_opens() -> None:
-    out = np.array([-0.9, 0.43, 0.0]) / np.hypot(0.9, 0.43)
-    pipe = Standpipe((0.7, 0.1, 1.0), (out[0], out[1], out[2]), 0.04, collar=False).placed()
-    found = detect_hose(view_of(*pipe.meshes))[0]
-    assert found.confidence >= CONFIDENT
-    assert np.linalg.norm(found.pose_world_object[:3, 3] - pipe.truth[0].pose_world_object[:3, 3]) <= 0.025
-    assert found.pose_world_object[:3, 2] @ out >= np.cos(np.radians(15.0))
-    assert abs(found.sizes["radius"] - 0.04) <= 0.008
+UP_FRONT = Tube(np.array([1.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0]), 0.04)
 
 
-def test_pipes_that_run_from_wall_to_floor_and_wall_to_wall_are_no_hose_ends() -> None:
-    view = view_of(cylinder((1.0, 0.4, 0.0), (1.0, 0.4, 2.5), 0.04), cylinder((1.1, -3.0, 0.7), (1.1, 3.0, 0.7), 0.03))
-    assert all(one.confidence < CONFIDENT for one in detect_hose(view))
+def rays_to(*ends: tuple[float, float, float], start: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Sightlines:
+    offset = np.array(ends) - start
+    length = np.linalg.norm(offset, axis=1)
+    return Sightlines(np.tile(start, (len(ends), 1)), offset / length[:, None], length)
 
 
-def test_a_wooden_post_and_a_carton_are_no_hose_ends() -> None:
-    view = view_of(box((0.9, 0.2, 0.0), (0.96, 0.26, 0.9)), box((0.9, -0.5, 0.0), (1.2, -0.2, 0.5)))
-    assert all(one.confidence < CONFIDENT for one in detect_hose(view))
+@pytest.mark.parametrize(
+    ("mouth", "out", "radius"),
+    [
+        ((0.7, 0.1, 1.0), (-0.9, 0.43, 0.0), 0.04),
+        ((0.65, -0.1, 0.8), (-0.7, 0.0, 0.7), 0.035),
+    ],
+)
+def test_a_standpipe_with_its_coupling_is_found_where_it_opens(
+    mouth: tuple[float, float, float], out: tuple[float, float, float], radius: float
+) -> None:
+    pipe = Standpipe(mouth, out, radius).placed()
+    found = detect_hose(view_of(*pipe.meshes))
+    truth = pipe.truth[0].pose_world_object
+    assert found[0].confidence >= CONFIDENT
+    assert sum(one.confidence >= CONFIDENT for one in found) == 1
+    assert np.linalg.norm(found[0].pose_world_object[:3, 3] - truth[:3, 3]) <= 0.025
+    assert found[0].pose_world_object[:3, 2] @ truth[:3, 2] >= np.cos(np.radians(15.0))
+    assert abs(found[0].sizes["radius"] - radius) <= 0.008
+
+
+def test_pipes_that_run_on_posts_tins_pots_boxes_and_closed_ends_are_none_to_act_on() -> None:
+    pipes = [
+        cylinder((1.0, 0.8, 0.0), (1.0, 0.8, 2.5), 0.04),
+        cylinder((1.1, -3.0, 0.6), (1.1, 3.0, 0.6), 0.03),
+        cylinder((1.25, -0.5, 1.3), (0.8, -0.5, 1.3), 0.04),
+    ]
+    board = [box((0.6, -0.6, 0.75), (1.1, 0.6, 0.8)), box((0.9, -1.2, 0.0), (0.96, -1.14, 0.9))]
+    things = [
+        *can((0.8, 0.3, 0.8)).meshes,
+        *pot((0.8, -0.3, 0.8), 0.06).meshes,
+        box((0.7, -0.05, 0.8), (0.9, 0.1, 1.1)),
+    ]
+    assert all(one.confidence < CONFIDENT for one in detect_hose(view_of(*pipes, *board, *things)))
+
+
+def test_rays_meet_a_tube_on_its_wall_in_its_mouth_or_not_at_all() -> None:
+    met = meet_tubes(rays_to((2.0, 0.0, 1.0), (1.03, 0.0, 1.0), (2.0, 0.2, 1.0), start=(0.0, 0.0, 1.0)), [UP_FRONT])
+    assert met.into[0].tolist() == [True, True, False]
+    assert met.through[0].tolist() == [True, True, False]
+    assert met.depth[0, 0] == pytest.approx(1.0 + STRAIGHT)
+    from_above = meet_tubes(rays_to((1.02, 0.0, 0.5), (1.05, 0.0, 0.5), start=(1.02, 0.0, 2.0)), [UP_FRONT])
+    assert from_above.on[0].tolist() == [True, True]
+    assert from_above.depth[0, 0] == pytest.approx(0.96)
+    ahead = meet_tubes(rays_to((0.9, 0.0, 0.5), start=(0.9, 0.0, 2.0)), [UP_FRONT])
+    assert not ahead.on.any()
+    assert not ahead.into.any()
+    assert ahead.outside[0, 0] == pytest.approx(0.1)
+    slanted = meet_tubes(rays_to((1.5, 0.0, 0.5), start=(0.5, 0.0, 1.5)), [UP_FRONT])
+    # It goes in through the middle at 45 degrees and ends where the wall's inside is a radius down.
+    assert slanted.into[0, 0]
+    assert not slanted.through[0, 0]
+    assert slanted.depth[0, 0] == pytest.approx(np.sqrt(2.0) * (0.5 + 0.04))
+    assert slanted.across[0, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def hollow_rays(tube: Tube, seed: int = 0) -> tuple[Sightlines, np.ndarray]:
+    """What a noisy sensor at (0, 0, 1.5) gives of a tube before a wall at x = 2, and which rays ended on the tube."""
+    rng = np.random.default_rng(seed)
+    start = np.array([0.0, 0.0, 1.5])
+    aim = tube.mouth + rng.uniform(-0.12, 0.12, (1500, 3)) - start
+    way = aim / np.linalg.norm(aim, axis=1, keepdims=True)
+    rays = Sightlines(np.tile(start, (len(way), 1)), way, 2.0 / way[:, 0])
+    met = meet_tubes(rays, [tube])
+    mine = (met.on[0] | (met.into[0] & ~met.through[0])) & (met.along[0] > -STRAIGHT)
+    length = np.where(mine, met.depth[0] + rng.normal(0.0, 0.01, len(way)), rays.length)
+    seen = (met.outside[0] > 0.0) | mine | met.through[0]
+    return Sightlines(rays.start[seen], way[seen], length[seen]), mine[seen]
+
+
+def test_the_tube_that_made_the_rays_explains_them_best_and_is_found_from_nearby() -> None:
+    tube = Tube(np.array([0.8, 0.0, 1.1]), np.array([-0.8, 0.6, 0.0]), 0.04)
+    rays, mine = hollow_rays(tube)
+    others = [
+        Tube(tube.mouth + np.array([0.02, 0.0, 0.0]), tube.axis, 0.04),
+        Tube(tube.mouth, np.array([-1.0, 0.0, 0.0]), 0.04),
+        Tube(tube.mouth, tube.axis, 0.055),
+    ]
+    assert misfits(rays, mine, [tube, *others]).argmin() == 0
+    axis = np.array([-0.9, 0.4, 0.2]) / np.linalg.norm([-0.9, 0.4, 0.2])
+    found = Tube(tube.mouth + np.array([0.01, -0.01, 0.01]), axis, 0.045)
+    for _ in range(3):
+        found = refined(rays, mine, found)
+    assert np.linalg.norm(found.mouth - tube.mouth) <= 0.01
+    assert found.axis @ tube.axis >= np.cos(np.radians(10.0))
+    assert found.radius == pytest.approx(0.04, abs=0.004)
+
+
+def test_evidence_tells_an_open_end_from_one_stopped_up() -> None:
+    tube = Tube(np.array([0.8, 0.0, 1.1]), np.array([-0.8, 0.6, 0.0]), 0.04)
+    rays, _ = hollow_rays(tube)
+    assert weigh_tube(rays, tube).open > 0.8
+    plane = meet_tubes(rays, [tube])
+    stopped = Sightlines(rays.start, rays.direction, np.where(plane.into[0], plane.plane[0], rays.length))
+    assert weigh_tube(stopped, tube).open == 0.0
+
+
+def test_a_rod_ends_at_its_two_tips_and_a_wall_nowhere() -> None:
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(0.0, 2.0 * np.pi, 150)
+    rod = np.column_stack([rng.uniform(0.0, 0.6, 150), 0.03 * np.cos(angle), 0.03 * np.sin(angle)])
+    along = [tip for tip in find_tips(rod, rod, 0.08) if abs(tip.axis[0]) > 0.9]
+    assert {float(np.sign(tip.axis[0])) for tip in along} == {-1.0, 1.0}
+    assert all(np.linalg.norm(tip.place - [0.3 + 0.3 * np.sign(tip.axis[0]), 0.0, 0.0]) < 0.05 for tip in along)
+    wall = np.column_stack([np.zeros(4000), rng.uniform(-1.0, 1.0, (4000, 2))])
+    assert find_tips(wall, wall[np.abs(wall).max(axis=1) < 0.7][::10], 0.08) == []
+    assert is_flat(wall).mean() > 0.9
+    assert not is_flat(rod).any()
 
 
 def test_a_hint_elsewhere_leaves_the_opening_out() -> None:

@@ -1,4 +1,4 @@
-"""Which points of a cloud may belong to something slender: not those in the middle of something wide."""
+"""Which points of a cloud may belong to something slender, and which lie in the middle of something wide and flat."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from scipy import ndimage
 
 _CELL = 0.075
 _MOST_CELLS = 3_000_000
+_FLAT_WIDE, _FLAT_THICK = 0.25, 3e-4
 
 
 def is_slender(points: Float[np.ndarray, "N 3"], most_wide: float = 0.5) -> Bool[np.ndarray, "N"]:
@@ -20,12 +21,30 @@ def is_slender(points: Float[np.ndarray, "N 3"], most_wide: float = 0.5) -> Bool
         points: (N, 3) thinned evenly [m].
         most_wide: the largest share of the second variance.
     """
-    if not len(points):
-        return np.zeros(0, dtype=bool)
+    variances = _variances_about(points) if len(points) else None
+    if variances is None:
+        return np.ones(len(points), dtype=bool)
+    return np.asarray(variances[:, 1] <= most_wide * np.maximum(variances[:, 2], 1e-9))
+
+
+def is_flat(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Points in the middle or near the edge of something wide and less than some 6 cm thick, noise included.
+
+    Args:
+        points: (N, 3) thinned evenly [m].
+    """
+    variances = _variances_about(points) if len(points) else None
+    if variances is None:
+        return np.zeros(len(points), dtype=bool)
+    return np.asarray((variances[:, 1] > _FLAT_WIDE * variances[:, 2]) & (variances[:, 0] < _FLAT_THICK))
+
+
+def _variances_about(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"] | None:
+    """Variances of the points around each, from the least [m^2]; None where they are spread too far for a grid."""
     cells = np.floor((points - points.min(axis=0)) / _CELL).astype(np.int64)
     shape = tuple(int(n) for n in cells.max(axis=0) + 1)
     if np.prod(np.array(shape, dtype=float)) > _MOST_CELLS:
-        return np.ones(len(points), dtype=bool)
+        return None
     flat = np.ravel_multi_index(tuple(cells.T), shape)
     # Moments about the grid's middle, summed over the surroundings: count, sums, products.
     local = points - points.mean(axis=0)
@@ -37,8 +56,7 @@ def is_slender(points: Float[np.ndarray, "N 3"], most_wide: float = 0.5) -> Bool
     covariance = np.zeros((len(points), 3, 3))
     for (i, j), products in zip(pairs, moments[4:], strict=True):
         covariance[:, i, j] = covariance[:, j, i] = products / n - mean[i] * mean[j]
-    variances = np.linalg.eigvalsh(covariance)
-    return np.asarray(variances[:, 1] <= most_wide * np.maximum(variances[:, 2], 1e-9))
+    return np.asarray(np.linalg.eigvalsh(covariance))
 
 
 def _around(cell: np.ndarray, weight: Float[np.ndarray, "N"], shape: tuple[int, ...]) -> Float[np.ndarray, "N"]:
