@@ -202,13 +202,24 @@ def test_one_file_among_several_reads_as_alone(tmp_path: Path) -> None:
     assert one.notes == alone.notes
 
 
-def test_no_file_and_too_many_points_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_file_is_refused() -> None:
     with pytest.raises(CloudError, match="no cloud file is given"):
         read_clouds([])
+
+
+def test_files_with_too_many_points_together_are_thinned_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reading, "MAX_POINTS", 1200)
     path = npz(tmp_path, ROOM)
-    with pytest.raises(CloudError, match="brings the points of all files to 1500; at most 1200"):
-        read_clouds([(path, None)] * 3)
+    one = read_cloud(path)
+    assert len(read_clouds([(path, None)] * 2).points) == 2 * len(one.points) == 1000
+    for n_files, step in ((3, 2), (5, 4)):
+        cloud = read_clouds([(path, None)] * n_files)
+        parts = np.split(cloud.points, n_files)
+        assert abs(len(parts[0]) - len(one.points) / step) <= 1
+        for part in parts:
+            np.testing.assert_array_equal(part, parts[0])
+        assert {tuple(row) for row in parts[0]} <= {tuple(row) for row in one.points}
+        assert f"took 1 of every {step} points of all files, since at most 1200 are used together" in cloud.notes
 
 
 @given(

@@ -347,8 +347,8 @@ def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
 def test_a_huge_file_is_refused_by_its_size_alone(tmp_path: Path) -> None:
     path = tmp_path / "huge.pcd"
     with path.open("wb") as file:
-        file.truncate(65 * 2**20)
-    with pytest.raises(CloudError, match="at most 67108864"):
+        file.truncate(513 * 2**20)
+    with pytest.raises(CloudError, match="at most 536870912"):
         read_cloud(path)
 
 

@@ -31,18 +31,21 @@ def missing_coordinate(found: Mapping[str, int]) -> str:
     return next((axis for axis in COORDINATES if axis not in found), "")
 
 
-def scan_of(columns: Mapping[str, Shaped[np.ndarray, "N"]], viewpoint: tuple[float, ...] | None) -> Scan:
+def scan_of(
+    columns: Mapping[str, Shaped[np.ndarray, "N"]], viewpoint: tuple[float, ...] | None, notes: tuple[str, ...] = ()
+) -> Scan:
     """Rows to a scan.
 
     Args:
         columns: x, y, z; ``vp_x``, ``vp_y``, ``vp_z``: where each ray started; ``no_return``: other than 0 where the
             row is no point but a place up to which the ray met nothing.
         viewpoint: x y z qw qx qy qz.
+        notes: sentences a user should read.
     """
     rows = _stacked(columns, COORDINATES)
     starts = _stacked(columns, STARTS) if all(name in columns for name in STARTS) else None
     if NO_RETURN not in columns:
-        return Scan(rows, viewpoint, starts=starts)
+        return Scan(rows, viewpoint, starts=starts, notes=notes)
     missed = np.nan_to_num(columns[NO_RETURN].astype(np.float64)) != 0.0
     return Scan(
         rows[~missed],
@@ -50,6 +53,7 @@ def scan_of(columns: Mapping[str, Shaped[np.ndarray, "N"]], viewpoint: tuple[flo
         rows[missed],
         None if starts is None else starts[~missed],
         None if starts is None else starts[missed],
+        notes,
     )
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from perception.errors import CloudError
 from perception.files.scan import Scan
-from perception.limits import MAX_POINTS
+from perception.files.thinning import step_of, taken, thinning_note
+from perception.limits import MAX_FILE_POINTS
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -17,12 +18,14 @@ if TYPE_CHECKING:
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _VALID, _DIRECTION_ONLY = 0, 1
+_BLOCK = 500_000
 
 
 def read_e57(path: Path, name: str) -> Scan:
-    """Points of all scans in the file's frame; where only a ray's direction is valid, it met nothing.
+    """Points of all scans in the file's frame, thinned to as many as are used.
 
-    The file does not say how far such a ray would have seen; it counts up to the median range of its scan's points.
+    Where only a ray's direction is valid, it met nothing.  The file does not say how far such a ray would have seen; it
+    counts up to the median range of its scan's points.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
@@ -35,18 +38,19 @@ def read_e57(path: Path, name: str) -> Scan:
         n_points = sum(int(header.point_count) for header in headers)
         if n_points == 0:
             raise CloudError(f"{name}: holds {len(headers)} scans without points; at least one point is needed")
-        if n_points > MAX_POINTS:
+        if n_points > MAX_FILE_POINTS:
             raise CloudError(
-                f"{name}: its {len(headers)} scans announce {n_points} points; at most {MAX_POINTS} are read"
+                f"{name}: its {len(headers)} scans announce {n_points} points; at most {MAX_FILE_POINTS} are read"
             )
-        stations = [_station(libe57, file, header, name) for header in headers if header.point_count]
+        step = step_of(n_points)
+        stations = [_station(libe57, file, header, step, name) for header in headers if header.point_count]
     finally:
         file.close()
     points = np.concatenate([points for points, _, _ in stations])
     misses = np.concatenate([misses for _, misses, _ in stations])
-    notes = (
-        (f"{len(misses)} rays without a return count as free up to their scan's median range",) if len(misses) else ()
-    )
+    notes = thinning_note(n_points, step)
+    if len(misses):
+        notes = (*notes, f"{len(misses)} rays without a return count as free up to their scan's median range")
     if len(stations) == 1:
         return Scan(points, misses=misses, starts=stations[0][2], notes=notes)
     starts = np.concatenate([np.broadcast_to(start, points.shape) for points, _, start in stations])
@@ -55,11 +59,11 @@ def read_e57(path: Path, name: str) -> Scan:
 
 
 def _station(
-    libe57: Any, file: Any, header: Any, name: str
+    libe57: Any, file: Any, header: Any, step: int, name: str
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "M 3"], Float[np.ndarray, "3"]]:
     """Points, misses and the sensor's position of one scan in the file's frame."""
     rotation, position = _pose(header, name)
-    columns, state = _columns(libe57, file, header, name)
+    columns, state = _columns(libe57, file, header, step, name)
     local = columns if all(field in header.point_fields for field in _CARTESIAN) else _cartesian(columns)
     points = local[state == _VALID]
     directions = local[state == _DIRECTION_ONLY]
@@ -69,27 +73,35 @@ def _station(
     return points @ rotation.T + position, misses @ rotation.T + position, position
 
 
-def _columns(libe57: Any, file: Any, header: Any, name: str) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N"]]:
-    """Coordinates as they stand, and which of them are valid."""
+def _columns(
+    libe57: Any, file: Any, header: Any, step: int, name: str
+) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N"]]:
+    """Coordinates as they stand, one of every ``step``, and which of them are valid."""
     system = next((s for s in (_CARTESIAN, _SPHERICAL) if all(field in header.point_fields for field in s)), None)
     if system is None:
         raise CloudError(f"{name}: a scan has neither cartesian nor spherical coordinates")
     n_points = int(header.point_count)
-    arrays = {field: np.zeros(n_points) for field in system}
+    n_block = min(n_points, _BLOCK)
+    arrays = {field: np.zeros(n_block) for field in system}
     flag = "cartesianInvalidState" if system is _CARTESIAN else "sphericalInvalidState"
-    state = np.zeros(n_points, dtype=np.int8)
+    state = np.zeros(n_block, dtype=np.int8)
     buffers = libe57.VectorSourceDestBuffer()
     for field, array in (arrays | ({flag: state} if flag in header.point_fields else {})).items():
-        buffers.append(libe57.SourceDestBuffer(file, field, array, n_points, True, True))
+        buffers.append(libe57.SourceDestBuffer(file, field, array, n_block, True, True))
     reader = header.points.reader(buffers)
-    n_read = int(reader.read())
+    blocks, states, n_read = [], [], 0
+    while n := int(reader.read()):
+        rows = taken(n, step, n_read)
+        blocks.append(np.stack([arrays[field][:n][rows] for field in system], axis=1))
+        states.append(state[:n][rows].astype(np.int64))
+        n_read += n
     reader.close()
     if n_read != n_points:
         raise CloudError(f"{name}: a scan announces {n_points} points, {n_read} are there")
-    columns = np.stack([arrays[field] for field in system], axis=1)
+    columns, valid = np.concatenate(blocks), np.concatenate(states)
     if system is _SPHERICAL:
-        columns[state == _DIRECTION_ONLY, 0] = 1.0  # a direction has no range
-    return columns, state.astype(np.int64)
+        columns[valid == _DIRECTION_ONLY, 0] = 1.0  # a direction has no range
+    return columns, valid
 
 
 def _cartesian(spherical: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import io
 import struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from perception.errors import CloudError
+from perception.files.content import Content, stream_of
 from perception.files.scan import Scan
-from perception.limits import MAX_POINTS
+from perception.files.thinning import step_of, taken, thinning_note
+from perception.limits import MAX_FILE_POINTS
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
 _CHUNK = 200_000
 _NOISE_CLASSES = (7, 18)
@@ -22,34 +23,40 @@ _N_RECORDS_AT = 100
 _RECORD_BYTES = 54
 
 
-def read_las(data: bytes, name: str) -> Scan:
-    """Points with scale and offset applied in double; those marked as withheld or as noise are left out.
+def read_las(data: Content, name: str) -> Scan:
+    """Points, thinned to as many as are used, with scale and offset applied in double.
+
+    Those marked as withheld or as noise are left out.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
     import laspy  # takes 0.1 s that other kinds of file need not wait for
 
-    if not data.startswith(b"LASF"):
+    if data[:4] != b"LASF":
         raise CloudError(f"{name}: does not begin with 'LASF'")
     n_records = struct.unpack_from("<I", data, _N_RECORDS_AT)[0] if len(data) >= _N_RECORDS_AT + 4 else 0
     if n_records * _RECORD_BYTES > len(data):  # laspy would make them all, of nothing
         raise CloudError(f"{name}: {n_records} records of {_RECORD_BYTES} bytes are announced in {len(data)} bytes")
     selection = laspy.DecompressionSelection
     source = laspy.open(
-        io.BytesIO(data),
+        stream_of(data),
         laz_backend=laspy.LazBackend.Lazrs,  # on one thread, which needs no more memory than its chunk
         read_evlrs=False,
         decompression_selection=selection.XY_RETURNS_CHANNEL | selection.Z | selection.CLASSIFICATION | selection.FLAGS,
     )
     with source as reader:
         n_points = _checked_count(reader.header, len(data), name)
-        chunks = [_valid_points(chunk) for chunk in reader.chunk_iterator(_CHUNK)]
+        step, n_read, chunks = step_of(n_points), 0, []
+        for chunk in reader.chunk_iterator(_CHUNK):
+            chunks.append(_valid_points(chunk, taken(len(chunk), step, n_read)))
+            n_read += len(chunk)
     points = np.concatenate([valid for valid, _ in chunks])
-    n_read, n_dropped = sum(n for _, n in chunks), sum(n - len(valid) for valid, n in chunks)
+    n_dropped = sum(n for _, n in chunks)
     if n_read < n_points:
         raise CloudError(f"{name}: {n_points} points are announced, {n_read} are there")
-    return Scan(points, notes=(f"left out {n_dropped} points marked as withheld or noise",) if n_dropped else ())
+    notes = (f"left out {n_dropped} points marked as withheld or noise",) if n_dropped else ()
+    return Scan(points, notes=(*thinning_note(n_points, step), *notes))
 
 
 def _checked_count(header: Any, n_bytes: int, name: str) -> int:
@@ -57,8 +64,8 @@ def _checked_count(header: Any, n_bytes: int, name: str) -> int:
     n_points, stride = int(header.point_count), int(header.point_format.size)
     if n_points == 0:
         raise CloudError(f"{name}: the header announces no points; at least one is needed")
-    if n_points > MAX_POINTS:
-        raise CloudError(f"{name}: the header announces {n_points} points; at most {MAX_POINTS} are read")
+    if n_points > MAX_FILE_POINTS:
+        raise CloudError(f"{name}: the header announces {n_points} points; at most {MAX_FILE_POINTS} are read")
     there = max(n_bytes - int(header.offset_to_point_data), 0)
     if not header.are_points_compressed and there < n_points * stride:
         raise CloudError(
@@ -67,9 +74,9 @@ def _checked_count(header: Any, n_bytes: int, name: str) -> int:
     return n_points
 
 
-def _valid_points(chunk: Any) -> tuple[Float[np.ndarray, "C 3"], int]:
-    """The points of a chunk that count, and how many it has."""
-    points = np.stack([np.asarray(axis, dtype=np.float64) for axis in (chunk.x, chunk.y, chunk.z)], axis=1)
-    invalid: Bool[np.ndarray, "C"] = np.isin(np.asarray(chunk.classification), _NOISE_CLASSES)
-    invalid |= np.asarray(chunk.withheld) != 0
-    return points[~invalid], len(points)
+def _valid_points(chunk: Any, rows: Int[np.ndarray, "K"] | slice) -> tuple[Float[np.ndarray, "C 3"], int]:
+    """The points that count among these of a chunk, and how many do not."""
+    points = np.stack([np.asarray(axis, dtype=np.float64)[rows] for axis in (chunk.x, chunk.y, chunk.z)], axis=1)
+    invalid: Bool[np.ndarray, "C"] = np.isin(np.asarray(chunk.classification)[rows], _NOISE_CLASSES)
+    invalid |= np.asarray(chunk.withheld)[rows] != 0
+    return points[~invalid], int(invalid.sum())

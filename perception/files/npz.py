@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import io
 import math
 import zipfile
 import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from perception.errors import CloudError
 from perception.files.columns import parse_viewpoint, shown
+from perception.files.content import Content, stream_of
 from perception.files.scan import Scan
-from perception.limits import MAX_FILE_BYTES
+from perception.files.thinning import step_of, taken, thinning_note
+from perception.limits import MAX_FILE_BYTES, MAX_FILE_POINTS
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Shaped
@@ -24,22 +26,23 @@ if TYPE_CHECKING:
 
 _POINTS = ("points", "xyz", "positions", "arr_0")
 _ORIGIN = ("viewpoint", "origin")
+_BLOCK = 2**24
 _OTHERS = ("no_return", "misses", "miss_origin")
 
 
-def read_npz(data: bytes, name: str) -> Scan:
+def read_npz(data: Content, name: str) -> Scan:
     """The array ``points`` (or ``xyz``, ``positions``, ``arr_0``) of shape (N, 3 or more).
 
     Beside it may stand ``viewpoint`` or ``origin``: x y z, x y z qw qx qy qz, or (N, 3) where each ray started;
     ``no_return`` (N,): other than 0 where a row is a place up to which a ray met nothing; ``misses`` (M, 3): more such
-    places, and their ``miss_origin``.  Pickled objects are never loaded, and declared sizes are checked before anything
-    is unpacked.
+    places, and their ``miss_origin``.  Rows are thinned to as many as are used, all arrays of a length alike.  Pickled
+    objects are never loaded, and declared sizes are checked before anything is unpacked.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with zipfile.ZipFile(stream_of(data)) as archive:
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             key = next((key for key in _POINTS if key in members), "")
             if not key:
@@ -52,22 +55,25 @@ def read_npz(data: bytes, name: str) -> Scan:
         if isinstance(error, CloudError):
             raise
         raise CloudError(f"{name}: is not a readable npz archive ({shown(str(error))})") from None
-    return _scan(_rows(loaded.pop(key), key, name), loaded.pop(origin_key, None), loaded, name)
+    n_rows, points = loaded.pop(key)
+    others = {key: array for key, (_, array) in loaded.items()}
+    scan = _scan(_rows(points, key, name), others.pop(origin_key, None), others, name)
+    return replace(scan, notes=thinning_note(n_rows, step_of(n_rows)))
 
 
-def read_npy(data: bytes, name: str) -> Scan:
-    """One array of shape (N, 3 or more).
+def read_npy(data: Content, name: str) -> Scan:
+    """One array, its rows thinned to as many as are used, of shape (N, 3 or more).
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
     try:
-        array = _load(io.BytesIO(data), len(data), "", name)
+        n_rows, array = _load(stream_of(data), len(data), "", name)
     except (ValueError, EOFError, OSError) as error:
         if isinstance(error, CloudError):
             raise
         raise CloudError(f"{name}: is not a readable npy array ({shown(str(error))})") from None
-    return Scan(_rows(array, "", name))
+    return Scan(_rows(array, "", name), notes=thinning_note(n_rows, step_of(n_rows)))
 
 
 def write_npz(path: Path | str, cloud: Cloud) -> None:
@@ -124,13 +130,13 @@ def _rows(array: Shaped[np.ndarray, "..."], key: str, name: str) -> Float[np.nda
     return array[:, :3].astype(np.float64)
 
 
-def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> Shaped[np.ndarray, "..."]:
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> tuple[int, Shaped[np.ndarray, "..."]]:
     with archive.open(info) as file:
         return _load(file, info.file_size, info.filename, name)
 
 
-def _load(file: IO[bytes], n_bytes: int, key: str, name: str) -> Shaped[np.ndarray, "..."]:
-    """One array, its declared size checked before anything of that size is made."""
+def _load(file: IO[bytes], n_bytes: int, key: str, name: str) -> tuple[int, Shaped[np.ndarray, "..."]]:
+    """How many rows an array has and those that are taken, its declared size checked before any of it is read."""
     version = np.lib.format.read_magic(file)
     reader = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
     if reader is None:
@@ -146,7 +152,28 @@ def _load(file: IO[bytes], n_bytes: int, key: str, name: str) -> Shaped[np.ndarr
     size = math.prod(shape) * dtype.itemsize
     if max(size, n_bytes) > MAX_FILE_BYTES:
         raise CloudError(f"{name}: array '{key}' claims {max(size, n_bytes)} bytes; at most {MAX_FILE_BYTES}")
-    content = file.read(size)
-    if len(content) < size:
-        raise ValueError(f"array '{key}' has {len(content)} of {size} bytes")
-    return np.frombuffer(content, dtype=dtype).reshape(shape, order="F" if is_fortran else "C")
+    n_rows = shape[0] if shape else 1
+    if n_rows > MAX_FILE_POINTS:
+        raise CloudError(f"{name}: array '{key}' has {n_rows} rows; at most {MAX_FILE_POINTS} are read")
+    if is_fortran and len(shape) > 1:
+        columns = [_taken_rows(file, n_rows, dtype, (), key) for _ in range(math.prod(shape[1:]))]
+        return n_rows, np.stack(columns, axis=-1).reshape((-1, *shape[1:]), order="F")
+    rows = _taken_rows(file, n_rows, dtype, shape[1:], key)
+    return n_rows, rows if shape else rows.reshape(())
+
+
+def _taken_rows(
+    file: IO[bytes], n_rows: int, dtype: np.dtype[Any], shape: tuple[int, ...], key: str
+) -> Shaped[np.ndarray, "..."]:
+    """Rows of this shape that follow in a file, thinned to as many as are used."""
+    stride = math.prod(shape) * dtype.itemsize
+    step, block = step_of(n_rows), max(1, _BLOCK // max(stride, 1))
+    parts = [np.zeros((0, *shape), dtype)]
+    for first in range(0, n_rows, block):
+        n_wanted = min(block, n_rows - first)
+        content = file.read(n_wanted * stride)
+        if len(content) < n_wanted * stride:
+            raise ValueError(f"array '{key}' has {first * stride + len(content)} of {n_rows * stride} bytes")
+        rows = np.frombuffer(content, dtype=dtype).reshape((n_wanted, *shape))
+        parts.append(rows[taken(n_wanted, step, first)])
+    return np.concatenate(parts)

@@ -10,6 +10,7 @@ import numpy as np
 from perception.errors import CloudError
 from perception.files.bag import Message, read_bag
 from perception.files.columns import shown
+from perception.files.content import Content, content_of
 from perception.files.e57 import read_e57
 from perception.files.las import read_las
 from perception.files.npz import read_npy, read_npz
@@ -17,9 +18,10 @@ from perception.files.pcd import read_pcd
 from perception.files.ply import read_ply
 from perception.files.scan import Scan
 from perception.files.table import read_text
+from perception.files.thinning import bounded
 from perception.limits import MAX_FILE_BYTES
 
-_READERS: dict[str, Callable[[bytes, str], Scan]] = {
+_READERS: dict[str, Callable[[Content, str], Scan]] = {
     ".pcd": read_pcd,
     ".ply": read_ply,
     ".xyz": read_text,
@@ -63,7 +65,9 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
                 _check_file(path / _BAG_FOLDER_HAS if path.is_dir() else path, None)
                 return read_bag(path, str(path), topic, message)
             _check_file(path, MAX_FILE_BYTES)
-            return read_e57(path, str(path)) if suffix == ".e57" else _READERS[suffix](path.read_bytes(), str(path))
+            if suffix == ".e57":
+                return bounded(read_e57(path, str(path)))
+            return bounded(_READERS[suffix](content_of(path), str(path)))
     except (CloudError, MemoryError, KeyboardInterrupt, SystemExit):
         raise
     except ImportError as error:

@@ -13,15 +13,19 @@ import numpy as np
 from perception.errors import CloudError
 from perception.files import lzf
 from perception.files.columns import NO_RETURN, missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
+from perception.files.content import Content
 from perception.files.scan import Scan
 from perception.files.text import read_rows
-from perception.limits import MAX_FILE_BYTES, MAX_POINTS
+from perception.files.thinning import step_of, taken, thinning_note
+from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped
 
+    _Columns = tuple[list[Shaped[np.ndarray, "N"]], tuple[str, ...]]
+
 _HEADER_LIMIT = 8192
-_MAX_UNPACKED = 4 * MAX_FILE_BYTES
+_MAX_UNPACKED = 4 * MAX_WHOLE_BYTES
 _NUMPY_KIND = {"F": "f", "I": "i", "U": "u"}
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
 _ALLOWED_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
@@ -52,8 +56,8 @@ class PcdHeader:
         return np.dtype([(str(i), kind, (count,)) for i, (_, kind, count) in enumerate(self.fields)])
 
 
-def read_pcd(data: bytes, name: str) -> Scan:
-    """Rows as ``columns.scan_of`` takes them, NaN included, and the VIEWPOINT.
+def read_pcd(data: Content, name: str) -> Scan:
+    """Rows, thinned to as many as are used, as ``columns.scan_of`` takes them, NaN included, and the VIEWPOINT.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
@@ -64,8 +68,8 @@ def read_pcd(data: bytes, name: str) -> Scan:
     if missing := missing_coordinate(found):
         raise CloudError(f"{name}: FIELDS '{shown(' '.join(names))}' has no '{missing}'; x, y and z are needed")
     read = {"ascii": _ascii_columns, "binary": _binary_columns, "binary_compressed": _packed_columns}[header.encoding]
-    columns = read(data, header, list(found.values()), name)
-    return scan_of(dict(zip(found, columns, strict=True)), header.viewpoint)
+    columns, notes = read(data, header, list(found.values()), name)
+    return scan_of(dict(zip(found, columns, strict=True)), header.viewpoint, notes)
 
 
 def write_pcd(
@@ -112,7 +116,7 @@ def write_pcd(
     Path(path).write_bytes(header.encode() + body)
 
 
-def _parse_header(data: bytes, name: str) -> PcdHeader:
+def _parse_header(data: Content, name: str) -> PcdHeader:
     entries: dict[str, list[str]] = {}
     at = 0
     while True:
@@ -172,8 +176,8 @@ def _parse_count(entries: dict[str, list[str]], name: str) -> int:
         raise CloudError(f"{name}: WIDTH x HEIGHT is {shape} but POINTS is {n_points}; they must agree")
     if n_points == 0:
         raise CloudError(f"{name}: the header announces no points; at least one is needed")
-    if n_points > MAX_POINTS:
-        raise CloudError(f"{name}: the header announces {n_points} points; at most {MAX_POINTS} are read")
+    if n_points > MAX_FILE_POINTS:
+        raise CloudError(f"{name}: the header announces {n_points} points; at most {MAX_FILE_POINTS} are read")
     return n_points
 
 
@@ -183,29 +187,30 @@ def _parse_viewpoint(entries: dict[str, list[str]], name: str) -> tuple[float, .
     return parse_viewpoint(entries["VIEWPOINT"], name)
 
 
-def _ascii_columns(data: bytes, header: PcdHeader, fields: list[int], name: str) -> list[Float[np.ndarray, "N"]]:
+def _ascii_columns(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
     offsets = np.concatenate([[0], np.cumsum([count for _, _, count in header.fields])])
-    first_line = data.count(b"\n", 0, header.size) + 1
+    first_line = data[: header.size].count(b"\n") + 1
     columns = [int(offsets[i]) for i in fields]
     rows = read_rows(
-        data[header.size :], columns, name, width=int(offsets[-1]), n_rows=header.n_points, first_line=first_line
+        data, columns, name, start=header.size, width=int(offsets[-1]), n_rows=header.n_points, first_line=first_line
     )
-    if len(rows) < header.n_points:
-        raise CloudError(f"{name}: {header.n_points} points are announced, {len(rows)} lines are there")
-    return list(rows.T)
+    if rows.n_there < header.n_points:
+        raise CloudError(f"{name}: {header.n_points} points are announced, {rows.n_there} lines are there")
+    return list(rows.values.T), rows.notes
 
 
-def _binary_columns(data: bytes, header: PcdHeader, fields: list[int], name: str) -> list[Shaped[np.ndarray, "N"]]:
+def _binary_columns(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
     there, n, stride = len(data) - header.size, header.n_points, header.dtype.itemsize
     if there < n * stride:
         raise CloudError(
             f"{name}: {n} points of {stride} bytes are announced, but only {there} bytes follow the header"
         )
     table = np.frombuffer(data, dtype=header.dtype, count=n, offset=header.size)
-    return [table[str(i)][:, 0] for i in fields]
+    rows = taken(n, step_of(n))
+    return [table[str(i)][rows, 0] for i in fields], thinning_note(n, step_of(n))
 
 
-def _packed_columns(data: bytes, header: PcdHeader, fields: list[int], name: str) -> list[Shaped[np.ndarray, "N"]]:
+def _packed_columns(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
     """``binary_compressed`` stores field after field, each for all points."""
     n = header.n_points
     raw = _unpack(data, header.size, n * header.dtype.itemsize, name)
@@ -214,17 +219,22 @@ def _packed_columns(data: bytes, header: PcdHeader, fields: list[int], name: str
     for i in fields:
         _, kind, count = header.fields[i]
         column = np.frombuffer(raw, dtype=kind, count=n * count, offset=int(starts[i]))
-        columns.append(column.reshape(n, count)[:, 0])
-    return columns
+        columns.append(column.reshape(n, count)[taken(n, step_of(n)), 0])
+    return columns, thinning_note(n, step_of(n))
 
 
-def _unpack(data: bytes, start: int, size: int, name: str) -> bytes:
+def _unpack(data: Content, start: int, size: int, name: str) -> bytes:
     if len(data) < start + 8:
         raise CloudError(f"{name}: ends before the sizes of its compressed data")
     packed_size, raw_size = struct.unpack_from("<II", data, start)
     there = len(data) - start - 8
     if raw_size != size:
         raise CloudError(f"{name}: compressed data announce {raw_size} bytes, the header's points need {size}")
+    if packed_size > MAX_WHOLE_BYTES:
+        raise CloudError(
+            f"{name}: {packed_size} compressed bytes, which are unpacked as a whole; at most {MAX_WHOLE_BYTES} are "
+            "read, save it as DATA binary"
+        )
     if size > _MAX_UNPACKED:
         raise CloudError(f"{name}: unpacks to {size} bytes; at most {_MAX_UNPACKED} are read, leave out some fields")
     if there < packed_size:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from perception.errors import CloudError
 from perception.files.columns import missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
+from perception.files.content import Content
 from perception.files.scan import Scan
-from perception.files.text import read_rows
-from perception.limits import MAX_POINTS
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from perception.files.text import Rows, read_rows
+from perception.files.thinning import step_of, taken, thinning_note
+from perception.limits import MAX_FILE_POINTS
 
 _HEADER_LIMIT = 65536
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -41,8 +39,10 @@ class _Element:
         return any(kind == "list" for _, kind in self.properties)
 
 
-def read_ply(data: bytes, name: str) -> Scan:
-    """Vertices as ``columns.scan_of`` takes them; a ``comment viewpoint x y z qw qx qy qz`` gives the sensor.
+def read_ply(data: Content, name: str) -> Scan:
+    """Vertices, thinned to as many as are used, as ``columns.scan_of`` takes them.
+
+    A ``comment viewpoint x y z qw qx qy qz`` gives the sensor.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
@@ -56,7 +56,7 @@ def read_ply(data: bytes, name: str) -> Scan:
     viewpoint = _viewpoint(lines, name)
     if order is None:
         rows = _ascii_rows(data, start, sum(e.count for e in before), vertex, list(found.values()), name)
-        return scan_of({key: rows[:, i] for i, key in enumerate(found)}, viewpoint)
+        return scan_of({key: rows.values[:, i] for i, key in enumerate(found)}, viewpoint, rows.notes)
     start += sum(e.count * _dtype(e, order).itemsize for e in before)
     dtype = _dtype(vertex, order)
     if len(data) - start < vertex.count * dtype.itemsize:
@@ -65,11 +65,14 @@ def read_ply(data: bytes, name: str) -> Scan:
             f"but only {max(len(data) - start, 0)} bytes are there for them"
         )
     table = np.frombuffer(data, dtype=dtype, count=vertex.count, offset=start)
-    return scan_of({key: table[str(i)] for key, i in found.items()}, viewpoint)
+    step = step_of(vertex.count)
+    taken_rows = taken(vertex.count, step)
+    columns = {key: table[str(i)][taken_rows] for key, i in found.items()}
+    return scan_of(columns, viewpoint, thinning_note(vertex.count, step))
 
 
-def _header_lines(data: bytes, name: str) -> tuple[list[list[str]], int]:
-    if not data.startswith(b"ply"):
+def _header_lines(data: Content, name: str) -> tuple[list[list[str]], int]:
+    if data[:3] != b"ply":
         raise CloudError(f"{name}: does not begin with 'ply'")
     end = data.find(b"end_header", 0, _HEADER_LIMIT)
     newline = data.find(b"\n", end)
@@ -114,8 +117,8 @@ def _split_at_vertex(elements: list[_Element], name: str) -> tuple[list[_Element
         raise CloudError(f"{name}: has list properties in or before its vertices; vertices must come first")
     if vertex.count == 0:
         raise CloudError(f"{name}: the header announces no vertices; at least one is needed")
-    if max(element.count for element in elements[: at + 1]) > MAX_POINTS:
-        raise CloudError(f"{name}: the header announces {vertex.count} vertices; at most {MAX_POINTS} are read")
+    if max(element.count for element in elements[: at + 1]) > MAX_FILE_POINTS:
+        raise CloudError(f"{name}: the header announces {vertex.count} vertices; at most {MAX_FILE_POINTS} are read")
     return before, vertex
 
 
@@ -130,18 +133,16 @@ def _viewpoint(lines: list[list[str]], name: str) -> tuple[float, ...] | None:
     return None
 
 
-def _ascii_rows(
-    data: bytes, start: int, n_before: int, vertex: _Element, columns: list[int], name: str
-) -> Float[np.ndarray, "N C"]:
-    first_line = data.count(b"\n", 0, start) + 1
+def _ascii_rows(data: Content, start: int, n_before: int, vertex: _Element, columns: list[int], name: str) -> Rows:
+    first_line = data[:start].count(b"\n") + 1
     for _ in range(n_before):
         at = data.find(b"\n", start) + 1
         if not at:
             raise CloudError(f"{name}: ends before its vertices")
         start, first_line = at, first_line + 1
     rows = read_rows(
-        data[start:], columns, name, width=len(vertex.properties), n_rows=vertex.count, first_line=first_line
+        data, columns, name, start=start, width=len(vertex.properties), n_rows=vertex.count, first_line=first_line
     )
-    if len(rows) < vertex.count:
-        raise CloudError(f"{name}: {vertex.count} vertices are announced, {len(rows)} lines are there")
+    if rows.n_there < vertex.count:
+        raise CloudError(f"{name}: {vertex.count} vertices are announced, {rows.n_there} lines are there")
     return rows

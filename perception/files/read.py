@@ -15,6 +15,7 @@ from perception.files.bag import Message
 from perception.files.oddities import rounding_note, without_empty_rows
 from perception.files.placing import Pose, metres_per, moved, pose_of_viewpoint, rigid_pose
 from perception.files.scan import Scan
+from perception.files.thinning import taken
 from perception.files.worker import parse_in_worker
 from perception.limits import MAX_POINTS
 
@@ -60,29 +61,43 @@ def read_clouds(
     topic: str | None = None,
     message: Message = 0,
 ) -> Cloud:
-    """Read several files and merge them; every point knows where its own ray started.
+    """Read several files and merge them, thinned to as many points as are used; every one knows where its ray started.
 
     Args:
         files: each file with its pose_world_cloud (None: its points are in the world already).
         unit, apply_viewpoint, sensor, topic, message: of all files, as for ``read_cloud``.
 
     Raises:
-        CloudError: no file, too many points together, or what ``read_cloud`` has to say of one of them.
+        CloudError: no file, or what ``read_cloud`` has to say of one of them.
     """
     if not files:
         raise CloudError("no cloud file is given; at least one is needed")
-    clouds = []
-    n_rays = 0
+    clouds: list[Cloud] = []
+    step = 1
     for path, transform in files:
         scan = parse_in_worker(Path(path), topic, message)
         cloud = _placed(scan, str(path), unit, transform, apply_viewpoint, sensor)
-        n_rays += len(cloud.points) + len(cloud.misses)
-        if n_rays > MAX_POINTS:
-            raise CloudError(
-                f"{path}: brings the points of all files to {n_rays}; at most {MAX_POINTS} are read, downsample first"
-            )
-        clouds.append(cloud if len(files) == 1 else replace(cloud, notes=tuple(f"{path}: {n}" for n in cloud.notes)))
-    return merged(clouds)
+        if len(files) > 1:
+            cloud = replace(cloud, notes=tuple(f"{path}: {note}" for note in cloud.notes))
+        clouds.append(_thinned(cloud, step))
+        while sum(len(one.points) + len(one.misses) for one in clouds) > MAX_POINTS:
+            clouds, step = [_thinned(one, 2) for one in clouds], 2 * step
+    whole = merged(clouds)
+    if step == 1:
+        return whole
+    note = f"took 1 of every {step} points of all files, since at most {MAX_POINTS} are used together"
+    return replace(whole, notes=(*whole.notes, note))
+
+
+def _thinned(cloud: Cloud, step: int) -> Cloud:
+    """One of every ``step`` points and rays."""
+    if step == 1:
+        return cloud
+    points, misses = (np.arange(n)[taken(n, step)] for n in (len(cloud.points), len(cloud.misses)))
+    behind = cloud.miss_origin
+    if behind is not None and behind.ndim == 2:
+        behind = behind[misses]
+    return replace(cloud.selected(points), misses=cloud.misses[misses], miss_origin=behind)
 
 
 def _placed(

@@ -6,19 +6,44 @@ import array
 import io
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from perception.errors import CloudError
 from perception.files.columns import shown
-from perception.limits import MAX_POINTS
+from perception.files.content import Content
+from perception.files.thinning import row_of, step_of, taken, thinning_note
+from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 _LONGEST_LINE = 2**16
+_BLOCK = 2**24
 COMMENTS = ("#", "//", "%")
+_MARKS = tuple(mark.encode() for mark in COMMENTS)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of numbers, thinned to as many as are used.
+
+    Attributes:
+        values: (R, C) the columns that were asked for.
+        n_there: how many rows the text has, as far as it was read.
+        step: one of so many was taken.
+    """
+
+    values: Float[np.ndarray, "R C"]
+    n_there: int
+    step: int
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to tell a user."""
+        return thinning_note(self.n_there, self.step)
 
 
 def separator_of(line: str) -> str | None:
@@ -33,42 +58,76 @@ def cells_of(line: str, separator: str | None) -> list[str]:
 
 
 def read_rows(
-    body: bytes,
+    content: Content,
     columns: Sequence[int],
     name: str,
     *,
+    start: int = 0,
     separator: str | None = None,
     width: int | None = None,
     n_rows: int | None = None,
     first_line: int = 1,
-) -> Float[np.ndarray, "R C"]:
+) -> Rows:
     """The numbers in ``columns`` of each row; an empty cell is NaN.
 
     Args:
-        body: lines, from the first row on; empty ones and comments are skipped.
+        content: lines; empty ones and comments are skipped.
         columns: which ones are wanted, counted from 0.
         name: of the file, for errors.
+        start: where the first row begins.
         separator: of cells; None: blanks.  Beside semicolons, a comma is a decimal point.
         width: how many columns there are; None: as many as in the first row.
         n_rows: how many rows are read; None: all.
-        first_line: number of the body's first line in the file.
+        first_line: number of its line in the file.
 
     Raises:
         CloudError: naming the line that is short, long or no number, or when there are too many.
     """
-    first = body.find(b"\n")
-    if (len(body) if first < 0 else first) > _LONGEST_LINE:
+    first = content.find(b"\n", start)
+    if (len(content) if first < 0 else first) - start > _LONGEST_LINE:
         raise CloudError(f"{name}: line {first_line} is longer than {_LONGEST_LINE} bytes; one row a line is needed")
+    n_lines = sum(block.count(b"\n") for block in _blocks(content, start)) + (content[-1:] != b"\n")
+    if n_rows is None and n_lines > MAX_FILE_POINTS:
+        raise CloudError(f"{name}: more than {MAX_FILE_POINTS} rows; downsample it first")
+    step = max(step_of(n_lines if n_rows is None else n_rows), -(-(len(content) - start) // MAX_WHOLE_BYTES))
+    n_there = None
+    if step == 1:
+        body = content[start:]
+    else:
+        body, n_there = _some_lines(content, start, step, n_rows)
+        n_rows = None
     if separator == ";":
         body = body.replace(b",", b".")
     table = _plain_numbers(body, separator, n_rows)
     if table is None or table.shape[1] <= max(columns) or table.shape[1] != (width or table.shape[1]):
-        table = _careful(body, columns, name, separator, width, n_rows, first_line)
+        table = _careful(body, columns, name, separator, width, n_rows, first_line, step)
     else:
         table = np.ascontiguousarray(table[:, list(columns)])
-    if len(table) > MAX_POINTS:
-        raise CloudError(f"{name}: more than {MAX_POINTS} rows; downsample it first")
-    return table
+    return Rows(table, len(table) if n_there is None else n_there, step)
+
+
+def _blocks(content: Content, start: int) -> Iterator[bytes]:
+    """Whole lines, some megabytes at a time."""
+    while start < len(content):
+        end = len(content)
+        if end - start > _BLOCK:
+            end = content.rfind(b"\n", start, start + _BLOCK) + 1 or content.find(b"\n", start) + 1 or end
+        yield content[start:end]
+        start = end
+
+
+def _some_lines(content: Content, start: int, step: int, n_rows: int | None) -> tuple[bytes, int]:
+    """One of every ``step`` lines that are rows, and how many of those there are among the first ``n_rows``."""
+    body, n_there = bytearray(), 0
+    for block in _blocks(content, start):
+        lines = [line for line in block.split(b"\n") if line and not line.isspace()]
+        if any(mark in block for mark in _MARKS):
+            lines = [line for line in lines if not line.lstrip().startswith(_MARKS)]
+        if n_rows is not None:
+            lines = lines[: n_rows - n_there]
+        body += b"".join(lines[i] + b"\n" for i in np.arange(len(lines))[taken(len(lines), step, n_there)])
+        n_there += len(lines)
+    return bytes(body), n_there
 
 
 def _plain_numbers(body: bytes, separator: str | None, n_rows: int | None) -> Float[np.ndarray, "R C"] | None:
@@ -83,7 +142,7 @@ def _plain_numbers(body: bytes, separator: str | None, n_rows: int | None) -> Fl
                 delimiter=separator,
                 ndmin=2,
                 encoding="latin-1",
-                max_rows=min(MAX_POINTS + 1 if n_rows is None else n_rows, n_lines),
+                max_rows=n_lines if n_rows is None else min(n_rows, n_lines),
             )
     except ValueError:
         return None
@@ -97,14 +156,15 @@ def _careful(
     width: int | None,
     n_rows: int | None,
     first_line: int,
+    step: int,
 ) -> Float[np.ndarray, "R C"]:
     numbers = array.array("d")
     n_read, n_first = 0, width
-    limit = MAX_POINTS + 1 if n_rows is None else n_rows
-    for number, line in enumerate(_lines(body), start=first_line):
+    for place, line in enumerate(_lines(body)):
+        number = first_line + (place if step == 1 else int(row_of(np.array(place), step)))
         if not line or line.startswith(COMMENTS):
             continue
-        if n_read == limit:
+        if n_read == n_rows:
             break
         cells = cells_of(line, separator)
         if n_first is None and len(cells) <= max(columns):
