@@ -80,7 +80,7 @@ def obstacles_of(
     for index, obstacle in enumerate(request.scene.obstacles):
         field, pose = f"scene.obstacles[{index}]", _pose(obstacle)
         if isinstance(obstacle, MeshRequest):
-            match = matches.get(obstacle.name)
+            match = matches[obstacle.name] if obstacle.match else None
             solid = _solid(request, obstacle, f"{field}.file") if match is None else match.solid
             notes += solid.notes
             if match is not None:
