@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from google.rpc.error_details_pb2 import BadRequest
 from google.rpc.status_pb2 import Status
 
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.rpc import MAX_TEXT_BYTES, Refusal, shortened
+from service.server.cloud_problems import as_sent
 from service.server.refusal import invalid
 from service.wire.unknown import unknown_fields
 from service.wire.violations import violation
@@ -78,3 +81,17 @@ def test_files_that_cannot_be_verified_are_named_as_the_client_named_them() -> N
     answer = verify({"other.json": b"{}"})
     assert isinstance(answer, Refused)
     assert answer.problems == ("files: result.json cannot be read: No such file or directory",)
+
+
+def test_what_is_wrong_with_a_cloud_is_told_of_the_field_that_names_it() -> None:
+    kept, asked = [Path("/data/a.pcd"), Path("/data/b.pcd")], ["sha256:a.pcd", "sha256:b.pcd"]
+    said = (
+        "/data/b.pcd: is empty",
+        "KIND: unknown kind 'x'",
+        "--robot: unknown robot 'y'",
+        "start is odd",
+        "no points",
+    )
+    told = [violation(problem) for problem in as_sent(said, kept, asked)]
+    assert [one.field for one in told] == ["clouds.clouds[1].file", "kind", "clouds.robot", "clouds", "clouds.clouds"]
+    assert told[0].description == "clouds.clouds[1].file: sha256:b.pcd: is empty"

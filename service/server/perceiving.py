@@ -26,6 +26,7 @@ from service.proto.planner.v1.planner_pb2 import (
 from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
 from service.rpc import Context, Refusal
+from service.server.cloud_problems import as_sent
 from service.server.refusal import invalid, overloaded
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop, outcome
@@ -132,7 +133,7 @@ class Perceiving:
             try:
                 while (step := await steps.get()) is not None:
                     yield BuildSceneResponse(step=step)
-                text = accepted(await outcome(piece))
+                text = _seen(await outcome(piece), clouds, scene)
             finally:
                 piece.cancel()
         scene_id = await asyncio.to_thread(self._store.scenes.put, current_caller().name, text)
@@ -146,17 +147,16 @@ class Perceiving:
         """
         scene = self._scene(message, {})
         with self._placed(message.clouds, scene) as clouds:
-            found = accepted(
-                await self._workshop.run(
-                    "detect",
-                    detect,
-                    clouds,
-                    message.kind,
-                    scene.hint,
-                    deadline=deadline_of(context),
-                    budget_s=self._settings.budget_s("detect"),
-                )
+            answer = await self._workshop.run(
+                "detect",
+                detect,
+                clouds,
+                message.kind,
+                scene.hint,
+                deadline=deadline_of(context),
+                budget_s=self._settings.budget_s("detect"),
             )
+            found = _seen(answer, clouds, scene)
         return DetectResponse(hits=detections_to_messages(found["hits"]), notes=found["notes"])
 
     def _scene(self, message: BuildSceneRequest | DetectRequest, more: dict[str, Any]) -> SceneRequest:
@@ -210,6 +210,17 @@ def accepted(answer: T | Refused) -> T:
     """
     if isinstance(answer, Refused):
         raise invalid(answer.problems)
+    return answer
+
+
+def _seen(answer: T | Refused, clouds: CloudAsked, scene: SceneRequest) -> T:
+    """A worker's answer about clouds.
+
+    Raises:
+        Refusal: it cannot be had of them.
+    """
+    if isinstance(answer, Refused):
+        raise invalid(as_sent(answer.problems, clouds.files, [one.file for one in scene.cloud_files]))
     return answer
 
 
