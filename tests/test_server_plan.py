@@ -200,6 +200,18 @@ def test_file_of_the_server_is_refused_unless_its_folder_is_allowed(stub: Planne
     assert "request.scene.cloud" in _violations(refused.value)
 
 
+def test_plan_under_way_says_so(stub: PlannerServiceStub) -> None:
+    _wait_until_idle(stub)
+    running, waiting = (stub.Plan(_plan(ENDLESS), timeout=60) for _ in range(2))
+    first = next(iter(running)).accepted.plan_id
+    _wait_for(running, "progress")
+    second = next(iter(waiting)).accepted.plan_id
+    states = [next(iter(stub.GetPlan(wire.GetPlanRequest(plan_id=one)))).record.state for one in (first, second)]
+    assert states == [wire.PLAN_STATE_RUNNING, wire.PLAN_STATE_QUEUED]
+    running.cancel()
+    waiting.cancel()
+
+
 def test_cancelled_plan_frees_its_worker(stub: PlannerServiceStub) -> None:
     call = stub.Plan(_plan(ENDLESS), timeout=60)
     _wait_for(call, "progress")
@@ -209,7 +221,7 @@ def test_cancelled_plan_frees_its_worker(stub: PlannerServiceStub) -> None:
 
 def test_deadline_brings_the_best_attempt_before_it_passes(stub: PlannerServiceStub) -> None:
     _wait_until_idle(stub)
-    result = _finished(stub.Plan(_plan(ENDLESS), timeout=6)).result
+    result = _finished(stub.Plan(_plan(ENDLESS), timeout=8)).result
     assert result.verdict == VERDICT_TIME_LIMIT
     assert result.explanation
 

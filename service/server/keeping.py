@@ -23,6 +23,7 @@ from service.server.perceiving import accepted, deadline_of
 from service.server.planning import stored_result
 from service.server.refusal import invalid
 from service.server.robots import RobotFolder
+from service.server.running import RunningPlans
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop
 from service.store import Decision, PlanRecord, PlanState, Review, Store
@@ -46,6 +47,7 @@ class Keeping:
         settings: of the server.
         workshop: where plans are verified.
         store: where they are kept.
+        running: plans that are under way.
         robots: that this server knows besides those of the package.
         verdicts: plans by verdict since the start.
     """
@@ -55,6 +57,7 @@ class Keeping:
         settings: ServerSettings,
         workshop: Workshop,
         store: Store,
+        running: RunningPlans,
         robots: RobotFolder,
         verdicts: Mapping[str, int],
     ) -> None:
@@ -63,6 +66,7 @@ class Keeping:
         self._store = store
         self._verdicts = verdicts
         self._started = time.monotonic()
+        self._running = running
         self._robots = robots
         self.is_draining = False
 
@@ -177,10 +181,11 @@ class Keeping:
         return record
 
     def _plan(self, record: PlanRecord) -> wire.PlanRecord:
+        running = self._running.get(record.plan_id)
         message = wire.PlanRecord(
             plan_id=record.plan_id,
             request_id=record.request_id,
-            state=_STATES[record.state],
+            state=wire.PLAN_STATE_RUNNING if running is not None and running.has_begun else _STATES[record.state],
             reviews=[_review(review) for review in self._store.reviews.of(record.plan_id)],
             is_approved=self._store.reviews.is_accepted(record.plan_id),
             created=_time(record.created),

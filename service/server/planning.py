@@ -162,7 +162,10 @@ class Planning:
             plan.finish(PlanFinished(plan_id=plan.plan_id, result=MotionResult.FromString(answer.reply)))
         except Exception as error:
             refusal = refusal_for(error)
-            self._store.plans.give_up(plan.plan_id, refusal.text)
+            try:
+                self._store.plans.give_up(plan.plan_id, refusal.text)
+            except Exception as unwritten:  # a full disk, say: whoever waits is told all the same
+                refusal_for(unwritten)
             plan.fail(refusal)
 
     async def _keep(self, plan_id: str, answer: PlanAnswer) -> None:

@@ -40,6 +40,11 @@ class RunningPlan:
         """Whether it was stopped because nobody watched any more, and has not ended yet."""
         return self._is_stopping
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether a worker is at it."""
+        return self._piece is not None and self._piece.job.started is not None
+
     def worked_on_by(self, piece: Piece[Any]) -> None:
         """It has been handed to the workshop."""
         self._piece = piece

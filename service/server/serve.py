@@ -137,7 +137,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         robots = RobotFolder(settings.robots)
         planning = Planning(Door(settings, folders, clouds, robots), workshop, store, count)
         perceiving = Perceiving(settings, folders, workshop, store, clouds, limiter, metrics.uploaded)
-        keeping = Keeping(settings, workshop, store, robots, verdicts)
+        keeping = Keeping(settings, workshop, store, planning.running, robots, verdicts)
         server = grpc.aio.server(
             interceptors=[Watcher(metrics, port.spans), Gate(port.tokens, limiter)], options=_options(settings)
         )

@@ -26,7 +26,7 @@ from service.work.robots import WarmRobots
 REPORT_EVERY_S = 0.02  # iterations are told no more often than this: nobody sees more, and every one is a message
 LEAST_TIME_S = 0.01
 # Of what is left until the deadline, kept for the curve and the certificate of the best attempt, and the way back.
-ANSWER_SHARE, MOST_ANSWER_TIME_S = 0.25, 1.0
+ANSWER_SHARE, MOST_ANSWER_TIME_S = 0.25, 2.0
 
 _ROBOTS = WarmRobots()  # of this process
 
