@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -18,6 +19,7 @@ import pytest
 from executor_waiting import Events, is_running, parent_of, until
 
 from service.executor import Job, JobCancelled, LocalPool, WorkerDied
+from service.executor.frames import Kind
 
 SOON_S = 20.0  # far more than anything takes
 SUPPORT = Path(jobs.__file__).parent
@@ -54,6 +56,19 @@ def test_a_job_whose_worker_dies_is_begun_again(tmp_path: Path) -> None:
         job = pool.submit(jobs.kill_own_worker, tmp_path, 2)
         assert job.result(SOON_S) == 3
         assert job.attempts == 3
+
+
+def test_what_a_worker_said_before_it_died_counts() -> None:
+    events = Events()
+
+    def be_busy(event: bytes) -> None:  # where answers are read, until the worker is dead
+        events(event)
+        time.sleep(0.2 if len(events.seen) == 1 else 0.0)
+
+    with LocalPool(1) as pool:
+        job = pool.submit(jobs.answer_and_die, 12, on_event=be_busy)
+        assert job.result(SOON_S) == "done"
+        assert (job.attempts, len(events.seen)) == (1, 12)
 
 
 def test_a_job_begun_again_goes_before_those_that_wait(tmp_path: Path) -> None:
@@ -173,6 +188,23 @@ def test_a_worker_that_talks_nonsense_or_hangs_up_is_replaced(fn: object) -> Non
         with pytest.raises(WorkerDied, match="SIGKILL"):
             pool.submit(fn, max_attempts=2).result(SOON_S)
         assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
+
+
+@pytest.mark.parametrize("payload", [b"\xff" * 64, struct.pack("<BQQ", Kind.READY, 0, 0)])
+def test_a_worker_that_talks_nonsense_while_idle_gets_no_job(payload: bytes) -> None:
+    with LocalPool(1) as pool:
+        pool.submit(jobs.talk_nonsense_later, payload).result(SOON_S)
+        assert until(lambda: pool.stats().restarts == 1)
+        assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
+
+
+def test_a_job_that_reports_without_end_holds_up_nobody() -> None:
+    with LocalPool(2, grace_s=SOON_S) as pool:
+        loud = pool.submit(jobs.report_without_end, on_event=lambda _: time.sleep(0.0005))  # slower than they come
+        assert until(loud.running)
+        assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
+        loud.cancel()
+        assert loud.result(SOON_S) == "silent at last"
 
 
 def test_what_a_killed_worker_had_started_ends_with_it() -> None:

@@ -32,7 +32,7 @@ def test_frames_come_whole_in_pieces_of_any_size(size: int) -> None:
     with here, there:
         for start in range(0, len(data), size):
             there.sendall(data[start : start + size])
-            seen += inbox.read()
+            seen += inbox.read(everything=True)
     assert seen == FRAMES
 
 
@@ -42,7 +42,7 @@ def test_a_frame_that_breaks_off_is_none() -> None:
     with here:
         with there:
             there.sendall(as_bytes(FRAMES)[:-1])
-        assert list(inbox.read()) == FRAMES[:2]
+        assert list(inbox.read(everything=True)) == FRAMES[:2]
         assert inbox.is_closed
 
 
@@ -66,8 +66,8 @@ def test_what_the_other_side_does_not_take_is_kept() -> None:
         there.setblocking(False)
         inbox, seen = Inbox(there), []
         while not outbox.flush():
-            seen += inbox.read()
-        seen += inbox.read()
+            seen += inbox.read(everything=True)
+        seen += inbox.read(everything=True)
     assert seen == [Frame(Kind.RUN, 1, payload), Frame(Kind.RUN, 2, payload)]
 
 
@@ -78,3 +78,13 @@ def test_a_channel_ends_when_the_other_side_does() -> None:
             here.sendall(as_bytes(FRAMES)[:-1])
         channel = Channel(there)
         assert [channel.receive() for _ in range(3)] == [*FRAMES[:2], None]
+
+
+def test_only_a_few_frames_are_read_at_a_time_unless_all_are_wanted() -> None:
+    here, there = ends()
+    with here, there:
+        there.sendall(as_bytes([Frame(Kind.EVENT, 1, bytes(1000))] * 2) * 70)
+        inbox = Inbox(here)
+        first = len(list(inbox.read()))
+        assert 0 < first < 140
+        assert len(list(inbox.read(everything=True))) == 140 - first

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 MAX_FRAME_BYTES = 2**30
 _HEADER = struct.Struct("<BQQ")  # kind, job, length of the payload
-_CHUNK = 2**18
+_CHUNK = 2**16
+_MAX_SENT = 2**20  # at a time
 
 
 class Kind(enum.IntEnum):
@@ -47,8 +48,12 @@ class Channel:
 
     def send(self, kind: Kind, job: int, payload: bytes) -> None:
         """Send a frame."""
-        self._sock.sendall(_HEADER.pack(kind, job, len(payload)))
-        self._sock.sendall(payload)
+        header = _HEADER.pack(kind, job, len(payload))
+        if len(payload) < _CHUNK:
+            self._sock.sendall(header + payload)  # at once: either wakes the other side
+        else:
+            self._sock.sendall(header)
+            self._sock.sendall(payload)
 
     def receive(self) -> Frame | None:
         """The next frame, None when the other side is gone."""
@@ -78,13 +83,17 @@ class Inbox:
         self._buffer = bytearray()
         self.is_closed = False
 
-    def read(self) -> Iterator[Frame]:
+    def read(self, everything: bool = False) -> Iterator[Frame]:
         """Frames that are complete by now; ``is_closed`` says whether there will be no more.
+
+        Args:
+            everything: not only the first few, of which there may be more by the time they are read.
 
         Raises:
             BrokenFrameError: the bytes are no frame.
         """
-        while not self.is_closed:
+        n_frames = 0
+        while not self.is_closed and (everything or n_frames == 0):
             try:
                 data = self._sock.recv(_CHUNK)
             except BlockingIOError:
@@ -93,7 +102,9 @@ class Inbox:
                 data = b""
             self.is_closed = not data
             self._buffer += data
-            yield from self._complete()
+            for frame in self._complete():
+                n_frames += 1
+                yield frame
 
     def _complete(self) -> Iterator[Frame]:
         while len(self._buffer) >= _HEADER.size:
@@ -117,13 +128,16 @@ class Outbox:
 
     def put(self, frame: Frame) -> None:
         """Have a frame sent after those before it."""
-        self._waiting.append(memoryview(_HEADER.pack(frame.kind, frame.job, len(frame.payload))))
-        if frame.payload:
-            self._waiting.append(memoryview(frame.payload))
+        header = _HEADER.pack(frame.kind, frame.job, len(frame.payload))
+        if len(frame.payload) < _CHUNK:
+            self._waiting.append(memoryview(header + frame.payload))
+        else:
+            self._waiting += [memoryview(header), memoryview(frame.payload)]
 
     def flush(self) -> bool:
-        """Send what can be sent without waiting; whether all is gone."""
-        while self._waiting:
+        """Send some of what can be sent without waiting; whether all is gone."""
+        n_bytes = 0
+        while self._waiting and n_bytes < _MAX_SENT:
             try:
                 sent = self._sock.send(self._waiting[0])
             except BlockingIOError:
@@ -131,9 +145,10 @@ class Outbox:
             except OSError:  # the worker is gone, which is noticed by what it no longer says
                 self._waiting.clear()
                 return True
+            n_bytes += sent
             rest = self._waiting[0][sent:]
             if rest:
                 self._waiting[0] = rest
             else:
                 self._waiting.popleft()
-        return True
+        return not self._waiting

@@ -8,7 +8,8 @@ from service.executor import linux
 from service.executor.backlog import Backlog
 from service.executor.interface import WorkerStats
 from service.executor.pool import Pool, check_callable, check_workers
-from service.executor.supervisor import Settings, Supervisor
+from service.executor.settings import Settings
+from service.executor.supervisor import Supervisor
 
 
 class LocalPool(Pool):
@@ -49,7 +50,7 @@ class LocalPool(Pool):
         super().__init__(backlog, self._local)
 
     def _workers(self) -> tuple[WorkerStats, ...]:
-        workers = list(self._local.workers.values())
         return tuple(
-            WorkerStats(w.pid, w.state, w.jobs_done, 0 if w.pid is None else linux.rss_bytes(w.pid)) for w in workers
+            WorkerStats(w.pid, w.state, w.jobs_done, 0 if w.pid is None else linux.rss_bytes(w.pid))
+            for w in self._local.workers
         )

@@ -61,11 +61,21 @@ class Nursery:
         """Its process id."""
         return self._process.pid
 
-    def start(self, worker: Worker) -> None:
-        """Have a worker forked."""
-        message = json.dumps({"start": worker.number}).encode()
-        socket.send_fds(self.control, [message], worker.fds_to_give)
+    def start(self, number: int, setup: WorkerSetup, log: logging.Logger) -> Worker:
+        """Have a worker forked.
+
+        Raises:
+            OSError: not now, for lack of something or of the process itself.
+        """
+        worker = Worker(number, setup, log)
+        try:
+            socket.send_fds(self.control, [json.dumps({"start": number}).encode()], worker.fds_to_give)
+        except OSError:
+            worker.hand_over()
+            worker.close()
+            raise
         worker.hand_over()
+        return worker
 
     def kill(self, worker: Worker) -> None:
         """Have a worker killed; it has ended already is no error."""
@@ -105,6 +115,7 @@ class Worker:
         task: what it runs.
         kill_at: when it is killed unless it stops by itself, on the clock of ``time.monotonic`` [s].
         jobs_done: how many it has answered.
+        is_lost: it says no more, or what makes no sense.
         is_tired: it has done its share and ends as soon as another is up in its place.
         born: when it was started [s].
     """
@@ -116,7 +127,7 @@ class Worker:
         self.task: Task | None = None
         self.kill_at: float | None = None
         self.jobs_done = 0
-        self.is_tired = False
+        self.is_lost = self.is_tired = False
         self.born = time.monotonic()
         self.chatter = Chatter(log, f"worker {number}")
         self.sock, self._other = socket.socketpair()
@@ -135,11 +146,6 @@ class Worker:
         """Whether it works or could."""
         return self.state in (WorkerState.IDLE, WorkerState.BUSY)
 
-    @property
-    def is_closed(self) -> bool:
-        """Whether it says no more."""
-        return self._inbox.is_closed
-
     def hand_over(self) -> None:
         """Close what is the worker's."""
         self._other.close()
@@ -155,9 +161,10 @@ class Worker:
         """Send what it takes without waiting; whether all is gone."""
         return self._outbox.flush()
 
-    def read(self) -> Iterator[Frame]:
-        """What it has said since."""
-        return self._inbox.read()
+    def read(self, everything: bool) -> Iterator[Frame]:
+        """What it has said since, or the first of it."""
+        yield from self._inbox.read(everything)
+        self.is_lost |= self._inbox.is_closed
 
     def ask_to_stop(self, task: Task, kill_at: float) -> None:
         """Tell its function to stop, and remember when patience ends."""

@@ -13,7 +13,7 @@ from service.executor.backlog import Backlog
 from service.executor.interface import WorkerStats
 from service.executor.pool import Pool, check_callable, check_workers
 from service.executor.ray_supervisor import RaySupervisor
-from service.executor.supervisor import Settings
+from service.executor.settings import Settings
 
 
 class RayPool(Pool):

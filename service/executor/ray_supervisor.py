@@ -14,12 +14,13 @@ from typing import Any
 import ray
 
 from service.executor.backlog import Backlog, Ending, Task
+from service.executor.backoff import Backoff
 from service.executor.desk import Desk
 from service.executor.errors import ExecutorError
 from service.executor.frames import Kind
 from service.executor.interface import WorkerState
 from service.executor.ray_worker import N_THREADS, Answer, RayWorker
-from service.executor.supervisor import FAILED_STARTS, FIRST_WAIT_S, LONGEST_WAIT_S, Settings
+from service.executor.settings import Settings
 from service.executor.worker import WorkerSetup
 
 _LOG = logging.getLogger("service.executor")
@@ -83,7 +84,7 @@ class RaySupervisor:
         self._setup = pickle.dumps(WorkerSetup(settings.preload, settings.warm_up, settings.max_bytes))
         self._messages: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._runs = 0
-        self._failures, self._not_before = 0, 0.0
+        self._backoff = Backoff()
         self._is_closing = self._is_over = False
         self._ready = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="scopt-ray-pool", daemon=True)
@@ -154,21 +155,21 @@ class RaySupervisor:
                 self._start_failed(
                     f"no actor was ready after {self._settings.start_timeout_s:g} s; has Ray a free CPU?"
                 )
-        self._keep_number(now)
+        self._keep_number()
         self._dispatch()
         times = [actor.kill_at for actor in self.actors]
         times += [a.born + self._settings.start_timeout_s for a in self.actors if a.state is WorkerState.STARTING]
-        times += [self._backlog.next_deadline(), self._not_before if self._not_before > now else None]
+        times += [self._backlog.next_deadline(), self._backoff.until if self._backoff.is_waiting else None]
         return min((max(0.0, at - time.monotonic()) for at in times if at is not None), default=None)
 
-    def _keep_number(self, now: float) -> None:
+    def _keep_number(self) -> None:
         limit = self._settings.recycle_after
         idle = [actor for actor in self.actors if actor.state is not WorkerState.BUSY]
         surplus = idle[: max(0, len(self.actors) - self.target)]
         tired = [] if limit is None else [actor for actor in idle if actor.jobs_done >= limit]
         for actor in {id(actor): actor for actor in surplus + tired}.values():
             self._give_up(actor)
-        if now >= self._not_before:
+        if not self._backoff.is_waiting:
             for _ in range(self.target - len(self.actors)):
                 self._start()
 
@@ -188,7 +189,8 @@ class RaySupervisor:
         if future.exception() is not None:
             self._on_ended(actor, future)
         elif actor in self.actors:
-            actor.pid, actor.state, self._failures = future.result(), WorkerState.IDLE, 0
+            self._backoff.succeeded()
+            actor.pid, actor.state = future.result(), WorkerState.IDLE
             with self._ready:
                 self._ready.notify_all()
 
@@ -214,13 +216,8 @@ class RaySupervisor:
             _LOG.warning("worker (pid %s) could not be killed: %s", actor.pid, error)
 
     def _start_failed(self, reason: str) -> None:
-        now = time.monotonic()
         _LOG.error("a worker could not be started: %s", reason)
-        if now < self._not_before:
-            return  # another one of the same attempt
-        self._failures += 1
-        self._not_before = now + min(FIRST_WAIT_S * 2 ** (self._failures - 1), LONGEST_WAIT_S)
-        if self._failures >= FAILED_STARTS and self._n_up() == 0:
+        if self._backoff.failed() and self._n_up() == 0:
             self._desk.give_up(reason)
 
     def _n_up(self) -> int:

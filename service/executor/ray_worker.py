@@ -54,6 +54,7 @@ class RayWorker:
         self._run = 0
         self._is_over = True
         self._events: list[bytes] = []
+        self._n_events = 0
         self._wants_events = True
 
     def born(self) -> int:
@@ -67,7 +68,8 @@ class RayWorker:
     def run(self, run: int, payload: bytes, wants_events: bool) -> Answer:
         """Run a pickled call; ``run`` is higher each time."""
         with self._changed:
-            self._run, self._is_over, self._events, self._wants_events = run, False, [], wants_events
+            self._run, self._is_over, self._wants_events = run, False, wants_events
+            self._events, self._n_events = [], 0
             self._changed.notify_all()
         try:
             kind, answer = run_call(payload, JobControl(run, self._cell, self._report))
@@ -75,7 +77,7 @@ class RayWorker:
             with self._changed:
                 self._is_over = True
                 self._changed.notify_all()
-        return Answer(kind, answer, len(self._events), linux.rss_bytes(os.getpid()))
+        return Answer(kind, answer, self._n_events, linux.rss_bytes(os.getpid()))
 
     def stop(self, run: int) -> None:
         """Ask a run to stop."""
@@ -85,12 +87,16 @@ class RayWorker:
         """What a run has reported after the first ``seen``, as soon as there is any or it is over."""
         with self._changed:
             self._changed.wait_for(
-                lambda: self._run > run or (self._run == run and (self._is_over or len(self._events) > seen))
+                lambda: self._run > run or (self._run == run and (self._is_over or self._n_events > seen))
             )
-            return self._events[seen:] if self._run == run else []
+            if self._run != run:
+                return []
+            del self._events[: len(self._events) - (self._n_events - seen)]  # these have arrived
+            return list(self._events)
 
     def _report(self, kind: Kind, run: int, payload: bytes) -> None:
         with self._changed:
             if run == self._run and self._wants_events and not self._is_over:
                 self._events.append(payload)
+                self._n_events += 1
                 self._changed.notify_all()

@@ -167,6 +167,36 @@ def talk_nonsense() -> None:
     time.sleep(30)
 
 
+def talk_nonsense_later(payload: bytes) -> None:
+    """Return, and write to the pool a little later."""
+
+    def talk() -> None:
+        time.sleep(0.02)
+        for fd in _sockets():
+            os.write(fd, payload)
+
+    threading.Thread(target=talk, daemon=True).start()
+
+
+def answer_and_die(n_events: int, control: Control) -> str:
+    """Report a lot, return, and die a moment later."""
+
+    def die() -> None:
+        time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    for _ in range(n_events):
+        control.report(bytes(10_000))
+    threading.Thread(target=die, daemon=True).start()
+    return "done"
+
+
+def report_without_end(control: Control) -> str:
+    while not control.should_stop():
+        control.report("and another thing")
+    return "silent at last"
+
+
 def hang_up() -> None:
     for fd in _sockets():
         os.close(fd)
