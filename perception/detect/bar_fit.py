@@ -25,6 +25,7 @@ from perception.detect.bars import (
     sort_rays,
 )
 from perception.detect.sightlines import Sightlines
+from perception.detect.vectors import cross
 
 _AROUND = 0.04
 SIGMA_USUAL = 0.004
@@ -170,7 +171,7 @@ def _moved(state: _State, x: Float[np.ndarray, "B n"], section: Section) -> _Sta
     width /= np.linalg.norm(width, axis=1, keepdims=True)
     centres = state.centres + x[:, 2:3] * e1 + x[:, 3:4] * e2
     halves = np.clip(state.halves + (x[:, 4:6] if section == "box" else x[:, 4:5]), _SMALLEST, _LARGEST)
-    return _State(np.stack([axis, width, np.cross(axis, width)], axis=1), centres, halves)
+    return _State(np.stack([axis, width, cross(axis, width)], axis=1), centres, halves)
 
 
 def _linearized(

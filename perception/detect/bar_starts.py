@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from perception.detect.bars import SIGMA_DEPTH, SIGMA_EDGE, Bar, Section, SurroundingRays, cross_bars, sort_rays
+from perception.detect.vectors import cross, median_of_known
 
 _WORST = 9.0
 _TURNS = np.radians([0.0, 30.0, 60.0, 90.0, 120.0, 150.0])
@@ -109,14 +110,14 @@ def starts_about(
 ) -> list[Start]:
     """Bars of every size, each at the turn that explains the sample best, then the next best; each with its half
     sizes [m]."""
-    across = np.cross(sample.away, run.axis)
+    across = cross(sample.away, run.axis)
     seen = (sample.rays.ends - run.place)[sample.mine] @ across
     low, high = np.percentile(seen, [4, 96])
     bars: list[Start] = []
     for half in halves:
         for turn in _turns(half, section):
             width = np.cos(turn) * across + np.sin(turn) * sample.away
-            frame = np.stack([run.axis, width, np.cross(run.axis, width)])
+            frame = np.stack([run.axis, width, cross(run.axis, width)])
             reach, deep = (
                 abs(frame[1] @ way) * half[0] + abs(frame[2] @ way) * half[1] for way in (across, sample.away)
             )
@@ -147,8 +148,7 @@ def _at_their_depth(sample: Sample, bars: list[Start]) -> list[Start]:
     """Moved along the rays, so that those that ended near the line and meet the bar end on it."""
     crossing = cross_bars(sample.rays, [bar for bar, _ in bars])
     gap = np.where(sample.mine & (crossing.outside < SIGMA_EDGE), sample.rays.length - crossing.depth, np.nan)
-    gap[np.isnan(gap).all(axis=1)] = 0.0
-    shift = np.nanmedian(gap, axis=1)
+    shift = median_of_known(gap, 0.0)
     return [
         (replace(bar, centre=bar.centre + by * sample.away), half)
         for (bar, half), by in zip(bars, shift.tolist(), strict=True)

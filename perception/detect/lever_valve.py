@@ -21,6 +21,7 @@ from perception.detect.foreground import Foreground
 from perception.detect.lever_pivot import Pivot, find_pivot
 from perception.detect.lines import Line, find_lines
 from perception.detect.sightlines import SightIndex
+from perception.detect.vectors import cross
 from perception.floor import FloorPlane
 from perception.view import View
 
@@ -160,7 +161,7 @@ def _joined(lever: _Fitted, pipe: _Fitted, index: SightIndex) -> _Lever | None:
         axis = between - (between @ bar.axis) * bar.axis
         nearest = 0.0
     else:
-        axis = np.cross(bar.axis, other.axis)
+        axis = cross(bar.axis, other.axis)
         axis *= np.sign(axis @ between) or 1.0
         # Where the bar's line comes nearest to the pipe's.
         offset = bar.centre - other.centre
@@ -204,7 +205,7 @@ def _pivot(bar: Bar, axis: Float[np.ndarray, "3"], gap: float, index: SightIndex
     z /= np.linalg.norm(z)
     half = 0.5 * bar.length
     face = Face(
-        np.stack([bar.axis, np.cross(z, bar.axis), z]),
+        np.stack([bar.axis, cross(z, bar.axis), z]),
         bar.middle - gap * z,
         np.array([-half, -0.04]),
         np.array([half, 0.04]),
@@ -220,7 +221,7 @@ def _as_detection(one: _Lever, is_hinted: bool) -> Detection:
     z = one.axis - (one.axis @ x) * x
     z /= np.linalg.norm(z)
     pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    pose[:3, :3] = np.column_stack([x, cross(z, x), z])
     pose[:3, 3] = bar.centre + pivot.along * bar.axis
     sizes = {"lever_length": abs(pivot.far - pivot.along), "lever_radius": bar.half[0]}
     residuals = {

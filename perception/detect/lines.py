@@ -15,7 +15,7 @@ _LEAST_PAIR = 0.1
 _BIN = 0.04
 _GAP = 5
 _MOST_NEAR = 400
-_SHARED = 0.6
+_SHARED, _RUNS_IN = 0.6, 0.6
 _MOST_BINS = 20
 # A line begun at a few points is off by this much at most where it ends.
 _CORRIDOR = 0.25
@@ -89,7 +89,7 @@ def find_lines(
         line = _grown(points, start)
         if line is None or line.last - line.first < least_length:
             continue
-        if not any(_same(line, other) for other in (*known, *found)):
+        if not _runs_in_any(line, (*known, *found)):
             found.append(line)
             taken[line.members] = True
             if len(found) == most:
@@ -115,20 +115,21 @@ def _at_seed(
         return []
     partners = rng.choice(partners, min(n_pairs, len(partners)), replace=False)
     axes = offset[partners] / distance[partners, None]
-    along = offset @ axes.T
-    apart = np.sqrt(np.maximum(distance[:, None] ** 2 - along**2, 0.0))
+    along = axes @ offset.T
+    apart = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
     n_bins = int(2 * _BALL / _BIN)
     bins = np.clip(((along + _BALL) / _BIN).astype(np.int64), 0, n_bins - 1)
     best = []
     for radius in radii:
-        inside, around = apart < radius, apart < 2.0 * radius
+        inside = apart < radius
         filled = np.zeros((len(axes), n_bins), dtype=bool)
-        rows, columns = np.nonzero(inside.T)
-        filled[rows, bins[columns, rows]] = True
-        share = inside.sum(axis=0) / np.maximum(around.sum(axis=0), 1)
-        score = filled.sum(axis=1) * _contrast(share)
+        row, column = np.nonzero(inside)
+        filled[row, bins[row, column]] = True
+        n_around = np.count_nonzero(apart < 2.0 * radius, axis=1)
+        share = np.count_nonzero(inside, axis=1) / np.maximum(n_around, 1)
+        score = np.count_nonzero(filled, axis=1) * _contrast(share)
         i = int(np.argmax(score))
-        members = local[inside[:, i]]
+        members = local[inside[i]]
         best.append((float(score[i]), Line(points[seed], axes[i], -_BALL, _BALL, radius, members, float(score[i]))))
     return best
 
@@ -193,7 +194,14 @@ def _of_line(points: Float[np.ndarray, "N 3"], line: Line) -> Bool[np.ndarray, "
     return np.asarray((apart < line.radius) & (along >= line.first) & (along <= line.last))
 
 
-def _same(one: Line, other: Line) -> bool:
+def _runs_in_any(line: Line, others: Sequence[Line]) -> bool:
     """Whether a line runs in another's tube for most of its length."""
-    places = one.place + np.linspace(one.first, one.last, 9)[:, None] * one.axis
-    return bool(_of_line(places, other).mean() > 0.6)
+    if not others:
+        return False
+    places = line.place + np.linspace(line.first, line.last, 9)[:, None] * line.axis
+    offset = places - np.array([one.place for one in others])[:, None]
+    along = np.einsum("kpi,ki->kp", offset, np.array([one.axis for one in others]))
+    apart = np.sqrt(np.maximum((offset**2).sum(axis=2) - along**2, 0.0))
+    first, last, radius = np.array([(one.first, one.last, one.radius) for one in others]).T[:, :, None]
+    inside = (apart < radius) & (along >= first) & (along <= last)
+    return bool((inside.mean(axis=1) > _RUNS_IN).any())
