@@ -255,9 +255,14 @@ def _reached(main: _Level, others: list[_Level]) -> Iterator[_Level]:
 
 def _outlined(points: Float[np.ndarray, "N 3"], level: _Level) -> FloorPlane:
     """The level with its extent; where it runs into another, as a ramp does into the ground, it goes on a little."""
-    near = points[np.abs(level.plane.above(points)) < _BAND]
-    apart, _ = cKDTree((level.cells + 0.5) * _CELL).query(near[:, :2], distance_upper_bound=_GOES_ON)
-    return replace(level.plane, outlines=convex_patches(near[np.isfinite(apart), :2], 0.05))
+    beside = np.flatnonzero(np.abs(level.plane.above(points)) < _BAND)
+    near = points[beside]
+    is_member = np.zeros(len(points), dtype=bool)
+    is_member[level.members] = True
+    belongs = is_member[beside]
+    apart, _ = cKDTree((level.cells + 0.5) * _CELL).query(near[~belongs, :2], distance_upper_bound=_GOES_ON)
+    belongs[~belongs] = np.isfinite(apart)
+    return replace(level.plane, outlines=convex_patches(near[belongs, :2], 0.05))
 
 
 def _bounded(

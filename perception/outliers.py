@@ -46,7 +46,10 @@ def inliers(
     rest = np.flatnonzero(~kept)
     if len(rest):
         distance, _ = _tree(points).query(
-            points[rest], k=[n_neighbours + 1], distance_upper_bound=float(radius[rest].max()) * (1.0 + 1e-9)
+            points[rest],
+            k=[n_neighbours + 1],
+            distance_upper_bound=float(radius[rest].max()) * (1.0 + 1e-9),
+            workers=-1,
         )
         kept[rest] = np.asarray(distance)[:, 0] <= radius[rest]
     return np.asarray(kept)
@@ -188,7 +191,7 @@ def _support_in(
     ranges = np.linalg.norm(rays, axis=1)
     directions = rays / np.maximum(ranges, 1e-9)[:, None]
     k = min(_ANGULAR_NEIGHBOURS + 1, len(points))
-    _, neighbours = _tree(directions).query(directions[asked], k=np.arange(2, k + 1))
+    _, neighbours = _tree(directions).query(directions[asked], k=np.arange(2, k + 1), workers=-1)
     apart = ranges[neighbours] - ranges[asked, None]
     aside = np.linalg.norm(directions[neighbours] - directions[asked, None], axis=2) * ranges[asked, None]
     tolerance = (_DEPTH + _DEPTH_SHARE * ranges[asked])[:, None]

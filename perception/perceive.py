@@ -45,7 +45,6 @@ class Perceived:
         floor: the floor's plane; None when none was seen.
         valves: detections, best first; empty unless a valve was asked for.
         matches: by name where each known mesh was found, and how surely.
-        shown: (M, 3) decimated points for a viewer, at most 60,000 [m].
         timings: seconds by step.
         notes: sentences a user should read.
     """
@@ -55,7 +54,6 @@ class Perceived:
     view: View
     floor: FloorPlane | None
     valves: tuple[ValveDetection, ...]
-    shown: Float[np.ndarray, "M 3"]
     timings: Mapping[str, float]
     notes: tuple[str, ...]
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
@@ -64,6 +62,15 @@ class Perceived:
     def valve(self) -> ValveDetection | None:
         """The best valve if it is one to act on."""
         return self.valves[0] if self.valves and self.valves[0].confidence >= CONFIDENT else None
+
+    @property
+    def shown(self) -> Float[np.ndarray, "M 3"]:
+        """Points of ``view.near`` decimated for a viewer, at most 60,000 [m]."""
+        points = self.view.near.points
+        if not len(points):
+            return points
+        thinned, _ = voxel_downsample(points, _SHOWN_VOXEL)
+        return np.asarray(thinned[:: -(-len(thinned) // _MOST_SHOWN)])
 
 
 class Clock:
@@ -146,9 +153,7 @@ def perceive(
     extra = [*floors_of(view), *([] if stem is None else [stem])]
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
     scene = Scene((*extra, *(piece.shape for piece in pieces), *hidden))
-    return Perceived(
-        scene, pieces, view, view.floor, valves, shown_points(view.near.points), timings, view.notes, matches
-    )
+    return Perceived(scene, pieces, view, view.floor, valves, timings, view.notes, matches)
 
 
 def stop_if(should_stop: Callable[[], bool], name: str) -> None:
@@ -184,11 +189,3 @@ def without_valve(
     if stem is not None:
         kept[kept] = ~stem_points(valve, stem, points[kept])
     return kept, stem
-
-
-def shown_points(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
-    """Points thinned for a viewer."""
-    if not len(points):
-        return points
-    thinned, _ = voxel_downsample(points, _SHOWN_VOXEL)
-    return np.asarray(thinned[:: -(-len(thinned) // _MOST_SHOWN)])

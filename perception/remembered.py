@@ -84,7 +84,7 @@ def _feed(update: Callable[[bytes], None], value: object) -> None:
 
 def _bytes_of(seen: Perceived) -> int:
     view = seen.view
-    arrays = [view.cloud.points, view.cloud.misses, view.near.points, view.obstacles, view.starts, seen.shown]
+    arrays = [view.cloud.points, view.cloud.misses, view.near.points, view.obstacles, view.starts]
     return sum(array.size * array.itemsize for array in arrays) + sum(piece.points.nbytes for piece in seen.pieces)
 
 

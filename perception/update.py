@@ -12,7 +12,7 @@ from costs.scene import ConvexPiece, Scene
 from perception.cloud import Cloud
 from perception.convex.pieces import updated_pieces
 from perception.convex.unknown import unknown_pieces
-from perception.perceive import Clock, Perceived, floors_of, shown_points, unexplained, without_valve
+from perception.perceive import Clock, Perceived, floors_of, unexplained, without_valve
 from perception.view import make_view
 
 _SAME = 0.01
@@ -60,8 +60,7 @@ def update(
     floors = _steady(before.scene, floors_of(view))
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
     scene = Scene((*floors, *stem, *(piece.shape for piece in pieces), *hidden))
-    shown = shown_points(view.near.points)
-    return Perceived(scene, pieces, view, view.floor, before.valves, shown, timings, view.notes, before.matches)
+    return Perceived(scene, pieces, view, view.floor, before.valves, timings, view.notes, before.matches)
 
 
 def _steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:

@@ -32,8 +32,9 @@ class Coarse:
 
     def within(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
         """Indices of the points in an axis-aligned box."""
-        first = int(np.searchsorted(self.column, np.floor((lower[0] - _QUANTUM) / self.size)))
-        last = int(np.searchsorted(self.column, np.floor((upper[0] + _QUANTUM) / self.size), side="right"))
+        # Whole numbers: a float would have numpy turn all columns into floats.
+        first = int(np.searchsorted(self.column, int(np.floor((lower[0] - _QUANTUM) / self.size))))
+        last = int(np.searchsorted(self.column, int(np.floor((upper[0] + _QUANTUM) / self.size)), side="right"))
         inside = np.ones(last - first, dtype=bool)
         for column, low, high in zip(self.points[first:last].T, lower, upper, strict=True):
             inside &= (column >= low) & (column <= high)

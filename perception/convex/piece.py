@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.scene import ConvexPiece
+from perception.convex.hulls import Hull
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,14 @@ class Piece:
         shape: name, vertices and kind (``plane``, ``wall``, ``clutter``).
         points: indices of the obstacle points within 1 cm of it that no piece before it has.
         evidence: what the rays of the scan it was made from say.
+        hull: its half-spaces, each once.
         plane: (4,) unit normal and offset of the plane it is a slab of; None for other shapes.
     """
 
     shape: ConvexPiece
     points: Int[np.ndarray, "K"]
     evidence: Evidence
+    hull: Hull
     plane: Float[np.ndarray, "4"] | None = None
 
     @property

@@ -218,7 +218,7 @@ class _Body:
 
 
 def _assembled(
-    standing: Sequence[tuple[Piece, Hull]],
+    standing: Sequence[Piece],
     bodies: Sequence[_Body],
     first: Mapping[str, int],
     points: Float[np.ndarray, "N 3"],
@@ -232,11 +232,12 @@ def _assembled(
         hull = hull_of(body.vertices, coarse.voxel[:0])
         shape = ConvexPiece(f"{body.kind}/{serial[body.kind]}", body.vertices, kind=body.kind)
         serial[body.kind] += 1
-        pieces.append((Piece(shape, coarse.voxel[:0], evidence_of(hull, free), body.plane), hull.simplified))
+        pieces.append(Piece(shape, coarse.voxel[:0], evidence_of(hull, free), hull.simplified, body.plane))
     taken = np.zeros(len(points), dtype=bool)
     groups = _Groups.of(coarse.voxel, len(coarse.points))
     assembled = []
-    for piece, hull in pieces:
+    for piece in pieces:
+        hull = piece.hull
         mine = groups.members(coarse.within(hull.lower - (_WITHIN + VOXEL), hull.upper + (_WITHIN + VOXEL)))
         mine = mine[~taken[mine]]
         mine = np.sort(mine[hull.is_within(points[mine], _WITHIN)])

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from perception.convex.coarse import Coarse
 from perception.convex.freespace import FreeSpace
-from perception.convex.hulls import Hull, hull_of
+from perception.convex.hulls import Hull
 from perception.convex.piece import Piece
 from perception.convex.planes import Plane, PlaneSettings, noise_of
 from perception.convex.split import clusters
@@ -27,8 +27,8 @@ _AROUND = 0.02
 _LEAST_POINTS = 4
 
 
-def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> list[tuple[Piece, Hull]]:
-    """Pieces that the new rays do not pass through, with their hulls.
+def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> list[Piece]:
+    """Pieces that the new rays do not pass through.
 
     Rays may graze a piece about as much as they did before, but hardly any may pass deep inside: of a thing that is
     gone, a sparse scan sees no more than some cells.  What is so small that it holds only some, as what noise had
@@ -36,7 +36,7 @@ def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> 
     """
     standing = []
     for piece in pieces:
-        hull = hull_of(piece.shape.vertices, np.zeros(0, dtype=np.int64)).simplified
+        hull = piece.hull
         n_cells = hull.volume / free.size**3
         grazed = piece.evidence.free_cells + max(1, min(_FREE_CELLS, int(0.4 * n_cells)), int(_FREE_SHARE * n_cells))
         deep = max(_DEEP_CELLS, int(_DEEP_SHARE * n_cells))
@@ -45,7 +45,7 @@ def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> 
             and free.count_inside(hull.faces, hull.vertices, _DEEP, deep) <= deep
             and (free.contains(_within(hull)).mean() <= _FREE_WITHIN or len(_held(hull, coarse)))
         ):
-            standing.append((piece, hull))
+            standing.append(piece)
     return standing
 
 
@@ -60,12 +60,12 @@ def _within(hull: Hull) -> Float[np.ndarray, "V 3"]:
     return np.asarray(0.5 * (hull.vertices + hull.vertices.mean(axis=0)))
 
 
-def unexplained(standing: Sequence[tuple[Piece, Hull]], coarse: Coarse) -> Int[np.ndarray, "K"]:
+def unexplained(standing: Sequence[Piece], coarse: Coarse) -> Int[np.ndarray, "K"]:
     """Points of clusters that are more than noise about the pieces that stand."""
     distance = np.full(len(coarse.points), np.inf)
     reach = _FUZZ + _FUZZ_OF_RANGE * np.linalg.norm(coarse.points - coarse.starts, axis=1)
     farthest = float(reach.max(initial=0.0))
-    for _, hull in standing:
+    for hull in (piece.hull for piece in standing):
         near = coarse.within(hull.lower - farthest, hull.upper + farthest)
         near = near[distance[near] > _WITHIN]
         inside = hull.is_within(coarse.points[near], _WITHIN)
@@ -74,9 +74,9 @@ def unexplained(standing: Sequence[tuple[Piece, Hull]], coarse: Coarse) -> Int[n
         outside = (hull.faces[:, :3] @ coarse.points[near].T + hull.faces[:, 3:]).max(axis=0, initial=-np.inf)
         distance[near] = np.minimum(distance[near], outside)
     left = np.flatnonzero(distance > _WITHIN)
-    for piece, hull in standing:
+    for piece in standing:
         if piece.plane is not None and len(left):
-            left = left[~_noise_about(piece.plane, hull, coarse, left)]
+            left = left[~_noise_about(piece.plane, piece.hull, coarse, left)]
     if not len(left):
         return left
     # A cluster counts when part of it lies beyond the noise.

@@ -187,5 +187,6 @@ def _named(parts: Parts, points: Float[np.ndarray, "N 3"], free: FreeSpace) -> t
         mine: Int[np.ndarray, "K"] = np.flatnonzero(near)
         mine = mine[hull.is_within(points[mine], _WITHIN)]
         left[mine] = False
-        pieces.append(Piece(ConvexPiece(f"coacd/{i}", vertices, kind="clutter"), mine, evidence_of(hull, free)))
+        shape = ConvexPiece(f"coacd/{i}", vertices, kind="clutter")
+        pieces.append(Piece(shape, mine, evidence_of(hull, free), hull.simplified))
     return tuple(pieces)
