@@ -1,4 +1,4 @@
-# make demo | test | test-ray | check | bench | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-ray | check | bench | bench-service | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -12,7 +12,7 @@ RAY_READY := $(RAY_VENV)/.ready
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-ray check bench clean
+.PHONY: help setup demo test test-ray check bench bench-service clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -20,6 +20,7 @@ help:
 	@echo "make test-ray  run the tests of the executor on a Ray cluster, in an environment of its own"
 	@echo "make check     ruff, mypy, import-linter"
 	@echo "make bench     speed and memory, as a table"
+	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
 	@echo "make clean     remove .venv, .venv-ray, out and caches"
 
 setup: $(READY)
@@ -50,6 +51,9 @@ check: $(READY)
 
 bench: $(READY)
 	$(BIN)/python benchmarks/run.py
+
+bench-service: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.service
 
 clean:
 	rm -rf $(VENV) $(RAY_VENV) out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage *.egg-info
