@@ -25,7 +25,7 @@ from service.wire.results import trajectory_sha256
 pytestmark = pytest.mark.filterwarnings("error")
 
 QUICK = {"robot": {"name": "atlas"}, "start": {"posture": "stand"}, "goal": {"joints": {"l_arm_elx": 1.2}}}
-# A goal that is never reached keeps a worker busy until it is stopped.
+# A goal that cannot be reached keeps a worker busy for seconds: postures are tried one after the other.
 ENDLESS = {
     "robot": {"name": "atlas"},
     "start": {"posture": "stand"},
@@ -221,7 +221,7 @@ def test_cancelled_plan_frees_its_worker(stub: PlannerServiceStub) -> None:
 
 def test_deadline_brings_the_best_attempt_before_it_passes(stub: PlannerServiceStub) -> None:
     _wait_until_idle(stub)
-    result = _finished(stub.Plan(_plan(ENDLESS), timeout=8)).result
+    result = _finished(stub.Plan(_plan(ENDLESS), timeout=1.5)).result
     assert result.verdict == VERDICT_TIME_LIMIT
     assert result.explanation
 
@@ -230,7 +230,7 @@ def test_deadline_that_cannot_be_met_is_refused_at_once(stub: PlannerServiceStub
     busy = stub.Plan(_plan(ENDLESS), timeout=60)
     _wait_for(busy, "progress")
     with pytest.raises(grpc.RpcError) as refused:
-        list(stub.Plan(_plan(ENDLESS), timeout=1.0))
+        list(stub.Plan(_plan(ENDLESS), timeout=0.5))
     assert refused.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED  # type: ignore[attr-defined]
     assert "not begun" in refused.value.details()  # type: ignore[attr-defined]
     busy.cancel()
