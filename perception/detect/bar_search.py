@@ -127,8 +127,23 @@ def _apart(one: Bar, other: Bar) -> float:
     return float(np.linalg.norm(offset - (offset @ other.axis) * other.axis))
 
 
-def likelier(rays: SurroundingRays, bar: Bar, rivals: Sequence[tuple[float, float]], section: Section) -> float:
-    """By how many squared standard deviations a bar explains better than the best rival of another section.
+@dataclass(frozen=True)
+class Rivalry:
+    """A bar held against the best of another section.
+
+    Attributes:
+        better: by how many squared standard deviations it explains better.
+        share: that over what it leaves unexplained: noise alone makes much of a little when both explain badly.
+        misfit: what it leaves unexplained, for each ray that ended near it; 1 where the noise is the usual one.
+    """
+
+    better: float
+    share: float
+    misfit: float
+
+
+def rivalry(rays: SurroundingRays, bar: Bar, rivals: Sequence[tuple[float, float]], section: Section) -> Rivalry:
+    """How much better a bar explains what is about it than bars of another section fitted to the same.
 
     Args:
         rays: that pass near the bar.
@@ -139,6 +154,8 @@ def likelier(rays: SurroundingRays, bar: Bar, rivals: Sequence[tuple[float, floa
     run, radius = run_of(bar), max(bar.half) + 0.02
     few, many = (sample_about(rays, run, radius, most) for most in (_FOR_STARTS, _FOR_CHOICE))
     if few is None or many is None:
-        return 0.0
+        return Rivalry(0.0, 0.0, 0.0)
     fits = fit_bars(rays, starts_about(few, run, rivals, section, len(rivals)), _FOR_STARTS)
-    return float(misfits(many, [fit.bar for fit in fits]).min() - misfits(many, [bar])[0])
+    mine = float(misfits(many, [bar])[0])
+    better = float(misfits(many, [fit.bar for fit in fits]).min()) - mine
+    return Rivalry(better, better / max(mine, 1.0), mine / max(1, int(many.mine.sum())))

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from perception.clean import voxel_downsample
 from perception.detect.bar_evidence import Ends, Evidence, find_ends, weigh_bar
 from perception.detect.bar_fit import BarFit
-from perception.detect.bar_search import Stock, choose_bar, likelier, rays_about
+from perception.detect.bar_search import Rivalry, Stock, choose_bar, rays_about, rivalry
 from perception.detect.bar_starts import Run, run_of
 from perception.detect.bars import Bar
 from perception.detect.confidence import rising
@@ -46,7 +46,7 @@ class _Beam:
     ends: Ends
     doubt: float
     evidence: Evidence
-    flatter: float
+    flatter: Rivalry
     confidence: float
     points: Float[np.ndarray, "K 3"]
 
@@ -113,7 +113,7 @@ def _examine(index: SightIndex, line: Line, floor: FloorPlane | None) -> _Beam |
     if ends.bar.length < _LEAST_LENGTH:
         return None
     evidence = weigh_bar(rays, ends.bar)
-    flatter = likelier(rays, ends.bar, _PIPES, "round")
+    flatter = rivalry(rays, ends.bar, _PIPES, "round")
     points = rays.ends[evidence.hits]
     return _Beam(
         replace(choice.fit, bar=ends.bar),
@@ -126,14 +126,14 @@ def _examine(index: SightIndex, line: Line, floor: FloorPlane | None) -> _Beam |
     )
 
 
-def _confidence(ends: Ends, doubt: float, evidence: Evidence, flatter: float) -> float:
+def _confidence(ends: Ends, doubt: float, evidence: Evidence, flatter: Rivalry) -> float:
     """Product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths that agree,
-    flat rather than round, a centre that is sure, and an end that is seen."""
+    flat rather than round, little that it leaves unexplained, a centre that is sure, and an end that is seen."""
     bar, ends_seen = ends.bar, sum(ends.seen)
     width, thickness = 2.0 * max(bar.half), 2.0 * min(bar.half)
     return float(
         rising(evidence.solid, 0.85, 0.965)
-        * rising(evidence.air, 0.35, 0.7)
+        * rising(evidence.air, 0.45, 0.75)
         * rising(evidence.known, 0.2, 0.5)
         * rising(evidence.visible, 0.25, 0.6)
         * rising(bar.length / width, 2.5, 4.5)
@@ -142,7 +142,9 @@ def _confidence(ends: Ends, doubt: float, evidence: Evidence, flatter: float) ->
         * rising(thickness, 0.018, 0.028)
         * rising(-evidence.rms, -0.02, -0.015)
         * rising(evidence.n_hits, 20.0, 80.0)
-        * rising(flatter, -6.0, 10.0)
+        * rising(flatter.better, -6.0, 10.0)
+        * rising(flatter.share, 0.05, 0.14)
+        * rising(-flatter.misfit, -3.8, -2.6)
         * rising(-_off_size(width, thickness), -0.025, -0.012)
         * (1.0 - 0.4 * rising(doubt, 0.01, 0.03))
         * (0.7 if ends_seen == 0 else 1.0)
@@ -191,6 +193,8 @@ def _as_detection(one: _Beam) -> Detection:
         "solid_share": evidence.solid,
         "air_share": evidence.air,
         "visible_share": evidence.visible,
+        "misfit": one.flatter.misfit,
+        "flatter_share": one.flatter.share,
         "ends_seen": float(sum(one.ends.seen)),
     }
     return Detection("beam", pose, sizes, one.confidence, residuals, one.points)

@@ -23,6 +23,7 @@ _HEIGHTS = (0.005, 0.06)
 _BESIDE = 0.08
 _BEHIND = 0.025
 _REPORTED = 0.05
+_SAME_DEPTH = 0.1
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,24 @@ def detect_panel(
     with threadpool_limits(limits=1, user_api="blas"):
         found = [_examined(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
     panels = [one for one in found if one is not None and one.confidence >= _REPORTED]
-    return sorted(panels, key=lambda one: -one.confidence)
+    return _apart(sorted(panels, key=lambda one: -one.confidence))
+
+
+def _apart(panels: list[Detection]) -> list[Detection]:
+    """Without those whose centre lies on a surer one: noise may make two faces of one."""
+    kept: list[Detection] = []
+    for one in panels:
+        centre = one.pose_world_object[:3, 3]
+        if not any(_covers(other, centre) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _covers(panel: Detection, place: Float[np.ndarray, "3"]) -> bool:
+    """Whether a place lies on a panel or a hand's breadth before or behind it."""
+    local = panel.pose_world_object[:3, :3].T @ (place - panel.pose_world_object[:3, 3])
+    half = 0.5 * np.array([panel.sizes["width"], panel.sizes["height"], 2.0 * _SAME_DEPTH])
+    return bool((np.abs(local) < half).all())
 
 
 def _is_panel_sized(face: Face) -> bool:
