@@ -149,6 +149,7 @@ class Planning:
                     deadline=deadline,
                     budget_s=request.options.time_limit_s,
                     on_event=plan.progress,
+                    is_typical=_is_typical,
                 )
                 plan.worked_on_by(piece)
                 answer = await outcome(piece)
@@ -181,6 +182,10 @@ class Planning:
         """Wait until nothing is under way."""
         while self._tasks:
             await asyncio.wait(self._tasks)
+
+
+def _is_typical(answer: PlanAnswer | Refused) -> bool:
+    return isinstance(answer, PlanAnswer) and answer.verdict != Verdict.CANCELLED.value
 
 
 def stored_result(record: PlanRecord) -> MotionResult:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
@@ -13,6 +14,8 @@ from service.proto.planner.v1 import planner_pb2
 from service.rpc import Context, refuse
 from service.server.incidents import refusal_for
 from service.server.refusal import invalid
+from service.server.settings import SMALL_BYTES
+from service.wire.entries import crowding
 from service.wire.unknown import unknown_fields
 
 SERVICE = planner_pb2.DESCRIPTOR.services_by_name["PlannerService"]
@@ -58,14 +61,23 @@ def _written(message: Message) -> bytes:
     return message.SerializeToString()
 
 
-def _readable(request: Message | UnreadableMessage) -> Message:
-    """A message all of which is known.
+async def _readable(request: Message | UnreadableMessage) -> Message:
+    """A message all of which is known, and not too much.
 
     Raises:
         Refusal: INVALID_ARGUMENT.
     """
     if isinstance(request, UnreadableMessage):
         raise invalid([f"the bytes are no {request.name}"])
+    if request.ByteSize() <= SMALL_BYTES:
+        return _known(request)
+    return await asyncio.to_thread(_known, request)
+
+
+def _known(request: Message) -> Message:
+    crowded = crowding(request)
+    if crowded:
+        raise invalid([crowded])
     unknown = list(dict.fromkeys(unknown_fields(request)))
     if unknown:
         raise invalid(unknown)
@@ -75,7 +87,7 @@ def _readable(request: Message | UnreadableMessage) -> Message:
 def _answering(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable[[Any, Context], Any]:
     async def call(request: Any, context: Context) -> Message | None:
         try:
-            return await behaviour(_readable(request), context)
+            return await behaviour(await _readable(request), context)
         except grpc.aio.AbortError:
             raise
         except Exception as error:
@@ -87,7 +99,7 @@ def _answering(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Calla
 def _taking(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable[[Any, Context], Any]:
     async def readable(requests: AsyncIterator[Any]) -> AsyncIterator[Any]:
         async for request in requests:
-            yield _readable(request)
+            yield await _readable(request)
 
     async def call(requests: AsyncIterator[Any], context: Context) -> Message | None:
         try:
@@ -103,7 +115,7 @@ def _taking(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable
 def _streaming(behaviour: Callable[[Any, Context], AsyncIterator[Message]]) -> Callable[[Any, Context], Any]:
     async def call(request: Any, context: Context) -> AsyncIterator[Message]:
         try:
-            async for message in behaviour(_readable(request), context):
+            async for message in behaviour(await _readable(request), context):
                 yield message
         except grpc.aio.AbortError:
             raise

@@ -66,6 +66,7 @@ class Workshop:
         deadline: float | None,
         budget_s: float,
         on_event: Callable[[Any], object] | None = None,
+        is_typical: Callable[[T], bool] = lambda _: True,
     ) -> Piece[T]:
         """Hand work over.
 
@@ -75,6 +76,7 @@ class Workshop:
             deadline: on the clock of ``time.monotonic`` [s]; None without one.
             budget_s: how long a worker may be at it.
             on_event: told on the event loop what ``fn`` reports.
+            is_typical: whether how long a result took says something of the next.
 
         Raises:
             Refusal: the queue is full, the deadline cannot be met, or the server is about to stop.
@@ -95,7 +97,7 @@ class Workshop:
         ticket = self.admission.enter(kind)
         self._running[ticket] = (kind, job, budget_s)
         ended: asyncio.Future[T] = loop.create_future()
-        job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end, ticket, job, ended))
+        job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end, ticket, job, ended, is_typical))
         return Piece(job, ended)
 
     async def run(self, kind: str, fn: Callable[..., T], *args: Any, deadline: float | None, budget_s: float) -> T:
@@ -131,9 +133,9 @@ class Workshop:
             if job.started is not None and not job.done() and now - job.started > budget_s + OVERTIME_S:
                 job.cancel()
 
-    def _end(self, ticket: int, job: Job[T], ended: asyncio.Future[T]) -> None:
+    def _end(self, ticket: int, job: Job[T], ended: asyncio.Future[T], is_typical: Callable[[T], bool]) -> None:
         del self._running[ticket]
-        is_answer = not job.cancelled() and job.exception() is None
+        is_answer = not job.cancelled() and job.exception() is None and is_typical(job.result())
         took = None if job.started is None or not is_answer else time.monotonic() - job.started
         self.admission.leave(ticket, took)
         for listener in list(self._listeners):
