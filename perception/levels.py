@@ -107,6 +107,7 @@ def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.G
     near = 1.0 - ((patches.centre[ground] @ normals.T - offsets) / _BAND) ** 2
     np.maximum(near, 0.0, out=near)
     weight = np.where(patches.is_upright[ground], 1.0, 0.3)
+    whole = weight @ near
     for _ in range(_TRIES):
         score = (weight * free[ground]) @ near
         best = int(np.argmax(score))
@@ -115,11 +116,14 @@ def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.G
         fitted = _fitted(points, patches, free, normals[best], float(offsets[best]))
         level = None if fitted is None else _seen(points, patches, *fitted)
         if level is not None:
-            free[np.unique(patches.of_point[level.members])] = False
+            free[patches.of_point[level.members]] = False
             yield level
         # Whatever it was, its likes are no better.
-        common = (weight * (near[:, best] > 0.0)) @ near
-        near[:, common > _ALIKE * (weight @ near)] = 0.0
+        shared = np.flatnonzero(near[:, best] > 0.0)
+        unlike = weight[shared] @ near[shared] <= _ALIKE * whole
+        if not unlike.any():
+            return
+        near, normals, offsets, whole = near[:, unlike], normals[unlike], offsets[unlike], whole[unlike]
 
 
 def _fitted(
@@ -168,7 +172,7 @@ def _seen(
     if not inside.any():
         return None
     members, cells = members[inside], cells[inside]
-    held = np.unique(patches.of_point[members])
+    held = np.flatnonzero(np.bincount(patches.of_point[members]))
     tilts = patches.normal[held[patches.is_upright[held]]]
     if len(tilts) < _UPRIGHT_SHARE * len(held):
         return None
