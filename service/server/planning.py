@@ -22,6 +22,7 @@ from service.server.asked import WITHIN, Door, kind_of
 from service.server.incidents import refusal_for
 from service.server.refusal import invalid, refusal_of_problems
 from service.server.running import RunningPlan, RunningPlans
+from service.server.settings import SMALL_BYTES
 from service.server.workshop import Workshop, outcome
 from service.store import Outcome, PlanRecord, Store
 from service.trust import current_caller
@@ -29,7 +30,6 @@ from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 _LOG = structlog.get_logger("scopt.server")
 REQUEST_ID = re.compile(r"[A-Za-z0-9._:@/+=-]{0,100}")
-SMALL_BYTES = 64 * 2**10  # larger requests are read off the event loop
 
 
 class Planning:

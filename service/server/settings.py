@@ -15,6 +15,7 @@ KINDS = (
 BUDGETS_S = {"default": 60.0, "egress": 300.0}
 WORKER_BYTES = 8 * 2**30  # of address space: libraries and threads reserve far more than they use
 MESSAGE_BYTES = 4 * 2**20
+SMALL_BYTES = 64 * 2**10  # larger messages are read off the event loop
 MOST_STREAMS = 256  # calls at a time over one connection
 
 
