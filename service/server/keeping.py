@@ -27,6 +27,7 @@ from service.server.running import RunningPlans
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop
 from service.store import Decision, PlanRecord, PlanState, Review, Store
+from service.store.reviews import MAX_COMMENT_CHARACTERS
 from service.trust import Role, current_caller
 from service.wire.results import checks_to_messages, verdict_number
 from service.work.look import describe_robots, verify
@@ -91,6 +92,11 @@ class Keeping:
         known = {number: decision for decision, number in _DECISIONS.items()}
         if message.decision not in known:
             raise invalid(["decision: DECISION_ACCEPTED or DECISION_REJECTED would do"])
+        if not message.plan_id:
+            raise invalid(["plan_id: is missing"])
+        if len(message.comment) > MAX_COMMENT_CHARACTERS:
+            length = len(message.comment)
+            raise invalid([f"comment: at most {MAX_COMMENT_CHARACTERS} characters would do, got {length}"])
         review = await asyncio.to_thread(
             self._store.reviews.add,
             message.plan_id,

@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-import grpc
-
 from service.cloud_asked import CloudAsked
 from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import (
@@ -25,7 +23,7 @@ from service.proto.planner.v1.planner_pb2 import (
 )
 from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
-from service.rpc import Context, Refusal
+from service.rpc import Context
 from service.server.cloud_problems import as_sent
 from service.server.refusal import invalid, overloaded
 from service.server.settings import ServerSettings
@@ -87,14 +85,17 @@ class Perceiving:
             raise invalid(["header: the first message of an upload needs one"])
         suffix = "." + first.header.format.removeprefix(".").lower()
         if suffix not in CLOUD_SUFFIXES:
-            known = ", ".join(one.removeprefix(".") for one in CLOUD_SUFFIXES)
-            raise invalid([f"header.format: {known} would do, got {shown(first.header.format)}"])
+            formats = ", ".join(one.removeprefix(".") for one in CLOUD_SUFFIXES)
+            raise invalid([f"header.format: {formats} would do, got {shown(first.header.format)}"])
         claimed = first.header.sha256.lower()
         if claimed and not SHA256.fullmatch(claimed):
             raise invalid([f"header.sha256: 64 hexadecimal digits or nothing would do, got {shown(claimed)}"])
-        cloud_id = f"{UPLOADED}{claimed}{suffix}"
-        if claimed and self._clouds.has(cloud_id):
-            return UploadCloudResponse(cloud_id=cloud_id, size_bytes=first.header.size_bytes, was_known=True)
+        announced, most = first.header.size_bytes, self._clouds.limits.max_cloud_bytes
+        if announced > most:
+            raise invalid([f"header.size_bytes: at most {most} would do, got {announced}; downsample the cloud first"])
+        known = self._clouds.size(f"{UPLOADED}{claimed}{suffix}") if claimed else None
+        if known is not None:
+            return UploadCloudResponse(cloud_id=f"{UPLOADED}{claimed}{suffix}", size_bytes=known, was_known=True)
         with self._clouds.upload(client.name, suffix) as upload:
             async for request in requests:
                 if request.WhichOneof("part") != "chunk":
@@ -106,10 +107,15 @@ class Perceiving:
                     await asyncio.to_thread(upload.write, request.chunk)
                 except TooLargeError as error:
                     raise invalid([f"chunk: {error}"]) from None
-            size = upload.n_bytes
-            kept = await asyncio.to_thread(_kept, upload.finish, claimed)
+            size, sha256 = upload.n_bytes, upload.sha256
+            if announced and size != announced:
+                raise invalid([f"header.size_bytes: {announced} bytes were announced and {size} came"])
+            if claimed and sha256 != claimed:
+                raise invalid([f"header.sha256: {claimed} was announced, what came has {sha256}"])
+            was_known = self._clouds.has(f"{UPLOADED}{sha256}{suffix}")
+            cloud_id = await asyncio.to_thread(_kept, upload.finish)
         self._on_upload(size)
-        return UploadCloudResponse(cloud_id=kept, size_bytes=size)
+        return UploadCloudResponse(cloud_id=cloud_id, size_bytes=size, was_known=was_known)
 
     async def build_scene(self, message: BuildSceneRequest, context: Context) -> AsyncIterator[BuildSceneResponse]:
         """Pieces, floor and objects of clouds.
@@ -230,16 +236,11 @@ def deadline_of(context: Context) -> float | None:
     return None if left is None else time.monotonic() + left
 
 
-def _kept(finish: Callable[[], str], claimed: str) -> str:
+def _kept(finish: Callable[[], str]) -> str:
     try:
-        cloud_id = finish()
+        return finish()
     except UploadRefusedError as error:
         raise invalid([f"chunk: {error}"]) from None
-    if claimed and f"{UPLOADED}{claimed}." not in cloud_id:
-        raise Refusal(
-            grpc.StatusCode.DATA_LOSS, f"what came is {cloud_id}, not the sha256 {claimed} that was announced"
-        )
-    return cloud_id
 
 
 def _numbers(*groups: Sequence[float]) -> str:

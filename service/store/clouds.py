@@ -127,6 +127,11 @@ class CloudStore:
         with self._turn:
             return self._is_there(cloud_id)
 
+    def size(self, cloud_id: str) -> int | None:
+        """Bytes of a cloud; None where it is not there."""
+        with self._turn:
+            return self._bytes[cloud_id] if self._is_there(cloud_id) else None
+
     def stats(self) -> CloudStats:
         """How full the folder is."""
         with self._turn:
@@ -221,6 +226,11 @@ class Upload:
             self._hash.update(chunk)
             self._file.write(chunk)
 
+    @property
+    def sha256(self) -> str:
+        """Of what came so far."""
+        return self._hash.hexdigest()
+
     def finish(self) -> str:
         """Keep what came, and close; returns the cloud's id.
 
@@ -232,7 +242,7 @@ class Upload:
         with self._taking_turn():
             if not self.n_bytes:
                 raise UploadRefusedError("the cloud is empty; a file with at least one point is needed")
-            cloud_id = f"sha256:{self._hash.hexdigest()}{self._suffix}"
+            cloud_id = f"sha256:{self.sha256}{self._suffix}"
             self._file.flush()
             os.fsync(self._file.fileno())
             self._store._keep(self._partial, cloud_id)

@@ -82,12 +82,15 @@ class Reviews:
 def _check(plan: sqlite3.Row, decision: Decision, plan_sha256: str, certificate_sha256: str) -> None:
     if plan["state"] != "finished":
         raise ReviewRefusedError(f"the plan is {plan['state']}; only a finished one can be reviewed")
-    asked = {"plan_sha256": plan_sha256, "certificate_sha256": certificate_sha256}
-    for name, value in asked.items():
-        if value != plan[name]:
+    asked = {
+        "trajectory": (plan_sha256, plan["plan_sha256"]),
+        "certificate": (certificate_sha256, plan["certificate_sha256"]),
+    }
+    for name, (value, stored) in asked.items():
+        if value != stored:
             raise ReviewRefusedError(
-                f"{name} {shown(value)} is not that of the stored plan, {shown(plan[name])}; look at it anew"
+                f"{name}_sha256 {shown(value)} is not that of the stored plan, {shown(stored)}; look at it anew"
             )
-    for name, value in asked.items():
+    for name, (value, _) in asked.items():
         if decision is Decision.ACCEPTED and not value:
-            raise ReviewRefusedError(f"the plan has no {name.removesuffix('_sha256')}: nothing that could be accepted")
+            raise ReviewRefusedError(f"the plan has no {name}: nothing that could be accepted")
