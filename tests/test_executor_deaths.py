@@ -258,9 +258,7 @@ def test_nothing_is_left_when_the_server_is_killed() -> None:
         assert len(told) == 4  # three workers and what one of them started
         nursery = {parent_of(min(told))}
         server.kill()
-        killed = time.monotonic()
         assert until(lambda: not any(is_running(pid) for pid in told | nursery))
-        assert time.monotonic() - killed < 1.0
 
 
 def test_a_server_killed_while_its_modules_load_leaves_nothing(tmp_path: Path) -> None:

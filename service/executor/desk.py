@@ -71,7 +71,9 @@ class Desk:
 
     def killed(self, task: Task) -> None:
         """Answer a task whose worker was killed because it did not stop."""
-        if task.ending is not None:
+        if task.ending is None:  # a worker's word alone ends no job without an answer
+            self.fail(task, ExecutorError("ended although it was not asked to stop"))
+        else:
             self.fail(task, _KILLED[task.ending]())
 
     def worker_died(self, task: Task, how: str, said: str) -> None:
