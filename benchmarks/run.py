@@ -22,6 +22,7 @@ NAMES = (
     "cloud_detections",
     "certificate",
     "attack_certificate",
+    "executor",
 )
 
 
