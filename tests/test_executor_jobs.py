@@ -193,11 +193,48 @@ def test_a_job_that_does_not_stop_is_killed_and_its_worker_replaced(fn: object) 
         job = pool.submit(fn, on_event=events)
         worker = events.first()
         assert job.cancel()
-        with pytest.raises(JobCancelled, match="killed"):
+        with pytest.raises(JobCancelled, match="ended"):
             job.result(SOON_S)
         assert not job.cancelled()
         assert pool.submit(jobs.pid).result(SOON_S) != worker
         assert pool.stats().restarts == 1
+
+
+def test_a_job_that_does_not_look_is_interrupted_and_its_worker_stays() -> None:
+    events = Events()
+    with LocalPool(1, interrupt_s=0.01, grace_s=SOON_S) as pool:
+        job = pool.submit(jobs.never_asks, on_event=events)
+        worker = events.first()
+        assert job.cancel()
+        with pytest.raises(JobCancelled, match="ended"):
+            job.result(SOON_S)
+        assert pool.submit(jobs.pid).result(SOON_S) == worker
+        assert pool.stats().restarts == 0
+
+
+def test_an_interruption_leaves_no_event_half_way() -> None:
+    with LocalPool(1, interrupt_s=0.005, grace_s=SOON_S) as pool:
+        for _ in range(10):
+            sizes: list[int] = []
+            job = pool.submit(jobs.report_for_ever, 200_000, on_event=lambda event, to=sizes: to.append(len(event)))
+            assert until(lambda got=sizes: len(got) > 3)
+            job.cancel()
+            with pytest.raises(JobCancelled):
+                job.result(SOON_S)
+            assert set(sizes) == {200_000}
+        assert pool.stats().restarts == 0
+
+
+def test_an_interruption_that_comes_late_leaves_the_next_job_alone() -> None:
+    with LocalPool(1, interrupt_s=0.0, grace_s=SOON_S) as pool:
+        for i in range(40):
+            events = Events()
+            job = pool.submit(jobs.until_stopped, on_event=events)
+            after = pool.submit(jobs.add, i, 1)
+            events.first()
+            job.cancel()
+            assert after.result(SOON_S) == i + 1
+        assert pool.stats().restarts == 0
 
 
 def test_a_deadline_that_passes_while_a_job_waits_ends_it_unrun(single: LocalPool, tmp_path: Path) -> None:
@@ -222,7 +259,7 @@ def test_a_deadline_stops_a_running_job(pool: LocalPool) -> None:
 def test_a_deadline_kills_a_job_that_does_not_stop() -> None:
     with LocalPool(1, grace_s=0.05) as pool:
         pool.wait_ready(SOON_S)
-        with pytest.raises(DeadlineExceeded, match="killed"):
+        with pytest.raises(DeadlineExceeded, match="ended"):
             pool.submit(jobs.never_asks, deadline=time.monotonic() + 0.05).result(SOON_S)
         assert pool.submit(jobs.add, 1, 2, deadline=time.monotonic() + 60.0).result(SOON_S) == 3
 

@@ -13,8 +13,8 @@ from service.executor.errors import DeadlineExceeded, ExecutorError, JobCancelle
 _LOG = logging.getLogger("service.executor")
 
 _KILLED: dict[Ending, Callable[[], ExecutorError]] = {
-    Ending.CANCELLED: lambda: JobCancelled("cancelled; it did not stop by itself and was killed"),
-    Ending.DEADLINE: lambda: DeadlineExceeded("the deadline passed; it did not stop by itself and was killed"),
+    Ending.CANCELLED: lambda: JobCancelled("cancelled; it did not stop by itself and was ended"),
+    Ending.DEADLINE: lambda: DeadlineExceeded("the deadline passed; it did not stop by itself and was ended"),
 }
 
 

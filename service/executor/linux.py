@@ -12,6 +12,7 @@ from pathlib import Path
 _PR_SET_PDEATHSIG = 1
 _PR_SET_NAME = 15
 _PR_SET_CHILD_SUBREAPER = 36
+_NICENESS = 5  # a third of the share of a process that has none
 
 
 def die_with_parent(parent: int) -> None:
@@ -46,6 +47,11 @@ def be_first_out_of_memory() -> None:
     """Short of memory, the kernel takes this process before the server."""
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("500")
+
+
+def let_others_go_first() -> None:
+    """Where processors are short, the kernel serves the server and its clients before this process."""
+    os.nice(_NICENESS)
 
 
 def limit_memory(max_bytes: int | None) -> None:

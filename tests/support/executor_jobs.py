@@ -91,6 +91,12 @@ def never_asks(control: Control) -> None:
         time.sleep(0.01)
 
 
+def report_for_ever(size: int, control: Control) -> None:
+    """Never ask, and be in the middle of an event most of the time."""
+    while True:
+        control.report(bytes(size))
+
+
 def stuck_in_native_code(control: Control) -> None:
     """Hold the interpreter's lock in a call that does not come back."""
     control.report(os.getpid())
