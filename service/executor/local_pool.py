@@ -38,8 +38,8 @@ class LocalPool(Pool):
             warm_up: top-level function, called once in each worker before it takes jobs.
             preload: modules that are imported once and shared by all workers; where one starts threads, every worker
                 imports them for itself.
-            interrupt_s: from asking a job to stop to interrupting it wherever it is in its Python code; None for never, so
-                that all the time until it is killed is its own [s].
+            interrupt_s: from asking a job to stop to interrupting it wherever it is in its Python code; None for never:
+                then all the time until it is killed is its own [s].
             grace_s: from asking a job to stop to killing its worker [s].
             max_bytes: address space of a worker; None for no limit.
             recycle_after: jobs after which a worker is replaced; None for never.
