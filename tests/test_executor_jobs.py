@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, wait
@@ -41,6 +42,10 @@ def test_a_result_comes_back(pool: LocalPool) -> None:
 
 def test_functions_run_in_another_process(pool: LocalPool) -> None:
     assert pool.submit(jobs.pid).result(SOON_S) in {worker.pid for worker in pool.stats().workers}
+
+
+def test_workers_let_others_go_first(pool: LocalPool) -> None:
+    assert pool.submit(os.nice, 0).result(SOON_S) > os.nice(0)
 
 
 def test_map_and_wait_work_as_with_any_executor(pool: LocalPool) -> None:
