@@ -1,0 +1,77 @@
+"""Requests to a planner server, and what it answers, in the few words tests need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import grpc
+from google.rpc.error_details_pb2 import BadRequest
+from google.rpc.status_pb2 import Status
+
+from service.proto.planner.v1 import planner_pb2 as wire
+from service.request_file import parse_request
+from service.wire.requests import request_to_message
+
+DETAILS = "grpc-status-details-bin"
+QUICK = {"robot": {"name": "atlas"}, "start": {"posture": "stand"}, "goal": {"joints": {"l_arm_elx": 1.2}}}
+# A goal that is never reached keeps a worker busy for as long as it may.
+ENDLESS = {
+    "robot": {"name": "atlas"},
+    "start": {"posture": "stand"},
+    "scene": {
+        "obstacles": [
+            {"type": "box", "name": f"bar{i}", "size": [0.02, 2.0, 0.02], "position": [0.42, 0.0, 0.75 + 0.06 * i]}
+            for i in range(16)
+        ]
+    },
+    "goal": {"poses": [{"link": "l_hand", "position": [0.75, 0.25, 1.2]}]},
+    "options": {"starts": 64},
+}
+
+
+def plan_request(request: dict[str, Any] | None = None, **more: Any) -> wire.PlanRequest:
+    """The message of a request; that of ``QUICK`` where none is given."""
+    return wire.PlanRequest(request=request_to_message(parse_request(request or QUICK)), **more)
+
+
+def uploaded(data: bytes, *, chunk_bytes: int = 2**18, **header: Any) -> Iterator[wire.UploadCloudRequest]:
+    """The messages that bring a cloud."""
+    yield wire.UploadCloudRequest(header=wire.CloudHeader(**{"format": "xyz", **header}))
+    for start in range(0, len(data), chunk_bytes):
+        yield wire.UploadCloudRequest(chunk=data[start : start + chunk_bytes])
+
+
+def finished(responses: Any) -> wire.PlanFinished:
+    """How a plan ended."""
+    (one,) = [response.finished for response in responses if response.WhichOneof("event") == "finished"]
+    return one
+
+
+def wait_for(call: Any, event: str) -> wire.PlanResponse:
+    """The next response of a kind."""
+    for response in call:
+        if response.WhichOneof("event") == event:
+            return response
+    raise AssertionError(f"no {event}")
+
+
+def refusal(call: Callable[[], Any]) -> tuple[str, str, dict[str, str]]:
+    """Code, text, and violations by field of a call that is refused; ``OK`` and nothing if it is not."""
+    try:
+        answer = call()
+        if isinstance(answer, grpc.Call) or hasattr(answer, "__next__"):
+            list(answer)
+    except grpc.RpcError as error:
+        code, text = error.code().name, error.details()  # type: ignore[attr-defined]
+        return code, text, violations(error)
+    return "OK", "", {}
+
+
+def violations(error: grpc.RpcError) -> dict[str, str]:
+    """Descriptions by field."""
+    for key, value in error.trailing_metadata() or ():  # type: ignore[attr-defined]
+        detail = BadRequest()
+        if key == DETAILS and Status.FromString(value).details[0].Unpack(detail):
+            return {one.field: one.description for one in detail.field_violations}
+    return {}
