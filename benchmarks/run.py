@@ -19,6 +19,7 @@ NAMES = (
     "ablations",
     "planning",
     "cloud_pieces",
+    "cloud_update",
     "cloud_detections",
     "certificate",
     "attack_certificate",
