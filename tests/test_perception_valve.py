@@ -171,6 +171,11 @@ def test_a_pipe_seen_from_its_open_end_is_no_wheel(name: str, sensor: str) -> No
     assert all(found.confidence < CONFIDENT for found in detect("valve", view))
 
 
+def test_a_hoses_coupling_beside_its_standpipe_is_no_lever() -> None:
+    view = make_view(make_scene("hose_aside", seed=21).scan("dense"))
+    assert all(found.confidence < CONFIDENT for found in detect("valve", view))
+
+
 def test_spokes_are_told_where_they_are_clearly_seen() -> None:
     valve = Valve((0.68, 0.12, 1.1), spin=0.4)
     found = detect_valves(scan(ROOM.meshes() + valve.meshes(), SENSOR, SCANNER, seed=7))[0]

@@ -37,6 +37,7 @@ _APART = (0.04, 0.25)
 _PARALLEL_DEG = 20.0
 _PIVOT_FROM_END = 0.06
 _REPORTED = 0.05
+_SLIM = (5.5, 8.5)  # length by radius; a hose's coupling on its standpipe is stouter
 # A lever along its pipe: the body hides the gap behind it, and the axis was found to be up to 6 degrees off.
 _ALONG = 0.45
 
@@ -192,6 +193,7 @@ def _joined(lever: _Fitted, pipe: _Fitted, index: SightIndex) -> _Lever | None:
         * rising(pipe.evidence.solid, 0.5, 0.75)
         * rising(pipe.evidence.air, 0.3, 0.6)
         * rising(abs(pivot.far - pivot.along), _LENGTHS[0], _LENGTHS[0] + 0.03)
+        * rising(abs(pivot.far - pivot.along) / bar.half[0], *_SLIM)
         * (1.0 if far_seen else 0.4)
         * (_ALONG if is_parallel else 1.0)
         * pivot.confidence
