@@ -97,13 +97,16 @@ def _stuck(pool: LocalPool) -> tuple[float, float]:
 
 
 def _healed(pool: LocalPool) -> float:
-    victim = pool.stats().workers[0].pid
-    assert victim is not None
+    victim = _idle(pool)[0]
     began = time.monotonic()
     os.kill(victim, signal.SIGKILL)
-    while victim in (idle := [w.pid for w in pool.stats().workers if w.state is WorkerState.IDLE]) or len(idle) < 2:
+    while victim in (idle := _idle(pool)) or len(idle) < 2:
         time.sleep(0.0005)
     return time.monotonic() - began
+
+
+def _idle(pool: LocalPool) -> list[int]:
+    return [w.pid for w in pool.stats().workers if w.state is WorkerState.IDLE and w.pid is not None]
 
 
 if __name__ == "__main__":
