@@ -6,26 +6,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from perception.beside import RADIUS, RADIUS_SHARE, STARTS_APART, depth_noise, spacing_radius, support
 from perception.clean import row_keys, voxel_index
 
-_RADIUS = 0.03
-_RADIUS_SHARE = 0.02
 _WIDE = 0.7
 _DEEP = 3.0
-# Surfaces scatter along a ray by less than this plus the share of the range; mixed pixels lie anywhere.
-_DEPTH = 0.02
-_DEPTH_SHARE = 0.01
 # A surface steeper than this to its rays cannot be told from a curtain of mixed pixels by depth alone.
 _MOST_STEEP = 4.0
-_ANGULAR_NEIGHBOURS = 32
 _THIN_SUPPORT = 4
 _LEAST_SUPPORT = 3
-_STARTS_APART = 0.1
-
-
-def spacing_radius(ranges: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-    """How near neighbours are looked for: 3 cm plus 2 % of the range [m]."""
-    return np.asarray(_RADIUS + _RADIUS_SHARE * ranges)
 
 
 def inliers(
@@ -81,8 +70,7 @@ def surface_points(
     asked, is_thin = chosen[doubtful], ~crowded[doubtful]
     # A row of the floor's own noise is no wire: thin things are held up by their like.
     like = np.ones(len(points), dtype=bool) if candidates is None else candidates
-    support = _support(points, starts, asked, like, is_thin)
-    kept[asked] = support >= np.where(is_thin, _THIN_SUPPORT, _LEAST_SUPPORT)
+    kept[asked] = support(points, starts, asked, like, is_thin) >= np.where(is_thin, _THIN_SUPPORT, _LEAST_SUPPORT)
     return kept
 
 
@@ -110,15 +98,15 @@ def _cones(
 ) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "V"]]:
     """Number of the piece of a narrow cone each point lies in, and counts: about a radius wide, three radii deep."""
     # The radius grows with the range; so many pieces, each _DEEP radii deep, lie before a range.
-    before = np.log1p(ranges * (_RADIUS_SHARE / _RADIUS)) / (_DEEP * _RADIUS_SHARE)
+    before = np.log1p(ranges * (RADIUS_SHARE / RADIUS)) / (_DEEP * RADIUS_SHARE)
     level = np.floor(before)
-    middle = (_RADIUS / _RADIUS_SHARE) * np.expm1((level + 0.5) * (_DEEP * _RADIUS_SHARE))
+    middle = (RADIUS / RADIUS_SHARE) * np.expm1((level + 0.5) * (_DEEP * RADIUS_SHARE))
     width = _WIDE * spacing_radius(middle) / middle
     face = np.argmax(np.abs(rays), axis=1)
     rows = np.arange(len(rays))
     ahead = rays[rows, face]
     tangents = [rays[rows, (face + turn) % 3] / (ahead * width) for turn in (1, 2)]
-    corner = np.floor(starts / _STARTS_APART).T
+    corner = np.floor(starts / STARTS_APART).T
     cells = np.stack([level, face + 3.0 * (ahead < 0.0), *np.floor(tangents), *corner], axis=1)
     _, voxel, counts = np.unique(row_keys(cells), return_inverse=True, return_counts=True)
     return voxel, counts
@@ -147,57 +135,6 @@ def _on_smooth_depth(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray,
     determinant = uu * vv - uv * uv
     slope_u, slope_v = (vv * ud - uv * vd) / determinant, (uu * vd - uv * ud) / determinant
     off = depth - slope_u[voxel] * u - slope_v[voxel] * v
-    tolerance = _DEPTH + _DEPTH_SHARE * ranges
+    tolerance = depth_noise(ranges)
     smooth = (np.hypot(slope_u, slope_v) < _MOST_STEEP) & (mean((off / tolerance) ** 2) < 0.25)
     return np.asarray(smooth[voxel] & (np.abs(off) < tolerance))
-
-
-def _support(
-    points: Float[np.ndarray, "N 3"],
-    starts: Float[np.ndarray, "N 3"],
-    asked: Int[np.ndarray, "K"],
-    like: Bool[np.ndarray, "N"],
-    is_thin: Bool[np.ndarray, "K"],
-) -> Int[np.ndarray, "K"]:
-    """How many of the 32 rays next to each asked point's own ended at its depth and not far aside.
-
-    For thin things only those that ended at their ``like`` count.
-    """
-    support = np.zeros(len(asked), dtype=np.int64)
-    if not len(asked):
-        return support
-    if (starts == starts[:1]).all():
-        return _support_in(points, starts, asked, like, is_thin)
-    groups = row_keys(np.floor(starts / _STARTS_APART))
-    order = np.argsort(groups[asked], kind="stable")
-    for keys in np.split(order, np.flatnonzero(np.diff(groups[asked[order]])) + 1):
-        members = np.flatnonzero(groups == groups[asked[keys[0]]])
-        if len(members) > 1:
-            mine = np.searchsorted(members, asked[keys])
-            support[keys] = _support_in(points[members], starts[members], mine, like[members], is_thin[keys])
-    return support
-
-
-def _support_in(
-    points: Float[np.ndarray, "N 3"],
-    starts: Float[np.ndarray, "N 3"],
-    asked: Int[np.ndarray, "K"],
-    like: Bool[np.ndarray, "N"],
-    is_thin: Bool[np.ndarray, "K"],
-) -> Int[np.ndarray, "K"]:
-    if len(points) < 2:
-        return np.zeros(len(asked), dtype=np.int64)
-    rays = points - starts
-    ranges = np.linalg.norm(rays, axis=1)
-    directions = rays / np.maximum(ranges, 1e-9)[:, None]
-    k = min(_ANGULAR_NEIGHBOURS + 1, len(points))
-    _, neighbours = _tree(directions).query(directions[asked], k=np.arange(2, k + 1), workers=-1)
-    apart = ranges[neighbours] - ranges[asked, None]
-    aside = np.linalg.norm(directions[neighbours] - directions[asked, None], axis=2) * ranges[asked, None]
-    tolerance = (_DEPTH + _DEPTH_SHARE * ranges[asked])[:, None]
-    near = (
-        (like[neighbours] | ~is_thin[:, None])
-        & (np.abs(apart) <= tolerance)
-        & (aside <= 2.0 * spacing_radius(ranges[asked])[:, None])
-    )
-    return np.asarray(near.sum(axis=1))

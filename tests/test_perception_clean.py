@@ -157,3 +157,47 @@ def test_a_wire_that_few_scan_lines_cross_stays_and_a_lone_stray_goes() -> None:
     kept = surface_points(points, np.zeros_like(points))
     assert kept[on_wire].mean() > 0.9
     assert not kept[stray]
+
+
+def test_the_far_ends_of_a_wall_stay_that_few_scan_lines_cross() -> None:
+    # Lines six degrees apart run along a wall 0.9 m away; at its ends rays meet it at 15 degrees.
+    turn, tilt = np.meshgrid(np.radians(np.arange(-75, 75.1, 0.25)), np.radians(np.arange(-30, 31, 6.0)))
+    points = 0.9 * np.column_stack([np.ones(turn.size), np.tan(turn).ravel(), (np.tan(tilt) / np.cos(turn)).ravel()])
+    ranges = np.linalg.norm(points, axis=1, keepdims=True)
+    points *= 1.0 + np.random.default_rng(0).normal(0, 0.01, ranges.shape) / ranges
+    is_end = np.abs(points[:, 1]) > 2.4
+    assert is_end.sum() > 200
+    kept = surface_points(points, np.zeros_like(points))
+    assert kept[is_end].mean() > 0.98
+    assert kept.mean() > 0.995
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0, 70), st.floats(0, 360), st.floats(1.0, 6.0), st.integers(0, 9))
+def test_a_wall_that_few_rays_meet_stays_however_it_slants(
+    slant_deg: float, towards_deg: float, distance: float, seed: int
+) -> None:
+    # One ray a degree: up to a third of a metre apart on a wall that slants away.
+    turn, tilt = np.meshgrid(np.radians(np.arange(-12, 12.5)), np.radians(np.arange(-12, 12.5)))
+    direction = np.column_stack([np.ones(turn.size), np.tan(turn).ravel(), np.tan(tilt).ravel()])
+    towards = np.array([np.cos(np.radians(towards_deg)), np.sin(np.radians(towards_deg))])
+    depth = distance / (1.0 - np.tan(np.radians(slant_deg)) * direction[:, 1:] @ towards)
+    points = direction * depth[:, None]
+    ranges = np.linalg.norm(points, axis=1, keepdims=True)
+    points *= 1.0 + np.random.default_rng(seed).normal(0, 0.008, ranges.shape) / ranges
+    assert surface_points(points, np.zeros_like(points)).mean() > 0.97
+
+
+def test_mixed_pixels_of_a_coarse_scan_go() -> None:
+    turn, tilt = np.meshgrid(np.radians(np.arange(-30, 30.5)), np.radians(np.arange(-30, 30.5)))
+    direction = np.column_stack([np.ones(turn.size), np.tan(turn).ravel(), np.tan(tilt).ravel()])
+    rng = np.random.default_rng(4)
+    before = np.abs(turn.ravel()) < np.radians(10)
+    edge = (np.abs(np.abs(turn.ravel()) - np.radians(10)) < np.radians(0.6)) & (rng.random(turn.size) < 0.3)
+    depth = np.where(before, 1.5, 3.5)
+    depth[edge] = rng.uniform(1.8, 3.2, edge.sum())
+    points = direction * depth[:, None]
+    kept = surface_points(points, np.zeros_like(points))
+    assert edge.sum() > 20
+    assert kept[edge].mean() < 0.35
+    assert kept[~edge].mean() > 0.99

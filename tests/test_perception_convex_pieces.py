@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 
 from perception import Cloud, Perceived, perceive
 from perception.clean import half_spaces
+from perception.convex.attach import attached
 from perception.convex.coarse import coarsened
 from perception.convex.freespace import carve
-from perception.convex.hulls import MAX_VERTICES
+from perception.convex.hulls import MAX_VERTICES, hull_of
 from perception.convex.pieces import Pieces, make_pieces
+from perception.convex.planes import Plane
+from perception.convex.slabs import slabs_of
 from perception.convex.split import clusters, merge, split
 from perception.simulate import Pose, Room, Scanner, scan
 
@@ -133,3 +136,29 @@ def test_a_single_point_is_a_piece_that_holds_it() -> None:
 def test_no_points_make_no_pieces() -> None:
     assert make_pieces(np.zeros((0, 3)), SENSOR, (SENSOR, np.zeros((0, 3)))).pieces == ()
     assert Cloud(np.ones((1, 3)), SENSOR).rays[0].shape == (1, 3)
+
+
+def board(y: tuple[float, float], x: float = 1.0) -> np.ndarray:
+    """Points of an upright board that faces the sensor."""
+    grid = np.stack(np.meshgrid(np.arange(*y, 0.02), np.arange(1.2, 1.6, 0.02)), axis=-1).reshape(-1, 2)
+    return np.column_stack([np.full(len(grid), x), grid])
+
+
+@pytest.mark.parametrize(("x", "is_gap_seen", "n_left"), [(1.0, False, 0), (1.0, True, 1), (1.05, False, 1)])
+def test_a_hull_beside_a_slab_joins_it_in_its_plane_where_nothing_was_seen_free(
+    x: float, is_gap_seen: bool, n_left: int
+) -> None:
+    main, small = board((0.0, 0.6)), board((0.68, 0.74), x)
+    ends = np.concatenate([main, small])
+    if is_gap_seen:
+        through = SENSOR + 1.6 * (board((0.63, 0.66)) - SENSOR)
+        ends = np.concatenate([ends, through])
+    free = carve(SENSOR, ends, np.concatenate([main, small]), np.array([0.5, -0.2, 1.0]), np.array([1.3, 1.0, 1.8]))
+    plane = Plane(np.array([-1.0, 0.0, 0.0]), -1.0, np.arange(len(main)), np.arange(0))
+    slabs = [(plane, slab) for slab in slabs_of(plane, main, SENSOR, ends, free)]
+    hull = hull_of(small, np.arange(len(small)))
+    grown, left = attached(slabs, [hull], free)
+    assert len(slabs) == len(grown) == 1
+    assert len(left) == n_left
+    faces = half_spaces(grown[0][1].vertices)
+    assert bool((small @ faces[:, :3].T + faces[:, 3] <= 1e-6).all()) == (n_left == 0)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece
+from perception.convex.attach import attached
 from perception.convex.coarse import Coarse, coarsened
 from perception.convex.evidence import evidence_of
 from perception.convex.freespace import FreeSpace, carve
@@ -135,6 +136,7 @@ def _bodies(
     clock.lap("slabs")
     rest = ~_covered(points, slabs)
     hulls = _clutter(points[rest], starts[rest], free)
+    slabs, hulls = attached(slabs, hulls, free)
     bodies = [
         _Body(_kind_of(plane, slab), slab.vertices, np.append(plane.normal, plane.offset)) for plane, slab in slabs
     ]

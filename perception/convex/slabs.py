@@ -35,6 +35,11 @@ class Slab:
     vertices: Float[np.ndarray, "V 3"]
     faces: Float[np.ndarray, "K 3"]
 
+    @property
+    def area(self) -> float:
+        """Of the outline [m^2]."""
+        return _area(self.outline)
+
 
 @dataclass(frozen=True)
 class _Region:
@@ -134,12 +139,16 @@ def _outline(
 ) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "F 3"]]:
     """Corners, counter-clockwise, and half-planes of the hull; ``pad`` is added on all sides."""
     if pad > 0.0:
-        flat = (flat[:, None, :] + pad * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])).reshape(-1, 2)
+        flat = _padded(flat, pad)
     try:
         hull = ConvexHull(flat)
     except (QhullError, ValueError):
         return _outline(flat, 0.002)
     return flat[hull.vertices], hull.equations
+
+
+def _padded(flat: Float[np.ndarray, "N 2"], pad: float) -> Float[np.ndarray, "M 2"]:
+    return np.asarray((flat[:, None, :] + pad * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])).reshape(-1, 2))
 
 
 def _open_cells(
@@ -152,9 +161,12 @@ def _open_cells(
     cells = np.argwhere(region.pierced[first[0] : last[0] + 1, first[1] : last[1] + 1]) + first
     centres = (cells + 0.5) * _CELL + region.lower
     inside = centres[(centres @ faces[:, :2].T + faces[:, 2] <= 0.0).all(axis=1)]
+    return np.asarray(inside if len(inside) * _CELL**2 > _NOISE * _area(corners) else inside[:0])
+
+
+def _area(corners: Float[np.ndarray, "K 2"]) -> float:
     x, y = corners.T
-    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    return np.asarray(inside if len(inside) * _CELL**2 > _NOISE * area else inside[:0])
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _cut(
@@ -207,9 +219,18 @@ def _near(a: Float[np.ndarray, "N 2"], b: Float[np.ndarray, "M 2"]) -> bool:
     return bool((a.min(axis=0) <= b.max(axis=0) + gap).all() and (b.min(axis=0) <= a.max(axis=0) + gap).all())
 
 
+def joined(plane: Plane, slab: Slab, flat: Float[np.ndarray, "K 2"]) -> Slab:
+    """The slab of the hull of a slab's outline and further places in its plane [m]."""
+    corners, faces = _outline(np.concatenate([slab.outline, _padded(flat, _PAD)]))
+    return _thickened(plane, corners, faces)
+
+
 def _slab(plane: Plane, flat: Float[np.ndarray, "N 2"]) -> Slab:
+    return _thickened(plane, *_outline(flat, _PAD))
+
+
+def _thickened(plane: Plane, corners: Float[np.ndarray, "K 2"], faces: Float[np.ndarray, "F 3"]) -> Slab:
     """Thickened outline, its corners thinned to at most 32."""
-    corners, faces = _outline(flat, _PAD)
     if len(corners) > 32:
         corners, faces = _coarser(corners)
     middle = corners @ plane.basis + plane.offset * plane.normal
