@@ -210,8 +210,8 @@ class Options(Section):
     feet: Annotated[tuple[Name, ...], Field(max_length=8)] | None = None
     starts: Annotated[StrictInt, Field(ge=1, le=64)] = 16
     qp: Literal["piqp", "clarabel", "cvxpy"] = "piqp"
-    velocity_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.5
-    acceleration_scale: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.3
+    velocity_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.5
+    acceleration_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.3
     timed: bool = True
     escape: bool = False
 

@@ -126,6 +126,7 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
         ("options: {margin_m: -1}", "options.margin_m: at least 0 is needed, got -1"),
         ("options: {time_limit_s: .inf}", "options.time_limit_s: a finite number is needed, got inf"),
         ("options: {time_limit_s: 0}", "options.time_limit_s: more than 0 is needed, got 0"),
+        ("options: {velocity_scale: 1.0e-300}", "options.velocity_scale: at least 0.001 is needed, got 1e-300"),
         ("scene: {cloud: 3}", "scene.cloud: a file, or a list of {file, position, quaternion_wxyz}, is needed, got 3"),
         ("scene: {cloud: ''}", "scene.cloud: a text with at least 1 character is needed, got ''"),
         (
