@@ -8,12 +8,10 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
 
 import grpc
 import structlog
-from grpc_health.v1 import health, health_pb2, health_pb2_grpc
-from grpc_health.v1.health import aio as health_aio  # type: ignore[attr-defined]
+from grpc_health.v1 import health, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from service.errors import ServiceError
@@ -21,6 +19,7 @@ from service.executor import CancellableExecutor
 from service.seen import Metrics, MetricsServer, Spans, Watcher
 from service.server.admission import Admission
 from service.server.asked import Door
+from service.server.health import Health
 from service.server.keeping import Keeping
 from service.server.perceiving import Perceiving
 from service.server.planning import Planning
@@ -74,7 +73,7 @@ class Running:
     planning: Planning
     keeping: Keeping
     workshop: Workshop
-    health: Any
+    health: Health
 
 
 async def serve(
@@ -142,7 +141,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
             interceptors=[Watcher(metrics, port.spans), Gate(port.tokens, limiter)], options=_options(settings)
         )
         server.add_generic_rpc_handlers((method_handlers(Servicer(planning, perceiving, keeping)),))
-        state = health_aio.HealthServicer()
+        state = Health((SERVICE.full_name,))
         health_pb2_grpc.add_HealthServicer_to_server(state, server)
         names = (SERVICE.full_name, health.SERVICE_NAME, reflection.SERVICE_NAME)
         reflection.enable_server_reflection(names, server)
@@ -153,8 +152,6 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         stack.push_async_callback(server.stop, 0.0)
         overtime = asyncio.create_task(_stop_overtime(workshop))
         stack.callback(overtime.cancel)
-        for name in ("", SERVICE.full_name):
-            await state.set(name, health_pb2.HealthCheckResponse.SERVING)
         yield Running(address, server, planning, keeping, workshop, state)
 
 
@@ -193,7 +190,7 @@ async def _drain(server: Running, drain_s: float, now: asyncio.Event) -> None:
     """Take nothing more in, and see what is under way to its end, or for as long as there is."""
     _LOG.info("draining", running=len(server.planning.running), at_most_s=drain_s)
     server.keeping.is_draining = server.workshop.is_closed = True
-    await server.health.enter_graceful_shutdown()
+    server.health.end()
     hurry = asyncio.create_task(now.wait())
     stopping = asyncio.create_task(server.server.stop(drain_s))
     await asyncio.wait([stopping, hurry], return_when=asyncio.FIRST_COMPLETED)

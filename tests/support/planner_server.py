@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,15 +34,7 @@ def planner_server(
     data: Path, *arguments: str, workers: int = 1, listen: str = "127.0.0.1:0"
 ) -> Iterator[ServerProcess]:
     """``scopt serve`` in a process of its own; killed at the end if it still runs."""
-    log = data.parent / f"{data.name}.log"
-    with log.open("a") as errors:
-        process = subprocess.Popen(
-            [*_program(), "--listen", listen, "--data", str(data), "--workers", str(workers), *arguments],
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            text=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-        )
+    process, log = _started(data, "--listen", listen, "--workers", str(workers), *arguments)
     assert process.stdout is not None
     try:
         line = process.stdout.readline().strip()
@@ -53,6 +45,41 @@ def planner_server(
         process.kill()
         process.wait()
         process.stdout.close()
+
+
+def never_ready(
+    data: Path, *arguments: str, at_start: Callable[[int], object] | None = None, within_s: float = START_S
+) -> tuple[int, str]:
+    """``scopt serve`` that ends before it listens: its exit code, and all it said.
+
+    Args:
+        at_start: told the number of the process.
+    """
+    listen = () if "--listen" in arguments else ("--listen", "127.0.0.1:0")
+    process, log = _started(data, *listen, "--workers", "1", *arguments)
+    try:
+        if at_start is not None:
+            at_start(process.pid)
+        said, _ = process.communicate(timeout=within_s)
+    finally:
+        process.kill()
+        process.wait()
+    if said.startswith(READY):
+        raise AssertionError("the server listened")
+    return process.returncode, said + log.read_text()
+
+
+def _started(data: Path, *arguments: str) -> tuple[subprocess.Popen[str], Path]:
+    log = data.parent / f"{data.name}.log"
+    with log.open("a") as errors:
+        process = subprocess.Popen(
+            [*_program(), "--data", str(data), *arguments],
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )
+    return process, log
 
 
 def _program() -> Sequence[str]:
