@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from perception import CONFIDENT, Cloud, Detection, View, make_view, read_cloud
 from perception.detect.bar_fit import _linearized, _moved, _State
 from perception.detect.bars import Bar, Section, cross_bar
-from perception.detect.beam import detect_beam
+from perception.detect.beam import detect_beam, loose_points
 from perception.detect.lines import find_lines
 from perception.detect.sightlines import Sightlines
 from perception.detect.slender import is_slender
@@ -90,6 +90,20 @@ def test_crossed_beams_are_told_apart() -> None:
 def test_a_pipe_is_no_beam(radius: float) -> None:
     view = view_of(cylinder((0.9, -0.4, 0.3), (1.1, 0.5, 0.9), radius))
     assert all(one.confidence < CONFIDENT for one in detect_beam(view))
+
+
+def test_a_pipe_with_flanges_is_no_beam() -> None:
+    flanges = [cylinder((1.0, y, 0.9), (1.0, y + 0.05, 0.9), 0.085) for y in (-0.5, 0.0, 0.4)]
+    view = view_of(cylinder((1.0, -1.0, 0.9), (1.0, 1.0, 0.9), 0.045), *flanges)
+    assert all(one.confidence < CONFIDENT for one in detect_beam(view))
+
+
+def test_beams_side_by_side_are_looked_at_though_they_pass_for_a_step() -> None:
+    beams = [timber(posed((x, 0.1, 0.0445), 80.0, 0.0, 0.0), 1.2, 0.14, 0.089) for x in (0.8, 1.0, 1.2)]
+    view = view_of(*beams)
+    tops = np.abs(view.near.points[:, 2] - 0.089) < 0.02
+    looked_at = np.abs(loose_points(view)[:, 2] - 0.089) < 0.02
+    assert looked_at.sum() > 0.9 * tops.sum()
 
 
 def test_walls_cartons_and_their_edges_are_no_beams() -> None:

@@ -34,6 +34,14 @@ def test_a_drill_seen_from_the_side_is_found_within_the_targets(yaw_deg: float) 
     assert found.pose_world_object[2, 2] == 1.0
 
 
+def test_a_drill_seen_from_ahead_is_one_to_act_on_with_a_hint_only() -> None:
+    drill = Drill((0.7, 0.1, TOP), np.radians(195.0)).placed()
+    view, truth = view_of(*drill.meshes), drill.truth[0].pose_world_object
+    without, hinted = detect_drill(view)[0], detect_drill(view, truth[:3, 3] + np.array([0.05, -0.05, 0.03]))[0]
+    assert without.confidence < CONFIDENT <= hinted.confidence
+    assert np.linalg.norm(hinted.pose_world_object[:3, 3] - truth[:3, 3]) <= 0.020
+
+
 def test_bottles_boxes_mugs_and_tins_are_no_drills() -> None:
     bottle = [
         cylinder((0.7, -0.3, TOP), (0.7, -0.3, TOP + 0.18), 0.04),

@@ -20,7 +20,7 @@ from perception.detect.detection import Detection
 from perception.detect.lines import Line, find_lines
 from perception.detect.sightlines import SightIndex, sight_index
 from perception.detect.slender import is_slender
-from perception.floor import FloorPlane
+from perception.floor import FloorPlane, on_floors
 from perception.view import View
 
 # 2x4, 4x4, 2x6 and 2x2 as sawn.
@@ -31,10 +31,12 @@ _RADII = (0.035, 0.055, 0.08)
 _LEAST_LENGTH = 0.25
 _TUBE = 0.1
 _ROUNDS = 3
-_PER_ROUND = 12
+_PER_ROUND = 16
 _HINT_RADIUS = 0.7
 _REPORTED = 0.05
 _EXPLAINS = 0.25
+_LARGEST_STEP = 1.0  # [m^2]
+_OVER_FLOOR = 0.03
 _MOST_POINTS = 200
 
 
@@ -70,7 +72,7 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
         return []
     rng = np.random.default_rng(view.seed)
     index = sight_index(view.cloud)
-    points, _ = voxel_downsample(view.obstacles, _VOXEL)
+    points, _ = voxel_downsample(loose_points(view), _VOXEL)
     points = points[is_slender(points)]
     if hint is not None:
         points = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
@@ -91,6 +93,16 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
                     points = points[~_on_bar(one.bar, points, 0.02)]
     found.sort(key=lambda one: -one.confidence)
     return [_as_detection(one) for one in _apart(found)]
+
+
+def loose_points(view: View) -> Float[np.ndarray, "N 3"]:
+    """The obstacles and what lies on small raised levels of the floor: beams side by side pass for a step."""
+    steps = [level for level in view.floors[1:] if level.area < _LARGEST_STEP]
+    if view.floor is None or not steps:
+        return view.obstacles
+    points = view.near.points
+    raised = on_floors(points, (view.floor, *steps)) & (view.floor.above(points) > _OVER_FLOOR)
+    return np.concatenate([view.obstacles, points[raised]])
 
 
 def _examine(index: SightIndex, line: Line, floor: FloorPlane | None) -> _Beam | None:

@@ -21,7 +21,7 @@ _WIDE = 0.38
 _HINT_RADIUS = 0.4
 _REPORTED = 0.05
 # Seen from ahead or behind a drill has no notch that tells it from a bottle.
-_UNSEEN_NOTCH = 0.3
+_UNSEEN_NOTCH, _UNSEEN_HINTED = 0.3, 0.9
 _YAWS = np.radians(np.arange(0.0, 360.0, 15.0))
 _SIGMA_DEPTH = 0.01
 _SIGMA_EDGE = 0.006
@@ -252,7 +252,7 @@ def _judged(
     value = (
         rising(solid, 0.7, 0.9)
         * rising(explained, 0.7, 0.9)
-        * (known * rising(notch_open, 0.4, 0.8) + (1.0 - known) * _UNSEEN_NOTCH)
+        * (known * rising(notch_open, 0.4, 0.8) + (1.0 - known) * (_UNSEEN_HINTED if is_hinted else _UNSEEN_NOTCH))
         * rising(-rms, -0.02, -0.014)
         * rising(float(hit.sum()), 15.0, 60.0)
     )

@@ -29,11 +29,12 @@ _TUBE = 0.04
 _FEWEST = 8
 _REPORTED = 0.05
 _HINT_RADIUS = 0.5
+_PIVOT = (0.3, 0.85)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """A bar before a face and what speaks for it being a lever."""
+    """A bar before a face and what speaks for it being a lever; ``confidence`` leaves the pivot out."""
 
     face: Face
     ends: Ends
@@ -65,7 +66,7 @@ def detect_lever(
                 one = _examined(face, rays, run)
                 if one is not None:
                     found.append(one)
-    found.sort(key=lambda one: -one.confidence)
+    found.sort(key=lambda one: -one.confidence * one.pivot.confidence)
     apart: list[_Found] = []
     for one in found:
         if all(np.linalg.norm(one.ends.bar.middle - other.ends.bar.middle) > 0.08 for other in apart):
@@ -141,7 +142,6 @@ def _examined(face: Face, seen: FaceRays, run: Run) -> _Found | None:
         * rising(length / bar.half[0], 4.0, 7.0)
         * rising(-bar.half[0], -0.03, -0.024)
         * rising(pivot.stand_off - bar.half[0], 0.008, 0.02)
-        * pivot.confidence
     )
     return _Found(face, ends, evidence, pivot, float(confidence))
 
@@ -176,5 +176,7 @@ def _as_detection(one: _Found, is_hinted: bool) -> Detection:
         "stand_off": pivot.stand_off,
         "n_hits": float(one.evidence.n_hits),
     }
-    confidence = float(np.sqrt(one.confidence)) if is_hinted else one.confidence
-    return Detection("lever", pose, sizes, confidence, residuals, bar.places(0.01))
+    sure = (
+        np.sqrt(one.confidence * pivot.confidence) if is_hinted else one.confidence * rising(pivot.confidence, *_PIVOT)
+    )
+    return Detection("lever", pose, sizes, float(sure), residuals, bar.places(0.01))

@@ -20,7 +20,7 @@ _CELL = 0.03
 _LEAST_CELLS = 40
 _APART = 0.08
 _OVER = (0.018, 0.36)
-_LINK = 0.025
+_LINK, _LINK_UP = 0.025, 0.12
 _WIDE = 0.5
 _LEAST_POINTS = 15
 _FOOT_HEIGHT = 0.05
@@ -96,10 +96,10 @@ def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
 
 
 def _linked(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
-    """Groups of points within 3 cm of a neighbour."""
+    """Groups of points within 3 cm of a neighbour, 12 cm above or below it: what overhangs hides what is under it."""
     if len(points) < _LEAST_POINTS:
         return []
-    pairs = cKDTree(points).query_pairs(_LINK, output_type="ndarray")
+    pairs = cKDTree(points * (1.0, 1.0, _LINK / _LINK_UP)).query_pairs(_LINK, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     n_groups, of_point = connected_components(graph, directed=False)
     sizes = np.bincount(of_point, minlength=n_groups)
