@@ -65,6 +65,8 @@ def measure(options: Options, folder: Path) -> list[Figure]:
     with started(folder, "--requests-per-s", "100000") as server:
         answers = asyncio.run(_ask(server, n, options.seed))
         is_alive, incidents = server.is_alive(), server.incidents()
+        for line in server.incident_lines()[:5]:
+            print(f"  {line[-1500:]}")
         restarts = server.status().worker_restarts if is_alive else 0
     return _figures(answers, is_alive, restarts, incidents)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from statistics import fmean
 
 from benchmarks.service import asks
 from benchmarks.service.figures import Figure, Options, ms, percentile, spread
@@ -24,10 +25,9 @@ def measure(options: Options, folder: Path) -> list[Figure]:
         warm = Load(server.address, request, "capacity", clients=WORKERS, seconds=min(20.0, seconds / 3.0))
         with generating(warm) as load:
             calls = load.result()
-        capacity = len(calls) / (max(call.began + call.took for call in calls) - calls[0].began)
-        over = Load(
-            server.address, request, "overload", rate=OVER * capacity, seconds=seconds, seed=options.seed
-        )  # fmt: skip
+        capacity = len(calls) / (max(call.began + call.took for call in calls) - min(call.began for call in calls))
+        rate = OVER * capacity
+        over = Load(server.address, request, "overload", rate=rate, seconds=seconds, seed=options.seed)
         memory: list[tuple[float, float]] = []
         with generating(over) as load:
             while not load.done():
@@ -42,7 +42,7 @@ def _figures(calls: list[Call], capacity: float, memory: list[tuple[float, float
     refused = [call for call in calls if call.code == "RESOURCE_EXHAUSTED"]
     others = len(calls) - len(admitted) - len(refused)
     planned = [call.planned_s for call in admitted]
-    solve = percentile(planned, 50)
+    solve = fmean(planned) if planned else float("nan")
     bound = (QUEUE + 1) * solve * SLACK
     took, at_once = [call.took for call in admitted], [call.took for call in refused]
     warm = memory[int(WARM_SHARE * len(memory)) :]

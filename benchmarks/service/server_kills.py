@@ -21,6 +21,7 @@ from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 WORKERS, CLIENTS = 2, 4
 LONGEST_S = 3.0  # until the kill
 ORPHANS_S = 1.0
+UNLIMITED = ("--requests-per-s", "100000")  # all plans are asked for at once
 
 
 @dataclass
@@ -43,13 +44,13 @@ def measure(options: Options, folder: Path) -> list[Figure]:
     orphans = missing = unapproved = 0
     for _ in range(n):
         began = time.monotonic()
-        with started(folder, workers=WORKERS) as server:
+        with started(folder, *UNLIMITED, workers=WORKERS) as server:
             back.append(time.monotonic() - began)
             missing, unapproved = _count_missing(server, told)  # of all that any server before has told
             processes = _killed_under_load(server, told, random.uniform(0.5, LONGEST_S))
             time.sleep(ORPHANS_S)
             orphans += len(still_there(processes))
-    with started(folder, workers=WORKERS) as server:
+    with started(folder, *UNLIMITED, workers=WORKERS) as server:
         missing, unapproved = _count_missing(server, told)
     return [
         Figure(f"server killed {n} times: finished plans that are gone, of {len(told.plans)}", "0", str(missing),

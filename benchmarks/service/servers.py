@@ -53,15 +53,19 @@ class Server:
 
     def resident_mib(self) -> tuple[float, float]:
         """Memory of the server, and of the largest of its workers [MiB]."""
-        return rss_bytes(self.process.pid) / MIB, max(rss_bytes(pid) for pid in self.workers()) / MIB
+        return rss_bytes(self.process.pid) / MIB, max((rss_bytes(pid) for pid in self.workers()), default=0) / MIB
 
     def is_alive(self) -> bool:
         """Whether it still runs."""
         return self.process.poll() is None
 
-    def incidents(self) -> int:
+    def incident_lines(self) -> list[str]:
         """Lines of its log that tell of something that should not have happened."""
-        return sum("incident" in line or "Traceback" in line for line in self.log.read_text().splitlines())
+        return [line for line in self.log.read_text().splitlines() if "incident" in line or "Traceback" in line]
+
+    def incidents(self) -> int:
+        """How many there were."""
+        return len(self.incident_lines())
 
     def kill(self) -> None:
         """As ``kill -9`` does."""
