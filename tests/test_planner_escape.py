@@ -14,7 +14,7 @@ from stranger import Stranger
 from costs.allowance import Allowance
 from costs.robot import load_robot
 from costs.scene import Scene
-from service.cli_report import print_figures, print_verdict
+from service.cli_report import print_figures, print_findings, print_verdict
 from service.errors import RequestError
 from service.output import write_result
 from service.planner import plan, shortfalls
@@ -98,8 +98,9 @@ def test_no_claim_of_the_result_calls_the_motion_clear(escaped):
     (clearance,) = [check for check in result.certificate.checks if check.name == "clearance"]
     assert clearance.text.endswith(", pairs that may touch aside")
     screen = Console(file=StringIO(), width=160)
-    print_verdict(screen, summary_json(result))
+    print_findings(screen, summary_json(result))
     print_figures(screen, summary_json(result))
+    print_verdict(screen, summary_json(result))
     printed = screen.file.getvalue()
     assert "l2 and block" in printed.split("CERTIFIED")[0]  # the table of pairs that may touch
     assert "note: start is in collision: l2 is 0.010 m inside block" in printed
