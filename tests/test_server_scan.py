@@ -1,0 +1,54 @@
+"""A real server from a scan to a motion: the cloud is brought, looked at, and worked in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import grpc
+import numpy as np
+import pytest
+import yaml
+from planner_calls import finished, plan_request, uploaded
+from planner_server import planner_server
+
+from service.proto.planner.v1 import planner_pb2 as wire
+from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
+from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture(scope="module")
+def stub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PlannerServiceStub]:
+    data = tmp_path_factory.mktemp("server") / "data"
+    with planner_server(data) as server, grpc.insecure_channel(server.address) as channel:
+        yield PlannerServiceStub(channel)
+
+
+def test_valve_of_an_uploaded_scan_is_found_and_turned(stub: PlannerServiceStub) -> None:
+    scan, truth = EXAMPLES / "data" / "valve_scan.pcd", json.loads((EXAMPLES / "data" / "valve_scan.json").read_text())
+    cloud_id = stub.UploadCloud(uploaded(scan.read_bytes(), format="pcd"), timeout=30).cloud_id
+    clouds = wire.CloudsSpec(clouds=[{"file": cloud_id}])  # type: ignore[list-item]
+
+    built = list(stub.BuildScene(wire.BuildSceneRequest(clouds=clouds, detect=["valve"]), timeout=60))
+    assert [one.WhichOneof("event") for one in built[:-1]] == ["step"] * (len(built) - 1)
+    scene = built[-1].scene
+    assert len(scene.pieces) == len(json.loads(scene.json)["pieces"]) > 0
+    assert all(len(piece.vertices) % 3 == 0 for piece in scene.pieces)
+
+    hit = stub.Detect(wire.DetectRequest(clouds=clouds, kind="valve"), timeout=60).hits[0]
+    assert hit == scene.detections[0]
+    assert hit.confidence >= 0.5
+    pose = np.reshape(hit.pose_world_object, (4, 4))
+    assert pose[:3, 3] == pytest.approx(truth["valve"]["centre"], abs=0.01)
+    assert hit.sizes["rim_radius"] == pytest.approx(truth["valve"]["rim_radius"], abs=0.005)
+
+    request = yaml.safe_load((EXAMPLES / "requests" / "valve.yaml").read_text())
+    done = finished(stub.Plan(plan_request({**request, "scene": {"cloud": cloud_id}}), timeout=60))
+    assert done.result.verdict == VERDICT_CERTIFIED
+    assert done.result.trajectory.is_timed
+    assert len(done.result.trajectory.phases) > 1
