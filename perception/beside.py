@@ -26,7 +26,7 @@ _SLOPES = 8
 _STEEPEST = 10.0
 _ON_SLOPE = 4
 _FAR_ON_SLOPE = 2
-_MOST = 0.85
+_MOST = 0.8
 
 
 def spacing_radius(ranges: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:

@@ -17,6 +17,7 @@ from perception.convex.freespace import carve
 from perception.convex.hulls import MAX_VERTICES, hull_of
 from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.planes import Plane
+from perception.convex.refine import refined
 from perception.convex.slabs import slabs_of
 from perception.convex.split import clusters, merge, split
 from perception.simulate import Pose, Room, Scanner, scan
@@ -162,3 +163,21 @@ def test_a_hull_beside_a_slab_joins_it_in_its_plane_where_nothing_was_seen_free(
     assert len(left) == n_left
     faces = half_spaces(grown[0][1].vertices)
     assert bool((small @ faces[:, :3].T + faces[:, 3] <= 1e-6).all()) == (n_left == 0)
+
+
+@pytest.mark.parametrize("is_seen_through", [True, False])
+def test_a_hull_is_split_where_rays_went_through_a_narrow_gap(is_seen_through: bool) -> None:
+    height = np.linspace(1.2, 1.6, 40)
+    rods = [np.column_stack([np.full(40, x), np.full(40, y), height]) for x in (1.0, 1.04) for y in (0.0, 0.07)]
+    points = np.concatenate(rods)
+    between = np.concatenate([np.column_stack([np.full(40, 1.0), np.full(40, y), height]) for y in (0.03, 0.035, 0.04)])
+    ends = np.concatenate([points, SENSOR + 1.5 * (between - SENSOR)]) if is_seen_through else points
+    whole = hull_of(points, np.arange(len(points)))
+    hulls = refined([whole], points, points, (SENSOR, ends), 0.06)
+    if is_seen_through:
+        assert len(hulls) == 2
+        assert not any(hull.is_within(between, 0.0).any() for hull in hulls)
+    else:
+        assert hulls == [whole]
+    held = np.concatenate([hull.members for hull in hulls])
+    assert sorted(held.tolist()) == list(range(len(points)))

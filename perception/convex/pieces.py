@@ -19,6 +19,7 @@ from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import Hull, hull_of, limited, thickened
 from perception.convex.piece import Piece
 from perception.convex.planes import Plane, PlaneSettings, find_planes
+from perception.convex.refine import refined
 from perception.convex.slabs import FRONT, Slab, slabs_of
 from perception.convex.split import clusters, merge, split
 from perception.convex.standing import still_standing, unexplained
@@ -136,6 +137,7 @@ def _bodies(
     clock.lap("slabs")
     rest = ~_covered(points, slabs)
     hulls = _clutter(points[rest], starts[rest], free)
+    hulls = refined(hulls, points[rest], coarse.points, rays, _GAP)
     slabs, hulls = attached(slabs, hulls, free)
     bodies = [
         _Body(_kind_of(plane, slab), slab.vertices, np.append(plane.normal, plane.offset)) for plane, slab in slabs

@@ -16,6 +16,7 @@ from perception.convex.hulls import Hull, hull_of
 _SMALLEST = 0.03
 _NEIGHBOURS = 10
 _MOST_FREE_CELLS = 2
+_FREE_VOLUME = 1.6e-5
 _PROBES = 12
 
 
@@ -36,23 +37,25 @@ def clusters(
     return list(np.split(order, np.flatnonzero(np.diff(labels[order])) + 1))
 
 
-def split(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"], free: FreeSpace) -> list[Hull]:
+def split(
+    points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"], free: FreeSpace, most: float = _FREE_VOLUME
+) -> list[Hull]:
     """Hulls of the members, cut in two until none holds seen-free space (or is as small as the noise)."""
     done: list[Hull] = []
     todo = [members]
     while todo:
         indices = todo.pop()
         hull = hull_of(points[indices], indices)
-        if len(indices) < 4 or (hull.upper - hull.lower).max() <= _SMALLEST or is_free_of(hull, free):
+        if len(indices) < 4 or (hull.upper - hull.lower).max() <= _SMALLEST or is_free_of(hull, free, most):
             done.append(hull)
         else:
             todo.extend(indices[side] for side in _cut(points[indices]))
     return done
 
 
-def is_free_of(hull: Hull, free: FreeSpace) -> bool:
-    """Whether the hull holds no more seen-free cells than noise explains."""
-    most = min(_MOST_FREE_CELLS, int(0.01 * hull.volume / free.size**3))
+def is_free_of(hull: Hull, free: FreeSpace, volume: float = _FREE_VOLUME) -> bool:
+    """Whether the hull holds no more seen-free space than noise explains: at most so much [m^3], and 1 % of it."""
+    most = int(min(volume, 0.01 * hull.volume) / free.size**3 + 1e-6)
     return free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, most) <= most
 
 
@@ -84,7 +87,7 @@ def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
     return np.asarray(first + second)
 
 
-def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float) -> list[Hull]:
+def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float, most: float = _FREE_VOLUME) -> list[Hull]:
     """Join neighbours, least added volume first, while the joint hull holds no seen-free space.
 
     Args:
@@ -92,7 +95,7 @@ def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float) -> list[Hull]:
         free: what was seen free.
         gap: boxes farther apart than this are not neighbours [m].
     """
-    merger = _Merger(list(hulls), free, gap)
+    merger = _Merger(list(hulls), free, gap, most)
     for i in range(len(hulls)):
         merger.propose(i, i)
     while merger.queue:
@@ -105,11 +108,11 @@ def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float) -> list[Hull]:
 class _Merger:
     """Hulls, which of them still stand, and the joints that could take the place of two."""
 
-    def __init__(self, hulls: list[Hull], free: FreeSpace, gap: float) -> None:
+    def __init__(self, hulls: list[Hull], free: FreeSpace, gap: float, most: float) -> None:
         self.hulls = hulls
         self.queue: list[tuple[float, int, int, Hull]] = []
         self.is_alive = np.ones(len(hulls), dtype=bool)
-        self._free, self._gap = free, gap
+        self._free, self._gap, self._most = free, gap, most
         self._lower = np.array([hull.lower for hull in hulls]).reshape(-1, 3)
         self._upper = np.array([hull.upper for hull in hulls]).reshape(-1, 3)
 
@@ -134,7 +137,7 @@ class _Merger:
                 continue
             members = np.concatenate([one.members, other.members])
             joint = hull_of(np.concatenate([one.vertices, other.vertices]), members)
-            if is_free_of(joint, self._free):
+            if is_free_of(joint, self._free, self._most):
                 heapq.heappush(self.queue, (joint.volume - one.volume - other.volume, i, int(j), joint))
 
 
