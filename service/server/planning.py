@@ -6,6 +6,7 @@ import asyncio
 import re
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import fields
 
 import grpc
 import structlog
@@ -29,6 +30,8 @@ from service.trust import current_caller
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 _LOG = structlog.get_logger("scopt.server")
+FIELDS = frozenset(field.name for field in fields(Request))
+FIRST_STEP = re.compile(r"([A-Za-z_]\w*)[^\s:]*: ")
 REQUEST_ID = re.compile(r"[A-Za-z0-9._:@/+=-]{0,100}")
 
 
@@ -198,11 +201,17 @@ def _left(deadline: float | None) -> float | None:
 
 
 def _as_named(problems: tuple[str, ...], request: Request, placed: Request) -> tuple[str, ...]:
-    """Problems that speak of clouds as the client named them, not of where they are kept."""
+    """Problems that speak of the fields and clouds that the client named, not of where they are kept."""
     names = {
         str(there.file): asked.file
         for asked, there in zip(request.scene.cloud_files, placed.scene.cloud_files, strict=True)
     }
     for path, name in names.items():
         problems = tuple(problem.replace(path, name) for problem in problems)
-    return problems
+    if request.task is None or request.task.trajopt is None:
+        return problems
+    steps = [FIRST_STEP.match(problem) for problem in problems]
+    is_within = [step is not None and step[1] not in FIELDS for step in steps]
+    return tuple(
+        f"task.trajopt.{problem}" if inside else problem for problem, inside in zip(problems, is_within, strict=True)
+    )
