@@ -178,6 +178,7 @@ def test_no_secret_is_in_the_log_or_in_what_is_kept(fort: Fort) -> None:
         (("--listen", "0.0.0.0:0"), ("--tls-cert and --tls-key are needed", "--tokens is needed")),
         (("--tls-cert", "gone.pem", "--tls-key", "gone.pem"), ("gone.pem: cannot be read",)),
         (("--allow", "/"), ("is the whole disk",)),
+        (("--robots", "/gone"), ("--robots /gone: is no folder",)),
     ],
 )
 def test_server_that_would_not_be_safe_does_not_start(

@@ -95,7 +95,8 @@ class Admission:
         """
         wait = self.expected_wait_s()
         if self.is_full():
-            raise overloaded(f"{self.queued} requests wait already; about {wait:.1f} s until there is room", wait / 2.0)
+            load = f"requests being worked on: {self.running}, waiting: {self.queued}"
+            raise overloaded(f"{load}; about {wait:.1f} s until there is room", wait / 2.0)
         needed = wait + self.durations.quickest(kind)
         if left_s is not None and left_s < needed:
             raise Refusal(

@@ -57,6 +57,8 @@ async def launch(told: Launch, on_ready: Callable[[str], None]) -> None:
     """
     data = told.settings.get("data") or Path(platformdirs.user_data_dir("scopt")) / "service"
     settings = ServerSettings(**{**told.settings, "data": data, "budgets_s": _budgets(told.budgets)})
+    if settings.robots is not None and not settings.robots.is_dir():
+        raise RequestError(f"--robots {settings.robots}: is no folder")
     tokens = None if told.tokens is None else Tokens(told.tokens)
     set_up_logs()
     spans = SentSpans() if os.environ.get(SPANS_VARIABLE) else None

@@ -99,8 +99,8 @@ async def serve(
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, ask)
-        if port.tokens is not None:
-            loop.add_signal_handler(signal.SIGHUP, _reloaded(port.tokens))
+        # Without tokens there is nothing to read anew: the terminal it was started in has gone.
+        loop.add_signal_handler(signal.SIGHUP, ask if port.tokens is None else _reloaded(port.tokens))
         on_ready(server.address)
         await stop.wait()
         await _drain(server, settings.drain_s, now)
