@@ -96,7 +96,7 @@ def recorded_cases(folder: Path) -> Iterator[Case]:
         yield Case(
             path.stem,
             "dense",
-            partial(_stood, path, axes),
+            partial(_stood, path, axes, radius),
             unknown=frozenset(KINDS) - {"drill", "hose", "valve"},
             reach=Reach(radius=radius, top=4.0),
             is_room=is_room,
@@ -148,9 +148,10 @@ def _caster(scene: SimulatedScene) -> Caster:
     return Caster(joined(scene.meshes))
 
 
-def _stood(path: Path, axes: Float[np.ndarray, "3 3"]) -> Cloud:
-    """A recorded cloud turned upright, its lowest layer lifted to zero, without echoes from the sensor itself."""
+def _stood(path: Path, axes: Float[np.ndarray, "3 3"], radius: float) -> Cloud:
+    """A recorded cloud turned upright, its lowest layer within reach at zero, without echoes from the sensor itself."""
     cloud = read_cloud(path)
     points = cloud.points[np.linalg.norm(cloud.points - cloud.starts, axis=1) > 0.1] @ axes.T
-    lift = np.array([0.0, 0.0, -np.percentile(points[:, 2], 1.0)])
+    near = points[np.linalg.norm(points[:, :2], axis=1) <= radius]
+    lift = np.array([0.0, 0.0, -np.percentile(near[:, 2], 1.0)])
     return Cloud(points + lift, cloud.origin @ axes.T + lift, cloud.notes)

@@ -15,7 +15,7 @@ from service.executor import CancellableExecutor
 from service.seen import SentSpans, set_up_logs
 from service.server.serve import PRELOAD, Port, serve
 from service.server.settings import BUDGETS_S, KINDS, ServerSettings
-from service.trust import ClientLimits, Limits, TlsFiles, Tokens
+from service.trust import ClientLimits, Limits, TlsFiles, Tokens, listen_problems
 from service.work.plan import warm_up
 
 INTERRUPT_S = 0.03  # a solve that is told to stop does so after an iteration; perception and certificate do not look
@@ -60,9 +60,13 @@ async def launch(told: Launch, on_ready: Callable[[str], None]) -> None:
     if settings.robots is not None and not settings.robots.is_dir():
         raise RequestError(f"--robots {settings.robots}: is no folder")
     tokens = None if told.tokens is None else Tokens(told.tokens)
+    tls = _tls(told.tls)
+    problems = listen_problems(told.listen, tls, tokens)  # before any worker is started
+    if problems:
+        raise RequestError(problems)
     set_up_logs()
     spans = SentSpans() if os.environ.get(SPANS_VARIABLE) else None
-    port = Port(told.listen, _tls(told.tls), tokens, _limiter(told.requests_per_s), told.metrics, spans)
+    port = Port(told.listen, tls, tokens, _limiter(told.requests_per_s), told.metrics, spans)
     await serve(settings, port, _executor(told.executor, settings), on_ready)
 
 

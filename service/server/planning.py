@@ -161,8 +161,6 @@ class Planning:
             if answer.verdict == Verdict.CANCELLED.value:
                 raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was a plan")
             await self._keep(plan.plan_id, answer)
-            self._on_verdict(kind, answer.verdict, {**answer.timings, "queue": piece.waited_s})
-            _LOG.info("planned", kind=kind, verdict=answer.verdict, seconds=round(answer.timings["total"], 3))
             plan.finish(PlanFinished(plan_id=plan.plan_id, result=MotionResult.FromString(answer.reply)))
         except Exception as error:
             refusal = refusal_for(error)
@@ -171,6 +169,13 @@ class Planning:
             except Exception as unwritten:  # a full disk, say: whoever waits is told all the same
                 refusal_for(unwritten)
             plan.fail(refusal)
+            return
+        await asyncio.sleep(0)  # whoever waits has the plan before it is counted and logged
+        self._tell(kind, answer, piece.waited_s)
+
+    def _tell(self, kind: str, answer: PlanAnswer, waited_s: float) -> None:
+        self._on_verdict(kind, answer.verdict, {**answer.timings, "queue": waited_s})
+        _LOG.info("planned", kind=kind, verdict=answer.verdict, seconds=round(answer.timings["total"], 3))
 
     async def _keep(self, plan_id: str, answer: PlanAnswer) -> None:
         """Have the store know before the client does: what was told is there after a restart."""
