@@ -111,7 +111,7 @@ class Pool(CancellableExecutor):
         self._refuse_more()
         ended_by_themselves = self._backlog.wait_empty(timeout_s)
         if not ended_by_themselves:
-            for task in self._backlog.all_open():
+            for task in reversed(self._backlog.all_open()):  # else what waits would begin
                 task.job.cancel()
             self._backlog.wait_empty(None)
         return ended_by_themselves
