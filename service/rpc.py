@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from collections.abc import AsyncIterator, Callable, Sequence
+import time
+from abc import ABC, abstractmethod
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, aclosing
 from typing import Any, NoReturn, TypeAlias
 
@@ -68,6 +70,30 @@ def shortened(text: str, n_bytes: int) -> str:
 async def refuse(context: Context, refusal: Refusal) -> NoReturn:
     """End an RPC."""
     await context.abort(refusal.code, refusal.text, refusal.metadata())
+
+
+def deadline_of(context: Context) -> float | None:
+    """On the clock of ``time.monotonic`` [s]; None where the client set none."""
+    left = context.time_remaining()
+    return None if left is None else time.monotonic() + left
+
+
+class Interceptor(grpc.aio.ServerInterceptor, ABC):  # type: ignore[type-arg]
+    """Stands before every call of a method that is there; others have no handler to stand before."""
+
+    async def intercept_service(
+        self,
+        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Handler]],
+        handler_call_details: grpc.HandlerCallDetails,
+    ) -> Handler:
+        """The method's handler, with ``through`` around each of its calls."""
+        handler = await continuation(handler_call_details)
+        method = handler_call_details.method
+        return around(handler, lambda context: self.through(method, context)) if handler else handler
+
+    @abstractmethod
+    def through(self, method: str, context: Context) -> AbstractAsyncContextManager[None]:
+        """Entered before anything of a call's request is read, left at its end."""
 
 
 def around(handler: Handler, enter: Enter) -> Handler:

@@ -13,31 +13,15 @@ import numpy as np
 import pytest
 from google.rpc.error_details_pb2 import BadRequest
 from google.rpc.status_pb2 import Status
+from planner_calls import ENDLESS, QUICK, finished, plan_request, wait_for
 from planner_server import ServerProcess, planner_server
 
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, VERDICT_TIME_LIMIT, MotionResult
-from service.request_file import parse_request
-from service.wire.requests import request_to_message
 from service.wire.results import trajectory_sha256
 
 pytestmark = pytest.mark.filterwarnings("error")
-
-QUICK = {"robot": {"name": "atlas"}, "start": {"posture": "stand"}, "goal": {"joints": {"l_arm_elx": 1.2}}}
-# A goal that cannot be reached keeps a worker busy for seconds: postures are tried one after the other.
-ENDLESS = {
-    "robot": {"name": "atlas"},
-    "start": {"posture": "stand"},
-    "scene": {
-        "obstacles": [
-            {"type": "box", "name": f"bar{i}", "size": [0.02, 2.0, 0.02], "position": [0.42, 0.0, 0.75 + 0.06 * i]}
-            for i in range(16)
-        ]
-    },
-    "goal": {"poses": [{"link": "l_hand", "position": [0.75, 0.25, 1.2]}]},
-    "options": {"starts": 64},
-}
 
 
 @pytest.fixture(scope="module")
@@ -52,15 +36,6 @@ def stub(server: ServerProcess) -> Iterator[PlannerServiceStub]:
         yield PlannerServiceStub(channel)
 
 
-def _plan(request: dict[str, object], **more: object) -> wire.PlanRequest:
-    return wire.PlanRequest(request=request_to_message(parse_request(request)), **more)  # type: ignore[arg-type]
-
-
-def _finished(responses: object) -> wire.PlanFinished:
-    (finished,) = [one.finished for one in responses if one.WhichOneof("event") == "finished"]  # type: ignore[attr-defined]
-    return finished
-
-
 def _violations(error: grpc.RpcError) -> dict[str, str]:
     for key, value in error.trailing_metadata():  # type: ignore[attr-defined]
         if key == "grpc-status-details-bin":
@@ -71,7 +46,7 @@ def _violations(error: grpc.RpcError) -> dict[str, str]:
 
 
 def test_plan_tells_what_happens_and_ends_with_a_certified_motion(stub: PlannerServiceStub) -> None:
-    responses = list(stub.Plan(_plan(QUICK), timeout=60))
+    responses = list(stub.Plan(plan_request(QUICK), timeout=60))
     events = [response.WhichOneof("event") for response in responses]
     assert events[0] == "accepted"
     assert "progress" in events
@@ -83,7 +58,7 @@ def test_plan_tells_what_happens_and_ends_with_a_certified_motion(stub: PlannerS
 
 
 def test_trajectory_and_certificate_carry_hashes_that_anyone_can_recompute(stub: PlannerServiceStub) -> None:
-    result = _finished(stub.Plan(_plan(QUICK), timeout=60)).result
+    result = finished(stub.Plan(plan_request(QUICK), timeout=60)).result
     trajectory = result.trajectory
     positions = np.array(trajectory.positions).reshape(len(trajectory.times), len(trajectory.joint_names))
     assert trajectory_sha256(trajectory.joint_names, np.array(trajectory.times), positions) == trajectory.sha256
@@ -95,7 +70,7 @@ def test_trajectory_and_certificate_carry_hashes_that_anyone_can_recompute(stub:
 
 def test_files_of_a_plan_are_those_of_the_command_line(stub: PlannerServiceStub, tmp_path: Path) -> None:
     files: dict[str, bytes] = {}
-    for response in stub.Plan(_plan(QUICK, with_files=True), timeout=60):
+    for response in stub.Plan(plan_request(QUICK, with_files=True), timeout=60):
         if response.WhichOneof("event") == "file":
             files[response.file.path] = files.get(response.file.path, b"") + response.file.data
     assert {"result.json", "trajectory.csv", "viewer.html", "scene.glb", "robot/robot.urdf"} <= set(files)
@@ -103,7 +78,7 @@ def test_files_of_a_plan_are_those_of_the_command_line(stub: PlannerServiceStub,
 
 
 def test_finished_plan_can_be_fetched_verified_and_reviewed(stub: PlannerServiceStub) -> None:
-    plan_id = _finished(stub.Plan(_plan(QUICK, with_files=True), timeout=60)).plan_id
+    plan_id = finished(stub.Plan(plan_request(QUICK, with_files=True), timeout=60)).plan_id
     parts = list(stub.GetPlan(wire.GetPlanRequest(plan_id=plan_id, with_files=True), timeout=20))
     record = parts[0].record
     assert record.state == wire.PLAN_STATE_FINISHED
@@ -127,18 +102,18 @@ def test_finished_plan_can_be_fetched_verified_and_reviewed(stub: PlannerService
 
 
 def test_same_request_id_gives_the_same_plan_and_another_request_is_refused(stub: PlannerServiceStub) -> None:
-    first = _finished(stub.Plan(_plan(QUICK, request_id="once"), timeout=60))
-    again = list(stub.Plan(_plan(QUICK, request_id="once"), timeout=60))
+    first = finished(stub.Plan(plan_request(QUICK, request_id="once"), timeout=60))
+    again = list(stub.Plan(plan_request(QUICK, request_id="once"), timeout=60))
     assert again[0].accepted.is_known
     assert again[-1].finished == first
     other = {**QUICK, "options": {"seed": 7}}
     with pytest.raises(grpc.RpcError) as refused:
-        list(stub.Plan(_plan(other, request_id="once"), timeout=60))
+        list(stub.Plan(plan_request(other, request_id="once"), timeout=60))
     assert refused.value.code() is grpc.StatusCode.ALREADY_EXISTS  # type: ignore[attr-defined]
 
 
 def test_invalid_request_names_every_field(stub: PlannerServiceStub) -> None:
-    message = _plan(QUICK)
+    message = plan_request(QUICK)
     message.request.options.margin_m = -1.0
     message.request.start.joints["l_arm_elx"] = float("nan")
     with pytest.raises(grpc.RpcError) as refused:
@@ -150,7 +125,7 @@ def test_invalid_request_names_every_field(stub: PlannerServiceStub) -> None:
 
 def test_what_only_the_robot_knows_to_be_wrong_is_named_too(stub: PlannerServiceStub) -> None:
     with pytest.raises(grpc.RpcError) as refused:
-        list(stub.Plan(_plan({**QUICK, "goal": {"joints": {"l_arm_elz": 1.0}}}), timeout=60))
+        list(stub.Plan(plan_request({**QUICK, "goal": {"joints": {"l_arm_elz": 1.0}}}), timeout=60))
     assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT  # type: ignore[attr-defined]
     assert "request.goal.joints" in _violations(refused.value)
 
@@ -164,7 +139,7 @@ def test_bytes_that_are_no_message_are_an_invalid_argument(server: ServerProcess
 
 
 def test_field_of_a_later_version_is_refused_rather_than_ignored(server: ServerProcess) -> None:
-    message = _plan(QUICK)
+    message = plan_request(QUICK)
     payload = message.SerializeToString() + b"\xfa\x3f\x00"  # field 1023 of PlanRequest
     inner = message.request.SerializeToString() + b"\xfa\x3f\x00"
     with grpc.insecure_channel(server.address) as channel:
@@ -187,7 +162,7 @@ def _length(data: bytes) -> bytes:
 @pytest.mark.parametrize(("task", "words"), [({"door": {}}, "doors"), ({"egress": {"side": "left"}}, "vehicles")])
 def test_task_without_a_planner_is_unimplemented(stub: PlannerServiceStub, task: dict[str, object], words: str) -> None:
     with pytest.raises(grpc.RpcError) as refused:
-        list(stub.Plan(_plan({"robot": {"name": "atlas"}, "task": task}), timeout=20))
+        list(stub.Plan(plan_request({"robot": {"name": "atlas"}, "task": task}), timeout=20))
     assert refused.value.code() is grpc.StatusCode.UNIMPLEMENTED  # type: ignore[attr-defined]
     assert words in refused.value.details()  # type: ignore[attr-defined]
 
@@ -195,16 +170,16 @@ def test_task_without_a_planner_is_unimplemented(stub: PlannerServiceStub, task:
 def test_file_of_the_server_is_refused_unless_its_folder_is_allowed(stub: PlannerServiceStub) -> None:
     request = {**QUICK, "scene": {"cloud": "/etc/passwd"}}
     with pytest.raises(grpc.RpcError) as refused:
-        list(stub.Plan(_plan(request), timeout=20))
+        list(stub.Plan(plan_request(request), timeout=20))
     assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT  # type: ignore[attr-defined]
     assert "request.scene.cloud" in _violations(refused.value)
 
 
 def test_plan_under_way_says_so(stub: PlannerServiceStub) -> None:
     _wait_until_idle(stub)
-    running, waiting = (stub.Plan(_plan(ENDLESS), timeout=60) for _ in range(2))
+    running, waiting = (stub.Plan(plan_request(ENDLESS), timeout=60) for _ in range(2))
     first = next(iter(running)).accepted.plan_id
-    _wait_for(running, "progress")
+    wait_for(running, "progress")
     second = next(iter(waiting)).accepted.plan_id
     states = [next(iter(stub.GetPlan(wire.GetPlanRequest(plan_id=one)))).record.state for one in (first, second)]
     assert states == [wire.PLAN_STATE_RUNNING, wire.PLAN_STATE_QUEUED]
@@ -213,24 +188,24 @@ def test_plan_under_way_says_so(stub: PlannerServiceStub) -> None:
 
 
 def test_cancelled_plan_frees_its_worker(stub: PlannerServiceStub) -> None:
-    call = stub.Plan(_plan(ENDLESS), timeout=60)
-    _wait_for(call, "progress")
+    call = stub.Plan(plan_request(ENDLESS), timeout=60)
+    wait_for(call, "progress")
     call.cancel()
     _wait_until_idle(stub)
 
 
 def test_deadline_brings_the_best_attempt_before_it_passes(stub: PlannerServiceStub) -> None:
     _wait_until_idle(stub)
-    result = _finished(stub.Plan(_plan(ENDLESS), timeout=1.5)).result
+    result = finished(stub.Plan(plan_request(ENDLESS), timeout=1.5)).result
     assert result.verdict == VERDICT_TIME_LIMIT
     assert result.explanation
 
 
 def test_deadline_that_cannot_be_met_is_refused_at_once(stub: PlannerServiceStub) -> None:
-    busy = stub.Plan(_plan(ENDLESS), timeout=60)
-    _wait_for(busy, "progress")
+    busy = stub.Plan(plan_request(ENDLESS), timeout=60)
+    wait_for(busy, "progress")
     with pytest.raises(grpc.RpcError) as refused:
-        list(stub.Plan(_plan(ENDLESS), timeout=0.5))
+        list(stub.Plan(plan_request(ENDLESS), timeout=0.5))
     assert refused.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED  # type: ignore[attr-defined]
     assert "not begun" in refused.value.details()  # type: ignore[attr-defined]
     busy.cancel()
@@ -238,12 +213,12 @@ def test_deadline_that_cannot_be_met_is_refused_at_once(stub: PlannerServiceStub
 
 def test_full_queue_refuses_with_a_time_to_come_back(stub: PlannerServiceStub) -> None:
     _wait_until_idle(stub)
-    calls = [stub.Plan(_plan(ENDLESS), timeout=60) for _ in range(3)]
+    calls = [stub.Plan(plan_request(ENDLESS), timeout=60) for _ in range(3)]
     for call in calls:
-        _wait_for(call, "accepted")
+        wait_for(call, "accepted")
     assert [next(iter(call)).WhichOneof("event") for call in calls[1:]] == ["queued", "queued"]
     with pytest.raises(grpc.RpcError) as refused:
-        list(stub.Plan(_plan(QUICK), timeout=60))
+        list(stub.Plan(plan_request(QUICK), timeout=60))
     assert refused.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED  # type: ignore[attr-defined]
     keys = [key for key, _ in refused.value.trailing_metadata()]  # type: ignore[attr-defined]
     assert "grpc-status-details-bin" in keys
@@ -267,10 +242,3 @@ def _wait_until_idle(stub: PlannerServiceStub) -> None:
             return
         time.sleep(0.02)
     raise AssertionError("the worker does not become idle")
-
-
-def _wait_for(call: object, event: str) -> None:
-    for response in call:  # type: ignore[attr-defined]
-        if response.WhichOneof("event") == event:
-            return
-    raise AssertionError(f"no {event}")

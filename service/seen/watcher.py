@@ -5,14 +5,14 @@ from __future__ import annotations
 import contextvars
 import secrets
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
 import grpc
 import structlog
 
-from service.rpc import Context, Handler, Refusal, around, refuse
+from service.rpc import Context, Interceptor, Refusal, refuse
 from service.seen.metrics import Metrics
 from service.seen.spans import NoSpans, Spans
 from service.trust import current_caller, peer_key
@@ -23,7 +23,7 @@ _QUIET = ("/grpc.health.", "/grpc.reflection.", "/planner.v1.PlannerService/GetS
 _OURS = {grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN, grpc.StatusCode.DATA_LOSS}
 
 
-class Watcher(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
+class Watcher(Interceptor):
     """Stands before all other interceptors, so that it sees what they refuse too.
 
     An exception that nobody expected is logged whole; the client is told the number it is logged under.
@@ -33,19 +33,8 @@ class Watcher(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
         self._metrics = metrics
         self._spans: Spans = spans or NoSpans()
 
-    async def intercept_service(
-        self,
-        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Handler]],
-        handler_call_details: grpc.HandlerCallDetails,
-    ) -> Handler:
-        """A handler whose calls are seen."""
-        handler = await continuation(handler_call_details)
-        method = handler_call_details.method
-        # An unknown method has no handler, and no place in the metrics: anybody can make names up.
-        return around(handler, lambda context: self._watched(method, context)) if handler else handler
-
     @asynccontextmanager
-    async def _watched(self, method: str, context: Context) -> AsyncIterator[None]:
+    async def through(self, method: str, context: Context) -> AsyncIterator[None]:
         name = method.rpartition("/")[2]
         began = time.monotonic()
         self._metrics.request_began(name)

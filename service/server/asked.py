@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from service.errors import RequestError
 from service.planned import check_planned
 from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request import PlanRequest
-from service.request_scene import SceneRequest
+from service.request_scene import CloudFileRequest, SceneRequest
 from service.server.refusal import invalid, refusal_of
 from service.server.robots import RobotFolder
 from service.server.settings import ServerSettings
@@ -69,7 +69,7 @@ class Door:
             NotStoredError: a cloud has gone meanwhile.
         """
         named = self.robots.placed(request)
-        ids = cloud_ids(request)
+        ids = uploaded(request.scene.cloud_files)
         if not ids:
             yield named
             return
@@ -86,9 +86,9 @@ def kind_of(request: PlanRequest) -> str:
     return next((name for name in names if getattr(request.task, name) is not None), "unknown")
 
 
-def cloud_ids(request: PlanRequest) -> tuple[str, ...]:
-    """Uploaded clouds that a request names."""
-    return tuple(one.file for one in request.scene.cloud_files if one.file.startswith(UPLOADED))
+def uploaded(clouds: Iterable[CloudFileRequest]) -> tuple[str, ...]:
+    """The ids of those clouds that were uploaded."""
+    return tuple(one.file for one in clouds if one.file.startswith(UPLOADED))
 
 
 def _placed(scene: SceneRequest, files: Mapping[str, Path]) -> SceneRequest:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import tarfile
 import time
 from collections.abc import AsyncIterator, Mapping
 from functools import cache
@@ -17,9 +16,9 @@ from service.executor import WorkerState
 from service.executor.linux import rss_bytes
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.result_pb2 import FileChunk
-from service.rpc import Context, Refusal
-from service.server.archive import chunks
-from service.server.perceiving import accepted, deadline_of
+from service.rpc import Context, Refusal, deadline_of
+from service.server.archive import chunks, files_of
+from service.server.perceiving import accepted
 from service.server.planning import stored_result
 from service.server.refusal import invalid
 from service.server.robots import RobotFolder
@@ -118,7 +117,7 @@ class Keeping:
             raise invalid(["plan_id: either a plan_id or files are needed"])
         if message.plan_id:
             record = self._record(message.plan_id)
-            files = await asyncio.to_thread(self._files, record.plan_id)
+            files = await asyncio.to_thread(files_of, self._store, record.plan_id)
         else:
             files = _joined(list(message.files))
         found = accepted(
@@ -201,11 +200,6 @@ class Keeping:
         if record.finished is not None:
             message.finished.CopyFrom(_time(record.finished))
         return message
-
-    def _files(self, plan_id: str) -> dict[str, bytes]:
-        with self._store.plans.open_archive(plan_id) as file, tarfile.open(fileobj=file, mode="r:") as archive:
-            opened = ((member.name, archive.extractfile(member)) for member in archive)
-            return {name: content.read() for name, content in opened if content is not None}
 
 
 def _joined(parts: list[FileChunk]) -> dict[str, bytes]:

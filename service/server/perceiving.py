@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import re
-import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,7 +22,8 @@ from service.proto.planner.v1.planner_pb2 import (
 )
 from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
-from service.rpc import Context
+from service.rpc import Context, deadline_of
+from service.server.asked import uploaded
 from service.server.cloud_problems import as_sent
 from service.server.refusal import invalid, overloaded
 from service.server.settings import ServerSettings
@@ -194,7 +194,7 @@ class Perceiving:
     def _placed(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudAsked]:
         """The clouds where they are kept, which they are while the body runs."""
         named = scene.cloud_files
-        with self._clouds.using([one.file for one in named if one.file.startswith(UPLOADED)]) as files:
+        with self._clouds.using(uploaded(named)) as files:
             yield CloudAsked(
                 files=tuple(Path(files.get(one.file, one.file)) for one in named),
                 unit=scene.unit,
@@ -228,12 +228,6 @@ def _seen(answer: T | Refused, clouds: CloudAsked, scene: SceneRequest) -> T:
     if isinstance(answer, Refused):
         raise invalid(as_sent(answer.problems, clouds.files, [one.file for one in scene.cloud_files]))
     return answer
-
-
-def deadline_of(context: Context) -> float | None:
-    """On the clock of ``time.monotonic`` [s]; None where the client set none."""
-    left = context.time_remaining()
-    return None if left is None else time.monotonic() + left
 
 
 def _kept(finish: Callable[[], str]) -> str:

@@ -16,7 +16,7 @@ from service.proto.planner.v1.result_pb2 import MotionResult
 from service.request import PlanRequest as Request
 from service.request_file import request_hash
 from service.result import Verdict
-from service.rpc import Context, Refusal
+from service.rpc import Context, Refusal, deadline_of
 from service.seen import bind
 from service.server.archive import chunks
 from service.server.asked import WITHIN, Door, kind_of
@@ -65,11 +65,9 @@ class Planning:
         Raises:
             Refusal: it was not let in, or came to nothing.
         """
-        received = time.monotonic()
+        deadline = deadline_of(context)
         client = current_caller().name
         request = await self._checked(message)
-        left = context.time_remaining()
-        deadline = None if left is None else received + left
         record, plan = await self._begin(message, request, client, deadline)
         accepted = PlanAccepted(plan_id=record.plan_id, request_id=record.request_id)
         if plan is None:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 
-import grpc
-
-from service.rpc import Context, Handler, Refusal, around, refuse
+from service.rpc import Context, Interceptor, Refusal, refuse
 from service.trust.access import authenticate, authorize
 from service.trust.identity import _CALLER, LOCAL, OPEN_TO_ALL, Caller
 from service.trust.limits import Limits, peer_key
 from service.trust.tokens import Tokens
 
 
-class Gate(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
+class Gate(Interceptor):
     """Refuses what may not come in before its request is read; who came in is ``current_caller``.
 
     A refused identity counts as a request of its peer's address, so that tokens cannot be tried at leisure.
@@ -27,19 +25,8 @@ class Gate(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]
         self._tokens = tokens
         self._limits = limits
 
-    async def intercept_service(
-        self,
-        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Handler]],
-        handler_call_details: grpc.HandlerCallDetails,
-    ) -> Handler:
-        """A handler that lets in whom it may."""
-        handler = await continuation(handler_call_details)
-        method = handler_call_details.method
-        # An unknown method has no handler.
-        return around(handler, lambda context: self._through(method, context)) if handler else handler
-
     @asynccontextmanager
-    async def _through(self, method: str, context: Context) -> AsyncIterator[None]:
+    async def through(self, method: str, context: Context) -> AsyncIterator[None]:
         try:
             caller = self._caller(method, context)
         except Refusal as refusal:

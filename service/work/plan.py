@@ -110,13 +110,10 @@ def warm_robots() -> WarmRobots:
 
 
 def warm_up(names: tuple[str, ...] = ("atlas",)) -> None:
-    """Load what most requests need, so that the first one need not wait for it."""
+    """Load what many requests need and the modules imported for all workers at once do not bring."""
     import ompl.base
     import ompl.geometric  # noqa: F401
 
-    import perception  # noqa: F401
-    import service.tasks.valve_task
-    import service.trajopt  # noqa: F401
     from service.request_file import parse_request
 
     for name in names:

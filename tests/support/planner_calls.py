@@ -15,7 +15,7 @@ from service.wire.requests import request_to_message
 
 DETAILS = "grpc-status-details-bin"
 QUICK = {"robot": {"name": "atlas"}, "start": {"posture": "stand"}, "goal": {"joints": {"l_arm_elx": 1.2}}}
-# A goal that is never reached keeps a worker busy for as long as it may.
+# A goal that cannot be reached keeps a worker busy for seconds: postures are tried one after the other.
 ENDLESS = {
     "robot": {"name": "atlas"},
     "start": {"posture": "stand"},
