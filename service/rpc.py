@@ -7,7 +7,7 @@ import inspect
 import time
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import AbstractAsyncContextManager, aclosing
+from contextlib import AbstractAsyncContextManager, aclosing, asynccontextmanager
 from typing import Any, NoReturn, TypeAlias
 
 import grpc
@@ -96,6 +96,19 @@ class Interceptor(grpc.aio.ServerInterceptor, ABC):  # type: ignore[type-arg]
         """Entered before anything of a call's request is read, left at its end."""
 
 
+class Both(Interceptor):
+    """Two interceptors as one, which costs a call half as much."""
+
+    def __init__(self, outer: Interceptor, inner: Interceptor) -> None:
+        self._outer = outer
+        self._inner = inner
+
+    @asynccontextmanager
+    async def through(self, method: str, context: Context) -> AsyncIterator[None]:
+        async with self._outer.through(method, context), self._inner.through(method, context):
+            yield
+
+
 def around(handler: Handler, enter: Enter) -> Handler:
     """A handler that enters ``enter(context)`` before anything of the request is read, and leaves it at the end.
 
@@ -109,7 +122,8 @@ def around(handler: Handler, enter: Enter) -> Handler:
         if takes_stream:
             return _to_their_end(requests)
         try:
-            request = await asyncio.wait_for(context.read(), REQUEST_WAIT_S)
+            async with asyncio.timeout(REQUEST_WAIT_S):
+                request = await context.read()
         except TimeoutError:
             await context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, f"no request came in {REQUEST_WAIT_S:g} s")
         if request is grpc.aio.EOF:  # type: ignore[attr-defined]

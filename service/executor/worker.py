@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
+import gc
 import importlib
 import inspect
 import mmap
@@ -115,6 +116,8 @@ class Worker:
                 importlib.import_module(name)
             if setup.warm_up is not None:
                 setup.warm_up()
+            gc.collect()
+            gc.freeze()  # what every job needs is no garbage: a full collection of it would take as long as a job
         except BaseException:
             self._send(Kind.UNREADY, 0, traceback.format_exc().encode())
             return False

@@ -6,6 +6,7 @@ import asyncio
 import re
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import fields
 
 import grpc
@@ -24,7 +25,7 @@ from service.server.incidents import refusal_for
 from service.server.refusal import invalid, refusal_of_problems
 from service.server.running import RunningPlan, RunningPlans
 from service.server.settings import SMALL_BYTES
-from service.server.workshop import Workshop, outcome
+from service.server.workshop import Piece, Workshop, outcome
 from service.store import Outcome, PlanRecord, Store
 from service.trust import current_caller
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
@@ -101,9 +102,11 @@ class Planning:
         admission = self._workshop.admission
         if not message.request_id:  # it cannot be known: nothing is written for what is not let in
             admission.check(kind, _left(deadline))
-        sha = request_hash(request) + ("+files" if message.with_files else "")
+        sha = request_hash(request)
         while True:
-            begun = self._store.plans.begin(client, message.request_id, sha, kind)
+            begun = self._store.plans.begin(
+                client, message.request_id, sha + ("+files" if message.with_files else ""), kind
+            )
             known = self.running.get(begun.plan.plan_id)
             if known is None or not known.is_stopping:
                 break
@@ -122,29 +125,20 @@ class Planning:
         except Refusal as refusal:
             self._store.plans.give_up(record.plan_id, refusal.text)
             raise
-        return record, self._started(record, request, message, deadline)
+        return record, self._started(record, request, sha, message, deadline)
 
     def _started(
-        self, record: PlanRecord, request: Request, message: PlanRequest, deadline: float | None
+        self, record: PlanRecord, request: Request, sha: str, message: PlanRequest, deadline: float | None
     ) -> RunningPlan:
+        """The plan under way: a worker has it before the client is told."""
         plan = RunningPlan(record.plan_id, self._workshop)
-        forget = self.running.add(plan)
-        work = asyncio.create_task(self._work(plan, request, message, record.kind, deadline))
-        self._tasks.add(work)
-        work.add_done_callback(self._tasks.discard)
-        work.add_done_callback(lambda _: forget())
-        return plan
-
-    async def _work(
-        self, plan: RunningPlan, request: Request, message: PlanRequest, kind: str, deadline: float | None
-    ) -> None:
-        """See a plan to its end; whatever happens, its watchers hear of it and the store knows."""
-        try:
-            with self._door.placed(request) as placed:
-                until = None if deadline is None else time.time() + deadline - time.monotonic()
-                task = PlanTask(placed, until, message.with_files, message.with_waypoints, request)
+        until = None if deadline is None else time.time() + deadline - time.monotonic()
+        with ExitStack() as held:
+            try:
+                placed = held.enter_context(self._door.placed(request))
+                task = PlanTask(placed, until, message.with_files, message.with_waypoints, request, sha)
                 piece = self._workshop.start(
-                    kind,
+                    record.kind,
                     run_plan,
                     task,
                     deadline=deadline,
@@ -152,24 +146,52 @@ class Planning:
                     on_event=plan.progress,
                     is_typical=_is_typical,
                 )
-                plan.worked_on_by(piece)
+            except Exception as error:
+                self._give_up(plan, error)
+                return plan
+            plan.worked_on_by(piece)
+            forget = self.running.add(plan)
+            work = asyncio.create_task(self._see_through(plan, piece, request, placed, record.kind, held.pop_all()))
+        self._tasks.add(work)
+        work.add_done_callback(self._tasks.discard)
+        work.add_done_callback(lambda _: forget())
+        return plan
+
+    async def _see_through(
+        self,
+        plan: RunningPlan,
+        piece: Piece[PlanAnswer | Refused],
+        request: Request,
+        placed: Request,
+        kind: str,
+        held: ExitStack,
+    ) -> None:
+        """See a plan to its end; whatever happens, its watchers hear of it and the store knows."""
+        try:
+            with held:
                 answer = await outcome(piece)
             if isinstance(answer, Refused):
                 raise refusal_of_problems(_as_named(answer.problems, request, placed), answer.is_unplanned, WITHIN)
             if answer.verdict == Verdict.CANCELLED.value:
                 raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was a plan")
             await self._keep(plan.plan_id, answer)
-            plan.finish(PlanFinished(plan_id=plan.plan_id, result=MotionResult.FromString(answer.reply)))
+            finished = PlanFinished(plan_id=plan.plan_id)
+            finished.result.MergeFromString(answer.reply)
+            plan.finish(finished)
         except Exception as error:
-            refusal = refusal_for(error)
-            try:
-                self._store.plans.give_up(plan.plan_id, refusal.text)
-            except Exception as unwritten:  # a full disk, say: whoever waits is told all the same
-                refusal_for(unwritten)
-            plan.fail(refusal)
+            self._give_up(plan, error)
             return
         await asyncio.sleep(0)  # whoever waits has the plan before it is counted and logged
         self._tell(kind, answer, piece.waited_s)
+
+    def _give_up(self, plan: RunningPlan, error: Exception) -> None:
+        """End a plan that comes to nothing."""
+        refusal = refusal_for(error)
+        try:
+            self._store.plans.give_up(plan.plan_id, refusal.text)
+        except Exception as unwritten:  # a full disk, say: whoever waits is told all the same
+            refusal_for(unwritten)
+        plan.fail(refusal)
 
     def _tell(self, kind: str, answer: PlanAnswer, waited_s: float) -> None:
         self._on_verdict(kind, answer.verdict, {**answer.timings, "queue": waited_s})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import signal
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -16,6 +17,7 @@ from grpc_reflection.v1alpha import reflection
 
 from service.errors import ServiceError
 from service.executor import CancellableExecutor
+from service.rpc import Both
 from service.seen import Metrics, MetricsServer, Spans, Watcher
 from service.server.admission import Admission
 from service.server.asked import Door
@@ -101,6 +103,8 @@ async def serve(
             loop.add_signal_handler(number, ask)
         # Without tokens there is nothing to read anew: the terminal it was started in has gone.
         loop.add_signal_handler(signal.SIGHUP, ask if port.tokens is None else _reloaded(port.tokens))
+        gc.collect()
+        gc.freeze()  # what is loaded by now is no garbage: nobody waits while it is looked through
         on_ready(server.address)
         await stop.wait()
         await _drain(server, settings.drain_s, now)
@@ -138,7 +142,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         perceiving = Perceiving(settings, folders, workshop, store, clouds, limiter, metrics.uploaded)
         keeping = Keeping(settings, workshop, store, planning.running, robots, verdicts)
         server = grpc.aio.server(
-            interceptors=[Watcher(metrics, port.spans), Gate(port.tokens, limiter)], options=_options(settings)
+            interceptors=[Both(Watcher(metrics, port.spans), Gate(port.tokens, limiter))], options=_options(settings)
         )
         server.add_generic_rpc_handlers((method_handlers(Servicer(planning, perceiving, keeping)),))
         state = Health((SERVICE.full_name,))

@@ -99,9 +99,9 @@ class Plans:
         n_bytes = len(reply) + len(archive)
         if n_bytes > self._limits.max_bytes:
             raise TooLargeError(f"a reply of {n_bytes} bytes; the store keeps {self._limits.max_bytes} at most")
-        if self.get(plan_id).state not in (PlanState.ACCEPTED, PlanState.RUNNING):
-            raise NotStoredError(_NOT_OPEN)
         if archive:
+            if self.get(plan_id).state not in (PlanState.ACCEPTED, PlanState.RUNNING):
+                raise NotStoredError(_NOT_OPEN)
             self._archives.write(plan_id, archive)
         with self._database.transaction() as db:
             _open(

@@ -19,14 +19,19 @@ from service.verify import Certificate, Motion
 from service.wire.hashes import certificate_sha256, trajectory_sha256
 
 
-def result_to_message(result: PlanResult) -> MotionResult:
-    """Everything of a result but what is drawn: pieces, bodies, clouds and intermediate points are in its files."""
+def result_to_message(result: PlanResult, sha256: str = "") -> MotionResult:
+    """Everything of a result but what is drawn: pieces, bodies, clouds and intermediate points are in its files.
+
+    Args:
+        result: of a plan.
+        sha256: ``request_hash`` of its request where it is known already.
+    """
     message = MotionResult(
         verdict=verdict_number(result.verdict.value),
         explanation=result.explanation,
         notes=result.notes,
         found_from=result.found_from,
-        request_sha256=request_hash(result.request),
+        request_sha256=sha256 or request_hash(result.request),
         planning_time_s=result.planning_time_s,
         timings=result.timings,
     )

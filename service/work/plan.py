@@ -41,6 +41,7 @@ class PlanTask:
         with_files: whether the result's files are wanted.
         with_waypoints: whether progress tells waypoints.
         original: as the client said it, whose hash is the request's; None where it is the same.
+        sha256: that hash where it is known already; empty where not.
     """
 
     request: PlanRequest
@@ -48,6 +49,7 @@ class PlanTask:
     with_files: bool = False
     with_waypoints: bool = False
     original: PlanRequest | None = None
+    sha256: str = ""
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     except RequestError as error:
         return Refused(error.problems, isinstance(error, UnplannedTaskError))
     result = replace(result, request=task.original or request)
-    message = result_to_message(result)
+    message = result_to_message(result, task.sha256)
     return PlanAnswer(
         result.verdict.value,
         message.SerializeToString(),

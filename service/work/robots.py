@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import OrderedDict
 from collections.abc import Iterable
 from pathlib import Path
@@ -59,7 +60,7 @@ def _stamps(paths: Iterable[str]) -> tuple[Stamp, ...]:
 
 def _stamp(path: str) -> Stamp:
     try:
-        stat = Path(path).stat()
+        stat = os.stat(path)  # of a hundred meshes with every request: a Path would double the time
     except OSError:
         return (path, -1, -1)
     return (path, stat.st_mtime_ns, stat.st_size)
