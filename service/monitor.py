@@ -58,13 +58,20 @@ class Monitor:
         """Whether the plan shall end."""
         return self.remaining_s() <= 0.0 or (self.should_stop is not None and self.should_stop())
 
+    def check_stop(self) -> None:
+        """
+        Raises:
+            Interrupted: the stop button was pressed.
+        """
+        if self.should_stop is not None and self.should_stop():
+            raise Interrupted(Status.CANCELLED)
+
     def check(self) -> None:
         """
         Raises:
             Interrupted: time is up or the stop button was pressed.
         """
-        if self.should_stop is not None and self.should_stop():
-            raise Interrupted(Status.CANCELLED)
+        self.check_stop()
         if self.remaining_s() <= 0.0:
             raise Interrupted(Status.TIME_LIMIT)
 

@@ -181,6 +181,7 @@ def _explain(attempt: _Attempt, solver: PhaseSolver) -> None:
     with monitor.step("explain", 0.95):
         count = monitor.attempts(stuck.step)
         attempt.conflict = explain(stuck.step, stuck.best, count, solver.settings, left, monitor.should_stop)
+    monitor.check_stop()  # half an explanation is none
     if attempt.conflict is not None:
         attempt.explanation = (*attempt.conflict.sentences(), *task.obstacle)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planar_arm import write_planar_arm
 
 from perception import Cloud, write_pcd
 from perception.simulate import torus
@@ -97,3 +98,17 @@ def test_a_cancel_kills_the_process_that_splits_a_scan(children: list[int], tmp_
     assert result.explanation == ("cancelled during 'perceive'",)
     (pid,) = children
     assert not _is_running(pid)
+
+
+def test_a_cancel_while_its_failure_is_explained_is_no_verdict(tmp_path: Path) -> None:
+    arm = {"urdf": str(write_planar_arm(tmp_path, 3, 0.3, 0.04, limit=3.0))}
+    wall = {"type": "box", "name": "wall", "size": [0.02, 3.0, 1.0], "position": [0.5, 0.0, 0.0]}
+    goal = {"poses": [{"link": "l2", "position": [0.55, 0.0, 0.0]}]}
+    steps: list[str] = []
+    result = plan(
+        parse_request({"robot": arm, "start": {"joints": {"j0": 1.6}}, "goal": goal, "scene": {"obstacles": [wall]}}),
+        on_progress=lambda step, _: steps.append(step),
+        should_stop=lambda: "explain" in steps,
+    )
+    assert "explain" in steps
+    assert result.verdict is Verdict.CANCELLED
