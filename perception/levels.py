@@ -12,7 +12,9 @@ from scipy.spatial import cKDTree
 
 from perception.extent import convex_patches, pierced_cells
 from perception.floor import FloorPlane
+from perception.outlines import outlines_of
 from perception.patches import MAX_SLOPE_DEG, PATCH, Patches, candidates, least_squares, patches_of, plane_of
+from perception.unbroken import is_unbroken
 
 _BAND = 0.025
 _AROUND = np.ones((3, 3), dtype=bool)
@@ -29,6 +31,7 @@ _GAP = 0.35
 _AS_NEAR = 0.5
 _FOOTHOLD = 0.3
 _GOES_ON = 0.35
+_LEVEL_DEG = 2.0
 _NO_WORSE = 1.1
 _FEWEST_POINTS = 50
 _MOST_POINTS = 80_000
@@ -91,9 +94,11 @@ def find_floors(
     main = _under_robot(points, levels, stand)
     if main is None:
         return ()
-    kept = [main, *_reached(main, [level for level in levels if level is not main])]
+    others = [level for level in levels if level is not main]
+    whole = [level for level in others if is_unbroken(points, points[level.members], level.plane)]
+    kept = [main, *_reached(main, whole)]
     first = main.plane if rays is None else _bounded(points, main, rays, stand, extent)
-    return (first, *(_outlined(points, level) for level in kept[1:]))
+    return (first, *(_outlined(points, level, rays) for level in kept[1:]))
 
 
 def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.Generator) -> Iterator[_Level]:
@@ -257,16 +262,30 @@ def _reached(main: _Level, others: list[_Level]) -> Iterator[_Level]:
                 yield level
 
 
-def _outlined(points: Float[np.ndarray, "N 3"], level: _Level) -> FloorPlane:
-    """The level with its extent; where it runs into another, as a ramp does into the ground, it goes on a little."""
+def _outlined(
+    points: Float[np.ndarray, "N 3"],
+    level: _Level,
+    rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]] | None,
+) -> FloorPlane:
+    """The level with its extent; where it runs into another, as a ramp does into the ground, it goes on a little.
+
+    A slope does so up and down, but not to its sides.
+    """
     beside = np.flatnonzero(np.abs(level.plane.above(points)) < _BAND)
     near = points[beside]
     is_member = np.zeros(len(points), dtype=bool)
     is_member[level.members] = True
     belongs = is_member[beside]
     apart, _ = cKDTree((level.cells + 0.5) * _CELL).query(near[~belongs, :2], distance_upper_bound=_GOES_ON)
-    belongs[~belongs] = np.isfinite(apart)
-    return replace(level.plane, outlines=convex_patches(near[belongs, :2], 0.05))
+    goes_on = np.isfinite(apart)
+    if level.plane.slope_deg > _LEVEL_DEG:
+        across = np.array([-level.plane.normal[1], level.plane.normal[0]])
+        across /= np.linalg.norm(across)
+        aside, own = near[~belongs, :2] @ across, points[level.members, :2] @ across
+        goes_on &= (aside >= own.min()) & (aside <= own.max())
+    belongs[~belongs] = goes_on
+    rays = (near[:0], near[:0]) if rays is None else rays
+    return replace(level.plane, outlines=outlines_of(level.plane, near[belongs], level.places[:, :2], rays))
 
 
 def _bounded(

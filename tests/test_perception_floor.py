@@ -231,3 +231,28 @@ def test_what_stands_under_a_tread_is_no_floor() -> None:
     floors = (FloorPlane(up, 0.0, 0.01, 4.0), FloorPlane(up, 0.3, 0.01, 0.5, (square,)))
     points = np.array([[1.2, 0, 0.31], [1.2, 0, 0.15], [1.2, 0.52, 0.3], [1.2, 0.6, 0.3], [0, 0, 0.01], [0, 0, 0.05]])
     assert on_floors(points, floors).tolist() == [True, False, True, False, True, False]
+
+
+def test_a_level_ends_where_rays_went_between_its_parts() -> None:
+    rng = np.random.default_rng(10)
+    turned = Rotation.from_euler("z", 0.4).as_matrix()
+    one, other = (patch(rng, (0.9, 1.5), y, 0.2) @ turned.T for y in ((-0.55, -0.05), (0.15, 0.65)))
+    ground = patch(rng, (-2, 3), (-2, 2), 0.0)
+    at_height = EYE + (ground - EYE) * ((EYE[2] - 0.2) / (EYE[2] - ground[:, 2]))[:, None]
+    back = at_height @ turned
+    hidden = (
+        (back[:, 0] > 0.9) & (back[:, 0] < 1.5) & (np.abs(back[:, 1] - 0.05) < 0.6) & (np.abs(back[:, 1] - 0.05) > 0.1)
+    )
+    view = make_view(Cloud(np.concatenate([one, other, ground[~hidden]]), EYE))
+    assert len(view.floors) == 2
+    through = at_height[~hidden]
+    inside = [_share_within(outline, through[:, :2], 0.03) for outline in view.floors[1].outlines]
+    assert max(inside) == 0.0
+    assert on_floors(np.concatenate([one, other]), view.floors).mean() > 0.98
+
+
+def _share_within(outline: np.ndarray, xy: np.ndarray, depth: float) -> float:
+    """Share of the places that lie deeper than this inside a convex, counter-clockwise outline."""
+    sides = np.roll(outline, -1, axis=0) - outline
+    outwards = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1)[:, None]
+    return float((xy @ outwards.T - (outline * outwards).sum(axis=1) < -depth).all(axis=1).mean())

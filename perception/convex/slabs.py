@@ -56,6 +56,7 @@ def slabs_of(
     starts: Float[np.ndarray, "*R 3"],
     ends: Float[np.ndarray, "R 3"],
     free: FreeSpace,
+    gaps: Float[np.ndarray, "G 2"] | None = None,
 ) -> list[Slab]:
     """Convex slabs that cover the plane's members and no opening.
 
@@ -65,9 +66,11 @@ def slabs_of(
         starts: (3,) or (R, 3), where all rays of the scan started [m].
         ends: (R, 3) where they ended [m].
         free: what they saw to be free.
+        gaps: further places that are not to be covered, in the plane's basis [m].
     """
     flat = points[plane.members] @ plane.basis.T
-    region = _picture(plane, flat, starts, ends, free)
+    openings = [_crossings(plane, starts, ends), _free_within(plane, flat, free), *([] if gaps is None else [gaps])]
+    region = _picture(flat, np.concatenate(openings))
     parts: list[Int[np.ndarray, "K"]] = []
     todo = [np.arange(len(flat))]
     while todo:
@@ -81,17 +84,10 @@ def slabs_of(
     return [_slab(plane, flat[part]) for part in parts]
 
 
-def _picture(
-    plane: Plane,
-    flat: Float[np.ndarray, "N 2"],
-    starts: Float[np.ndarray, "*R 3"],
-    ends: Float[np.ndarray, "R 3"],
-    free: FreeSpace,
-) -> _Region:
-    """Cells of the region's rectangle that were seen free and that hold no member, nor does a neighbour."""
+def _picture(flat: Float[np.ndarray, "N 2"], opened: Float[np.ndarray, "H 2"]) -> _Region:
+    """Cells of the region's rectangle that hold openings and no member, nor does a neighbour."""
     lower = flat.min(axis=0) - 2 * _CELL
     shape = np.ceil((flat.max(axis=0) + 2 * _CELL - lower) / _CELL).astype(int) + 1
-    opened = np.concatenate([_crossings(plane, starts, ends), _free_within(plane, flat, free)])
     hit = ndimage.binary_dilation(_raster(flat, lower, shape), structure=np.ones((3, 3), dtype=bool))
     return _Region(flat, lower, _raster(opened, lower, shape) & ~hit)
 
