@@ -14,7 +14,6 @@ from perception.extent import convex_patches, pierced_cells
 from perception.floor import FloorPlane
 from perception.outlines import outlines_of
 from perception.patches import MAX_SLOPE_DEG, PATCH, Patches, candidates, least_squares, patches_of, plane_of
-from perception.unbroken import is_unbroken
 
 _BAND = 0.025
 _AROUND = np.ones((3, 3), dtype=bool)
@@ -94,9 +93,7 @@ def find_floors(
     main = _under_robot(points, levels, stand)
     if main is None:
         return ()
-    others = [level for level in levels if level is not main]
-    whole = [level for level in others if is_unbroken(points, points[level.members], level.plane)]
-    kept = [main, *_reached(main, whole)]
+    kept = [main, *_reached(main, [level for level in levels if level is not main])]
     first = main.plane if rays is None else _bounded(points, main, rays, stand, extent)
     return (first, *(_outlined(points, level, rays) for level in kept[1:]))
 
