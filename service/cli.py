@@ -310,8 +310,10 @@ def _scene(
     screen, err = consoles()
     with progress(err, "read cloud") as report:
         from service.cloud_asked import cloud_asked
-        from service.scene_file import SceneAsked, see_files, write_scene
+        from service.scene_file import SceneAsked, check_out, see_files, write_scene
 
+        posture = options["posture"]
+        check_out(out, [*options["files"], *([] if posture is None else [posture])])
         seen = see_files(SceneAsked(cloud_asked(options), **wanted), lambda step: report(step, 0.3))
         report("write pieces", 0.9)
         page = write_scene(seen, out)

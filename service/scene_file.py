@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,8 +100,26 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
     return SceneSeen(data, seen, hits)
 
 
+def check_out(path: Path, inputs: Iterable[Path]) -> None:
+    """Refuse a place for the scene where it, or the page beside it, would overwrite what it is made from.
+
+    Raises:
+        RequestError: the name does not end in .json, or is, as the page's may be, one of the inputs.
+    """
+    if path.suffix.lower() != ".json":
+        raise RequestError(f"--out: {path} does not end in .json; a name that does, of a file for the pieces, would do")
+    read = {one.resolve() for one in inputs}
+    for written in (path, _page_beside(path)):
+        if written.resolve() in read:
+            raise RequestError(f"--out: {written} is read and would be overwritten; another name would do")
+
+
 def write_scene(seen: SceneSeen, path: Path) -> Path:
     """Write the scene as JSON, and beside it the page that shows it; each as a whole or not at all.
+
+    Args:
+        seen: what to write.
+        path: a name that ``check_out`` accepts.
 
     Returns:
         The page's path.
@@ -111,12 +129,14 @@ def write_scene(seen: SceneSeen, path: Path) -> Path:
     """
     from service.scene_view import render_scene
 
-    page = path.with_suffix(".html")
-    if page == path:
-        raise ResultError(f"{path} would be overwritten by its own page; a name that ends in .json would do")
+    page = _page_beside(path)
     _replace(path, json.dumps(seen.data, allow_nan=False))
     _replace(page, render_scene(seen.data, seen.perceived, seen.hits, path.stem))
     return page
+
+
+def _page_beside(path: Path) -> Path:
+    return path.with_suffix(".html")
 
 
 def _replace(path: Path, text: str) -> None:

@@ -115,12 +115,12 @@ def test_units_and_poses_bring_several_clouds_together(scan: Path, tmp_path: Pat
         (("detect", "unicorn", "scan.pcd"), "KIND: unknown kind 'unicorn'; valve"),
         (("detect", "valve", "missing.pcd"), "missing.pcd: cannot be read"),
         (("scene", "scan.pcd", "--out", "s.json", "--detect", "unicorn"), "--detect: unknown kind 'unicorn'"),
-        (("scene", "a.pcd", "b.pcd", "c.pcd", "--transform", "0 0 0 0 0 0", "--transform", "0 0 0 0 0 0", "--out", "s"),
+        (("scene", "a.pcd", "b.pcd", "c", "--transform", "0 0 0 0 0 0", "--transform", "0 0 0 0 0 0", "--out", "s.json"),
          "--transform is given 2 times for 3 clouds"),
-        (("scene", "a.pcd", "--transform", "1 2 x", "--out", "s"), "--transform: numbers separated by spaces or"),
-        (("scene", "a.pcd", "--transform", "1 2 3", "--out", "s"), "--transform: transform of 3 numbers"),
-        (("scene", "a.pcd", "--sensor", "1 2", "--out", "s"), "--sensor: three numbers X Y Z would do, got '1 2'"),
-        (("scene", "a.pcd", "--unit", "furlong", "--out", "s"), "--unit: unknown unit 'furlong'; m, cm"),
+        (("scene", "a.pcd", "--transform", "1 2 x", "--out", "s.json"), "--transform: numbers separated by spaces or"),
+        (("scene", "a.pcd", "--transform", "1 2 3", "--out", "s.json"), "--transform: transform of 3 numbers"),
+        (("scene", "a.pcd", "--sensor", "1 2", "--out", "s.json"), "--sensor: three numbers X Y Z would do, got '1 2'"),
+        (("scene", "a.pcd", "--unit", "furlong", "--out", "s.json"), "--unit: unknown unit 'furlong'; m, cm"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_used_is_one_line_and_exit_code_3(arguments: tuple[str, ...], problem: str) -> None:
@@ -138,11 +138,26 @@ def test_options_that_do_not_go_together_are_usage_errors(arguments: tuple[str, 
     assert _scopt("scene", "scan.pcd", "--out", "s.json", *arguments).exit_code == 2
 
 
-def test_a_scene_is_not_written_over_its_own_page(scan: Path, tmp_path: Path) -> None:
-    result = _scopt("scene", scan, "--out", tmp_path / "s.html")
-    assert result.exit_code == 3
-    assert "would be overwritten by its own page" in result.stderr
-    assert list(tmp_path.iterdir()) == []
+def test_a_scene_never_overwrites_what_it_is_made_from(scan: Path, tmp_path: Path) -> None:
+    cloud, posture = tmp_path / "packed.pcd", tmp_path / "start.json"
+    cloud.write_bytes(scan.read_bytes())
+    posture.write_text("{}")
+    table = tmp_path / "scan.html"
+    table.write_text("1 2 3")
+    (tmp_path / "link.json").symlink_to(cloud)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    for arguments, says in [
+        ((cloud, "--out", cloud), "does not end in .json"),
+        ((cloud, "--out", tmp_path / "s.html"), "does not end in .json"),
+        ((cloud, "--out", tmp_path / "s"), "does not end in .json"),
+        ((cloud, "--out", tmp_path / "link.json"), f"{tmp_path / 'link.json'} is read and would be overwritten"),
+        ((table, "--out", tmp_path / "scan.json"), f"{table} is read and would be overwritten"),
+        ((cloud, "--robot", "atlas", "--posture", posture, "--out", posture), f"{posture} is read and"),
+    ]:
+        result = _scopt("scene", *arguments)
+        assert result.exit_code == 3
+        assert says in result.stderr
+        assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_help_imports_no_library_of_the_planner() -> None:
