@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
+from perception.detect.door_edge import side_edge
+from perception.detect.door_handle import find_handle
 from perception.detect.profile import BIN, Profile, Rays, straight_stretches
 from perception.detect.upright import Upright, find_uprights
 from perception.simulate import DepthCamera, Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.objects.doors import Door
 from perception.simulate.objects.placed import Truth
+from perception.simulate.scenes import make_scene
 
 _FLOOR = box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0))
 _BACK = box((3.8, -4.0, 0.0), (3.9, 4.0, 2.6))
@@ -104,6 +108,48 @@ def test_an_open_leaf_tells_its_hinge_side_without_a_handle() -> None:
     found = detect("door", view)[0]
     assert found.confidence >= 0.5
     assert found.pose_world_object[:3, 0] @ truth.pose_world_object[:3, 0] > 0.99
+
+
+def test_a_lever_before_the_far_edge_of_an_open_leaf_ends_where_rays_went_past_the_leaf() -> None:
+    scene = make_scene("door_left_push_half_open", 51)
+    found = detect("door", make_view(scene.scan("dense")))[0]
+    assert found.confidence > 0.5
+    _check(found, scene.truth[0])
+
+
+def test_where_no_floor_was_seen_a_door_stands_at_zero_height() -> None:
+    view, truth = _view(_door("left"), DepthCamera(), seed=2)
+    lifted = view.near.points[:, 2] > 0.3
+    found = detect("door", replace(view, floors=(), near=view.near.selected(lifted)))[0]
+    assert found.pose_world_object[2, 3] == 0.0
+    assert found.sizes["handle_z"] == pytest.approx(truth.sizes["handle_z"], abs=0.02)
+
+
+def test_a_bar_that_goes_on_above_and_below_is_no_handle() -> None:
+    up, across = (grid.ravel() for grid in np.meshgrid(np.linspace(0.2, 1.9, 340), np.linspace(-0.5, 0.5, 200)))
+    plane = Upright(np.array([-1.0, 0.0, 0.0]), -1.0)
+    starts = np.column_stack([np.zeros_like(up), across, up])
+    quality = {}
+    for name, low, high in (("pull", 0.85, 1.25), ("pipe", 0.0, 2.0)):
+        on_bar = (np.abs(across - 0.4) < 0.02) & (up > low) & (up < high)
+        ends = np.column_stack([np.where(on_bar, 0.95, 1.0), across, up])
+        handle = find_handle(plane, -0.5, 0.5, 0.004, 0.0, Rays(starts, ends))
+        assert handle is not None
+        assert handle.is_pull
+        quality[name] = handle.quality
+    assert quality["pull"] > 0.8
+    assert quality["pipe"] == 0.0
+
+
+@pytest.mark.parametrize(("sigma", "is_sure"), [(0.001, True), (0.02, False)])
+def test_a_casing_five_centimetres_wide_ends_a_face_where_noise_cannot_explain_it(sigma: float, is_sure: bool) -> None:
+    depth = np.zeros(60)
+    depth[40:43] = [0.008, 0.016, 0.012]
+    counts = np.full(60, 15)
+    profile = Profile(0.0, depth, np.full(60, sigma), counts, np.zeros(60, dtype=int))
+    edge = side_edge(profile, 40, 1, np.zeros((0, 3)), 0.0)
+    assert (edge.strength > 0.9) == is_sure
+    assert side_edge(profile, 20, 1, np.zeros((0, 3)), 0.0).strength == 0.0
 
 
 def test_a_hint_leaves_only_what_is_near_it_and_raises_confidence() -> None:

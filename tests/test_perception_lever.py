@@ -9,6 +9,7 @@ from perception import CONFIDENT, View, detect, make_view
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
 from perception.simulate.mesh import Mesh, bent_bar
 from perception.simulate.objects.fixtures import BoxLever, Panel
+from perception.simulate.scenes import make_scene
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.4)
 SCANNER = Scanner(n_beams=541, fan_deg=135.0, n_lines=90)
@@ -52,6 +53,11 @@ def test_which_end_is_held_is_not_claimed_where_the_bar_hides_it() -> None:
 )
 def test_no_lever_is_believed_where_there_is_none(meshes: list[Mesh]) -> None:
     assert all(found.confidence < CONFIDENT for found in detect("lever", seen(meshes)))
+
+
+def test_a_shelfs_edge_that_goes_on_unseen_is_no_lever() -> None:
+    view = make_view(make_scene("drill_shelf", 51).scan("sparse"))
+    assert all(found.confidence < CONFIDENT for found in detect("lever", view))
 
 
 def test_a_hint_keeps_the_search_near_it() -> None:

@@ -88,10 +88,10 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def _ground(view: View) -> float:
-    """World z of the floor before the robot; without a floor the lowest points stand for it."""
+    """World z of the floor before the robot; without a floor the lowest points stand for it, or zero below them."""
     if view.floor is not None:
         return float(view.floor.height(np.array([[view.reach.x, view.reach.y]]))[0])
-    return float(np.percentile(view.near.points[:, 2], 1.0))
+    return min(float(np.percentile(view.near.points[:, 2], 1.0)), 0.0)
 
 
 def _useful(rays: Rays, view: View) -> Rays:

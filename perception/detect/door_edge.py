@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from perception.detect.profile import BAND, BIN, Profile
 
@@ -13,6 +13,7 @@ _BESIDE = 0.1
 _HIDDEN = 0.25
 _SHARP = 0.06
 _SURE_STOREYS = 6
+_SURE = 2.0  # standard errors
 
 
 @dataclass(frozen=True)
@@ -22,12 +23,14 @@ class Edge:
     Attributes:
         at: along the plane [m].
         jump: how far what stands beside it lies out of the face's plane [m]; NaN when nothing does.
+        step: how far something right beside it surely stands out of that plane or lies behind it [m].
         open_share: share of the storeys beside it in which rays went on behind the face's plane.
         is_seen: whether anything is known of what is beside it.
     """
 
     at: float
     jump: float
+    step: float
     open_share: float
     is_seen: bool
 
@@ -36,8 +39,7 @@ class Edge:
         """0 where the face goes on, 1 where it ends for certain; in between where nothing was seen."""
         if not self.is_seen:
             return 0.5
-        step = 0.0 if np.isnan(self.jump) else min(abs(self.jump) / 0.012, 1.0)
-        return float(max(step, min(self.open_share / 0.5, 1.0)))
+        return float(max(min(self.step / 0.012, 1.0), min(self.open_share / 0.5, 1.0)))
 
 
 def side_edge(profile: Profile, end: int, side: int, local: Float[np.ndarray, "N 3"], ground: float) -> Edge:
@@ -47,7 +49,7 @@ def side_edge(profile: Profile, end: int, side: int, local: Float[np.ndarray, "N
     beside = beside[(beside >= 0) & (beside < len(profile.depth))]
     at = profile.low + end * BIN
     if not len(beside):
-        return Edge(at, np.nan, 0.0, False)
+        return Edge(at, np.nan, 0.0, 0.0, False)
     solid = profile.is_solid[beside]
     seen = profile.storeys[beside] + profile.open_storeys[beside]
     open_share = float(np.sum(profile.open_storeys[beside]) / max(np.sum(seen), 1))
@@ -55,16 +57,30 @@ def side_edge(profile: Profile, end: int, side: int, local: Float[np.ndarray, "N
     if solid[1:].any():
         steps = profile.depth[beside[1:]][solid[1:]]
         jump = float(np.median(steps))
+    step = _sure_step(profile, beside[solid])
     band = (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
     near = local[band & (np.abs(local[:, 0] - at) < _SHARP)]
     wall = _wall_before(profile, end, side)
     if wall is not None:
         at, jump, seen = profile.low + wall * BIN, float(profile.depth[wall - (side < 0)]), np.array([_SURE_STOREYS])
+        step = abs(jump)
     elif solid[1:].any() and np.ptp(profile.depth[beside[1:]][solid[1:]]) < 0.02 and abs(jump) > 0.005:
         at = _step_at(at, side, jump, near)
     elif not solid[:2].any():
         at = _end_at(at, side, near)
-    return Edge(at, jump, open_share, bool(seen.sum() >= _SURE_STOREYS))
+    return Edge(at, jump, step, open_share, bool(seen.sum() >= _SURE_STOREYS))
+
+
+def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"]) -> float:
+    """How far two neighbouring columns lie out of the plane beyond doubt: a casing is hardly wider than that [m]."""
+    pairs = columns[:-1][np.abs(np.diff(columns)) == 1]
+    if not len(pairs):
+        return 0.0
+    order = 1 if columns[-1] > columns[0] else -1
+    weight = profile.sigma**-2
+    total = weight[pairs] + weight[pairs + order]
+    mean = (weight[pairs] * profile.depth[pairs] + weight[pairs + order] * profile.depth[pairs + order]) / total
+    return float(np.max(np.abs(mean) - _SURE / np.sqrt(total)).clip(0.0))
 
 
 def _wall_before(profile: Profile, end: int, side: int) -> int | None:

@@ -21,8 +21,10 @@ _PANICS = tuple((share, t) for share in (0.45, 0.6, 0.75) for t in (0.03, 0.05))
 _PULLS = tuple((t, length) for length in (0.16, 0.25, 0.35, 0.5) for t in (0.02, 0.03, 0.05))
 _RING = 0.04
 _JAMB = 0.025
+_WENT_ON = 0.06
 _LEAST = 6.0
 _MOST_SLACK = 0.12
+_PULL_END = 0.1
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Handle:
         is_panic: a bar across most of the face.
         evidence: how much better rays are explained by it than by the bare face [log odds].
         purity: share of the rays towards it that met it.
-        alone: share of the rays just beside it that met the face behind.
+        alone: share of the rays just beside it that met the face behind; of a pull, also above and below it.
         n_rays: how many met it.
         pivot_side: -1 or 1 where a neck or rose was seen nearer to one end of a lever, else 0.
         slack: (2,) how far it may go on unseen beyond its low and high end along the plane [m].
@@ -133,9 +135,10 @@ def _towards(
     depth = end + out
     inside = heading & (at[:, 0] > low) & (at[:, 0] < high)
     inside &= (at[:, 1] > ground + _REACH[0]) & (at[:, 1] < ground + _REACH[1])
-    # What stopped far before the face tells nothing of it, nor does a jamb that stands before its edges.
+    # What stopped far before the face tells nothing of it, nor does a jamb that stands before its edges; what went on
+    # behind an open leaf tells that nothing stood out of it there.
     end_along = rays.ends @ plane.along
-    inside &= (end_along > low + _JAMB) & (end_along < high - _JAMB)
+    inside &= ((end_along > low + _JAMB) & (end_along < high - _JAMB)) | (depth < -_WENT_ON)
     return at, depth, inside & (depth < _DEEPEST)
 
 
@@ -206,16 +209,27 @@ def _measured(
     size = far - corner
     is_panic = bool(size[0] > 0.4 * (high - low))
     is_lever = bool(not is_panic and size[0] > 0.065 and size[0] > 1.6 * size[1])
+    is_pull = bool(size[1] > 0.12 and size[1] > 2.0 * size[0])
+    on_face = np.abs(depth) < max(2.5 * sigma, 0.02)
+    alone = float(np.mean(on_face[ring])) if ring.any() else 0.0
+    if is_pull:
+        # A pipe or post before the face goes on above and below.
+        column = (at[:, 0] > corner[0]) & (at[:, 0] < far[0])
+        ends = [
+            column & (at[:, 1] > low_end) & (at[:, 1] < low_end + _PULL_END)
+            for low_end in (corner[1] - 0.015 - _PULL_END, far[1] + 0.015)
+        ]
+        alone = min(alone, *(float(np.mean(on_face[end])) if end.any() else 0.0 for end in ends))
     return Handle(
         corner,
         far,
         out,
         is_lever,
-        bool(size[1] > 0.12 and size[1] > 2.0 * size[0]),
+        is_pull,
         is_panic,
         box.evidence,
         float(np.mean(vote[inside] > 0.0)) if inside.any() else 0.0,
-        float(np.mean(np.abs(depth[ring]) < max(2.5 * sigma, 0.02))) if ring.any() else 0.0,
+        alone,
         int((inside & (vote > 0.0)).sum()),
         _neck_side(at, depth, corner, far, out, sigma) if is_lever else 0,
         _slack(at, vote, corner, far, low, high),

@@ -30,6 +30,7 @@ _FEWEST = 8
 _REPORTED = 0.05
 _HINT_RADIUS = 0.5
 _PIVOT = (0.3, 0.85)
+_GOES_ON = 0.4  # for a bar that may go on where nothing was seen: an edge, a rail, or cut off by the field of view
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ def detect_lever(
 ) -> list[Detection]:
     """Levers, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
-    The pivot is claimed where something is seen between the bar and its face at one end and not at the other.
+    The pivot is claimed where something is seen between the bar and its face at one end and not at the other.  A bar
+    is sure only where rays went past both of its ends.
 
     Args:
         view: the scan, made ready.
@@ -142,6 +144,7 @@ def _examined(face: Face, seen: FaceRays, run: Run) -> _Found | None:
         * rising(length / bar.half[0], 4.0, 7.0)
         * rising(-bar.half[0], -0.03, -0.024)
         * rising(pivot.stand_off - bar.half[0], 0.008, 0.02)
+        * (1.0 if all(ends.seen) else _GOES_ON)
     )
     return _Found(face, ends, evidence, pivot, float(confidence))
 
