@@ -62,6 +62,10 @@ def test_deadline_before_the_wait_is_over_is_refused() -> None:
     assert "was not begun" in refused.value.text
 
 
+def test_one_slow_plan_does_not_keep_out_those_that_could_be_quick() -> None:
+    _with(1, 8, 12.0).check("valve", 1.0)
+
+
 def test_quick_plans_leave_hope_to_a_short_deadline() -> None:
     admission = _with(1, 8, *[0.1] * 5, *[5.0] * 5)
     admission.check("valve", 0.2)  # a tenth of them took no more than 0.1 s

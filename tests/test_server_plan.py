@@ -242,3 +242,40 @@ def _wait_until_idle(stub: PlannerServiceStub) -> None:
             return
         time.sleep(0.02)
     raise AssertionError("the worker does not become idle")
+
+
+def test_same_request_without_and_with_files_is_one_request(stub: PlannerServiceStub) -> None:
+    first = finished(stub.Plan(plan_request(QUICK, request_id="bare"), timeout=60))
+    responses = stub.Plan(plan_request(QUICK, request_id="bare", with_files=True), timeout=60)
+    assert wait_for(responses, "finished").finished == first
+    with pytest.raises(grpc.RpcError) as refused:  # they were not asked for when it was planned
+        list(responses)
+    assert refused.value.code() is grpc.StatusCode.NOT_FOUND  # type: ignore[attr-defined]
+
+
+def test_who_joins_a_plan_does_not_fall_with_the_deadline_of_the_first(tmp_path: Path) -> None:
+    with planner_server(tmp_path / "data") as server, grpc.insecure_channel(server.address) as channel:
+        stub = PlannerServiceStub(channel)
+        busy = stub.Plan(plan_request(ENDLESS), timeout=60)
+        wait_for(busy, "progress")
+        hasty = stub.Plan(plan_request(QUICK, request_id="shared"), timeout=2.0)
+        wait_for(hasty, "accepted")
+        patient = stub.Plan(plan_request(QUICK, request_id="shared"), timeout=60)
+        assert wait_for(patient, "accepted").accepted.is_known
+        with pytest.raises(grpc.RpcError) as late:
+            list(hasty)
+        assert late.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED  # type: ignore[attr-defined]
+        busy.cancel()
+        assert finished(patient).result.verdict == VERDICT_CERTIFIED
+
+
+def test_log_says_of_a_refused_request_which_it_was_and_why(server: ServerProcess, stub: PlannerServiceStub) -> None:
+    wrong = plan_request(QUICK, request_id="wrong-one")
+    wrong.request.options.margin_m = -1.0
+    with pytest.raises(grpc.RpcError):
+        list(stub.Plan(wrong, timeout=20))
+    until = time.monotonic() + 10.0
+    while "wrong-one" not in server.log.read_text() and time.monotonic() < until:  # the client hears of it first
+        time.sleep(0.02)
+    lines = [json.loads(line) for line in server.log.read_text().splitlines() if "wrong-one" in line]
+    assert [(line["code"], "margin_m" in line["why"]) for line in lines] == [("INVALID_ARGUMENT", True)]

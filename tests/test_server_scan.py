@@ -40,6 +40,8 @@ def test_valve_of_an_uploaded_scan_is_found_and_turned(stub: PlannerServiceStub)
     assert len(scene.pieces) == len(json.loads(scene.json)["pieces"]) > 0
     assert all(len(piece.vertices) % 3 == 0 for piece in scene.pieces)
 
+    assert stub.GetScene(wire.GetSceneRequest(scene_id=scene.scene_id), timeout=20).scene == scene
+
     hit = stub.Detect(wire.DetectRequest(clouds=clouds, kind="valve"), timeout=60).hits[0]
     assert hit == scene.detections[0]
     assert hit.confidence >= 0.5

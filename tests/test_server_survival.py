@@ -100,7 +100,8 @@ def test_killed_server_leaves_no_process_and_loses_nothing_that_it_told(
         assert record.is_approved
         assert record.result == told.result
         assert finished(back.Plan(plan_request(request_id="mine", with_files=True), timeout=20)) == told
-        assert next(back.GetPlan(wire.GetPlanRequest(plan_id=lost_id))).record.state == wire.PLAN_STATE_LOST
+        lost = next(back.GetPlan(wire.GetPlanRequest(plan_id=lost_id))).record
+        assert (lost.state, lost.reason) == (wire.PLAN_STATE_LOST, "the server was restarted before it finished")
 
 
 def test_stopping_server_finishes_what_is_under_way_and_takes_nothing_more(tmp_path: Path) -> None:
@@ -113,13 +114,28 @@ def test_stopping_server_finishes_what_is_under_way_and_takes_nothing_more(tmp_p
         for watch in watches:  # also the second of them
             assert watch.until(NOT_SERVING)
         with grpc.insecure_channel(server.address) as another:
-            code, _, _ = refusal(lambda: list(PlannerServiceStub(another).Plan(plan_request(), timeout=20)))
-        assert code == "UNAVAILABLE"
+            late = PlannerServiceStub(another)
+            assert late.GetStatus(wire.GetStatusRequest(), timeout=20).is_draining
+            code, words, _ = refusal(lambda: list(late.Plan(plan_request(), timeout=20)))
+        assert (code, words) == ("UNAVAILABLE", "the server is stopping; try another one, or later")
         assert server.process.poll() is None
         assert finished(call).result.verdict in ENDED
         # Who watches the health of a server does not keep it from going.
         assert server.process.wait(10.0) == 0
         _until(lambda: not still_there(processes), 1.0)
+
+
+def test_what_is_under_way_when_the_drain_is_over_is_told_so(tmp_path: Path) -> None:
+    with (
+        planner_server(tmp_path / "data", "--drain", "0.2") as server,
+        grpc.insecure_channel(server.address) as channel,
+    ):
+        call = PlannerServiceStub(channel).Plan(plan_request(ENDLESS), timeout=60)
+        wait_for(call, "progress")
+        server.process.terminate()
+        code, words, _ = refusal(lambda: list(call))
+        assert (code, words) == ("UNAVAILABLE", "the server is stopping; try another one, or later")
+        assert server.process.wait(10.0) == 0
 
 
 def test_second_signal_ends_at_once(tmp_path: Path) -> None:

@@ -79,6 +79,25 @@ def test_folder_gives_its_robots_names(tmp_path: Path) -> None:
     assert folder.placed(atlas) == atlas
 
 
+def test_folder_comes_before_the_package_where_both_know_a_name(tmp_path: Path) -> None:
+    (tmp_path / "atlas").mkdir()
+    _write(tmp_path / "atlas" / "robot.urdf", 0.5, 1)
+    folder = RobotFolder(tmp_path)
+    (told,) = [robot for robot in describe_robots(folder.requests()) if robot["name"] == "atlas"]
+    assert told["joint_names"] == ["swing"]
+    assert WarmRobots().get(folder.placed(_request(RobotRequest(name="atlas")))).joint_names == ("swing",)
+
+
+def test_problems_name_the_folder_s_robots_and_not_where_it_is(tmp_path: Path) -> None:
+    (tmp_path / "swinger").mkdir()
+    _write(tmp_path / "swinger" / "robot.urdf", 0.5, 1)
+    unknown, broken = RobotFolder(tmp_path).as_named(
+        ["unknown robot 'swingr'; known: atlas", f"{tmp_path.resolve()}/swinger/robot.urdf: has no links"]
+    )
+    assert unknown == "unknown robot 'swingr'; known: atlas; this server also has swinger"
+    assert broken == "swinger/robot.urdf: has no links"
+
+
 @pytest.mark.parametrize("name", ["../swinger", "..", "a/b", "notes", "."])
 def test_name_never_leads_out_of_the_folder(tmp_path: Path, name: str) -> None:
     (tmp_path / "robots" / "notes").mkdir(parents=True)

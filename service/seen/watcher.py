@@ -12,13 +12,14 @@ from typing import Any
 import grpc
 import structlog
 
-from service.rpc import Context, Interceptor, Refusal, refuse
+from service.rpc import Context, Interceptor, Refusal, refuse, shortened
 from service.seen.metrics import Metrics
 from service.seen.spans import NoSpans, Spans
 from service.trust import current_caller, peer_key
 
 _LOG = structlog.get_logger("scopt.rpc")
 _CODES = {code.value[0]: code for code in grpc.StatusCode}
+MAX_WHY_BYTES = 300
 _QUIET = ("/grpc.health.", "/grpc.reflection.", "/planner.v1.PlannerService/GetStatus")  # asked for all day long
 _OURS = {grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN, grpc.StatusCode.DATA_LOSS}
 
@@ -78,9 +79,16 @@ def _log(method: str, context: Context, code: grpc.StatusCode, seconds: float) -
         client = current_caller().name
     except LookupError:  # it did not come through the gate
         client = peer_key(context.peer())
+    why = {} if code is grpc.StatusCode.OK else {"why": shortened(_details(context), MAX_WHY_BYTES)}
     getattr(_LOG, level)(
-        "rpc", method=method.rpartition("/")[2], code=code.name, ms=round(1000 * seconds, 1), client=client
+        "rpc", method=method.rpartition("/")[2], code=code.name, ms=round(1000 * seconds, 1), client=client, **why
     )
+
+
+def _details(context: Context) -> str:
+    """What the client was told of why."""
+    details: Any = context.details()
+    return details.decode(errors="replace") if isinstance(details, bytes) else str(details or "")
 
 
 def _end_of(context: Context) -> grpc.StatusCode:

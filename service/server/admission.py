@@ -14,6 +14,7 @@ from service.server.refusal import overloaded
 
 REMEMBERED = 256  # durations by kind of work
 FIRST_GUESS_S = 1.0  # of a kind that has never run
+FEWEST = 10  # done before a deadline is held against it: the first is the slowest, and a refusal teaches nothing
 QUICKEST = 10.0  # percentile of durations below which no deadline is believed to be kept
 
 
@@ -33,9 +34,9 @@ class Durations:
         return fmean(known) if known else FIRST_GUESS_S
 
     def quickest(self, kind: str) -> float:
-        """What hardly any takes less than; 0 where nothing is known."""
-        known = self._seconds.get(kind)
-        return _percentile(known, QUICKEST) if known else 0.0
+        """What hardly any takes less than; 0 where too little is known."""
+        known = self._seconds.get(kind, ())
+        return _percentile(known, QUICKEST) if len(known) >= FEWEST else 0.0
 
     def percentile(self, share: float) -> float:
         """Over all kinds; 0 where nothing is known."""
@@ -96,7 +97,9 @@ class Admission:
         wait = self.expected_wait_s()
         if self.is_full():
             load = f"requests being worked on: {self.running}, waiting: {self.queued}"
-            raise overloaded(f"{load}; about {wait:.1f} s until there is room", wait / 2.0)
+            raise overloaded(
+                f"{load}, which is about {wait:.1f} s of work; try again in {wait / 2.0:.1f} s", wait / 2.0
+            )
         needed = wait + self.durations.quickest(kind)
         if left_s is not None and left_s < needed:
             raise Refusal(

@@ -17,6 +17,7 @@ from service.executor.linux import rss_bytes
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.result_pb2 import FileChunk
 from service.rpc import Context, Refusal, deadline_of
+from service.seen import bind
 from service.server.archive import chunks, files_of
 from service.server.perceiving import accepted
 from service.server.planning import stored_result
@@ -93,6 +94,7 @@ class Keeping:
             raise invalid(["decision: DECISION_ACCEPTED or DECISION_REJECTED would do"])
         if not message.plan_id:
             raise invalid(["plan_id: is missing"])
+        bind(plan_id=message.plan_id)
         if len(message.comment) > MAX_COMMENT_CHARACTERS:
             length = len(message.comment)
             raise invalid([f"comment: at most {MAX_COMMENT_CHARACTERS} characters would do, got {length}"])
@@ -177,6 +179,7 @@ class Keeping:
         if not plan_id:
             raise invalid(["plan_id: is missing"])
         record = self._store.plans.get(plan_id)
+        bind(plan_id=record.plan_id)
         caller = current_caller()
         roles = frozenset() if caller.identity is None else caller.identity.roles
         if record.client != caller.name and not roles & {Role.REVIEW, Role.ADMIN}:
@@ -194,6 +197,7 @@ class Keeping:
             reviews=[_review(review) for review in self._store.reviews.of(record.plan_id)],
             is_approved=self._store.reviews.is_accepted(record.plan_id),
             created=_time(record.created),
+            reason=record.why_lost,
         )
         if record.state is PlanState.FINISHED:
             message.result.CopyFrom(stored_result(record))

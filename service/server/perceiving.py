@@ -17,6 +17,8 @@ from service.proto.planner.v1.planner_pb2 import (
     CloudsSpec,
     DetectRequest,
     DetectResponse,
+    GetSceneRequest,
+    GetSceneResponse,
     UploadCloudRequest,
     UploadCloudResponse,
 )
@@ -144,6 +146,17 @@ class Perceiving:
                 piece.cancel()
         scene_id = await asyncio.to_thread(self._store.scenes.put, current_caller().name, text)
         yield BuildSceneResponse(scene=scene_to_message(scene_id, text))
+
+    async def scene(self, message: GetSceneRequest, context: Context) -> GetSceneResponse:
+        """A scene that was built before.
+
+        Raises:
+            Refusal: no id was given; NotStoredError: it is not there.
+        """
+        if not message.scene_id:
+            raise invalid(["scene_id: is missing"])
+        text = await asyncio.to_thread(self._store.scenes.get, message.scene_id)
+        return GetSceneResponse(scene=await asyncio.to_thread(scene_to_message, message.scene_id, text))
 
     async def detect(self, message: DetectRequest, context: Context) -> DetectResponse:
         """Objects of a kind.

@@ -7,7 +7,7 @@ import re
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
 import grpc
 import structlog
@@ -68,6 +68,7 @@ class Planning:
         """
         deadline = deadline_of(context)
         client = current_caller().name
+        bind(request_id=message.request_id)
         request = await self._checked(message)
         record, plan = await self._begin(message, request, client, deadline)
         accepted = PlanAccepted(plan_id=record.plan_id, request_id=record.request_id)
@@ -76,7 +77,7 @@ class Planning:
             yield PlanResponse(accepted=accepted)
             yield PlanResponse(finished=PlanFinished(plan_id=record.plan_id, result=stored_result(record)))
         else:
-            with plan.watched() as is_first:
+            with plan.watched(deadline) as is_first:
                 accepted.is_known = not is_first
                 yield PlanResponse(accepted=accepted)
                 async for response in plan.events():
@@ -104,15 +105,13 @@ class Planning:
             admission.check(kind, _left(deadline))
         sha = request_hash(request)
         while True:
-            begun = self._store.plans.begin(
-                client, message.request_id, sha + ("+files" if message.with_files else ""), kind
-            )
+            begun = self._store.plans.begin(client, message.request_id, sha, kind)
             known = self.running.get(begun.plan.plan_id)
             if known is None or not known.is_stopping:
                 break
             await known.ended()
         record = begun.plan
-        bind(plan_id=record.plan_id, request_id=message.request_id)
+        bind(plan_id=record.plan_id)
         if begun.outcome is Outcome.CONFLICT:
             raise Refusal(
                 grpc.StatusCode.ALREADY_EXISTS,
@@ -132,46 +131,57 @@ class Planning:
     ) -> RunningPlan:
         """The plan under way: a worker has it before the client is told."""
         plan = RunningPlan(record.plan_id, self._workshop)
-        until = None if deadline is None else time.time() + deadline - time.monotonic()
         with ExitStack() as held:
             try:
                 placed = held.enter_context(self._door.placed(request))
-                task = PlanTask(placed, until, message.with_files, message.with_waypoints, request, sha)
-                piece = self._workshop.start(
-                    record.kind,
-                    run_plan,
-                    task,
-                    deadline=deadline,
-                    budget_s=request.options.time_limit_s,
-                    on_event=plan.progress,
-                    is_typical=_is_typical,
-                )
+                asked = _Asked(record.kind, message, request, placed, sha)
+                piece = self._submit(plan, asked, deadline)
             except Exception as error:
                 self._give_up(plan, error)
                 return plan
-            plan.worked_on_by(piece)
             forget = self.running.add(plan)
-            work = asyncio.create_task(self._see_through(plan, piece, request, placed, record.kind, held.pop_all()))
+            work = asyncio.create_task(self._see_through(plan, asked, piece, deadline, held.pop_all()))
         self._tasks.add(work)
         work.add_done_callback(self._tasks.discard)
         work.add_done_callback(lambda _: forget())
         return plan
 
+    def _submit(self, plan: RunningPlan, asked: _Asked, deadline: float | None) -> Piece[PlanAnswer | Refused]:
+        """Hand a plan to a worker.
+
+        The deadline shortens the plan, and no more: a plan is stopped when nobody waits for it any longer.
+        """
+        piece = self._workshop.start(
+            asked.kind,
+            run_plan,
+            asked.task(deadline),
+            deadline=None,
+            budget_s=asked.request.options.time_limit_s,
+            on_event=plan.progress,
+            is_typical=_is_typical,
+        )
+        plan.worked_on_by(piece)
+        return piece
+
     async def _see_through(
         self,
         plan: RunningPlan,
+        asked: _Asked,
         piece: Piece[PlanAnswer | Refused],
-        request: Request,
-        placed: Request,
-        kind: str,
+        deadline: float | None,
         held: ExitStack,
     ) -> None:
         """See a plan to its end; whatever happens, its watchers hear of it and the store knows."""
         try:
             with held:
                 answer = await outcome(piece)
+                while _is_cut_short(answer) and plan.is_awaited_beyond(deadline):
+                    deadline = plan.awaited_until
+                    piece = self._submit(plan, asked, deadline)
+                    answer = await outcome(piece)
             if isinstance(answer, Refused):
-                raise refusal_of_problems(_as_named(answer.problems, request, placed), answer.is_unplanned, WITHIN)
+                problems = self._door.robots.as_named(_as_named(answer.problems, asked.request, asked.placed))
+                raise refusal_of_problems(problems, answer.is_unplanned, WITHIN)
             if answer.verdict == Verdict.CANCELLED.value:
                 raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was a plan")
             await self._keep(plan.plan_id, answer)
@@ -182,7 +192,7 @@ class Planning:
             self._give_up(plan, error)
             return
         await asyncio.sleep(0)  # whoever waits has the plan before it is counted and logged
-        self._tell(kind, answer, piece.waited_s)
+        self._tell(asked.kind, answer, piece.waited_s)
 
     def _give_up(self, plan: RunningPlan, error: Exception) -> None:
         """End a plan that comes to nothing."""
@@ -210,6 +220,33 @@ class Planning:
         """Wait until nothing is under way."""
         while self._tasks:
             await asyncio.wait(self._tasks)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """One request as workers get it.
+
+    Attributes:
+        kind: of request.
+        message: as it came; request: what it says; placed: with files where they are kept here.
+        sha256: of the request.
+    """
+
+    kind: str
+    message: PlanRequest
+    request: Request
+    placed: Request
+    sha256: str
+
+    def task(self, deadline: float | None) -> PlanTask:
+        """To be done by a deadline on the clock of ``time.monotonic``."""
+        until = None if deadline is None else time.time() + deadline - time.monotonic()
+        message = self.message
+        return PlanTask(self.placed, until, message.with_files, message.with_waypoints, self.request, self.sha256)
+
+
+def _is_cut_short(answer: PlanAnswer | Refused) -> bool:
+    return isinstance(answer, PlanAnswer) and answer.verdict == Verdict.TIME_LIMIT.value
 
 
 def _is_typical(answer: PlanAnswer | Refused) -> bool:

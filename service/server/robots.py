@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +28,15 @@ class RobotFolder:
             return {}
         found = sorted(path for path in self.folder.resolve().iterdir() if (path / URDF_NAME).is_file())
         return {path.name: _request(path) for path in found}
+
+    def as_named(self, problems: Iterable[str]) -> list[str]:
+        """Problems in words of who asks: names of robots, not where they are kept here."""
+        here = "" if self.folder is None else f"{self.folder.resolve()}{os.sep}"
+        also = ", ".join(self.requests())
+        return [
+            f"{problem}; this server also has {also}" if also and problem.startswith("unknown robot") else problem
+            for problem in (problem.replace(here, "") if here else problem for problem in problems)
+        ]
 
     def placed(self, request: PlanRequest) -> PlanRequest:
         """The request with the files of a robot that it names and that is here."""

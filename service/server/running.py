@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -30,7 +31,7 @@ class RunningPlan:
         self._latest: PlanResponse | None = None
         self._version = 0
         self._changed = asyncio.Event()
-        self._watchers = 0
+        self._deadlines: list[float] = []  # of those who watch
         self._was_watched = self._is_stopping = False
         self._end: PlanFinished | Refusal | None = None
         self._ignore = workshop.on_change(self._tell_place)
@@ -64,16 +65,27 @@ class RunningPlan:
         """It has come to nothing."""
         self._close(refusal)
 
+    @property
+    def awaited_until(self) -> float | None:
+        """The latest deadline of those who watch, on the clock of ``time.monotonic`` [s]; None where one has none."""
+        latest = max(self._deadlines, default=0.0)
+        return None if latest == math.inf else latest
+
+    def is_awaited_beyond(self, deadline: float | None) -> bool:
+        """Whether somebody has time for more than what had to be done by a deadline."""
+        return deadline is not None and max(self._deadlines, default=0.0) > deadline
+
     @contextmanager
-    def watched(self) -> Iterator[bool]:
+    def watched(self, deadline: float | None) -> Iterator[bool]:
         """Somebody watches while the body runs; yields whether nobody has before."""
         is_first, self._was_watched = not self._was_watched, True
-        self._watchers += 1
+        own = math.inf if deadline is None else deadline
+        self._deadlines.append(own)
         try:
             yield is_first
         finally:
-            self._watchers -= 1
-            if self._watchers == 0 and self._end is None:
+            self._deadlines.remove(own)
+            if not self._deadlines and self._end is None:
                 self._is_stopping = True
                 if self._piece is not None:
                     self._piece.cancel()

@@ -37,6 +37,7 @@ from service.trust import Limits as ClientLimiter
 _LOG = structlog.get_logger("scopt.server")
 PRELOAD = ("service.work.plan", "service.work.look", "perception", "service.tasks.valve_task", "service.trajopt")
 OVERTIME_EVERY_S = 0.5
+LAST_WORDS_S = 5.0  # for files on their way to a client when the work has ended
 CLOUDS_FOLDER, STORE_FOLDER = "clouds", "plans"
 
 
@@ -191,14 +192,21 @@ def _bound(server: grpc.aio.Server, port: Port) -> str:
 
 
 async def _drain(server: Running, drain_s: float, now: asyncio.Event) -> None:
-    """Take nothing more in, and see what is under way to its end, or for as long as there is."""
+    """Take no more work in, and see what is under way to its end, or for as long as there is.
+
+    Until then questions are answered: how it goes, what has been planned, and that another server should be asked.
+    """
     _LOG.info("draining", running=len(server.planning.running), at_most_s=drain_s)
     server.keeping.is_draining = server.workshop.is_closed = True
     server.health.end()
     hurry = asyncio.create_task(now.wait())
-    stopping = asyncio.create_task(server.server.stop(drain_s))
+    emptied = asyncio.create_task(server.workshop.emptied())
+    await asyncio.wait([emptied, hurry], timeout=drain_s, return_when=asyncio.FIRST_COMPLETED)
+    server.workshop.stop_all()
+    stopping = asyncio.create_task(server.server.stop(LAST_WORDS_S))  # answers that are on their way arrive
     await asyncio.wait([stopping, hurry], return_when=asyncio.FIRST_COMPLETED)
     hurry.cancel()
+    emptied.cancel()
     await server.server.stop(0.0)
     with suppress(asyncio.CancelledError):
         await stopping

@@ -31,6 +31,9 @@ class Servicer:
     def BuildScene(self, message: wire.BuildSceneRequest, context: Context) -> AsyncIterator[wire.BuildSceneResponse]:
         return self.perceiving.build_scene(message, context)
 
+    async def GetScene(self, message: wire.GetSceneRequest, context: Context) -> wire.GetSceneResponse:
+        return await self.perceiving.scene(message, context)
+
     async def Detect(self, message: wire.DetectRequest, context: Context) -> wire.DetectResponse:
         return await self.perceiving.detect(message, context)
 

@@ -18,6 +18,7 @@ from service.server.admission import Admission
 T = TypeVar("T")
 OVERTIME_S = 5.0  # beyond its budget, before a worker that does not stop by itself is killed
 
+OVERTIME = "{kind} is allowed {budget:g} s and was not done {over:g} s after them; it was ended"
 _STOPPING = Refusal(grpc.StatusCode.UNAVAILABLE, "the server is stopping; try another one, or later")
 
 
@@ -55,6 +56,7 @@ class Workshop:
         self.executor = executor
         self.admission = admission
         self._running: dict[int, tuple[str, Job[Any], float]] = {}  # kind, job and budget by ticket
+        self._ended_by_us: dict[int, Refusal] = {}  # why, by ticket
         self._listeners: set[Callable[[], None]] = set()
         self.is_closed = False  # takes nothing more in
 
@@ -127,11 +129,31 @@ class Workshop:
         return lambda: self._listeners.discard(listener)
 
     def stop_overtime(self) -> None:
-        """Stop what has been running beyond its budget; to be called now and then."""
+        """Stop what has been running beyond its budget, and say so; to be called now and then."""
         now = time.monotonic()
-        for _, job, budget_s in list(self._running.values()):
+        for ticket, (kind, job, budget_s) in list(self._running.items()):
             if job.started is not None and not job.done() and now - job.started > budget_s + OVERTIME_S:
-                job.cancel()
+                text = OVERTIME.format(kind=kind, budget=budget_s, over=OVERTIME_S)
+                self._stop(ticket, job, Refusal(grpc.StatusCode.DEADLINE_EXCEEDED, text))
+
+    def stop_all(self) -> None:
+        """Stop everything, since the server stops."""
+        for ticket, (_, job, _) in reversed(self._running.copy().items()):  # else what waits would begin
+            self._stop(ticket, job, _STOPPING)
+
+    async def emptied(self) -> None:
+        """Wait until nothing is under way."""
+        empty = asyncio.Event()
+        forget = self.on_change(lambda: empty.set() if not self._running else None)
+        try:
+            if self._running:
+                await empty.wait()
+        finally:
+            forget()
+
+    def _stop(self, ticket: int, job: Job[Any], why: Refusal) -> None:
+        self._ended_by_us.setdefault(ticket, why)
+        job.cancel()
 
     def _end(self, ticket: int, job: Job[T], ended: asyncio.Future[T], is_typical: Callable[[T], bool]) -> None:
         del self._running[ticket]
@@ -140,7 +162,10 @@ class Workshop:
         self.admission.leave(ticket, took)
         for listener in list(self._listeners):
             listener()
-        if job.cancelled():
+        why = self._ended_by_us.pop(ticket, None)
+        if why is not None and not is_answer:
+            ended.set_exception(why)
+        elif job.cancelled():
             ended.set_exception(CancelledError())
         elif (error := job.exception()) is not None:
             ended.set_exception(error)

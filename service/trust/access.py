@@ -55,10 +55,10 @@ def authorize(method: str, identity: Identity) -> None:
     """
     if method not in ROLE_NEEDED:
         raise Refusal(grpc.StatusCode.PERMISSION_DENIED, "nobody may call this method")
-    role = ROLE_NEEDED[method]
-    if role not in identity.roles:
+    needed = ROLE_NEEDED[method]
+    if identity.roles.isdisjoint(needed):
         has = ", ".join(sorted(identity.roles))
-        words = f"{method.rpartition('/')[2]} needs the role {role}; {identity.name} has {has}"
+        words = f"{method.rpartition('/')[2]} needs the role {' or '.join(needed)}; {identity.name} has {has}"
         raise Refusal(grpc.StatusCode.PERMISSION_DENIED, words)
 
 

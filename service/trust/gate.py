@@ -31,7 +31,6 @@ class Gate(Interceptor):
             caller = self._caller(method, context)
         except Refusal as refusal:
             await refuse(context, refusal)
-        _CALLER.set(caller)  # for this call alone: gRPC answers each in a task of its own
         try:
             yield
         finally:
@@ -41,6 +40,7 @@ class Gate(Interceptor):
         """Raises: Refusal: this call may not come in."""
         peer = peer_key(context.peer())
         caller = Caller(None, peer) if method in OPEN_TO_ALL else self._known(context, peer)
+        _CALLER.set(caller)  # for this call alone: gRPC answers each in a task of its own
         self._unless(self._limits.request(caller.key))
         if caller.identity is not None:
             authorize(method, caller.identity)

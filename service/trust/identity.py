@@ -54,21 +54,23 @@ OPEN_TO_ALL = frozenset({"/grpc.health.v1.Health/Check"})
 
 # A watch holds a place, and reflection tells what there is: both need a role wherever roles are given. What is listed
 # nowhere nobody may call.
-ROLE_NEEDED: Mapping[str, Role] = MappingProxyType(
+# Any one of those that stand with a method will do; who reviews a plan must see it.
+ROLE_NEEDED: Mapping[str, tuple[Role, ...]] = MappingProxyType(
     {
-        f"{_PLANNER}/Plan": Role.PLAN,
-        f"{_PLANNER}/UploadCloud": Role.PLAN,
-        f"{_PLANNER}/BuildScene": Role.PLAN,
-        f"{_PLANNER}/Detect": Role.PLAN,
-        f"{_PLANNER}/Verify": Role.PLAN,
-        f"{_PLANNER}/ListRobots": Role.PLAN,
-        f"{_PLANNER}/GetPlan": Role.PLAN,
-        f"{_PLANNER}/ReviewPlan": Role.REVIEW,
-        f"{_PLANNER}/GetStatus": Role.ADMIN,
-        "/grpc.health.v1.Health/List": Role.PLAN,
-        "/grpc.health.v1.Health/Watch": Role.PLAN,
-        _REFLECTION.format(""): Role.PLAN,
-        _REFLECTION.format("alpha"): Role.PLAN,
+        f"{_PLANNER}/Plan": (Role.PLAN,),
+        f"{_PLANNER}/UploadCloud": (Role.PLAN,),
+        f"{_PLANNER}/BuildScene": (Role.PLAN,),
+        f"{_PLANNER}/GetScene": (Role.PLAN, Role.REVIEW),
+        f"{_PLANNER}/Detect": (Role.PLAN,),
+        f"{_PLANNER}/Verify": (Role.PLAN, Role.REVIEW),
+        f"{_PLANNER}/ListRobots": (Role.PLAN,),
+        f"{_PLANNER}/GetPlan": (Role.PLAN, Role.REVIEW),
+        f"{_PLANNER}/ReviewPlan": (Role.REVIEW,),
+        f"{_PLANNER}/GetStatus": (Role.ADMIN,),
+        "/grpc.health.v1.Health/List": (Role.PLAN,),
+        "/grpc.health.v1.Health/Watch": (Role.PLAN,),
+        _REFLECTION.format(""): (Role.PLAN,),
+        _REFLECTION.format("alpha"): (Role.PLAN,),
     }
 )
 

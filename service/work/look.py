@@ -86,9 +86,11 @@ def verify(files: Mapping[str, bytes]) -> Mapping[str, Any] | Refused:
 
 
 def describe_robots(more: Mapping[str, RobotRequest]) -> list[dict[str, Any]]:
-    """Robots that can be named: those of the package, and ``more`` by name; one that cannot be read says why."""
-    bundled = {name: RobotRequest(name=name) for name in bundled_robots()}
-    return [_described(name, request, bundled_robots().get(name, "")) for name, request in {**more, **bundled}.items()]
+    """Robots that can be named: ``more`` by name, those of the package; one that cannot be read says why."""
+    texts = bundled_robots()
+    bundled = {name: RobotRequest(name=name) for name in texts}
+    own = [_described(name, request, "") for name, request in more.items()]
+    return own + [_described(name, request, texts[name]) for name, request in bundled.items() if name not in more]
 
 
 def _described(name: str, request: RobotRequest, description: str) -> dict[str, Any]:

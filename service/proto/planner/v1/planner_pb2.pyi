@@ -194,6 +194,18 @@ class BuildSceneResponse(_message.Message):
     scene: BuiltScene
     def __init__(self, step: _Optional[str] = ..., scene: _Optional[_Union[BuiltScene, _Mapping]] = ...) -> None: ...
 
+class GetSceneRequest(_message.Message):
+    __slots__ = ("scene_id",)
+    SCENE_ID_FIELD_NUMBER: _ClassVar[int]
+    scene_id: str
+    def __init__(self, scene_id: _Optional[str] = ...) -> None: ...
+
+class GetSceneResponse(_message.Message):
+    __slots__ = ("scene",)
+    SCENE_FIELD_NUMBER: _ClassVar[int]
+    scene: BuiltScene
+    def __init__(self, scene: _Optional[_Union[BuiltScene, _Mapping]] = ...) -> None: ...
+
 class BuiltScene(_message.Message):
     __slots__ = ("scene_id", "pieces", "detections", "figures", "notes", "json")
     SCENE_ID_FIELD_NUMBER: _ClassVar[int]
@@ -329,7 +341,7 @@ class GetPlanResponse(_message.Message):
     def __init__(self, record: _Optional[_Union[PlanRecord, _Mapping]] = ..., file: _Optional[_Union[_result_pb2.FileChunk, _Mapping]] = ...) -> None: ...
 
 class PlanRecord(_message.Message):
-    __slots__ = ("plan_id", "request_id", "state", "result", "reviews", "is_approved", "created", "finished")
+    __slots__ = ("plan_id", "request_id", "state", "result", "reviews", "is_approved", "created", "finished", "reason")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
@@ -338,6 +350,7 @@ class PlanRecord(_message.Message):
     IS_APPROVED_FIELD_NUMBER: _ClassVar[int]
     CREATED_FIELD_NUMBER: _ClassVar[int]
     FINISHED_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     request_id: str
     state: PlanState
@@ -346,7 +359,8 @@ class PlanRecord(_message.Message):
     is_approved: bool
     created: _timestamp_pb2.Timestamp
     finished: _timestamp_pb2.Timestamp
-    def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., state: _Optional[_Union[PlanState, str]] = ..., result: _Optional[_Union[_result_pb2.MotionResult, _Mapping]] = ..., reviews: _Optional[_Iterable[_Union[Review, _Mapping]]] = ..., is_approved: bool = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ...) -> None: ...
+    reason: str
+    def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., state: _Optional[_Union[PlanState, str]] = ..., result: _Optional[_Union[_result_pb2.MotionResult, _Mapping]] = ..., reviews: _Optional[_Iterable[_Union[Review, _Mapping]]] = ..., is_approved: bool = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., reason: _Optional[str] = ...) -> None: ...
 
 class Review(_message.Message):
     __slots__ = ("decision", "reviewer", "comment", "trajectory_sha256", "certificate_sha256", "time")

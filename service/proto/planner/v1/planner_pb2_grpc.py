@@ -54,6 +54,11 @@ class PlannerServiceStub(object):
                 request_serializer=planner_dot_v1_dot_planner__pb2.BuildSceneRequest.SerializeToString,
                 response_deserializer=planner_dot_v1_dot_planner__pb2.BuildSceneResponse.FromString,
                 _registered_method=True)
+        self.GetScene = channel.unary_unary(
+                '/planner.v1.PlannerService/GetScene',
+                request_serializer=planner_dot_v1_dot_planner__pb2.GetSceneRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_planner__pb2.GetSceneResponse.FromString,
+                _registered_method=True)
         self.Detect = channel.unary_unary(
                 '/planner.v1.PlannerService/Detect',
                 request_serializer=planner_dot_v1_dot_planner__pb2.DetectRequest.SerializeToString,
@@ -110,6 +115,13 @@ class PlannerServiceServicer(object):
 
     def BuildScene(self, request, context):
         """Turn clouds into convex pieces, floor and objects.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def GetScene(self, request, context):
+        """A scene that was built before, also before a restart.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -174,6 +186,11 @@ def add_PlannerServiceServicer_to_server(servicer, server):
                     servicer.BuildScene,
                     request_deserializer=planner_dot_v1_dot_planner__pb2.BuildSceneRequest.FromString,
                     response_serializer=planner_dot_v1_dot_planner__pb2.BuildSceneResponse.SerializeToString,
+            ),
+            'GetScene': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetScene,
+                    request_deserializer=planner_dot_v1_dot_planner__pb2.GetSceneRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_planner__pb2.GetSceneResponse.SerializeToString,
             ),
             'Detect': grpc.unary_unary_rpc_method_handler(
                     servicer.Detect,
@@ -292,6 +309,33 @@ class PlannerService(object):
             '/planner.v1.PlannerService/BuildScene',
             planner_dot_v1_dot_planner__pb2.BuildSceneRequest.SerializeToString,
             planner_dot_v1_dot_planner__pb2.BuildSceneResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetScene(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/planner.v1.PlannerService/GetScene',
+            planner_dot_v1_dot_planner__pb2.GetSceneRequest.SerializeToString,
+            planner_dot_v1_dot_planner__pb2.GetSceneResponse.FromString,
             options,
             channel_credentials,
             insecure,
