@@ -8,13 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from perception.doubts import doubts
 from perception.errors import CloudError
 from perception.limits import MAX_INVALID_FRACTION, MAX_POINTS
-
-# A scan of one place spans tens of metres; beyond these the numbers are in another unit or frame.
-_LARGEST_SPAN = 400.0
-_SMALLEST_SPAN = 0.05
-MAP_DISTANCE = 1_000.0
 
 
 def _no_points() -> Float[np.ndarray, "0 3"]:
@@ -126,7 +122,7 @@ def make_cloud(
         kept = _finite(misses, np.zeros(3) if miss_origin is None else miss_origin)
         misses = misses[kept]
         miss_origin = miss_origin if miss_origin is None or miss_origin.ndim == 1 else miss_origin[kept]
-    return Cloud(points, origin, (*notes, *_oddities(points, origin)), misses, miss_origin)
+    return Cloud(points, origin, (*notes, *doubts(points, origin)), misses, miss_origin)
 
 
 def merged(clouds: Sequence[Cloud]) -> Cloud:
@@ -153,49 +149,3 @@ def _finite(ends: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"]) -
     if starts.ndim == 2:
         valid &= np.isfinite(starts).all(axis=1)
     return np.asarray(valid)
-
-
-def _oddities(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> tuple[str, ...]:
-    """Sentences about unit and frame, judged from the numbers alone."""
-    low, high = np.percentile(points, [1, 99], axis=0)
-    span = float((high - low).max())
-    notes = []
-    if span > _LARGEST_SPAN:
-        notes.append(
-            f"the cloud spans {span:.0f} m: are these millimetres (it would be {0.001 * span:.1f} m) or centimetres "
-            f"({0.01 * span:.1f} m)? metres are taken as read, so give its unit"
-        )
-    elif 0.0 < span < _SMALLEST_SPAN:
-        notes.append(f"the cloud spans only {span:.2g} m: is its unit right?")
-    middle = np.median(points, axis=0)
-    distance = float(np.linalg.norm(middle))
-    if span <= _LARGEST_SPAN and distance > MAP_DISTANCE:
-        shift = " ".join(f"{-value:.0f}" for value in middle)
-        notes.append(
-            f"the cloud lies {distance:.0f} m from the origin: map coordinates? give a transform to where the robot "
-            f"stands; {shift} 0 0 0 would bring the cloud's middle to the origin"
-        )
-    if hint := _sensor_frame_hint(points, origin, low):
-        notes.append(hint)
-    return tuple(notes)
-
-
-def _sensor_frame_hint(
-    points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"], low: Float[np.ndarray, "3"]
-) -> str:
-    """A hint when the points look given in the sensor's frame: rays start at zero, yet zero is not on the floor."""
-    if np.abs(origin).max() > 1e-6:
-        return ""
-    depth = points[:, 2]
-    in_front = np.mean((depth > 0.1) & (np.abs(points[:, :2]) < 1.3 * depth[:, None]).all(axis=1))
-    if in_front > 0.99:
-        return (
-            "looks like a camera's own frame (x right, y down, z forward): give a transform to the world, z up; for a "
-            "camera that looks ahead, level, h metres up it is 0 0 h -1.5708 0 -1.5708"
-        )
-    if low[2] < -0.4:
-        return (
-            f"looks sensor-framed: rays start at zero and points reach {-low[2]:.2f} m below it; "
-            "apply the viewpoint, or give a transform to the world"
-        )
-    return ""

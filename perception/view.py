@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from perception.clean import Reach, first_of_equals, inside_hulls
 from perception.cloud import Cloud
+from perception.doubts import crop_doubt, nothing_left
 from perception.errors import CloudError
 from perception.floor import FloorPlane, on_floors
 from perception.levels import find_floors
@@ -32,6 +33,8 @@ class View:
         reach: what matters.
         seed: of all random choices; the same scan and seed give the same result.
         notes: sentences a user should read.
+        n_own: how many points in reach lay on the robot itself.
+        n_floor: how many of ``near`` belong to the floor.
     """
 
     cloud: Cloud
@@ -42,6 +45,18 @@ class View:
     reach: Reach
     seed: int
     notes: tuple[str, ...]
+    n_own: int = 0
+    n_floor: int = 0
+
+    @property
+    def n_cropped(self) -> int:
+        """How many points lie out of reach."""
+        return len(self.cloud.points) - len(self.near.points) - self.n_own
+
+    @property
+    def n_strays(self) -> int:
+        """How many points no surface stands for."""
+        return len(self.near.points) - self.n_floor - len(self.obstacles)
 
     @property
     def floor(self) -> FloorPlane | None:
@@ -67,13 +82,13 @@ def make_view(
         seed: of all random choices.
 
     Raises:
-        CloudError: nothing of the cloud lies in reach.
+        CloudError: nothing of the cloud lies in reach; with what its notes say.
     """
     _check_reach(cloud, reach)
     cloud = without_copies(cloud)
     near = cloud.selected(reach.contains(cloud.points))
     own = inside_hulls(near.points, robot_hulls)
-    notes = cloud.notes
+    notes = (*cloud.notes, *_crop_note(cloud, near, reach))
     if own.any():
         notes = (*notes, f"left out {int(own.sum())} points on the robot itself")
         if own.all():
@@ -86,7 +101,10 @@ def make_view(
         notes = (*notes, f"the floor has {len(floors)} levels; the robot is taken to stand on 'floor'")
     above = ~on_floors(near.points, floors, soles)
     kept = surface_points(near.points, near.starts, above)
-    return View(cloud, near, floors, near.points[kept], near.starts[kept], reach, seed, notes)
+    missing = "no floor is" if not floors else "no obstacle is" if not kept.any() else ""
+    notes = (*notes, *crop_doubt(cloud.points, len(near.points) + int(own.sum()), reach, missing))
+    obstacles, starts = near.points[kept], near.starts[kept]
+    return View(cloud, near, floors, obstacles, starts, reach, seed, notes, int(own.sum()), int((~above).sum()))
 
 
 def _stand(reach: Reach, soles: Sequence[Float[np.ndarray, "S 3"]]) -> Float[np.ndarray, "3"]:
@@ -107,10 +125,23 @@ def without_copies(cloud: Cloud) -> Cloud:
     return replace(cloud.selected(is_first), notes=(*cloud.notes, note))
 
 
+def _crop_note(cloud: Cloud, near: Cloud, reach: Reach) -> tuple[str, ...]:
+    """How many points were left out, and where they lie."""
+    n_cropped = len(cloud.points) - len(near.points)
+    if not n_cropped:
+        return ()
+    x, y, z = cloud.points.T
+    beside = (x - reach.x) ** 2 + (y - reach.y) ** 2 > reach.radius**2
+    places = {
+        f"farther than {reach.radius:g} m from ({reach.x:g}, {reach.y:g})": beside,
+        f"above {reach.top:g} m": ~beside & (z > reach.top),
+        f"below {reach.bottom:g} m": ~beside & (z < reach.bottom),
+    }
+    where = ", ".join(f"{int(mask.sum())} {place}" for place, mask in places.items() if mask.any())
+    share = 100.0 * n_cropped / len(cloud.points)
+    return (f"left out {n_cropped} of {len(cloud.points)} points ({share:.1f} %) out of reach: {where}",)
+
+
 def _check_reach(cloud: Cloud, reach: Reach) -> None:
     if not reach.contains(cloud.points).any():
-        centre = np.median(cloud.points, axis=0)
-        raise CloudError(
-            f"none of {len(cloud.points)} points lie within {reach.radius} m of ({reach.x}, {reach.y}); their middle "
-            f"is ({', '.join(f'{value:.1f}' for value in centre)}): metres in the robot's start frame are needed"
-        )
+        raise CloudError("; ".join([nothing_left(cloud.points, reach), *cloud.notes]))

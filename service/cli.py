@@ -12,10 +12,10 @@ from typing import Annotated, Any
 import typer
 
 from service.cli_remote import REMOTE_EXIT_CODES, request_command, review_command, top_command
-from service.cli_report import HIT_COLUMNS, hit_row, print_figures, print_findings, print_table, print_verdict
+from service.cli_report import print_figures, print_findings, print_table, print_verdict
 from service.cli_run import cancellable, consoles, print_json, progress, run
+from service.cli_scene import Json, detect_command, scene_command
 from service.cli_serve import serve_command, token_command
-from service.scan_choices import Method, Unknown
 
 EXIT_CODE_HELP = (
     "Exit codes: 0 CERTIFIED, 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, 70 internal error, "
@@ -31,8 +31,6 @@ app = typer.Typer(
     rich_markup_mode=None,  # its help page loads a Markdown parser and a syntax highlighter: 0.16 s
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-Json = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout.")]
 
 
 def main() -> None:
@@ -102,107 +100,6 @@ def view_command(
     raise typer.Exit(run(lambda: _view(result)))
 
 
-Clouds = Annotated[list[Path], typer.Argument(help="Point cloud files; several are merged.", metavar="CLOUD...")]
-Unit = Annotated[str, typer.Option(help="Of the files' lengths: m, cm, mm, km, in, ft.")]
-Transforms = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--transform",
-        help="Pose of the points in the world: 'X Y Z YAW PITCH ROLL', 'X Y Z QW QX QY QZ' or 16 numbers; once, or for "
-        "each file.",
-        metavar="NUMBERS",
-    ),
-]
-Sensor = Annotated[str | None, typer.Option(help="Where rays started, if the files do not say.", metavar="'X Y Z'")]
-Viewpoint = Annotated[bool, typer.Option("--apply-viewpoint", help="The points are in the sensor's frame.")]
-Radius = Annotated[float, typer.Option("--reach", help="Horizontal radius kept, in metres.", min=0.1, max=50.0)]
-RobotThere = Annotated[str | None, typer.Option("--robot", help="Bundled robot whose own points are left out.")]
-Posture = Annotated[Path | None, typer.Option(help="File with that robot's start (as in a request).")]
-Hint = Annotated[
-    tuple[float, float, float] | None,
-    typer.Option(help="A point near the object.", metavar="X Y Z", show_default=False),
-]
-Seed = Annotated[int, typer.Option(help="Of all random choices.", min=0)]
-
-
-@app.command("scene")
-def scene_command(
-    clouds: Clouds,
-    out: Annotated[Path, typer.Option(help="File for the pieces (JSON); the page that shows them is put beside it.")],
-    unit: Unit = "m",
-    transform: Transforms = None,
-    sensor: Sensor = None,
-    apply_viewpoint: Viewpoint = False,
-    reach: Radius = 4.0,
-    robot: RobotThere = None,
-    posture: Posture = None,
-    unknown: Annotated[Unknown, typer.Option(help="What space no ray has seen is taken for.")] = "free",
-    method: Annotated[
-        Method, typer.Option(help="How pieces are made: planes (slabs and hulls) or coacd (slower).")
-    ] = "planes",
-    detect: Annotated[
-        list[str] | None, typer.Option(help="Kind of object to look for, or all; may be given again.", metavar="KIND")
-    ] = None,
-    hint: Hint = None,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
-    """Turn point clouds into convex pieces, floor and objects, and show them."""
-    if posture is not None and robot is None:
-        raise typer.BadParameter("--posture needs --robot")
-    if hint is not None and not detect:
-        raise typer.BadParameter("--hint needs --detect")
-    options = _cloud_options(clouds, unit, transform, sensor, apply_viewpoint, reach, robot, posture, seed)
-    wanted = {"kinds": tuple(detect or ()), "hint": hint, "unknown": unknown, "method": method}
-    raise typer.Exit(run(lambda: _scene(options, out, wanted, as_json), as_json))
-
-
-@app.command("detect")
-def detect_command(
-    kind: Annotated[str, typer.Argument(help="What to look for: valve, door, ...", metavar="KIND")],
-    clouds: Clouds,
-    hint: Hint = None,
-    unit: Unit = "m",
-    transform: Transforms = None,
-    sensor: Sensor = None,
-    apply_viewpoint: Viewpoint = False,
-    reach: Radius = 4.0,
-    robot: RobotThere = None,
-    posture: Posture = None,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
-    """Find objects of a kind in point clouds, best first."""
-    if posture is not None and robot is None:
-        raise typer.BadParameter("--posture needs --robot")
-    options = _cloud_options(clouds, unit, transform, sensor, apply_viewpoint, reach, robot, posture, seed)
-    raise typer.Exit(run(lambda: _detect(kind, options, hint, as_json), as_json))
-
-
-def _cloud_options(
-    clouds: list[Path],
-    unit: str,
-    transform: list[str] | None,
-    sensor: str | None,
-    apply_viewpoint: bool,
-    reach: float,
-    robot: str | None,
-    posture: Path | None,
-    seed: int,
-) -> dict[str, Any]:
-    return {
-        "files": tuple(clouds),
-        "unit": unit,
-        "transforms": tuple(transform or ()),
-        "apply_viewpoint": apply_viewpoint,
-        "sensor": sensor,
-        "reach_m": reach,
-        "robot": robot,
-        "posture": posture,
-        "seed": seed,
-    }
-
-
 @app.command("bench")
 def bench_command(
     problems: Annotated[Path, typer.Argument(help="Problem file or folder of problem files.", metavar="PROBLEMS")],
@@ -224,6 +121,8 @@ def robots_command(as_json: Json = False) -> None:
     raise typer.Exit(run(lambda: _robots(as_json), as_json))
 
 
+app.command("scene")(scene_command)
+app.command("detect")(detect_command)
 app.command("request", epilog=REMOTE_EXIT_CODES)(request_command)
 app.command("review")(review_command)
 app.command("top")(top_command)
@@ -299,53 +198,6 @@ def _view(path: Path) -> None:
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         webbrowser.open(viewer.as_uri())
     typer.echo(str(viewer))
-
-
-def _scene(
-    options: Mapping[str, Any],
-    out: Path,
-    wanted: Mapping[str, Any],
-    as_json: bool,
-) -> None:
-    screen, err = consoles()
-    with progress(err, "read cloud") as report:
-        from service.cloud_asked import cloud_asked
-        from service.scene_file import SceneAsked, check_out, see_files, write_scene
-
-        posture = options["posture"]
-        check_out(out, [*options["files"], *([] if posture is None else [posture])])
-        seen = see_files(SceneAsked(cloud_asked(options), **wanted), lambda step: report(step, 0.3))
-        report("write pieces", 0.9)
-        page = write_scene(seen, out)
-    shown = {key: value for key, value in seen.data.items() if key != "pieces"}
-    if as_json:
-        print_json({**shown, "scene": str(out), "viewer": str(page)})
-        return
-    print_table(screen, ("figure", "value"), [(name, str(value)) for name, value in shown["figures"].items()])
-    if shown["detections"]:
-        print_table(screen, HIT_COLUMNS, [hit_row(hit) for hit in shown["detections"]])
-    for note in shown["notes"]:
-        screen.print(f"note: {note}", markup=False, soft_wrap=True)
-    screen.print(f"viewer           {page}", markup=False, soft_wrap=True)
-    screen.print(f"pieces           {out}", markup=False, soft_wrap=True)
-
-
-def _detect(kind: str, options: Mapping[str, Any], hint: tuple[float, float, float] | None, as_json: bool) -> None:
-    screen, err = consoles()
-    with progress(err, "read cloud") as report:
-        from service.cloud_asked import cloud_asked
-        from service.detect_file import detect_file
-
-        found = detect_file(cloud_asked(options), kind, hint, lambda step: report(step, 0.3))
-    if as_json:
-        print_json(found)
-        return
-    if found["hits"]:
-        print_table(screen, HIT_COLUMNS, [hit_row(hit) for hit in found["hits"]])
-    else:
-        screen.print(f"no {kind} was found", markup=False)
-    for note in found["notes"]:
-        screen.print(f"note: {note}", markup=False, soft_wrap=True)
 
 
 def _bench(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from costs.robot import RobotError, load_robot
-from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, read_clouds, rigid_pose
+from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, View, read_clouds, rigid_pose
 from service.errors import RequestError, would_do
 from service.request import StartRequest
 from service.request_file import load_start
@@ -29,7 +29,10 @@ class CloudAsked:
         transforms: pose_world_cloud as 6, 7 or 16 numbers in a text; one for all files, or one for each.
         apply_viewpoint: whether the points are in the sensor's frame.
         sensor: where the rays of files that do not say so started [m].
+        topic: of a bag with clouds on several.
+        message: of a bag; its number, or all of them merged.
         reach_m: horizontal radius about the world's origin that is kept [m].
+        top_m, bottom_m: heights between which points are kept [m].
         robot: a bundled robot whose own points are left out.
         start: where that robot stands; None: as it stands by default.
         seed: of all random choices.
@@ -40,7 +43,11 @@ class CloudAsked:
     transforms: tuple[str, ...] = ()
     apply_viewpoint: bool = False
     sensor: tuple[float, float, float] | None = None
+    topic: str | None = None
+    message: int | Literal["all"] = 0
     reach_m: float = 4.0
+    top_m: float = 3.0
+    bottom_m: float = -0.5
     robot: str | None = None
     start: StartRequest | None = None
     seed: int = 0
@@ -48,7 +55,12 @@ class CloudAsked:
     @property
     def reach(self) -> Reach:
         """What matters."""
-        return Reach(radius=self.reach_m)
+        return Reach(radius=self.reach_m, top=self.top_m, bottom=self.bottom_m)
+
+    @property
+    def named(self) -> str:
+        """The files, as an error about what they show names them."""
+        return ", ".join(map(str, self.files))
 
 
 @dataclass(frozen=True)
@@ -61,17 +73,22 @@ class CloudRead:
 
 
 def cloud_asked(options: Mapping[str, Any]) -> CloudAsked:
-    """What was asked on a command line, where ``sensor`` is a text and ``posture`` a file with a request's ``start``.
+    """What was asked on a command line.
+
+    There ``sensor`` and ``message`` are texts and ``posture`` is a file with a request's ``start``.
 
     Raises:
-        RequestError: the sensor is not three numbers, or the file cannot be used.
+        RequestError: the sensor is not three numbers, the message no number, or the file cannot be used.
     """
     given = dict(options)
-    sensor, posture = given.pop("sensor"), given.pop("posture")
+    if given["top_m"] <= given["bottom_m"]:
+        raise RequestError(f"--top: {given['top_m']:g} m is not above --bottom {given['bottom_m']:g} m; more would do")
+    sensor, posture, message = given.pop("sensor"), given.pop("posture"), given.pop("message")
     return CloudAsked(
         **given,
         sensor=None if sensor is None else point(sensor, "--sensor"),
         start=None if posture is None else load_start(posture),
+        message=_message(message),
     )
 
 
@@ -96,10 +113,26 @@ def read_asked(asked: CloudAsked, on_step: OnStep) -> CloudRead:
             unit=asked.unit,
             apply_viewpoint=asked.apply_viewpoint,
             sensor=asked.sensor,
+            topic=asked.topic,
+            message=asked.message,
         )
     except PerceptionError as error:
         raise RequestError(str(error)) from None
     return CloudRead(cloud, hulls, soles)
+
+
+def view_figures(read: CloudRead, view: View) -> dict[str, int]:
+    """What became of the points: those that were read are the sum of all that follow but the rays."""
+    return {
+        "points": len(read.cloud.points),
+        "copied_points": len(read.cloud.points) - len(view.cloud.points),
+        "cropped_points": view.n_cropped,
+        "robot_points": view.n_own,
+        "floor_points": view.n_floor,
+        "stray_points": view.n_strays,
+        "obstacle_points": len(view.obstacles),
+        "rays_without_return": len(read.cloud.misses),
+    }
 
 
 def numbers(text: str, option: str) -> tuple[float, ...]:
@@ -124,6 +157,20 @@ def point(text: str, option: str) -> tuple[float, float, float]:
     if len(values) != 3 or not np.isfinite(values).all():
         raise RequestError(f"{option}: three numbers X Y Z would do, got '{text}'")
     return values[0], values[1], values[2]
+
+
+def _message(text: str) -> int | Literal["all"]:
+    """A message's number, or all.
+
+    Raises:
+        RequestError: the text is neither.
+    """
+    if text == "all":
+        return "all"
+    try:
+        return int(text)
+    except ValueError:
+        raise RequestError(f"--message: a whole number, -1 for the last, or all would do, got '{text}'") from None
 
 
 def _poses(asked: CloudAsked) -> list[np.ndarray | None]:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from perception import Detection, FloorPlane, Perceived, PerceptionError, perceive
-from service.cloud_asked import CloudAsked, OnStep, read_asked
-from service.detect_file import checked_kinds, found, hit_json
+from service.cloud_asked import CloudAsked, OnStep, read_asked, view_figures
+from service.detect_file import check_hint, checked_kinds, found, hint_notes, hit_json
 from service.errors import RequestError, ResultError
 from service.result_json import piece_json, plain
 from service.scan_choices import Method, Unknown
@@ -61,6 +61,7 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
     """
     started = time.perf_counter()
     kinds = checked_kinds(asked.kinds, "--detect")
+    check_hint(asked.hint)
     read = read_asked(asked.clouds, on_step)
     try:
         on_step("find pieces")
@@ -75,17 +76,19 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
             method=asked.method,
         )
     except PerceptionError as error:
-        raise RequestError(str(error)) from None
+        raise RequestError(f"{asked.clouds.named}: {error}") from None
     hits = tuple(found(seen.view, kinds, asked.hint, on_step))
     pieces = seen.scene.pieces
     figures = {
-        "points": len(read.cloud.points),
+        **view_figures(read, seen.view),
         "pieces": len(pieces),
         "largest_piece_vertices": max((len(piece.vertices) for piece in pieces), default=0),
         "covered_points": _share(seen),
         "floor_levels": len(seen.view.floors),
         "detections": len(hits),
         "reach_m": asked.clouds.reach_m,
+        "top_m": asked.clouds.top_m,
+        "bottom_m": asked.clouds.bottom_m,
         "time_s": round(time.perf_counter() - started, 3),
     }
     data = {
@@ -95,7 +98,7 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
         "detections": [hit_json(hit) for hit in hits],
         "figures": figures,
         "timings": plain(dict(seen.timings)),
-        "notes": list(seen.notes),
+        "notes": [*seen.notes, *hint_notes(seen.view, asked.hint)],
     }
     return SceneSeen(data, seen, hits)
 
@@ -150,11 +153,11 @@ def _replace(path: Path, text: str) -> None:
         raise ResultError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
-def _share(seen: Perceived) -> float:
-    """Share of the obstacle points that a piece stands for."""
+def _share(seen: Perceived) -> float | None:
+    """Share of the obstacle points that a piece stands for; None when there are none."""
     n_points = len(seen.view.obstacles)
     held: Sequence[int] = [len(piece.points) for piece in seen.pieces]
-    return round(sum(held) / n_points, 4) if n_points else 1.0
+    return round(sum(held) / n_points, 4) if n_points else None
 
 
 def _level_json(level: FloorPlane) -> dict[str, Any]:

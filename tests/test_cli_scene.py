@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from browser import Browser, find_chromium
 from click.testing import Result
+from cloud_files import write_bag
 from typer.testing import CliRunner
 
-from perception import Cloud, write_pcd
+from perception import Cloud, write_npz, write_pcd
 from service.cli import app
 
 SCAN = Path(__file__).parents[1] / "examples" / "data" / "valve_scan.pcd"
@@ -115,10 +116,15 @@ def test_units_and_poses_bring_several_clouds_together(scan: Path, tmp_path: Pat
         (("detect", "unicorn", "scan.pcd"), "KIND: unknown kind 'unicorn'; valve"),
         (("detect", "valve", "missing.pcd"), "missing.pcd: cannot be read"),
         (("scene", "scan.pcd", "--out", "s.json", "--detect", "unicorn"), "--detect: unknown kind 'unicorn'"),
-        (("scene", "a.pcd", "b.pcd", "c", "--transform", "0 0 0 0 0 0", "--transform", "0 0 0 0 0 0", "--out", "s.json"),
+        (("scene", "a.pcd", "b.pcd", "c.pcd", *(("--transform", "0 0 0 0 0 0") * 2), "--out", "s.json"),
          "--transform is given 2 times for 3 clouds"),
         (("scene", "a.pcd", "--transform", "1 2 x", "--out", "s.json"), "--transform: numbers separated by spaces or"),
         (("scene", "a.pcd", "--transform", "1 2 3", "--out", "s.json"), "--transform: transform of 3 numbers"),
+        (("scene", "a.pcd", "--transform", "nan 0 0 0 0 0", "--out", "s.json"), "--transform: transform holds NaN"),
+        (("scene", "a.pcd", "--transform", "0 0 0 90 0 0", "--out", "s.json"), "--transform: transform turns by 90"),
+        (("scene", "a.pcd", "--top", "-1", "--out", "s.json"), "--top: -1 m is not above --bottom -0.5 m"),
+        (("scene", "a.pcd", "--message", "last", "--out", "s.json"), "--message: a whole number, -1 for the last, or"),
+        (("detect", "valve", "a.pcd", "--hint", "nan", "0", "0"), "--hint: nan 0 0 is no place; three finite numbers"),
         (("scene", "a.pcd", "--sensor", "1 2", "--out", "s.json"), "--sensor: three numbers X Y Z would do, got '1 2'"),
         (("scene", "a.pcd", "--unit", "furlong", "--out", "s.json"), "--unit: unknown unit 'furlong'; m, cm"),
     ],
@@ -132,10 +138,128 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_3(arguments: tuple[str, .
 
 @pytest.mark.parametrize(
     "arguments",
-    [("--hint", "1", "2", "3"), ("--unknown", "maybe"), ("--method", "magic"), ("--posture", "p.yaml"), ("--detect",)],
+    [
+        ("--hint", "1", "2", "3"),
+        ("--unknown", "maybe"),
+        ("--method", "magic"),
+        ("--posture", "p.yaml"),
+        ("--detect",),
+        ("--unit", "m", "--unit", "mm"),
+        ("--sensor", "0 0 1", "--sensor", "0 0 2"),
+    ],
 )
 def test_options_that_do_not_go_together_are_usage_errors(arguments: tuple[str, ...]) -> None:
     assert _scopt("scene", "scan.pcd", "--out", "s.json", *arguments).exit_code == 2
+
+
+def _scaled(path: Path, scale: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Path:
+    cloud = _little_scan(shift)
+    write_npz(path, Cloud(scale * cloud.points, scale * cloud.origin))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift", "told"),
+    [
+        (1000.0, (0.0, 0.0, 0.0), "is its unit mm (it would be 2.5 m)"),
+        (1.0, (412_345.0, 5_318_008.0, 512.0), "; -412346 -5318008 -512.00 0 0 0 would bring"),
+        (1.0, (500.0, 0.0, 0.0), "; -501 0 0 0 0 0 would bring"),
+        (1.0, (0.0, 9.0, 0.0), "the transform -1 -9 0 0 0 0 would bring their middle into reach"),
+    ],
+)
+def test_a_cloud_out_of_reach_is_told_what_would_help(
+    tmp_path: Path, scale: float, shift: tuple[float, float, float], told: str
+) -> None:
+    path = _scaled(tmp_path / "far.npz", scale, shift)
+    result = _scopt("detect", "valve", path)
+    assert result.exit_code == 3
+    (line,) = [line for line in result.stderr.splitlines() if line.startswith(f"{path}: none of 5")]
+    assert told in line
+
+
+@pytest.mark.parametrize(
+    ("scale", "told"),
+    [(100.0, "is its unit cm (it would be 2.5 m)"), (1 / 0.0254, "is its unit cm (it would be 1.0 m) or in (it would")],
+)
+def test_a_wrong_unit_is_told_when_hardly_anything_is_in_reach(tmp_path: Path, scale: float, told: str) -> None:
+    path = _scaled(tmp_path / "small.npz", scale)
+    result = _scopt("scene", path, "--out", tmp_path / "s.json", "--json")
+    assert result.exit_code == 0, result.stderr
+    data = json.loads(result.stdout)
+    assert scale < 50.0 or data["figures"]["covered_points"] is None
+    (note,) = [note for note in data["notes"] if note.startswith("only ")]
+    assert told in note
+
+
+def test_what_became_of_all_points_is_told(tmp_path: Path) -> None:
+    cloud = _little_scan()
+    write_npz(tmp_path / "a.npz", Cloud(cloud.points, cloud.origin, (), np.array([[0.0, 9.0, 2.0]])))
+    options = ("--reach", 1.6, "--top", 1.5, "--bottom", -1, "--json")
+    result = _scopt("scene", tmp_path / "a.npz", "--out", tmp_path / "s.json", *options)
+    assert result.exit_code == 0, result.stderr
+    data = json.loads(result.stdout)
+    figures = data["figures"]
+    assert (figures["reach_m"], figures["top_m"], figures["bottom_m"]) == (1.6, 1.5, -1.0)
+    assert figures["rays_without_return"] == 1
+    beside = np.hypot(*cloud.points.T[:2]) > 1.6
+    above = ~beside & (cloud.points[:, 2] > 1.5)
+    assert figures["cropped_points"] == beside.sum() + above.sum()
+    parts = ("copied", "cropped", "robot", "floor", "stray", "obstacle")
+    assert figures["points"] == len(cloud.points) == sum(figures[f"{part}_points"] for part in parts)
+    where = f"{beside.sum()} farther than 1.6 m from (0, 0), {above.sum()} above 1.5 m"
+    assert any(note.startswith("left out ") and note.endswith(where) for note in data["notes"])
+    detected = json.loads(_scopt("detect", "hose", tmp_path / "a.npz", *options).stdout)
+    assert {key: detected["figures"][key] for key in detected["figures"] if key.endswith("_points")} == {
+        f"{part}_points": figures[f"{part}_points"] for part in parts
+    }
+
+
+def test_a_hint_where_nothing_was_seen_is_told(scan: Path) -> None:
+    result = _scopt("detect", "hose", scan, "--hint", 0, 0, 2.5, "--json")
+    assert any(
+        note.startswith("no points within 0.5 m of the hint (0, 0, 2.5)") for note in json.loads(result.stdout)["notes"]
+    )
+    result = _scopt("detect", "hose", scan, "--hint", 1.4, 0, 1, "--json")
+    assert not any("hint" in note for note in json.loads(result.stdout)["notes"])
+
+
+def test_topic_and_message_choose_the_cloud_of_a_bag(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    points = _little_scan().points
+    write_bag(tmp_path / "bag", {"/a": [(points[:50], "map")], "/b": [(points[:90], "map"), (points, "map")]})
+    refused = _scopt("detect", "hose", tmp_path / "bag")
+    assert refused.exit_code == 3
+    assert "has clouds on 2 topics; name one: /a, /b" in refused.stderr
+    options = ("--topic", "/b", "--message", "-1", "--sensor", "0 0 1.6", "--transform", "0 0 0 0 0 0", "--json")
+    result = _scopt("detect", "hose", tmp_path / "bag", *options)
+    assert result.exit_code == 0, result.stderr
+    data = json.loads(result.stdout)
+    assert data["figures"]["points"] == len(points)
+    assert not any("viewpoint" in note or "so give a transform" in note for note in data["notes"])
+    out = tmp_path / "s.json"
+    merged = _scopt("scene", tmp_path / "bag", "--topic", "/b", "--message", "all", "--out", out, "--json")
+    assert json.loads(merged.stdout)["figures"]["points"] == len(points) + 90
+
+
+def test_a_viewpoint_is_applied_when_asked(tmp_path: Path) -> None:
+    cloud = _little_scan((0.0, 0.0, -1.6))
+    path = tmp_path / "sensor.pcd"
+    write_pcd(path, cloud.points, (0.0, 0.0, 1.6, 1.0, 0.0, 0.0, 0.0))
+    applied = json.loads(_scopt("scene", path, "--apply-viewpoint", "--out", tmp_path / "s.json", "--json").stdout)
+    assert abs(applied["floor"][0]["offset"]) < 0.01
+    assert "cropped_points" in applied["figures"]
+    assert applied["figures"]["cropped_points"] == 0
+
+
+def test_pieces_of_coacd_and_of_unknown_space_are_written_when_asked(scan: Path, tmp_path: Path) -> None:
+    pytest.importorskip("coacd")
+    out = tmp_path / "s.json"
+    options = ("--method", "coacd", "--unknown", "occupied", "--reach", 1.8)
+    result = _scopt("scene", scan, "--out", out, *options, "--json")
+    assert result.exit_code == 0, result.stderr
+    names = [piece["name"] for piece in json.loads(out.read_text())["pieces"]]
+    assert any(name.startswith("unknown/") for name in names)
+    assert json.loads(result.stdout)["figures"]["covered_points"] > 0.9
 
 
 def test_a_scene_never_overwrites_what_it_is_made_from(scan: Path, tmp_path: Path) -> None:

@@ -78,7 +78,9 @@ def test_yaw_pitch_roll_matrix_and_quaternion_are_one_pose(numbers: np.ndarray) 
     ("transform", "says"),
     [
         ([1.0, 2.0, 3.0], "transform of 3 numbers"),
-        (np.full((4, 4), np.nan), "transform of 16 numbers"),
+        (np.full((4, 4), np.nan), "transform holds NaN or infinity"),
+        ([0.0, 0.0, 0.0, 90.0, 0.0, 0.0], r"turns by 90 rad, .* if these are degrees, 1.5708 rad is needed"),
+        ([0.0, 0.0, 0.0, 0.1, 0.0, -180.0], "turns by -180 rad"),
         ("far away", "transform of 0 numbers"),
         (np.diag([2.0, 2.0, 2.0, 1.0]), "not rigid"),
         (np.diag([1.0, 1.0, -1.0, 1.0]), "not rigid"),
@@ -97,7 +99,7 @@ def test_map_coordinates_keep_their_millimetres(tmp_path: Path) -> None:
     path = npz(tmp_path, ROOM + far, SENSOR + far)
     told = read_cloud(path)
     (note,) = told.notes
-    assert re.search(r"map coordinates\? .* -41234\d -531800\d -513 0 0 0 would", note)
+    assert re.search(r"map coordinates\? .* -41234\d -531800\d -512\.2\d 0 0 0 would", note)
     cloud = read_cloud(path, transform=[*-far, 0, 0, 0])
     assert cloud.notes == ()
     np.testing.assert_allclose(cloud.points, ROOM, atol=2e-9)
@@ -115,7 +117,7 @@ def test_coordinates_that_float32_rounds_are_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("scale", "says"),
-    [(1000.0, "millimetres .it would be 3.9 m."), (200.0, "centimetres .7.9 m."), (0.001, "only 0.0039 m")],
+    [(1000.0, "unit mm .it would be 3.9 m."), (200.0, "cm .it would be 7.9 m."), (0.001, "only 0.0039 m")],
 )
 def test_a_wrong_unit_is_told(tmp_path: Path, scale: float, says: str) -> None:
     (note,) = read_cloud(npz(tmp_path, scale * ROOM, scale * SENSOR)).notes

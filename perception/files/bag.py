@@ -86,8 +86,8 @@ def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str
     if not scans:
         raise CloudError(f"{where}: holds no message; at least one is needed")
     notes = [
-        f"the points are in the frame '{frames.pop()}' with the sensor at its origin; what the bag says of frames is "
-        "not read, so give a transform"
+        f"the points are in the frame '{frames.pop()}' with the sensor at its origin; transforms recorded in the "
+        "bag are not read, only one that is given with it"
     ]
     if len(scans) > 1:
         notes.append(f"merged {len(scans)} messages as they stand; that is right for a sensor that stood still")

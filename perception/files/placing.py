@@ -13,6 +13,7 @@ from perception.errors import CloudError
 METRES_BY_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _RIGID_TOLERANCE = 1e-4
 _LARGEST = 1e9
+_LARGEST_ANGLE = 2.0 * np.pi + 1e-3
 
 Pose = Float[np.ndarray, "4 4"] | Sequence[float] | Sequence[Sequence[float]]
 
@@ -42,7 +43,9 @@ def rigid_pose(transform: Pose) -> Float[np.ndarray, "4 4"]:
         values = np.asarray(transform, dtype=np.float64)
     except (TypeError, ValueError):
         values = np.zeros(0)
-    if values.size not in (6, 7, 16) or not np.isfinite(values).all():
+    if values.size and not np.isfinite(values).all():
+        raise CloudError("transform holds NaN or infinity; finite numbers are needed")
+    if values.size not in (6, 7, 16):
         raise CloudError(
             f"transform of {values.size} numbers; a 4x4 matrix, x y z yaw pitch roll, or x y z qw qx qy qz is needed"
         )
@@ -53,6 +56,12 @@ def rigid_pose(transform: Pose) -> Float[np.ndarray, "4 4"]:
         return _checked(values.reshape(4, 4))
     if values.size == 7:
         return pose_of_viewpoint(tuple(values.tolist()))
+    largest = float(values[3:][np.argmax(np.abs(values[3:]))])
+    if abs(largest) > _LARGEST_ANGLE:
+        raise CloudError(
+            f"transform turns by {largest:g} rad, more than once around; if these are degrees, "
+            f"{np.radians(largest):.5g} rad is needed"
+        )
     return _pose(Rotation.from_euler("ZYX", values[3:]), values[:3])
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from perception.cloud import MAP_DISTANCE, Cloud, make_cloud, merged
+from perception.cloud import Cloud, make_cloud, merged
 from perception.errors import CloudError
 from perception.files.bag import Message
 from perception.files.oddities import rounding_note, without_empty_rows
@@ -18,6 +18,9 @@ from perception.files.scan import Scan
 from perception.files.thinning import taken
 from perception.files.worker import parse_in_worker
 from perception.limits import MAX_POINTS
+
+# No ray is that long.
+_MAP_DISTANCE = 1_000.0
 
 
 def read_cloud(
@@ -118,7 +121,7 @@ def _placed(
         viewpoint = pose_of_viewpoint(scan.viewpoint)
         viewpoint[:3, 3] *= scale
     elif apply_viewpoint:
-        raise CloudError(f"{name}: gives no viewpoint to apply; add one or leave apply_viewpoint off")
+        raise CloudError(f"{name}: gives no viewpoint to apply; add one, or leave the points as they are")
     if transform is None and not apply_viewpoint:
         notes = (*notes, *_frame_hint(scale * scan.points, viewpoint))
     pose_world_rows = pose @ viewpoint if apply_viewpoint else pose
@@ -157,8 +160,7 @@ def _unknown_sensor(
         return position, ()
     valid = points[np.isfinite(points).all(axis=1)]
     distance = float(np.linalg.norm(np.median(valid, axis=0) - zero)) if len(valid) else 0.0
-    if distance > MAP_DISTANCE and np.any(zero):
-        # No ray is that long: these were map coordinates.
+    if distance > _MAP_DISTANCE and np.any(zero):
         note = (
             f"the file gives no sensor position, and its zero lies {distance:.0f} m away; "
             "rays are taken to start at the world's (0, 0, 0), give the sensor's position"
@@ -176,7 +178,7 @@ def _frame_hint(points: Float[np.ndarray, "N 3"], viewpoint: Float[np.ndarray, "
     if not len(sample):
         return ()
     if _flatness(moved(viewpoint, sample)[:, 2]) > 1.5 * _flatness(sample[:, 2]):
-        return ("looks sensor-framed: a floor shows only after the viewpoint is applied; use apply_viewpoint",)
+        return ("looks sensor-framed: a floor shows only after the viewpoint is applied to the points; ask for that",)
     return ()
 
 
