@@ -8,7 +8,7 @@ import pytest
 from benchmarks.service import asks
 from benchmarks.service.endurance import _slope
 from benchmarks.service.figures import percentile
-from benchmarks.service.messages import is_invalid
+from benchmarks.service.messages import Answer, is_invalid
 from benchmarks.service.mutations import SHARES, hostile, seeds
 
 CLOUD = f"sha256:{'1' * 64}.xyz"
@@ -40,6 +40,21 @@ def test_request_that_the_validator_refuses_is_invalid() -> None:
     message = asks.plan_request(asks.ARM_TURNS)
     message.request.options.margin_m = float("nan")
     assert is_invalid("Plan", [message.SerializeToString()])
+
+
+@pytest.mark.parametrize(
+    ("field", "words", "is_named"),
+    [
+        ("request.goal.joints", "goal.joints.: a text is needed", True),
+        ("request", "unknown link 'rhand' in keep[0].relative_to", False),
+        ("request", "exactly one of goal, task is needed, none is given", True),
+        ("clouds", "something is wrong with one of them", False),
+        ("", "the bytes are no PlanRequest", True),
+        ("", "a mapping is needed", False),
+    ],
+)
+def test_field_is_named_only_by_what_is_wrong_itself(field: str, words: str, is_named: bool) -> None:
+    assert Answer("Plan", [], True, "INVALID_ARGUMENT", words, ((field, words),), 0.0).is_named == is_named
 
 
 def test_hostile_messages_are_the_same_for_the_same_seed_and_go_to_many_methods() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +27,11 @@ from service.wire.unknown import unknown_fields
 AT_A_TIME = 4
 TIMEOUT_S = 20.0
 NO_MESSAGE = "the bytes are no "  # how a violation begins that can name no field
+# What holds all fields is the one that is wrong only where none of them is: how such a violation begins.
+HOLDERS: Mapping[str, tuple[str, ...]] = {
+    "request": ("exactly one of goal, task is needed", "request: is missing"),
+    "clouds": (),
+}
 CRASHES = ("UNKNOWN", "INTERNAL", "UNAVAILABLE", "DATA_LOSS")
 DETAILS_KEY = "grpc-status-details-bin"
 
@@ -55,8 +60,8 @@ class Answer:
     def is_named(self) -> bool:
         """Whether it says which field is wrong, where there are fields."""
         return bool(self.violations) and all(
-            field or words.startswith(NO_MESSAGE) for field, words in self.violations
-        )  # fmt: skip
+            words.startswith(HOLDERS.get(field, "") if field else NO_MESSAGE) for field, words in self.violations
+        )
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:

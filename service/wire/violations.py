@@ -12,9 +12,12 @@ from service.rpc import shortened
 # They travel in a header, together with the status: a call whose headers exceed 8 KiB ends in something else.
 MAX_BYTES, MAX_PROBLEM_BYTES, MAX_FIELD_BYTES = 2000, 400, 200
 _STEP = r"[A-Za-z_][A-Za-z0-9_]*(?:\[\d+\])?"
+_SECTION = r"(?:robot|start|scene|goal|task|keep|attached|options)"
 _LEADING = re.compile(rf"^({_STEP}(?:\.[^\s.:]+)*): ")
-_WITHIN = re.compile(rf"\bin ((?:robot|start|scene|goal|task|keep|attached|options)(?:\.{_STEP})+)")
-_BEGINNINGS = {"start is ": "start", "robot": "robot"}
+# A map's key may be any text, or none: the map is named then.
+_ODD_KEY = re.compile(rf"^({_SECTION}(?:\[\d+\])?(?:\.{_STEP})*)\..*: ")
+_WITHIN = re.compile(rf"\bin ({_SECTION}(?:(?:\[\d+\])(?:\.{_STEP})*|(?:\.{_STEP})+))")
+_BEGINNINGS = {"start is ": "start", "robot": "robot", "keep belongs ": "keep"}
 
 
 def bad_request(problems: Iterable[str], within: str = "") -> BadRequest:
@@ -43,10 +46,7 @@ def violation(problem: str, within: str = "") -> BadRequest.FieldViolation:
 
 
 def _field(problem: str) -> str:
-    leading = _LEADING.match(problem)
-    if leading:
-        return leading[1]
-    inside = _WITHIN.search(problem)
-    if inside:
-        return inside[1]
+    for where in (_LEADING.match(problem), _ODD_KEY.match(problem), _WITHIN.search(problem)):
+        if where:
+            return where[1]
     return next((field for words, field in _BEGINNINGS.items() if problem.startswith(words)), "")
