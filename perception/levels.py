@@ -14,6 +14,7 @@ from perception.extent import convex_patches, pierced_cells
 from perception.floor import FloorPlane
 from perception.outlines import outlines_of
 from perception.patches import MAX_SLOPE_DEG, PATCH, Patches, candidates, least_squares, patches_of, plane_of
+from perception.unbroken import is_unbroken
 
 _BAND = 0.025
 _AROUND = np.ones((3, 3), dtype=bool)
@@ -41,11 +42,15 @@ _ROUGHER = 1.3
 
 @dataclass(frozen=True)
 class _Level:
-    """A plane and where it was seen: ``cells`` (C, 2) integer places in a grid of 10 cm."""
+    """A plane and where it was seen: ``cells`` (C, 2) integer places in a grid of 10 cm.
+
+    Of all points, ``members`` (K,) are the level's.  Ground below the robot's level counts whatever stands on it.
+    """
 
     plane: FloorPlane
     cells: Int[np.ndarray, "C 2"]
     members: Int[np.ndarray, "K"]
+    is_ground_below: bool = False
 
     @property
     def places(self) -> Float[np.ndarray, "C 3"]:
@@ -93,7 +98,7 @@ def find_floors(
     main = _under_robot(points, levels, stand)
     if main is None:
         return ()
-    kept = [main, *_reached(main, [level for level in levels if level is not main])]
+    kept = [main, *_reached(points, main, [level for level in levels if level is not main])]
     first = main.plane if rays is None else _bounded(points, main, rays, stand, extent)
     return (first, *(_outlined(points, level, rays) for level in kept[1:]))
 
@@ -238,8 +243,8 @@ def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
     return bool(len(here)) and float((level.plane.above(points[here]) < -2 * _BAND).mean()) > _MOST_BELOW
 
 
-def _reached(main: _Level, others: list[_Level]) -> Iterator[_Level]:
-    """Levels a robot could step to from level to level, and large ground below."""
+def _reached(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level]) -> Iterator[_Level]:
+    """Levels a robot could step to from level to level, and large ground below, each without its broken parts."""
     open_ends = [main]
     lowest = main.places[:, 2].min()
     # Rougher ones are slices through heaps, or two low steps at once.
@@ -255,8 +260,18 @@ def _reached(main: _Level, others: list[_Level]) -> Iterator[_Level]:
             is_ground = level.plane.area >= 4 * _LARGE and level.places[:, 2].max() < lowest
             if is_ground or (meet.any() and float(rise.min()) <= _STEP):
                 waiting = [other for other in waiting if other is not level]
-                open_ends.append(level)
-                yield level
+                part = replace(level, is_ground_below=True) if is_ground else _unbroken(points, level)
+                if part is not None:
+                    open_ends.append(part)
+                    yield part
+
+
+def _unbroken(points: Float[np.ndarray, "N 3"], level: _Level) -> _Level | None:
+    """The level without its broken parts; None when too little is left to stand on."""
+    members = level.members[is_unbroken(points, points[level.members], level.plane)]
+    cells = np.unique(np.floor(points[members, :2] / _CELL).astype(int), axis=0)
+    area = float(len(cells) * _CELL**2)
+    return _Level(replace(level.plane, area=area), cells, members) if area >= _SMALL else None
 
 
 def _outlined(
@@ -281,6 +296,8 @@ def _outlined(
         aside, own = near[~belongs, :2] @ across, points[level.members, :2] @ across
         goes_on &= (aside >= own.min()) & (aside <= own.max())
     belongs[~belongs] = goes_on
+    if not level.is_ground_below:
+        belongs[belongs] = is_unbroken(points, near[belongs], level.plane) | is_member[beside][belongs]
     rays = (near[:0], near[:0]) if rays is None else rays
     return replace(level.plane, outlines=outlines_of(level.plane, near[belongs], level.places[:, :2], rays))
 

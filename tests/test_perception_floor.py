@@ -256,3 +256,19 @@ def _share_within(outline: np.ndarray, xy: np.ndarray, depth: float) -> float:
     sides = np.roll(outline, -1, axis=0) - outline
     outwards = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1)[:, None]
     return float((xy @ outwards.T - (outline * outwards).sum(axis=1) < -depth).all(axis=1).mean())
+
+
+def test_upper_faces_at_one_height_with_gaps_between_them_are_no_level() -> None:
+    rng = np.random.default_rng(11)
+    ground = patch(rng, (-2, 3), (-2, 2), 0.0)
+    beams = [patch(rng, (0.8, 1.8), (y, y + 0.09), 0.09) for y in (-0.28, -0.14, 0.0, 0.14)]
+    in_shadow = (ground[:, 0] > 0.8) & (ground[:, 0] < 1.85) & ((ground[:, 1] + 0.28) % 0.14 < 0.09)
+    in_shadow &= np.abs(ground[:, 1] + 0.025) < 0.26
+    heap = np.concatenate([ground[~in_shadow], *beams])
+    assert len(find_floors(heap)) == 1
+    crate = patch(rng, (0.8, 1.2), (0.24, 0.64), 0.09)
+    under = (np.abs(heap[:, 0] - 1.0) < 0.2) & (np.abs(heap[:, 1] - 0.44) < 0.2)
+    floors = find_floors(np.concatenate([heap[~under], crate]))
+    assert len(floors) == 2
+    assert on_floors(crate, floors).mean() > 0.98
+    assert on_floors(np.concatenate(beams[:2]), floors).mean() < 0.05
