@@ -22,6 +22,9 @@ def serve_command(
         typer.Option(help="Folder for plans, reviews and clouds; by default the user's own."),
     ] = None,
     workers: Annotated[int | None, typer.Option(help="Processes that plan; by default one per core.", min=1)] = None,
+    spread: Annotated[
+        int, typer.Option(help="Workers that may try starts of one plan, while nobody else needs them.", min=1)
+    ] = 1,
     queue: Annotated[int, typer.Option(help="Requests that may wait for each of them.", min=0)] = 4,
     budget: Annotated[
         list[str] | None,
@@ -50,6 +53,7 @@ def serve_command(
     settings: dict[str, Any] = {
         "data": data,
         "workers": workers or os.cpu_count() or 1,
+        "spread": spread,
         "queue": queue,
         "allowed": tuple(allow or ()),
         "robots": robots,

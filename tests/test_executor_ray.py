@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import secrets
 import signal
-import socket
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,51 +13,19 @@ import executor_jobs as jobs
 import numpy as np
 import pytest
 from executor_waiting import Events, is_running, until
+from ray_cluster import SOON_S, ray_cluster
 
 from service.executor import DeadlineExceeded, JobCancelled, JobFailed, WorkerDied
 from service.executor.interface import CancellableExecutor
 
 if importlib.util.find_spec("ray") is None:
     pytest.skip("ray is not installed (make test-ray has an environment with it)", allow_module_level=True)
-# Read when Ray is imported: nobody else on this machine may use the cluster.
-os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_USAGE_STATS_ENABLED": "0"}
-
-SOON_S = 120.0  # a cluster takes its time
-SUPPORT = Path(jobs.__file__).parent
-
-
-def free_ports() -> tuple[int, int]:
-    with socket.socket() as one, socket.socket() as other:
-        for sock in (one, other):
-            sock.bind(("127.0.0.1", 0))
-        return one.getsockname()[1], other.getsockname()[1]
-
-
-def answers(port: int) -> bool:
-    with socket.socket() as sock:
-        return sock.connect_ex(("127.0.0.1", port)) == 0
 
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    """A cluster with two CPUs, in processes of its own."""
-    port, client_port = free_ports()
-    with tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True) as folder:
-        command = [
-            str(Path(sys.executable).with_name("ray")), "start", "--head", "--block", "--num-cpus=2",
-            f"--port={port}", f"--ray-client-server-port={client_port}", "--node-ip-address=127.0.0.1",
-            "--include-dashboard=false", f"--temp-dir={folder}",
-        ]  # fmt: skip
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(SUPPORT.parents[1]), str(SUPPORT)])}
-        with open(f"{folder}/log", "wb") as log:
-            head = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
-        try:
-            assert until(lambda: answers(client_port) or head.poll() is not None, SOON_S)
-            assert head.poll() is None, Path(folder, "log").read_text()
-            yield f"ray://127.0.0.1:{client_port}"
-        finally:
-            head.terminate()
-            head.wait(SOON_S)
+    with ray_cluster() as found:
+        yield found
 
 
 @pytest.fixture(scope="module")

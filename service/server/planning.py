@@ -25,6 +25,7 @@ from service.server.incidents import refusal_for
 from service.server.refusal import invalid, refusal_of_problems
 from service.server.running import RunningPlan, RunningPlans
 from service.server.settings import SMALL_BYTES
+from service.server.spread import first_certified, with_other_starts
 from service.server.workshop import Piece, Workshop, outcome
 from service.store import Outcome, PlanRecord, Store
 from service.trust import current_caller
@@ -174,11 +175,11 @@ class Planning:
         """See a plan to its end; whatever happens, its watchers hear of it and the store knows."""
         try:
             with held:
-                answer = await outcome(piece)
+                answer = await self._answered(piece, asked, deadline)
                 while _is_cut_short(answer) and plan.is_awaited_beyond(deadline):
                     deadline = plan.awaited_until
                     piece = self._submit(plan, asked, deadline)
-                    answer = await outcome(piece)
+                    answer = await self._answered(piece, asked, deadline)
             if isinstance(answer, Refused):
                 problems = self._door.robots.as_named(_as_named(answer.problems, asked.request, asked.placed))
                 raise refusal_of_problems(problems, answer.is_unplanned, WITHIN)
@@ -193,6 +194,16 @@ class Planning:
             return
         await asyncio.sleep(0)  # whoever waits has the plan before it is counted and logged
         self._tell(asked.kind, answer, piece.waited_s)
+
+    async def _answered(
+        self, piece: Piece[PlanAnswer | Refused], asked: _Asked, deadline: float | None
+    ) -> PlanAnswer | Refused:
+        """The answer of the plan's own worker, or of one that helped."""
+        numbers = range(1, self._door.settings.spread)
+        if not numbers:
+            return await outcome(piece)
+        spares = (self._workshop.spare(run_plan, with_other_starts(asked.task(deadline), n)) for n in numbers)
+        return await first_certified(piece, [spare for spare in spares if spare is not None])
 
     def _give_up(self, plan: RunningPlan, error: Exception) -> None:
         """End a plan that comes to nothing."""

@@ -26,6 +26,7 @@ class ServerSettings:
     Attributes:
         data: folder for plans, scenes, reviews and clouds.
         workers: processes that plan.
+        spread: workers that may be at one plan, while nobody else needs them.
         queue: requests that may wait for each of them.
         budgets_s: greatest ``options.time_limit_s`` by kind of request (``default`` for the others).
         allowed: folders from which requests may name files.
@@ -37,6 +38,7 @@ class ServerSettings:
 
     data: Path
     workers: int = field(default_factory=lambda: max(1, (os.cpu_count() or 2)))
+    spread: int = 1
     queue: int = 4
     budgets_s: Mapping[str, float] = field(default_factory=lambda: dict(BUDGETS_S))
     allowed: tuple[Path, ...] = ()

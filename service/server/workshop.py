@@ -56,6 +56,7 @@ class Workshop:
         self.executor = executor
         self.admission = admission
         self._running: dict[int, tuple[str, Job[Any], float]] = {}  # kind, job and budget by ticket
+        self._spares: set[Job[Any]] = set()  # of what helps, which gives way
         self._ended_by_us: dict[int, Refusal] = {}  # why, by ticket
         self._listeners: set[Callable[[], None]] = set()
         self.is_closed = False  # takes nothing more in
@@ -92,6 +93,7 @@ class Workshop:
             if on_event is not None:
                 loop.call_soon_threadsafe(on_event, event)
 
+        self._give_way()
         try:
             job = self.executor.submit(fn, *args, on_event=tell, deadline=deadline)
         except PoolClosed:
@@ -100,6 +102,20 @@ class Workshop:
         self._running[ticket] = (kind, job, budget_s)
         ended: asyncio.Future[T] = loop.create_future()
         job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end, ticket, job, ended, is_typical))
+        return Piece(job, ended)
+
+    def spare(self, fn: Callable[..., T], *args: Any) -> Piece[T] | None:
+        """Hand over what would help other work, until a worker is needed for more; None where none is idle."""
+        if self.is_closed or self._idle <= 0:
+            return None
+        loop = asyncio.get_running_loop()
+        try:
+            job = self.executor.submit(fn, *args)
+        except PoolClosed:
+            return None
+        self._spares.add(job)
+        ended: asyncio.Future[T] = loop.create_future()
+        job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end_spare, job, ended))
         return Piece(job, ended)
 
     async def run(self, kind: str, fn: Callable[..., T], *args: Any, deadline: float | None, budget_s: float) -> T:
@@ -151,6 +167,20 @@ class Workshop:
         finally:
             forget()
 
+    @property
+    def _idle(self) -> int:
+        """Workers that nothing is at."""
+        return self.admission.workers - self.admission.running - len(self._spares)
+
+    def _give_way(self) -> None:
+        """Have a worker freed where all are taken and some of them only help."""
+        if self._idle <= 0 and self._spares:
+            self._spares.pop().cancel()
+
+    def _end_spare(self, job: Job[T], ended: asyncio.Future[T]) -> None:
+        self._spares.discard(job)
+        _settle(job, ended)
+
     def _stop(self, ticket: int, job: Job[Any], why: Refusal) -> None:
         self._ended_by_us.setdefault(ticket, why)
         job.cancel()
@@ -163,15 +193,17 @@ class Workshop:
         for listener in list(self._listeners):
             listener()
         why = self._ended_by_us.pop(ticket, None)
-        if why is not None and not is_answer:
-            ended.set_exception(why)
-        elif job.cancelled():
-            ended.set_exception(CancelledError())
-        elif (error := job.exception()) is not None:
-            ended.set_exception(error)
-        else:
-            ended.set_result(job.result())
+        _settle(job, ended, None if is_answer else why)
+
+
+def _settle(job: Job[T], ended: asyncio.Future[T], why: Exception | None = None) -> None:
+    """Tell the event loop how a job has ended; ``why`` it was ended comes before what it says itself."""
+    error = why or (CancelledError() if job.cancelled() else job.exception())
+    if error is not None:
+        ended.set_exception(error)
         ended.exception()  # looked at: nobody may be waiting any more, which is no reason to complain
+    else:
+        ended.set_result(job.result())
 
 
 async def outcome(piece: Piece[T]) -> T:

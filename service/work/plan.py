@@ -94,7 +94,11 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
         )
     except RequestError as error:
         return Refused(error.problems, isinstance(error, UnplannedTaskError))
-    result = replace(result, request=task.original or request)
+    original = task.original or request
+    notes = result.notes
+    if request.options.seed != original.options.seed:
+        notes = (*notes, f"found with options.seed {request.options.seed}, tried besides {original.options.seed}")
+    result = replace(result, request=original, notes=notes)
     message = result_to_message(result, task.sha256)
     return PlanAnswer(
         result.verdict.value,
