@@ -26,7 +26,7 @@ from perception import CONFIDENT, KINDS, Cloud, Detection, detect, make_view
 from perception.simulate.scenes import Truth
 
 _VARIANTS = ("dense", "sparse", "solid/camera")
-_FEWEST = 60  # points on a beam below which nobody could tell it
+_FEWEST = 60  # points on a beam or a seat's cushion below which nobody could tell it
 _HINT_SIGMA = 0.05  # [m] how well an operator clicks
 
 
@@ -98,7 +98,8 @@ def _hints(kind: str, case: Case) -> list[np.ndarray]:
 
 
 def _row(case: Case, cloud: Cloud, truth: Truth, found: Found | None) -> Row:
-    if truth.kind == "beam" and _n_on_beam(cloud, truth) < _FEWEST:
+    n_on = {"beam": _n_on_beam, "seat": _n_on_cushion}.get(truth.kind)
+    if n_on is not None and n_on(cloud, truth) < _FEWEST:
         return Row(case.name, case.density, None, (), "hidden")
     if found is None:
         return Row(case.name, case.density, None, (), "MISS" if case.density == "dense" else "none")
@@ -113,6 +114,12 @@ def _n_on_beam(cloud: Cloud, truth: Truth) -> int:
     local = (cloud.points - truth.pose_world_object[:3, 3]) @ truth.pose_world_object[:3, :3]
     half = 0.5 * np.array([truth.sizes[key] for key in ("length", "width", "thickness")]) + 0.02
     return int((np.abs(local) < half).all(axis=1).sum())
+
+
+def _n_on_cushion(cloud: Cloud, truth: Truth) -> int:
+    local = (cloud.points - truth.pose_world_object[:3, 3]) @ truth.pose_world_object[:3, :3]
+    half = 0.5 * np.array([truth.sizes.get(key, 0.5) for key in ("depth", "width")])
+    return int((np.abs(local) < [*half, 0.04]).all(axis=1).sum())
 
 
 def _text(value: float | None) -> str:

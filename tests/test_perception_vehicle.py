@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
+from perception.detect.cushion import Surround, as_cushion, squared_up
 from perception.detect.level import find_patches, split_at_gap
 from perception.simulate import Mesh, Pose, Scanner, box, scan
 from perception.simulate.objects.car import Car
@@ -142,3 +144,59 @@ def test_a_turned_patch_is_measured_and_split_at_its_gap() -> None:
         assert np.allclose(sorted(part.size), [0.4, 0.53], atol=0.03)
         assert abs(part.centre[2] - 0.8) < 0.003
         assert np.degrees(abs(part.yaw - 0.5)) < 2.0
+
+
+def test_a_cushion_cut_by_a_shadow_is_completed_from_the_edges_that_were_seen() -> None:
+    rng = np.random.default_rng(4)
+    turn = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
+    flat = rng.uniform((-0.23, -0.25), (0.23, 0.25), (6000, 2))
+    # Seen are the front edge, the left one, and what lies before the line between their far ends.
+    flat = flat[flat[:, 0] / 0.23 + flat[:, 1] / 0.25 > 0.0]
+    about = rng.uniform(-0.6, 0.6, (20_000, 2))
+    about = about[((about[:, 0] > 0.23) & (about[:, 1] > -0.25)) | ((about[:, 1] > 0.25) & (about[:, 0] > -0.23))]
+    place = np.array([1.2, 0.4])
+    points = np.column_stack([flat @ turn + place, rng.normal(0.8, 0.005, len(flat))])
+    patch = find_patches(points, 0.5, 1.2)[0]
+    surround = Surround(about @ turn + place, np.zeros((0, 2)))
+    squared = squared_up(patch, surround)
+    cushions = [as_cushion(squared, surround, quarter) for quarter in range(4)]
+    cushion = max(cushions, key=lambda one: float(one.pose[:2, 0] @ turn[0]))
+    assert np.degrees(np.arccos(cushion.pose[:2, 0] @ turn[0])) < 3.0
+    assert np.linalg.norm(cushion.pose[:2, 3] - place) < 0.03
+    assert cushion.filled > 0.9
+
+
+def _only(view: View, keep: Callable[[np.ndarray], np.ndarray]) -> View:
+    return make_view(view.cloud.selected(keep(view.cloud.points)))
+
+
+def test_the_seat_the_robot_sits_on_is_found_though_its_back_is_out_of_sight() -> None:
+    view, truth = _view(_INSIDE, True)
+    mine = next(one for one in truth if one.kind == "seat" and abs(one.pose_world_object[1, 3]) < 0.1)
+    ahead = _only(view, lambda points: points[:, 0] > 0.0)
+    assert _near(detect("seat", ahead), mine, 0.05).confidence >= 0.5
+
+
+def test_a_cushion_without_a_back_in_sight_that_nobody_sits_on_is_no_confident_seat() -> None:
+    view, truth = _view(_INSIDE, True)
+    other = next(one for one in truth if one.kind == "seat" and one.pose_world_object[1, 3] > 0.3)
+    ahead = _only(view, lambda points: points[:, 0] > 0.0)
+    place = other.pose_world_object[:3, 3]
+    near = [one for one in detect("seat", ahead) if np.linalg.norm(one.pose_world_object[:3, 3] - place) < 0.2]
+    assert all(one.confidence < 0.5 for one in near)
+
+
+def test_seats_are_found_from_outside_though_the_ground_is_out_of_sight() -> None:
+    view, truth = _view(_OUTSIDE, False)
+    above = _only(view, lambda points: points[:, 2] > 0.2)
+    found = detect("seat", above)
+    for seat in (one for one in truth if one.kind == "seat"):
+        assert _near(found, seat, 0.05).confidence >= 0.5
+
+
+def test_the_unseen_seat_under_the_sensor_is_proposed_and_trusted_with_a_hint(shared_data: Path) -> None:
+    view = make_view(read_cloud(shared_data / "scenes" / "car_ev" / "scan0.pcd"))
+    place = np.array([0.0, 0.0, 0.86])
+    for hint, is_confident in ((None, False), (place + np.array([0.03, -0.05, 0.04]), True)):
+        near = [one for one in detect("seat", view, hint) if np.linalg.norm(one.pose_world_object[:3, 3] - place) < 0.1]
+        assert [one.confidence >= 0.5 for one in near] == [is_confident]

@@ -17,7 +17,7 @@ _STEEPEST = np.tan(np.radians(12.0))
 _MOST_LEVELS = 10
 _ROW = 0.05
 _GAP = 0.06
-_YAWS = np.radians(np.arange(0.0, 90.0, 1.0))
+YAWS = np.radians(np.arange(0.0, 90.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -124,11 +124,11 @@ def _patch(members: Float[np.ndarray, "K 3"], area: float) -> Patch | None:
 def _rectangle(flat: Float[np.ndarray, "K 2"]) -> tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     """Yaw, lower and upper corner (in turned coordinates) of the smallest rectangle, a stray point not counted."""
     few = flat[:: max(1, len(flat) // 3000)]
-    first = few @ np.stack([np.cos(_YAWS), np.sin(_YAWS)])
-    second = few @ np.stack([-np.sin(_YAWS), np.cos(_YAWS)])
+    first = few @ np.stack([np.cos(YAWS), np.sin(YAWS)])
+    second = few @ np.stack([-np.sin(YAWS), np.cos(YAWS)])
     ends = np.percentile(np.stack([first, second]), [0.7, 99.3], axis=1)
     best = int(np.argmin(np.prod(ends[1] - ends[0], axis=0)))
-    return float(_YAWS[best]), ends[0][:, best], ends[1][:, best]
+    return float(YAWS[best]), ends[0][:, best], ends[1][:, best]
 
 
 def _distinct(patches: list[Patch]) -> list[Patch]:

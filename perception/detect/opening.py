@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy import ndimage
 
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
@@ -28,6 +29,7 @@ _LEAST_WIDTH = 0.35
 _MOST_WIDTH = 1.6
 _HEADROOM = (0.9, 1.9)
 _WAIST = (0.08, 0.75)
+_TALL = 0.1
 _SHOWN = 2000
 
 
@@ -159,13 +161,15 @@ def _ends(local: Float[np.ndarray, "N 3"], at: float, floor: float, depth: float
     )
     along = local[waist, 0]
     cell = np.floor((along + _BEHIND) / _SIDE_BIN).astype(int)
-    storey = np.floor((local[waist, 2] - floor) / 0.1).astype(int)
+    height = local[waist, 2] - floor
     n_cells = round((_BEHIND + _AHEAD) / _SIDE_BIN)
-    grid = np.zeros((n_cells, 9), dtype=bool)
-    valid = (cell >= 0) & (cell < n_cells) & (storey >= 0) & (storey < 9)
-    grid[cell[valid], storey[valid]] = True
-    # Two storeys of ten centimetres at a place are a post or a panel; less is a stray return.
-    stands = np.flatnonzero(grid.sum(axis=1) >= 2)
+    valid = (cell >= 0) & (cell < n_cells)
+    low, high = np.full(n_cells, np.inf), np.full(n_cells, -np.inf)
+    np.minimum.at(low, cell[valid], height[valid])
+    np.maximum.at(high, cell[valid], height[valid])
+    # What is tall about a place is a post or a panel; less is a stray return or a seat's base.
+    tall = ndimage.maximum_filter1d(high, 5, mode="nearest") - ndimage.minimum_filter1d(low, 5, mode="nearest")
+    stands = np.flatnonzero((tall > _TALL) & (high >= low))
     middle = round(_BEHIND / _SIDE_BIN)
     behind, before = stands[stands < middle], stands[stands >= middle]
     rear = -0.5 * depth - 0.1 if not len(behind) else -_BEHIND + (behind.max() + 1) * _SIDE_BIN

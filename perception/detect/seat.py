@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.confidence import rising
+from perception.detect.cushion import USUAL_WIDTH, Cushion, as_cushion, squared_up, surround_of
 from perception.detect.detection import Detection
 from perception.detect.level import Patch, find_patches, is_inside, split_at_gap
+from perception.detect.seat_back import back_of
 from perception.view import View
 
 _REPORTED = 0.05
@@ -17,13 +19,21 @@ _OVER_GROUND = (0.35, 1.15)
 _HEIGHT = (0.22, 0.68)  # of a cushion over the vehicle's floor
 _WIDTH = (0.36, 1.5)
 _DEPTH = (0.3, 0.65)
-_BACK = (0.08, 0.6)
-_OPEN_CELL = 0.06
+# A back that nobody saw, on a seat that the robot sits on and on others.
+_UNSEEN_SAT_ON, _UNSEEN = 0.7, 0.3
+_HEAD, _HEAD_ABOUT = (0.5, 1.0), 0.35
 _NOT_GROUND = 0.12
 _LEAST_FLOOR = 0.04
 _MAYBE_CHAIR = 0.45
 _HINT_REACH = 0.5
 _HINT_TRUST = 0.7
+_GUESSED = 0.95  # for each edge that was not seen
+_SPARE = 0.15
+# A seat under the sensor that nobody saw, in a row with one that was.
+_UNDER_THE_SENSOR = 0.4
+_SURE = 0.5
+_NEXT_SEAT = (0.35, 1.0)
+_LOOKED_AT, _FEW = 0.12, 5
 _SHOWN = 2000
 
 
@@ -57,54 +67,98 @@ def detect_seat(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     """Seats of vehicles, best first.
 
     The frame of a hit: origin in the middle of the cushion's top, x forward, z up.  Sizes: ``width``, ``depth`` of the
-    cushion, and ``height`` of its top over the vehicle's floor where that was seen [m].  A chair on the ground is none.
+    cushion, and ``height`` of its top over the vehicle's floor where that was seen [m].  Edges in a shadow or out of
+    sight are where they usually are.  The seat under the sensor, in a row with one that was seen, comes with a low
+    confidence and no points.  A chair on the ground is none.
 
     Args:
         view: the scan, made ready.
         hint: (3,) a point near the cushion [m].
     """
-    return [_detection(seat) for seat in find_seats(view, hint)]
+    seats = find_seats(view)
+    seats += _beside_the_seen(seats, view)
+    if hint is not None:
+        near = [seat for seat in seats if np.linalg.norm(seat.pose[:3, 3] - hint) < _HINT_REACH]
+        seats = [replace(seat, confidence=seat.confidence**_HINT_TRUST) for seat in near]
+    return [_detection(seat) for seat in sorted(seats, key=lambda seat: -seat.confidence)]
 
 
-def find_seats(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Seat]:
-    """Seats, best first; see :func:`detect_seat`."""
-    ground = ground_of(view)
-    points = view.obstacles
+def find_seats(view: View) -> list[Seat]:
+    """Seats of which the cushion was seen, best first; see :func:`detect_seat`."""
+    ground, points, head = ground_of(view), view.obstacles, _head_of(view)
+    starts, ends = view.cloud.rays
     seats = []
     wholes = find_patches(points, ground + _OVER_GROUND[0], ground + _OVER_GROUND[1])
     for patch in [part for whole in wholes for part in split_at_gap(whole, _WIDTH[0])]:
-        if hint is not None and np.linalg.norm(patch.centre - hint) > _HINT_REACH:
+        if patch.size.min() > _DEPTH[1] + _SPARE or patch.size.max() > _WIDTH[1] + _SPARE:
             continue
-        best = max((_seen_as_seat(patch, turn, points, view, ground) for turn in range(4)), key=lambda s: s.confidence)
-        if hint is not None:
-            best = replace(best, confidence=best.confidence**_HINT_TRUST)
+        about = surround_of(patch, points, starts, ends)
+        patch = squared_up(patch, about)
+        cushions = [as_cushion(patch, about, turn) for turn in range(4)]
+        best = max(
+            (_seen_as_seat(patch, one, points, view, ground, head) for one in cushions), key=lambda s: s.confidence
+        )
         if best.confidence >= _REPORTED:
             seats.append(best)
     return sorted(seats, key=lambda seat: -seat.confidence)
 
 
+def _beside_the_seen(seats: list[Seat], view: View) -> list[Seat]:
+    """The seat that the robot sits on, where the sensor is over the unseen continuation of a row of seats."""
+    head, starts_ends = _head_of(view), view.cloud.rays
+    for seat in seats:
+        x, y, z = seat.local(head[None])[0]
+        is_in_row = abs(x) < _HEAD_ABOUT and _NEXT_SEAT[0] < abs(y) < _NEXT_SEAT[1] and _HEAD[0] < z < _HEAD[1]
+        if seat.confidence < _SURE or not is_in_row:
+            continue
+        pose = seat.pose.copy()
+        pose[:3, 3] += y * pose[:3, 1]
+        unseen = Seat(pose, USUAL_WIDTH, seat.depth, seat.floor, 0.0, _UNDER_THE_SENSOR * seat.confidence, seat.patch)
+        if any(np.linalg.norm(pose[:3, 3] - other.pose[:3, 3]) < _NEXT_SEAT[0] for other in seats):
+            continue
+        starts, ends = (unseen.local(side) for side in starts_ends)
+        down = (starts[:, 2] > 0.0) & (ends[:, 2] < 0.05)
+        share = np.clip(starts[down, 2] / np.maximum(starts[down, 2] - ends[down, 2], 1e-6), 0.0, 1.0)
+        place = starts[down, :2] + share[:, None] * (ends[down] - starts[down])[:, :2]
+        if (np.abs(place) < _LOOKED_AT).all(axis=1).sum() < _FEW:
+            return [replace(unseen, patch=replace(seat.patch, points=seat.patch.points[:0]))]
+    return []
+
+
+def _head_of(view: View) -> Float[np.ndarray, "3"]:
+    """Where the sensor is [m]."""
+    return np.asarray(np.median(view.cloud.starts[:: max(1, len(view.cloud.starts) // 1000)], axis=0))
+
+
 def ground_of(view: View) -> float:
-    """World z of the ground a vehicle stands on: below its floor, which may be the one the view took for the floor."""
+    """World z of the ground a vehicle stands on: below its floor, which may be the one the view took for the floor.
+
+    Where no ground was seen it is not above zero, the height at which a robot stands.
+    """
     lowest = float(np.percentile(view.near.points[:, 2], 2.0))
     if view.floor is None:
-        return lowest
+        return min(lowest, 0.0)
     floor = float(view.floor.height(np.array([[view.reach.x, view.reach.y]]))[0])
-    return lowest if lowest < floor - _NOT_GROUND else floor
+    if lowest < floor - _NOT_GROUND:
+        return lowest
+    return floor if floor < _NOT_GROUND else 0.0
 
 
-def _seen_as_seat(patch: Patch, turn: int, points: Float[np.ndarray, "N 3"], view: View, ground: float) -> Seat:
-    """The patch as a cushion that looks along its rectangle, turned by quarter turns."""
-    yaw = patch.yaw + 0.5 * np.pi * turn
-    depth, width = patch.size if turn % 2 == 0 else patch.size[::-1]
-    c, s = np.cos(yaw), np.sin(yaw)
-    pose = np.eye(4)
-    pose[:3, :3] = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
-    pose[:3, 3] = patch.centre
-    seat = Seat(pose, float(width), float(depth), np.nan, 0.0, 0.0, patch)
+def _seen_as_seat(
+    patch: Patch,
+    cushion: Cushion,
+    points: Float[np.ndarray, "N 3"],
+    view: View,
+    ground: float,
+    head: Float[np.ndarray, "3"],
+) -> Seat:
+    """The patch as a seat's cushion."""
+    pose, width, depth = cushion.pose, cushion.width, cushion.depth
+    seat = Seat(pose, width, depth, np.nan, 0.0, 0.0, patch)
     if not _WIDTH[0] < width < _WIDTH[1] or not _DEPTH[0] < depth < _DEPTH[1]:
         return seat
     local = seat.local(points)
-    back_share, n_back, reach_up = _back(seat, local, view)
+    back = back_of(width, depth, local, *(seat.local(side) for side in view.cloud.rays))
     floor, free = _front(seat, local, seat.local(view.near.points))
     above = is_inside(
         local,
@@ -113,52 +167,25 @@ def _seen_as_seat(patch: Patch, turn: int, points: Float[np.ndarray, "N 3"], vie
     )
     confidence = (
         rising(width, _WIDTH[0], 0.42)
-        * (1.0 - (0.55 if patch.filled > 0.85 else 0.9) * rising(width, 0.7, 1.0))
+        * (1.0 - (0.55 if cushion.filled > 0.85 else 0.9) * rising(width, 0.7, 1.0))
         * rising(depth, _DEPTH[0], 0.38)
         * rising(-depth, -_DEPTH[1], -0.58)
-        * rising(patch.filled, 0.4, 0.65)
+        * rising(cushion.filled, 0.4, 0.65)
+        * _GUESSED**cushion.n_guessed
         * rising(-patch.rms, -0.024, -0.016)
-        * rising(back_share, 0.3, 0.6)
-        * rising(n_back, 3.0, 10.0)
-        * rising(reach_up, 0.35, 0.5)
-        * (1.0 - 0.8 * rising(reach_up, 1.15, 1.4))
+        * back.evidence(_UNSEEN_SAT_ON if _is_sat_on(seat, head) else _UNSEEN)
         * rising(-above.sum() / len(patch.points), -0.4, -0.15)
         * free
         * _floor_share(floor, ground, pose[2, 3])
+        * (rising(patch.filled, 0.4, 0.65) if np.isnan(floor) else 1.0)
     )
-    return Seat(pose, float(width), float(depth), floor, back_share, float(confidence), patch)
+    return Seat(pose, width, depth, floor, back.solid, float(confidence), patch)
 
 
-def _back(seat: Seat, local: Float[np.ndarray, "N 3"], view: View) -> tuple[float, float, float]:
-    """Share of the places behind the cushion that are solid among those seen, how many are, and how high it goes."""
-    n_across = max(round((seat.width - 0.04) / _OPEN_CELL), 1)
-    n_up = round((_BACK[1] - _BACK[0]) / _OPEN_CELL)
-    low = np.array([-0.5 * seat.depth - 0.3, -0.5 * n_across * _OPEN_CELL, _BACK[0]])
-    high = np.array([-0.5 * seat.depth + 0.12, 0.5 * n_across * _OPEN_CELL, _BACK[0] + n_up * _OPEN_CELL])
-    solid = np.zeros((n_across, n_up), dtype=bool)
-    mine = local[is_inside(local, low, high)]
-    cell = np.floor((mine[:, 1:] - low[1:]) / _OPEN_CELL).astype(int)
-    solid[cell[:, 0], cell[:, 1]] = True
-    starts, ends = (seat.local(side) for side in view.cloud.rays)
-    # Rays that cross the middle of the back's place from one side of it to the other.
-    at = -0.5 * seat.depth - 0.1
-    through = (starts[:, 0] - low[0]) * (ends[:, 0] - low[0]) < 0.0
-    through &= np.maximum(starts[:, 0], ends[:, 0]) > high[0]
-    share = (at - starts[through, 0]) / (ends[through, 0] - starts[through, 0])
-    crossing = starts[through, 1:] + share[:, None] * (ends[through, 1:] - starts[through, 1:])
-    cell = np.floor((crossing - low[1:]) / _OPEN_CELL).astype(int)
-    cell = cell[((cell >= 0) & (cell < solid.shape)).all(axis=1)]
-    opened = np.zeros_like(solid)
-    opened[cell[:, 0], cell[:, 1]] = True
-    seen = solid | opened
-    return float(solid.sum() / max(seen.sum(), 1)), float(solid.sum()), _reach_up(local, low, high)
-
-
-def _reach_up(local: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> float:
-    """How high what is behind the cushion goes on without a gap: a wall goes on far above where seats end [m]."""
-    tall = local[is_inside(local, np.array([low[0], low[1], 0.3]), np.array([high[0], high[1], 1.6])), 2]
-    steps = np.bincount(np.floor((tall - 0.3) / 0.1).astype(int), minlength=14) >= 5
-    return 0.3 + 0.1 * float(np.argmin(np.concatenate([steps, [False]])))
+def _is_sat_on(seat: Seat, head: Float[np.ndarray, "3"]) -> bool:
+    """Whether the sensor is where the head is of who sits on it."""
+    x, y, z = seat.local(head[None])[0]
+    return bool(abs(x) < _HEAD_ABOUT and abs(y) < _HEAD_ABOUT and _HEAD[0] < z < _HEAD[1])
 
 
 def _front(seat: Seat, local: Float[np.ndarray, "N 3"], all_local: Float[np.ndarray, "A 3"]) -> tuple[float, float]:
