@@ -225,6 +225,21 @@ def test_text_round_trip_with_any_separator_and_header(points, mark, header) -> 
         ("//X Y Z\n1 2 3\n\n4 5 6\n", [[1, 2, 3], [4, 5, 6]]),
         ("1,5;2,5;3\n", [[1.5, 2.5, 3]]),
         ("1,2,3,\n", [[1, 2, 3]]),
+        ("1,2,3,\n4,5,6\n7,8,9,1\n", [[1, 2, 3], [4, 5, 6], [7, 8, 9]]),
+        ("1,2,3\n4,5,\n,,\n", [[1, 2, 3], [4, 5, np.nan], [np.nan] * 3]),
+        ("1,2,\n4,5,6\n", [[1, 2, np.nan], [4, 5, 6]]),
+        ("x,y,z,i\n1,2,3,\n4,5,6,7\n", [[1, 2, 3], [4, 5, 6]]),
+        ("x,y,z,\n1,2,3,\n4,5,\n7,8,9\n", [[1, 2, 3], [4, 5, np.nan], [7, 8, 9]]),
+        ("1\t2\t\n4\t5\t6\n", [[1, 2, np.nan], [4, 5, 6]]),
+        ("\t1\t2\t3\n \n4\t5\t6\n", [[1, 2, 3], [4, 5, 6]]),
+        ("2\n1 2 3 9\n4 5 6 9\n", [[1, 2, 3], [4, 5, 6]]),
+        ("field.y,field.x,field.z\n1,2,3\n", [[2, 1, 3]]),
+        ('"intensity","Points_m_XYZ:0","Points_m_XYZ:1","Points_m_XYZ:2"\n0,1,2,3\n', [[1, 2, 3]]),
+        ("X [m] Y [m] Z [m] I\n1 2 3 4\n", [[1, 2, 3]]),
+        ("1,5\t2\t3,25\n", [[1.5, 2, 3.25]]),
+        ("-1,5 2,5 3,25e1\n4 5 6\n", [[-1.5, 2.5, 32.5], [4, 5, 6]]),
+        ("x,y,z,r,g,b\n1,2,3,4,5,6\n", [[1, 2, 3]]),
+        ("1,2,3,4,5,6.5\n1,2,3,4,5,6\n", [[1, 2, 3], [1, 2, 3]]),
         ("1,2,3\n4,,6\n7,8,9\n", [[1, 2, 3], [4, np.nan, 6], [7, 8, 9]]),
         ("x;y;z;what\n1,5;2;3;car\n", [[1.5, 2, 3]]),
         ("X [m],Y [m],Z (m)\r\n1,2,3\r\n", [[1, 2, 3]]),
@@ -237,6 +252,21 @@ def test_text_round_trip_with_any_separator_and_header(points, mark, header) -> 
 )
 def test_text_of_the_field_is_understood(text: str, expected: list[list[float]]) -> None:
     np.testing.assert_array_equal(read_text(text.encode(), "cloud.csv").points, expected)
+
+
+@pytest.mark.parametrize("header", ["X [mm],Y [mm],Z [mm]", "x_mm,y_mm,z_mm", "x (millimetres);y (millimetres);z (MM)"])
+def test_a_unit_in_the_header_is_told_when_another_is_taken(header: str, tmp_path: Path) -> None:
+    path = tmp_path / "cloud.csv"
+    path.write_text(f"{header}\n1000{';' if ';' in header else ','}2000{';' if ';' in header else ','}3000\n")
+    (note,) = [note for note in read_cloud(path).notes if "header" in note]
+    assert note == "its header says mm, but it was read as m: give the unit mm"
+    cloud = read_cloud(path, unit="mm")
+    np.testing.assert_allclose(cloud.points, [[1, 2, 3]])
+    assert not any("header" in note for note in cloud.notes)
+
+
+def test_decimal_commas_are_told() -> None:
+    assert read_text(b"1,5\t2\t3,25\n", "cloud.csv").notes == ("commas are read as decimal points",)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig"])
@@ -254,7 +284,14 @@ def test_a_table_may_begin_with_a_byte_order_mark(encoding: str) -> None:
         ("# a\n\n1 2 3\n4 5 6 7\n", "line 4 has 4 columns, the first has 3"),
         ("1 " * 40_000, "line 1 is longer than 65536 bytes; one row a line is needed"),
         ("1,2,3\n4,abc,6\n", "line 2: 'abc' is not a number"),
-        ("a,b,c\n1,2,3\n", "line 1: 'a' is not a number"),
+        ("a,b,c\n1,2,3\n", "line 1: the header names no x, y, z; it has a, b, c"),
+        ("Easting;Northing;Height\n1;2;3\n", "the header names no x, y, z; it has Easting, Northing, Height"),
+        ("1,2,3,\n4,5\n", "line 2 has 2 columns, the first has 3"),
+        ("0,2796,-1,02,1,5\n1,1,2,2,3,3\n", "line 1 has 6 whole numbers between commas; if commas are decimal"),
+        ("x,y,z\n0,2796,-1,02,1,5\n", "line 2 has 6 whole numbers between commas; if commas are decimal"),
+        ("1 2 3\n1,5 2 3\n", "line 2: '1,5' is not a number; is the comma a decimal point"),
+        ("5\n6\n", "line 2 has 1 columns; at least 3"),
+        ("1,2,\ufffd\x07\ufffd\ufffd\n", "line 1: '.' is not a number"),
         ("# viewpoint a b\n1 2 3\n", "viewpoint 'a b'"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ COORDINATES = ("x", "y", "z")
 STARTS = ("vp_x", "vp_y", "vp_z")
 NO_RETURN = "no_return"
 _LARGEST = 1e9
+_UNREADABLE = re.compile("\ufffd+")
 _KNOWN = (*COORDINATES, *STARTS, NO_RETURN)
 
 
@@ -83,7 +85,8 @@ def natural(word: str) -> int | None:
 
 def shown(text: str) -> str:
     """A piece of a file as an error may quote it: short, on one line, printable."""
-    clean = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    clean = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
+    clean = _UNREADABLE.sub("?", clean)
     return clean if len(clean) <= 80 else f"{clean[:77]}..."
 
 

@@ -116,6 +116,8 @@ def _placed(
     pose = np.eye(4) if transform is None else rigid_pose(transform)
     scan = without_empty_rows(scan, name)
     notes = (*scan.notes, *rounding_note(scan.points, scale))
+    if scan.unit and scan.unit != unit:
+        notes = (f"its header says {scan.unit}, but it was read as {unit}: give the unit {scan.unit}", *notes)
     viewpoint = np.eye(4)
     if scan.viewpoint is not None:
         viewpoint = pose_of_viewpoint(scan.viewpoint)

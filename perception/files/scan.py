@@ -22,6 +22,7 @@ class Scan:
         starts: (3,) where all rays started, or (N, 3) where that of each point did; None: at the viewpoint.
         miss_starts: (M, 3) where each of the others started; None: as the points' (3,), or at the viewpoint.
         notes: sentences a user should read.
+        unit: of its lengths, where the file says so; empty where it does not.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -30,3 +31,4 @@ class Scan:
     starts: Float[np.ndarray, "*N 3"] | None = None
     miss_starts: Float[np.ndarray, "M 3"] | None = None
     notes: tuple[str, ...] = ()
+    unit: str = ""

@@ -4,52 +4,108 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import islice
 
 from perception.errors import CloudError
-from perception.files.columns import COORDINATES, parse_viewpoint, places, scan_of
+from perception.files.columns import COORDINATES, natural, parse_viewpoint, scan_of, shown
 from perception.files.content import Content
+from perception.files.header import Header, header_of, names_columns
 from perception.files.scan import Scan
-from perception.files.text import COMMENTS, cells_of, read_rows, separator_of
+from perception.files.text import COMMENTS, cells_of, fits, read_rows, separator_of, trimmed
 
-_TRIPLES = (COORDINATES, ("points:0", "points:1", "points:2"), ("points_0", "points_1", "points_2"))
-_AFTER_NAME = re.compile(r"\s*[\[(].*$")
+_WHOLE = re.compile(r"[+-]?\d+")
+_WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
+_JUDGED = 2**14
 
 
 def read_text(data: Content, name: str) -> Scan:
     """Rows, thinned to as many as are used, of columns separated by blanks, tabs, commas or semicolons.
 
-    A first line that is not numbers is a header and names the columns (x y z in any case, or ``Points:0`` ..., and
-    those of ``columns.scan_of``); without one the first three columns are taken.  A comment
-    ``# viewpoint x y z [qw qx qy qz]`` gives the sensor.
+    A first line that is not numbers is a header and names the columns (x y z in any case, also with a unit, or
+    ``Points:0`` ..., and those of ``columns.scan_of``); without one the first three columns are taken.  A lone number
+    before the rows is their count.  A comment ``# viewpoint x y z [qw qx qy qz]`` gives the sensor.
 
     Raises:
         CloudError: naming ``name``, the line and what is wrong.
     """
     data, at = (_as_lines(data), 0) if isinstance(data, bytes) else (data, _start_of(data, name))
     viewpoint: tuple[float, ...] | None = None
-    found = dict(zip(COORDINATES, range(3), strict=True))
-    separator: str | None = None
+    header: Header | None = None
+    has_count = False
     n_lines = 0
-    has_header = False
+    line = ""
     while at < len(data):
         end = data.find(b"\n", at) + 1 or len(data)
-        line = data[at:end].decode("utf-8", errors="replace").strip()
+        line = trimmed(data[at:end].decode("utf-8", errors="replace"))
         if line.startswith(COMMENTS):
             words = line.lstrip("#/% ").split()
             if words[:1] == ["viewpoint"]:
                 viewpoint = parse_viewpoint(words[1:], name)
-        header = {} if has_header else _header(line.lstrip("#/% "))
-        if header:
-            found, has_header = header, True
+        named = None if header else header_of(line.lstrip("#/% "))
+        if named:
+            header = named
+        elif not has_count and natural(line) is not None:
+            has_count = True
         elif line and not line.startswith(COMMENTS):
-            separator = separator_of(line)
             break
         at, n_lines = end, n_lines + 1
     if at >= len(data):
-        what = "has a header but no points" if has_header else "holds no points"
+        what = "has a header but no points" if header else "holds no points"
         raise CloudError(f"{name}: {what}; at least one is needed")
-    rows = read_rows(data, tuple(found.values()), name, start=at, separator=separator, first_line=n_lines + 1)
-    return scan_of({key: rows.values[:, i] for i, key in enumerate(found)}, viewpoint, rows.notes)
+    if header is None and names_columns(line):
+        held = ", ".join(cells_of(line, separator_of(line)))
+        raise CloudError(f"{name}: line {n_lines + 1}: the header names no x, y, z; it has {shown(held)}")
+    separator, has_decimal_commas = _separation(line)
+    cells = cells_of(line, separator)
+    _check_commas(data[at : at + _JUDGED], separator, header, name, n_lines + 1)
+    rows = read_rows(
+        data,
+        tuple(header.columns.values()) if header else range(3),
+        name,
+        start=at,
+        separator=separator,
+        has_decimal_commas=has_decimal_commas,
+        width=header.width if header and fits(cells, header.width) else None,
+        first_line=n_lines + 1,
+    )
+    columns = {key: rows.values[:, i] for i, key in enumerate(header.columns if header else COORDINATES)}
+    notes = ("commas are read as decimal points", *rows.notes) if has_decimal_commas else rows.notes
+    return replace(scan_of(columns, viewpoint, notes), unit=header.unit if header else "")
+
+
+def _separation(line: str) -> tuple[str | None, bool]:
+    """What separates the cells of a row, and whether commas in them are decimal points."""
+    mark = separator_of(line)
+    if mark == ",":
+        for other in ("\t", None):
+            cells = cells_of(line, other)
+            if len(cells) >= len(COORDINATES) and all(_WITH_COMMA.fullmatch(cell) for cell in cells):
+                return other, True
+    return mark, False
+
+
+def _check_commas(body: bytes, separator: str | None, header: Header | None, name: str, first_line: int) -> None:
+    """Refuse whole numbers between commas where each two may be one number with a decimal comma.
+
+    Raises:
+        CloudError: the first rows all have twice as many columns as are needed, and nothing but whole numbers.
+    """
+    if separator != ",":
+        return
+    lines = (line.strip() for line in body.decode("utf-8", errors="replace").splitlines())
+    rows = [cells_of(line, ",") for line in islice((line for line in lines if line), 100)]
+    width = 2 * (header.width if header else len(COORDINATES))
+    if all(len(cells) == width and _are_whole(cells) for cells in rows[: max(1, len(rows) - 1)]):
+        raise CloudError(
+            f"{name}: line {first_line} has {width} whole numbers between commas; if commas are decimal points, "
+            "separate columns by semicolons, else name all columns in a header"
+        )
+
+
+def _are_whole(cells: Sequence[str]) -> bool:
+    return all(_WHOLE.fullmatch(cell) for cell in cells)
 
 
 def _as_lines(data: bytes) -> bytes:
@@ -65,15 +121,3 @@ def _start_of(data: Content, name: str) -> int:
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         raise CloudError(f"{name}: is UTF-16 text of {len(data)} bytes; save so large a file as UTF-8")
     return len(codecs.BOM_UTF8) if data[:3] == codecs.BOM_UTF8 else 0
-
-
-def _header(line: str) -> dict[str, int]:
-    """Where the columns stand that ``line`` names; empty when it does not name x, y and z."""
-    if not line:
-        return {}
-    names = [_AFTER_NAME.sub("", cell.lower()) for cell in cells_of(line, separator_of(line))]
-    for triple in _TRIPLES:
-        if all(column in names for column in triple):
-            coordinates = {axis: names.index(column) for axis, column in zip(COORDINATES, triple, strict=True)}
-            return places(names) | coordinates
-    return {}

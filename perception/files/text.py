@@ -52,9 +52,19 @@ def separator_of(line: str) -> str | None:
 
 
 def cells_of(line: str, separator: str | None) -> list[str]:
-    """The cells of a line without quotes; a separator at its end opens no further cell."""
-    cells = [cell.strip().strip("\"'") for cell in line.strip().split(separator)]
-    return cells[:-1] if len(cells) > 1 and cells[-1] == "" else cells
+    """The cells of a line without quotes; what follows a separator at its end is an empty cell."""
+    row = line.strip() if separator is None else trimmed(line)
+    return [cell.strip().strip("\"'") for cell in row.split(separator)]
+
+
+def trimmed(line: str) -> str:
+    """A line without blanks around it, but with a tab at its end, which opens an empty cell."""
+    return line.lstrip().rstrip(" \r\n")
+
+
+def fits(cells: Sequence[str], width: int) -> bool:
+    """Whether a row has so many columns; a separator at its end may open one more, which is empty."""
+    return len(cells) == width or (len(cells) == width + 1 and cells[-1] == "")
 
 
 def read_rows(
@@ -64,6 +74,7 @@ def read_rows(
     *,
     start: int = 0,
     separator: str | None = None,
+    has_decimal_commas: bool = False,
     width: int | None = None,
     n_rows: int | None = None,
     first_line: int = 1,
@@ -75,7 +86,8 @@ def read_rows(
         columns: which ones are wanted, counted from 0.
         name: of the file, for errors.
         start: where the first row begins.
-        separator: of cells; None: blanks.  Beside semicolons, a comma is a decimal point.
+        separator: of cells; None: blanks.
+        has_decimal_commas: whether a comma is a decimal point, as it always is beside semicolons.
         width: how many columns there are; None: as many as in the first row.
         n_rows: how many rows are read; None: all.
         first_line: number of its line in the file.
@@ -96,7 +108,7 @@ def read_rows(
     else:
         body, n_there = _some_lines(content, start, step, n_rows)
         n_rows = None
-    if separator == ";":
+    if separator == ";" or has_decimal_commas:
         body = body.replace(b",", b".")
     table = _plain_numbers(body, separator, n_rows)
     if table is None or table.shape[1] <= max(columns) or table.shape[1] != (width or table.shape[1]):
@@ -159,7 +171,7 @@ def _careful(
     step: int,
 ) -> Float[np.ndarray, "R C"]:
     numbers = array.array("d")
-    n_read, n_first = 0, width
+    n_read, n_first, is_open = 0, width, False
     for place, line in enumerate(_lines(body)):
         number = first_line + (place if step == 1 else int(row_of(np.array(place), step)))
         if not line or line.startswith(COMMENTS):
@@ -169,9 +181,11 @@ def _careful(
         cells = cells_of(line, separator)
         if n_first is None and len(cells) <= max(columns):
             raise CloudError(f"{name}: line {number} has {len(cells)} columns; at least {max(columns) + 1} are needed")
-        n_first = n_first or len(cells)
-        if len(cells) != n_first:
-            needed = f"the first has {n_first}" if width is None else f"{width} are announced"
+        if n_first is None:
+            n_first = len(cells)
+            is_open = cells[-1] == "" and n_first > max(columns) + 1  # the separator at its end may open a column
+        if not fits(cells, n_first) and not (is_open and fits(cells, n_first - 1)):
+            needed = f"the first has {n_first - is_open}" if width is None else f"{width} are announced"
             raise CloudError(f"{name}: line {number} has {len(cells)} columns, {needed}")
         for column in columns:
             numbers.append(_number(cells[column], name, number))
@@ -183,7 +197,7 @@ def _careful(
 
 def _lines(body: bytes) -> Iterator[str]:
     for line in io.BytesIO(body):
-        yield line.decode("utf-8", errors="replace").strip()
+        yield trimmed(line.decode("utf-8", errors="replace"))
 
 
 def _number(cell: str, name: str, line: int) -> float:
@@ -192,4 +206,7 @@ def _number(cell: str, name: str, line: int) -> float:
     try:
         return float(cell)
     except ValueError:
-        raise CloudError(f"{name}: line {line}: '{shown(cell)}' is not a number") from None
+        comma = (
+            "; is the comma a decimal point? a point, or semicolons between columns, would do" if "," in cell else ""
+        )
+        raise CloudError(f"{name}: line {line}: '{shown(cell)}' is not a number{comma}") from None

@@ -107,6 +107,7 @@ def _scan(head: dict[str, object], body: IO[bytes], path: Path, limits: Limits) 
         arrays.get("starts"),
         arrays.get("miss_starts"),
         tuple(notes),
+        str(head["unit"]),
     )
 
 
