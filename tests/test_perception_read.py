@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cloud_files import las_bytes
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -372,6 +373,48 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     ]:
         with pytest.raises(CloudError, match=says):
             parse_file(tmp_path / name)
+
+
+def test_a_file_is_read_as_what_it_holds_whatever_its_name_says(tmp_path: Path) -> None:
+    points = np.arange(9.0).reshape(3, 3)
+    write_pcd(tmp_path / "a.pcd", points)
+    pcd = (tmp_path / "a.pcd").read_bytes()
+    ply = PLY.format(form="ascii", n=1, kind="float z").encode() + b"1 2 3\n"
+    for content, suffix, kind, n_points in [
+        (pcd, ".ply", "PCD", 3),
+        (pcd.partition(b"\n")[2], ".csv", "PCD", 3),
+        (ply, ".csv", "PLY", 1),
+        (las_bytes(points), ".xyz", "LAS", 3),
+        (npz(points=points), ".npy", "NPZ", 3),
+        (npz(points=points), ".txt", "NPZ", 3),
+    ]:
+        path = tmp_path / f"named{suffix}"
+        path.write_bytes(content)
+        scan = parse_file(path)
+        assert len(scan.points) == n_points
+        assert scan.notes == (f"holds a {kind} file, and is read as one though its name ends in {suffix}",)
+    assert parse_file(tmp_path / "a.pcd").notes == ()
+    (tmp_path / "a.laz").write_bytes(las_bytes(points))
+    assert parse_file(tmp_path / "a.laz").notes == ()
+
+
+@pytest.mark.parametrize(
+    ("content", "suffix", "says"),
+    [
+        (b"\xff\xd8\xff\xe0\0\x10JFIF", ".csv", "is a JPEG picture; one of .pcd"),
+        (b"\x89PNG\r\n\x1a\n\0", ".pcd", "is a PNG picture; one of .pcd"),
+        (b"\x1f\x8b\x08\0", ".xyz", "is a gzip archive; unpack it; one of"),
+        (b"\x89MCAP0\r\n\0", ".csv", "holds a bag; a name that ends in .mcap would do"),
+        (b"\x89MCAP0\r\n\0", ".bag", "holds a MCAP file; a name that ends in .mcap would do"),
+        (b"#ROSBAG V2.0\n", ".db3", "holds a BAG file; a name that ends in .bag would do"),
+        (b"\x07\0\x01\x02\x03", ".txt", "begins with the bytes 07 00 01 02 and is no text"),
+    ],
+)
+def test_what_holds_no_cloud_is_named(tmp_path: Path, content: bytes, suffix: str, says: str) -> None:
+    path = tmp_path / f"named{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(CloudError, match=says):
+        parse_file(path)
 
 
 def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from perception.files.npz import read_npy, read_npz
 from perception.files.pcd import read_pcd
 from perception.files.ply import read_ply
 from perception.files.scan import Scan
+from perception.files.sniffing import HEAD_BYTES, binary_start, kind_of, other_kind_of
 from perception.files.table import read_text
 from perception.files.thinning import bounded
 from perception.limits import MAX_FILE_BYTES
@@ -63,11 +65,13 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
         with np.errstate(all="ignore"):  # damaged numbers overflow; what is too large to be a place is dropped later
             if is_bag:
                 _check_file(path / _BAG_FOLDER_HAS if path.is_dir() else path, None)
+                if path.is_file():
+                    _check_bag(path, suffix)
                 return read_bag(path, str(path), topic, message)
             _check_file(path, MAX_FILE_BYTES)
-            if suffix == ".e57":
-                return bounded(read_e57(path, str(path)))
-            return bounded(_READERS[suffix](content_of(path), str(path)))
+            kind, notes = _kind(path, suffix)
+            scan = read_e57(path, str(path)) if kind == ".e57" else _READERS[kind](content_of(path), str(path))
+            return bounded(replace(scan, notes=(*notes, *scan.notes)))
     except (CloudError, MemoryError, KeyboardInterrupt, SystemExit):
         raise
     except ImportError as error:
@@ -78,6 +82,36 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
     except BaseException as error:  # libraries raise of every kind on damaged files; a panic is not even an Exception
         words = shown(str(error).partition("****")[0]) or type(error).__name__
         raise CloudError(f"{path}: is damaged, or no {suffix.removeprefix('.') or 'bag'} file ({words})") from None
+
+
+def _check_bag(path: Path, suffix: str) -> None:
+    """Raises: CloudError: what a bag's name promises is not what the file holds."""
+    with path.open("rb") as file:
+        held = kind_of(file.read(HEAD_BYTES))
+    if held and held != suffix:
+        raise CloudError(f"{path}: holds a {held.removeprefix('.').upper()} file; a name that ends in {held} would do")
+
+
+def _kind(path: Path, suffix: str) -> tuple[str, tuple[str, ...]]:
+    """The kind of file this is by what it holds, and what to tell when its name says something else.
+
+    Raises:
+        CloudError: it is a bag of another name, or no text though it is named so.
+    """
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    held = kind_of(head)
+    if held and _READERS.get(held, held) != _READERS.get(suffix, suffix):
+        what = held.removeprefix(".").upper()
+        if held in _BAGS:
+            raise CloudError(f"{path}: holds a bag; a name that ends in {held} would do")
+        return held, (f"holds a {what} file, and is read as one though its name ends in {path.suffix}",)
+    reader = _READERS.get(suffix)
+    if reader is not read_npz and (other := other_kind_of(head)):
+        raise CloudError(f"{path}: is {other}; one of {', '.join(SUFFIXES)} is needed")
+    if reader is read_text and (start := binary_start(head)):
+        raise CloudError(f"{path}: begins with the bytes {start} and is no text; a table of numbers is needed")
+    return suffix, ()
 
 
 def _check_file(path: Path, max_bytes: int | None) -> None:

@@ -1,0 +1,39 @@
+"""What a file holds by its first bytes, whatever its name says."""
+
+from __future__ import annotations
+
+import codecs
+
+HEAD_BYTES = 4096
+# Beginnings of files, and the suffix of what begins so.
+_CLOUDS = (
+    (b"ply\n", ".ply"), (b"ply\r", ".ply"), (b"# .PCD", ".pcd"), (b"LASF", ".las"), (b"ASTM-E57", ".e57"),
+    (b"\x93NUMPY", ".npy"), (b"\x89MCAP0\r\n", ".mcap"), (b"SQLite format 3\0", ".db3"), (b"#ROSBAG", ".bag"),
+)  # fmt: skip
+_OTHERS = (
+    (b"\xff\xd8\xff", "a JPEG picture"), (b"\x89PNG", "a PNG picture"), (b"GIF8", "a GIF picture"),
+    (b"%PDF", "a PDF document"), (b"\x1f\x8b", "a gzip archive; unpack it"), (b"PK\3\4", "a zip archive; unpack it"),
+    (b"\x28\xb5\x2f\xfd", "a zstd archive; unpack it"), (b"glTF", "a glTF model"),
+    (b"{\\rtf", "an RTF document"), (b"<?xml", "XML"), (b"<!DOCTYPE", "a web page"), (b"<html", "a web page"),
+)  # fmt: skip
+_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+def kind_of(head: bytes) -> str:
+    """The suffix of the kind of cloud file that begins so; empty when the beginning says nothing."""
+    kind = next((suffix for magic, suffix in _CLOUDS if head.startswith(magic)), "")
+    if not kind and head.startswith(b"VERSION") and b"\nFIELDS" in head:
+        return ".pcd"
+    if not kind and head.startswith(b"PK\3\4") and b".npy" in head[30 : 64 + 30]:
+        return ".npz"
+    return kind
+
+
+def other_kind_of(head: bytes) -> str:
+    """What a file is that begins so, if that is a known kind of file without a cloud; else empty."""
+    return next((words for magic, words in _OTHERS if head.startswith(magic)), "")
+
+
+def binary_start(head: bytes) -> str:
+    """The first bytes of what is no text, to show; empty where it may be text."""
+    return "" if head.startswith(_UTF16) or b"\0" not in head else head[:4].hex(" ").upper()
