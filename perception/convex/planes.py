@@ -28,6 +28,9 @@ class PlaneSettings:
         n_neighbours: points that make a normal.
         absorb: points this close to a plane may be its noise [m].
         noise_share: they are when there are fewer than this share of the members around them.
+        covered: a slab covers what is this close to its plane [m].
+        tail_share: farther off they are noise only when those on their side are fewer than this share of the members,
+        tail_points: or than these points.
         bias: farthest the mean of the points around a member lies from the plane [m].
     """
 
@@ -42,6 +45,9 @@ class PlaneSettings:
     n_neighbours: int = 16
     absorb: float = 0.06
     noise_share: float = 0.5
+    covered: float = 0.027
+    tail_share: float = 0.05
+    tail_points: int = 4
     bias: float = 0.01
 
 
@@ -224,7 +230,7 @@ def noise_of(
     settings: PlaneSettings,
 ) -> Bool[np.ndarray, "K"]:
     """Which of the points left are the plane's noise: near it, and few beside the members around them
-    or evenly on both sides.
+    or evenly on both sides; farther off than a slab covers, no more on one side than the tail of the noise.
 
     Without this, the tails of the range noise are found as further planes before a wall.  A real thing that lies on
     the plane hides it: there the members are missing, and its points are kept.
@@ -234,15 +240,22 @@ def noise_of(
     raster = _Raster.over(mine)
     cells = raster.cells(points[left[near]] @ plane.basis.T)
     valid = ((cells >= 0) & (cells < raster.shape)).all(axis=1)
-    weights = counts[left[near[valid]]]
-    others = _counts(cells[valid], weights, raster.shape)
+    near, cells = near[valid], cells[valid]
+    weights = counts[left[near]]
+    others = _counts(cells, weights, raster.shape)
     members = _counts(raster.cells(mine), counts[plane.members], raster.shape)
-    distance = points[left[near[valid]]] @ plane.normal - plane.offset
-    bias = _counts(cells[valid], weights * distance, raster.shape) / np.maximum(members + others, 1e-9)
+    distance = points[left[near]] @ plane.normal - plane.offset
+    bias = _counts(cells, weights * distance, raster.shape) / np.maximum(members + others, 1e-9)
     few = (others < settings.noise_share * members) | (np.abs(bias) < settings.bias / 2)
     few &= members > 0.0
+    is_noise = few[tuple(cells.T)]
+    most = np.maximum(settings.tail_share * members, settings.tail_points / 9)
+    for side in (distance > settings.covered, distance < -settings.covered):
+        tail = _counts(cells[side], weights[side], raster.shape)
+        # What is to be fewer than whole points comes out of sums of fractions.
+        is_noise[side] &= (tail < most - 1e-9)[tuple(cells[side].T)]
     noise = np.zeros(len(left), dtype=bool)
-    noise[near[valid]] = few[tuple(cells[valid].T)]
+    noise[near] = is_noise
     return noise
 
 
