@@ -318,6 +318,42 @@ def npz(**arrays_by_name: object) -> bytes:
     return stream.getvalue()
 
 
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_arrays_of_depth_cameras_and_named_columns_are_read(tmp_path: Path, order: str) -> None:
+    grid = np.random.default_rng(0).normal(size=(4, 5, 3))
+    rows = grid.reshape(-1, 3)
+    named = np.zeros((4, 5), [("i", "u1"), ("Z", "f8"), ("x", "f8"), ("y", "f8"), ("no_return", "u1")])
+    for column, axis in zip("xyZ", range(3), strict=True):
+        named[column] = grid[..., axis]
+    for array in (np.asarray(grid, order=order), np.asarray(rows, order=order), named):  # type: ignore[call-overload]
+        np.save(tmp_path / "a.npy", array)
+        np.testing.assert_array_equal(parse_file(tmp_path / "a.npy").points, rows)
+    x, y, z = (np.asarray(grid[..., axis], order=order) for axis in range(3))  # type: ignore[call-overload]
+    for members in ({"points": grid}, {"X": x, "Y": y, "Z": z}, {"x": rows[:, 0], "y": rows[:, 1], "z": rows[:, 2]}):
+        np.savez(tmp_path / "a.npz", viewpoint=VIEWPOINT, **members)
+        scan = parse_file(tmp_path / "a.npz")
+        np.testing.assert_array_equal(scan.points, rows)
+        assert scan.viewpoint == VIEWPOINT
+    named["no_return"][1] = 1
+    np.savez(tmp_path / "a.npz", points=named)
+    scan = parse_file(tmp_path / "a.npz")
+    np.testing.assert_array_equal(scan.points, np.delete(rows, np.s_[5:10], axis=0))
+    np.testing.assert_array_equal(scan.misses, rows[5:10])
+
+
+@pytest.mark.parametrize("shape", [(480, 640), (3, 48, 64), (48, 64, 1)])
+def test_a_picture_is_no_cloud(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    np.save(tmp_path / "a.npy", np.zeros(shape))
+    with pytest.raises(CloudError, match=r"numbers \(N, 3\) or \(H, W, 3\) are needed"):
+        parse_file(tmp_path / "a.npy")
+
+
+def test_a_turned_array_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((3, 2000)))
+    with pytest.raises(CloudError, match=r"shape \(3, 2000\), which looks turned; save its transpose \(2000, 3\)"):
+        parse_file(tmp_path / "a.npy")
+
+
 def boastful_npz() -> bytes:
     """An archive whose array says it has 700 million doubles."""
     header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (240000000, 3), }".ljust(117) + b"\n"
@@ -335,6 +371,10 @@ def boastful_npz() -> bytes:
         (npz(other=np.zeros((2, 3))), "holds other; an array 'points'"),
         (npz(points=np.zeros(5)), r"shape \(5,\)"),
         (npz(points=np.zeros((5, 3), dtype=complex)), "complex128"),
+        (npz(points=np.zeros((3, 500))), r"shape \(3, 500\), which looks turned; save its transpose \(500, 3\)"),
+        (npz(points=np.zeros((2, 2, 2, 3))), r"shape \(2, 2, 2, 3\); numbers \(N, 3\) or \(H, W, 3\)"),
+        (npz(x=np.zeros(5), y=np.zeros(5), z=np.zeros(4)), r"x, y, z columns are float64 \(5,\), float64 \(5,\), "),
+        (npz(points=np.zeros(5, [("x", "f4"), ("y", "f4")])), "has columns x, y, and no 'z'"),
         (b"PK\3\4 this is no archive", "not a readable npz"),
         (npz(points=np.zeros((50, 3)))[:-40], "not a readable npz"),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -13,7 +13,8 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from perception.errors import CloudError
-from perception.files.columns import parse_viewpoint, shown
+from perception.files.arrays import MOST_OF_GRID, columns_of, rows_of, stacked
+from perception.files.columns import COORDINATES, missing_coordinate, parse_viewpoint, places, shown
 from perception.files.content import Content, stream_of
 from perception.files.scan import Scan
 from perception.files.thinning import step_of, taken, thinning_note
@@ -31,7 +32,10 @@ _OTHERS = ("no_return", "misses", "miss_origin")
 
 
 def read_npz(data: Content, name: str) -> Scan:
-    """The array ``points`` (or ``xyz``, ``positions``, ``arr_0``) of shape (N, 3 or more).
+    """The array ``points`` (or ``xyz``, ``positions``, ``arr_0``), or arrays ``x``, ``y`` and ``z`` of one shape.
+
+    Its shape is (N, 3 or more) or (H, W, 3 or more), or it has columns x, y and z by name, and perhaps others of
+    ``columns.scan_of``.
 
     Beside it may stand ``viewpoint`` or ``origin``: x y z, x y z qw qx qy qz, or (N, 3) where each ray started;
     ``no_return`` (N,): other than 0 where a row is a place up to which a ray met nothing; ``misses`` (M, 3): more such
@@ -44,25 +48,31 @@ def read_npz(data: Content, name: str) -> Scan:
     try:
         with zipfile.ZipFile(stream_of(data)) as archive:
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            key = next((key for key in _POINTS if key in members), "")
-            if not key:
+            keys = _coordinate_keys(list(members))
+            if not keys:
                 held = shown(", ".join(members)) or "nothing"
                 raise CloudError(f"{name}: holds {held}; an array 'points' of shape (N, 3) is needed")
             origin_key = next((key for key in _ORIGIN if key in members), "")
-            wanted = [key for key in (key, origin_key, *_OTHERS) if key in members]
+            wanted = [key for key in (*keys, origin_key, *_OTHERS) if key in members]
             loaded = {key: _member(archive, members[key], name) for key in wanted}
     except (zipfile.BadZipFile, ValueError, EOFError, OSError, NotImplementedError, RuntimeError, zlib.error) as error:
         if isinstance(error, CloudError):
             raise
         raise CloudError(f"{name}: is not a readable npz archive ({shown(str(error))})") from None
-    n_rows, points = loaded.pop(key)
+    parts = [loaded.pop(key) for key in keys]
+    n_rows = parts[0][0]
     others = {key: array for key, (_, array) in loaded.items()}
-    scan = _scan(_rows(points, key, name), others.pop(origin_key, None), others, name)
+    if len(keys) == 1:
+        points, more = columns_of(parts[0][1], keys[0], name)
+    else:
+        points, more = stacked([array for _, array in parts], ", ".join(keys), name), {}
+    origin = others.pop(origin_key, more.pop("origin", None))
+    scan = _scan(points, origin, more | others, name)
     return replace(scan, notes=thinning_note(n_rows, step_of(n_rows)))
 
 
 def read_npy(data: Content, name: str) -> Scan:
-    """One array, its rows thinned to as many as are used, of shape (N, 3 or more).
+    """One array, its rows thinned to as many as are used, shaped as ``points`` of an archive.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
@@ -73,7 +83,18 @@ def read_npy(data: Content, name: str) -> Scan:
         if isinstance(error, CloudError):
             raise
         raise CloudError(f"{name}: is not a readable npy array ({shown(str(error))})") from None
-    return Scan(_rows(array, "", name), notes=thinning_note(n_rows, step_of(n_rows)))
+    points, more = columns_of(array, "", name)
+    scan = _scan(points, more.pop("origin", None), more, name)
+    return replace(scan, notes=thinning_note(n_rows, step_of(n_rows)))
+
+
+def _coordinate_keys(members: Sequence[str]) -> tuple[str, ...]:
+    """The array of points, or those of x, y and z; none when there are none."""
+    one = next((key for key in _POINTS if key in members), "")
+    if one:
+        return (one,)
+    axes = places(members)
+    return () if missing_coordinate(axes) else tuple(members[axes[axis]] for axis in COORDINATES)
 
 
 def write_npz(path: Path | str, cloud: Cloud) -> None:
@@ -95,7 +116,7 @@ def _scan(
 ) -> Scan:
     starts = viewpoint = None
     if origin is not None and origin.ndim == 2 and len(origin) == len(rows):
-        starts = _rows(origin, "origin", name)
+        starts = rows_of(origin, "origin", name)
     elif origin is not None:
         viewpoint = parse_viewpoint([str(v) for v in origin.ravel()[:8]], name)
     if "no_return" in others:
@@ -107,27 +128,22 @@ def _scan(
         return Scan(rows[~missed], viewpoint, rows[missed], starts[~missed], starts[missed])
     if "misses" not in others:
         return Scan(rows, viewpoint, starts=starts)
-    misses = _rows(others["misses"], "misses", name)
+    misses = rows_of(others["misses"], "misses", name)
     if "miss_origin" not in others:
         if starts is not None:
             raise CloudError(f"{name}: misses need a miss_origin, since each point has an origin of its own")
         return Scan(rows, viewpoint, misses)
-    behind = _rows(np.atleast_2d(others["miss_origin"]), "miss_origin", name)
+    behind = rows_of(np.atleast_2d(others["miss_origin"]), "miss_origin", name)
     if len(behind) not in (1, len(misses)):
         raise CloudError(f"{name}: {len(misses)} misses but {len(behind)} rows of miss_origin; one each is needed")
     return Scan(rows, viewpoint, misses, starts, np.broadcast_to(behind, misses.shape))
 
 
 def _flags(array: Shaped[np.ndarray, "..."], n_rows: int, name: str) -> Bool[np.ndarray, "N"]:
+    array = array.ravel()
     if array.shape != (n_rows,) or array.dtype.kind not in "biuf":
         raise CloudError(f"{name}: array 'no_return' is {array.dtype} of shape {array.shape}; ({n_rows},) is needed")
     return np.asarray(array != 0)
-
-
-def _rows(array: Shaped[np.ndarray, "..."], key: str, name: str) -> Float[np.ndarray, "N 3"]:
-    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
-        raise CloudError(f"{name}: array '{key}' is {array.dtype} of shape {array.shape}; numbers (N, 3) are needed")
-    return array[:, :3].astype(np.float64)
 
 
 def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> tuple[int, Shaped[np.ndarray, "..."]]:
@@ -152,6 +168,8 @@ def _load(file: IO[bytes], n_bytes: int, key: str, name: str) -> tuple[int, Shap
     size = math.prod(shape) * dtype.itemsize
     if max(size, n_bytes) > MAX_FILE_BYTES:
         raise CloudError(f"{name}: array '{key}' claims {max(size, n_bytes)} bytes; at most {MAX_FILE_BYTES}")
+    if len(shape) == 3 and not is_fortran and shape[2] <= MOST_OF_GRID:
+        shape = (shape[0] * shape[1], shape[2])  # a grid's points are thinned one by one
     n_rows = shape[0] if shape else 1
     if n_rows > MAX_FILE_POINTS:
         raise CloudError(f"{name}: array '{key}' has {n_rows} rows; at most {MAX_FILE_POINTS} are read")
