@@ -12,6 +12,7 @@ from service.cli_report import print_figures, print_findings, print_verdict
 from service.cli_run import consoles, print_json, progress
 from service.client.clouds import local_clouds
 from service.client.summary import summary_of
+from service.planned import check_planned
 from service.proto.planner.v1.planner_pb2 import Iteration, PlanResponse
 from service.request_file import load_request
 from service.result_folder import ResultFiles, check_folder
@@ -32,6 +33,7 @@ def request_plan(
     with progress(err, "read request") as report:
         report("read request", 0.0)
         request = load_request(request_file)
+        check_planned(request)
         check_folder(folder)
         end_s = None if deadline_s is None else time.monotonic() + deadline_s
         with connected(where, err) as client:

@@ -35,6 +35,7 @@ from service.cli import app
 from service.cli_connect import ENDINGS
 from service.cli_run import EXIT_CODES
 from service.cli_top import drawn
+from service.planned import UNPLANNED
 from service.proto.planner.v1 import planner_pb2 as pb
 from service.result import Verdict
 
@@ -159,7 +160,18 @@ def test_the_target_may_come_from_the_environment_and_the_token_from_a_file(
     assert [one["authorization"] for one in stand_in.metadata] == ["Bearer from-environment", "Bearer from-file"]
 
 
-@pytest.mark.parametrize("path", sorted(REQUESTS.glob("*.yaml")), ids=lambda path: path.stem)
+PLANNED = [path for path in sorted(REQUESTS.glob("*.yaml")) if path.stem not in UNPLANNED]
+
+
+@pytest.mark.parametrize("name", UNPLANNED)
+def test_clouds_of_a_task_without_a_planner_are_not_uploaded(stand_in: PlannerStandIn, target: str, name: str) -> None:
+    result = _request(target, name=name)
+    assert result.exit_code == 3
+    assert result.stdout.startswith(f"INVALID_REQUEST  task.{name}: there is no planner for ")
+    assert stand_in.asked == []
+
+
+@pytest.mark.parametrize("path", PLANNED, ids=lambda path: path.stem)
 def test_every_example_request_is_sent_with_its_clouds(stand_in: PlannerStandIn, target: str, path: Path) -> None:
     result = _request(target, name=path.stem)
     assert result.exit_code == 0, result.stderr

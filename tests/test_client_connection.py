@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import grpc
 import pytest
@@ -14,6 +19,7 @@ from planner_stand_in import PlannerStandIn, serving
 
 from service.client import PlannerClient, PlannerError, Retry
 from service.client.connection import Connection
+from service.client.unreachable import explained
 from service.errors import RequestError
 
 
@@ -58,6 +64,76 @@ def test_both_sides_prove_who_they_are(folder: Path, kind: str) -> None:
             with CLIENTS[kind](target, retry=once, timeout_s=5.0, **less) as client, pytest.raises(PlannerError) as end:
                 client.robots()
             assert end.value.code is grpc.StatusCode.UNAVAILABLE
+
+
+@contextmanager
+def _saying(words: bytes) -> Iterator[str]:
+    """The address of something else, which says this to everybody and hangs up."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def answer() -> None:
+            while True:
+                try:
+                    connection, _ = listener.accept()
+                except OSError:
+                    return
+                with connection:
+                    connection.recv(1000)
+                    connection.sendall(words)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        try:
+            yield f"127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            listener.shutdown(socket.SHUT_RDWR)
+            thread.join()
+
+
+def _told(kind: str, target: str, **settings: Any) -> str:
+    """What is said of a server that cannot be reached."""
+    once = Retry(attempts=1)
+    with CLIENTS[kind](target, retry=once, timeout_s=10.0, **settings) as client, pytest.raises(PlannerError) as end:
+        client.robots()
+    assert end.value.code is grpc.StatusCode.UNAVAILABLE
+    assert len(end.value.text) < 200
+    return str(end.value.text)
+
+
+@pytest.mark.parametrize("kind", CLIENTS)
+def test_where_nothing_listens_is_told_by_its_address(kind: str, tmp_path: Path) -> None:
+    for target in ("localhost:1", f"unix:{tmp_path}/socket"):
+        assert _told(kind, target) == f"nothing answers at {target}; is `scopt serve` running there?"
+    target = "no.such.host.invalid:50051"
+    assert _told(kind, target) == f"target: no address is known for {target}; is the name right?"
+
+
+@pytest.mark.parametrize("kind", CLIENTS)
+@pytest.mark.parametrize("words", [b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n", b"SSH-2.0-OpenSSH\r\n"])
+def test_what_is_no_planning_service_is_told(kind: str, words: bytes) -> None:
+    with _saying(words) as target:
+        assert _told(kind, target) == f"what listens at {target} is no planning service; is it the right port?"
+
+
+@pytest.mark.parametrize("kind", CLIENTS)
+def test_a_server_that_speaks_tls_and_one_that_does_not_are_told(folder: Path, kind: str) -> None:
+    ca = folder / "ca.pem"
+    with serving(PlannerStandIn(), _server(folder, False)) as target:
+        assert _told(kind, target) == f"the server at {target} hangs up; it may speak TLS: give tls_ca (--tls-ca)"
+        found = _told(kind, target, tls_ca=folder / "other.pem")
+        assert found.startswith(f"the server's certificate at {target} does not come from the authority in tls_ca")
+        by_number = target.replace("localhost", "127.0.0.1")
+        assert _told(kind, by_number, tls_ca=ca).startswith(f"the server's certificate is not for {by_number}; ask for")
+    with serving(PlannerStandIn(), _server(folder, True)) as target:
+        assert "it may want a certificate of this client: give tls_cert" in _told(kind, target, tls_ca=ca)
+    with serving(PlannerStandIn()) as target:
+        assert _told(kind, target, tls_ca=ca).startswith(f"what listens at {target} speaks no TLS; leave out tls_ca")
+
+
+def test_what_a_server_says_of_itself_is_left_as_it_is() -> None:
+    connection = Connection("robot:50051")
+    assert explained("the server is stopping", connection) == "the server is stopping"
+    assert explained("Socket closed", connection) == "the connection to robot:50051 broke off"
 
 
 def test_a_token_goes_to_this_machine_in_the_clear_and_elsewhere_under_tls(tmp_path: Path) -> None:

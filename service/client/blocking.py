@@ -16,8 +16,10 @@ from service.client.answers import FinishedPlan, PlanReader, SceneReader, Stored
 from service.client.clouds import CloudParts, cloud_to_send, local_clouds, with_cloud_ids
 from service.client.connection import OPTIONS
 from service.client.errors import planner_error
+from service.client.local import askable
 from service.client.messages import (
     Clouds,
+    check_size,
     clouds_message,
     detect_message,
     local_cloud_files,
@@ -26,8 +28,10 @@ from service.client.messages import (
     scene_message,
     verify_message,
 )
+from service.client.names import of_upload
 from service.client.received import received_files
 from service.client.settings import ClientSettings
+from service.client.steps import LastStep
 from service.proto.planner.v1.planner_pb2 import (
     BuiltScene,
     CloudsSpec,
@@ -135,7 +139,11 @@ class PlannerClient(ClientSettings):
         yield from self._stream("Plan", message, attempts.timeout_s)
 
     def with_uploaded_clouds(self, request: PlanRequest, *, deadline_s: float | None = None) -> PlanRequest:
-        """The request, its clouds that are files of this machine uploaded and named by their ids."""
+        """The request, its clouds that are files of this machine uploaded and named by their ids.
+
+        Its other paths that start here are told from the root where the server is this machine.
+        """
+        request = askable(request, self._connection.is_this_machine)
         attempts = self._attempts(deadline_s)
         ids = {
             name: self.upload_cloud(path, deadline_s=attempts.timeout_s) for name, path in local_clouds(request).items()
@@ -149,11 +157,14 @@ class PlannerClient(ClientSettings):
         while True:
             parts = CloudParts(cloud)
             try:
-                return str(self._stub.UploadCloud(parts, **self._call_options(attempts)).cloud_id)
+                answer = self._stub.UploadCloud(parts, **self._call_options(attempts))
             except grpc.RpcError as error:
                 if parts.error is not None:
                     raise parts.error from None
-                delay = self._wait_s(attempts, planner_error(error))
+                delay = self._wait_s(attempts, of_upload(planner_error(error), cloud.path))
+            else:
+                self._names.remember(answer.cloud_id, cloud.path)
+                return str(answer.cloud_id)
             time.sleep(delay)
 
     def build_scene(
@@ -223,6 +234,7 @@ class PlannerClient(ClientSettings):
         return clouds_message(clouds, ids)
 
     def _ask(self, method: str, message: Message, deadline_s: float | None, is_repeatable: bool = True) -> Any:
+        check_size(message)
         attempts = self._attempts(deadline_s, is_repeatable)
         while True:
             try:
@@ -232,14 +244,17 @@ class PlannerClient(ClientSettings):
             time.sleep(delay)
 
     def _stream(self, method: str, message: Message, deadline_s: float | None) -> Generator[Any, None, None]:
-        attempts = self._attempts(deadline_s)
+        check_size(message)
+        attempts, step = self._attempts(deadline_s), LastStep()
         while True:
             call = getattr(self._stub, method)(message, **self._call_options(attempts))
             try:
-                yield from call
+                for event in call:
+                    step.take(event)
+                    yield event
                 return
             except grpc.RpcError as error:
-                delay = self._wait_s(attempts, planner_error(error))
+                delay = self._wait_s(attempts, planner_error(error), step)
             finally:
                 call.cancel()
             time.sleep(delay)

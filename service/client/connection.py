@@ -11,6 +11,7 @@ from service.errors import RequestError, shown
 from service.trust import is_loopback
 
 MAX_MESSAGE_BYTES = 256 * 2**20
+MAX_SENT_BYTES = 4 * 2**20  # of one message; a server takes no larger ones
 MAX_SECRET_BYTES = 1_000_000
 OPTIONS = (
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
@@ -56,13 +57,18 @@ class Connection:
             return
         if not self.token.isascii() or not self.token.isprintable() or not self.token or " " in self.token:
             raise RequestError("token: printable ASCII characters without blanks are needed")
-        if not self.is_secure and not _is_this_machine(self.target):
+        if not self.is_secure and not self.is_this_machine:
             raise RequestError(f"token: is not sent to {self.target} in the clear; give tls_ca")
 
     @property
     def is_secure(self) -> bool:
         """Whether TLS is spoken."""
         return self.tls_ca is not None or self.tls_cert is not None
+
+    @property
+    def is_this_machine(self) -> bool:
+        """Whether the server runs here, or what leads to it does."""
+        return _is_this_machine(self.target)
 
     @property
     def metadata(self) -> tuple[tuple[str, str], ...]:

@@ -6,6 +6,10 @@ import uuid
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from google.protobuf.message import Message
+
+from service.client.connection import MAX_SENT_BYTES
+from service.client.local import cloud_problem
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
@@ -63,10 +67,18 @@ def detect_message(clouds: CloudsSpec, kind: str, hint: Sequence[float] | None) 
 
 
 def local_cloud_files(clouds: Clouds) -> dict[str, Path]:
-    """Those that are files here, by the name they are given."""
+    """Those that are files here, by the name they are given.
+
+    Raises:
+        RequestError: one starts here and is not here.
+    """
     if isinstance(clouds, CloudsSpec):
         return {}
     names = [str(cloud) for cloud in _listed(clouds)]
+    found = [cloud_problem(f"clouds[{index}]", name, Path(name)) for index, name in enumerate(names)]
+    problems = [problem for problem in found if problem]
+    if problems:
+        raise RequestError(problems)
     return {name: Path(name) for name in names if Path(name).is_file()}
 
 
@@ -76,6 +88,22 @@ def clouds_message(clouds: Clouds, ids: dict[str, str]) -> CloudsSpec:
         return clouds
     names = [str(cloud) for cloud in _listed(clouds)]
     return CloudsSpec(clouds=[CloudFile(file=ids.get(name, name)) for name in names])
+
+
+def check_size(message: Message) -> None:
+    """
+    Raises:
+        RequestError: no server takes as much at once.
+    """
+    n_bytes = message.ByteSize()
+    if n_bytes <= MAX_SENT_BYTES:
+        return
+    words = f"{_mib(n_bytes)} to send; a server takes at most {_mib(MAX_SENT_BYTES)} at once"
+    if isinstance(message, VerifyRequest) and message.files:
+        largest = max(message.files, key=lambda file: len(file.data))
+        words = f"files: {words}, and {largest.path} alone has {_mib(len(largest.data))}; verify the folder here, or "
+        words += "ask by the plan's id"
+    raise RequestError(words)
 
 
 def verify_message(plan: str | Path) -> VerifyRequest:
@@ -112,6 +140,10 @@ def review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> ReviewP
         trajectory_sha256=seen.result.trajectory.sha256,
         certificate_sha256=seen.result.certificate.sha256,
     )
+
+
+def _mib(n_bytes: int) -> str:
+    return f"{n_bytes / 2**20:.1f} MiB"
 
 
 def _listed(clouds: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:

@@ -46,6 +46,7 @@ class Attempts:
     ) -> None:
         self._retry = retry
         self._clock = clock
+        self.deadline_s = deadline_s
         self._end = None if deadline_s is None else clock() + deadline_s
         self._left = retry.attempts - 1 if is_repeatable else 0
         self._next_delay_s = retry.first_delay_s

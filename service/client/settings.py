@@ -11,7 +11,10 @@ import grpc
 from service.client.clouds import CloudToSend
 from service.client.connection import Connection
 from service.client.errors import PlannerError
+from service.client.names import CloudNames
 from service.client.retry import Attempts, Retry
+from service.client.steps import LastStep
+from service.client.unreachable import explained
 
 OnRetry = Callable[[PlannerError, float], None]
 SLOWEST_UPLOAD = 1e6  # [bytes/s]
@@ -49,6 +52,7 @@ class ClientSettings:
         self._timeout_s = timeout_s
         self._retry = retry or Retry()
         self._on_retry = on_retry
+        self._names = CloudNames()
 
     def _attempts(self, deadline_s: float | None, is_repeatable: bool = True) -> Attempts:
         return Attempts(self._retry, deadline_s, is_repeatable)
@@ -56,12 +60,16 @@ class ClientSettings:
     def _upload_time_s(self, cloud: CloudToSend) -> float:
         return self._timeout_s + cloud.n_bytes / SLOWEST_UPLOAD
 
-    def _wait_s(self, attempts: Attempts, error: PlannerError) -> float:
+    def _wait_s(self, attempts: Attempts, error: PlannerError, step: LastStep | None = None) -> float:
         """Before the next attempt.
 
         Raises:
-            PlannerError: there is none.
+            PlannerError: there is none; in the words of whoever asked.
         """
+        error = (step or LastStep()).told(self._names.in_words_of_here(error), attempts.deadline_s)
+        if error.code is grpc.StatusCode.UNAVAILABLE:
+            text = explained(error.text, self._connection)
+            error = PlannerError(error.code, text, error.violations, error.retry_delay_s)
         delay = attempts.delay_s(error)
         if self._on_retry is not None:
             self._on_retry(error, delay)

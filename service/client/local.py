@@ -1,0 +1,97 @@
+"""Paths of a request, where they start here: what can be asked of a server, and under which name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from service.errors import RequestError, shown
+from service.planned import check_planned
+from service.request import PlanRequest, RobotRequest
+from service.request_scene import MeshRequest, SceneRequest
+from service.trust.folders import UPLOADED
+
+NOT_UPLOADED = (
+    "it is not uploaded; put it where the server looks (`scopt serve --allow FOLDER`) and give its absolute path there"
+)
+
+
+def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
+    """The request as a server can understand it, clouds aside: it knows nothing of the folder that paths start at.
+
+    Args:
+        is_this_machine: whether the server runs here, where a path that starts here can be told from the root.
+
+    Raises:
+        RequestError: a file that is not there, or that would not be found there; a task without a planner.
+    """
+    check_planned(request)
+    problems = list(_cloud_problems(request))
+    for field, path in _files(request):
+        if os.path.isabs(path):
+            continue
+        if not request.resolve(path).exists():
+            problems.append(missing(field, path))
+        elif not is_this_machine:
+            problems.append(f"{field}: {shown(path)} is a path of this machine; {NOT_UPLOADED}")
+    if problems:
+        raise RequestError(problems)
+    return replace(request, robot=_robot(request), scene=_scene(request)) if is_this_machine else request
+
+
+def cloud_problem(field: str, name: str, path: Path) -> str | None:
+    """Why a cloud cannot be sent; None where it can, or where it is the server's to find.
+
+    Args:
+        name: as the user wrote it; path: what it means here.
+    """
+    if path.is_dir() and not os.path.isabs(name):
+        return f"{field}: {shown(name)} is a folder, and clouds are uploaded file by file; name a file in it"
+    if path.exists() or os.path.isabs(name) or name.startswith(UPLOADED):
+        return None
+    return missing(field, name)
+
+
+def missing(field: str, name: str) -> str:
+    """That a file is not there."""
+    return f"{field}: {shown(name)} is not there; name a file that is"
+
+
+def _cloud_problems(request: PlanRequest) -> Iterator[str]:
+    for index, cloud in enumerate(request.scene.cloud_files):
+        field = "scene.cloud" if isinstance(request.scene.cloud, str) else f"scene.cloud[{index}].file"
+        problem = cloud_problem(field, cloud.file, request.resolve(cloud.file))
+        if problem:
+            yield problem
+
+
+def _files(request: PlanRequest) -> Iterator[tuple[str, str]]:
+    robot = request.robot
+    yield from (
+        (f"robot.{key}", path) for key, path in (("urdf", robot.urdf), ("srdf", robot.srdf)) if path is not None
+    )
+    yield from ((f"robot.package_dirs[{index}]", path) for index, path in enumerate(robot.package_dirs))
+    for index, obstacle in enumerate(request.scene.obstacles):
+        if isinstance(obstacle, MeshRequest):
+            yield f"scene.obstacles[{index}].file", obstacle.file
+
+
+def _robot(request: PlanRequest) -> RobotRequest:
+    robot = request.robot
+    urdf, srdf = (None if path is None else _absolute(request, path) for path in (robot.urdf, robot.srdf))
+    folders = tuple(_absolute(request, path) for path in robot.package_dirs)
+    return replace(robot, urdf=urdf, srdf=srdf, package_dirs=folders)
+
+
+def _scene(request: PlanRequest) -> SceneRequest:
+    obstacles = tuple(
+        replace(one, file=_absolute(request, one.file)) if isinstance(one, MeshRequest) else one
+        for one in request.scene.obstacles
+    )
+    return replace(request.scene, obstacles=obstacles)
+
+
+def _absolute(request: PlanRequest, path: str) -> str:
+    return os.path.abspath(request.resolve(path))

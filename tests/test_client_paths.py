@@ -1,0 +1,192 @@
+"""What a user hears of files: what starts here is told here, and what a server says of a cloud names the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+from google.rpc.error_details_pb2 import BadRequest
+from planner_clients import CLIENTS
+from planner_stand_in import PlannerStandIn, accepted, refuse, refused, serving, written_cloud
+
+from service.client import PlannerClient, PlannerError
+from service.client.local import askable
+from service.client.names import MOST, CloudNames
+from service.errors import RequestError, UnplannedTaskError
+from service.proto.planner.v1 import planner_pb2 as pb
+from service.request import PlanRequest
+from service.request_file import load_request, parse_request
+
+Code = grpc.StatusCode
+REQUESTS = Path(__file__).parents[1] / "examples" / "requests"
+SHA = "795b" * 16
+
+
+@pytest.fixture
+def stand_in() -> PlannerStandIn:
+    return PlannerStandIn()
+
+
+@pytest.fixture
+def target(stand_in: PlannerStandIn) -> Iterator[str]:
+    with serving(stand_in) as address:
+        yield address
+
+
+@pytest.fixture(params=CLIENTS)
+def connect(request: pytest.FixtureRequest, target: str) -> Callable[..., Any]:
+    return lambda **settings: CLIENTS[request.param](target, **settings)
+
+
+def _request(folder: Path, **parts: Any) -> PlanRequest:
+    return parse_request({"robot": {"name": "atlas"}, "goal": {"posture": "stand"}} | parts, folder)
+
+
+def _bad(*lines: str) -> BadRequest:
+    return BadRequest(field_violations=[{"field": "request.scene.cloud", "description": line} for line in lines])  # type: ignore[list-item]
+
+
+def test_a_cloud_that_starts_here_and_is_not_here_is_told_here(
+    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
+) -> None:
+    (tmp_path / "bag").mkdir()
+    clouds = [{"file": "nowhere.pcd"}, {"file": "bag"}, {"file": "/robot/scan.pcd"}]
+    with connect() as client, pytest.raises(RequestError) as caught:
+        client.plan(_request(tmp_path, scene={"cloud": clouds}))
+    assert caught.value.problems == (
+        "scene.cloud[0].file: 'nowhere.pcd' is not there; name a file that is",
+        "scene.cloud[1].file: 'bag' is a folder, and clouds are uploaded file by file; name a file in it",
+    )
+    with connect() as client, pytest.raises(RequestError, match=r"scene\.cloud: 'nowhere\.pcd' is not there"):
+        client.plan(_request(tmp_path, scene={"cloud": "nowhere.pcd"}))
+    assert stand_in.asked == []
+
+
+def test_clouds_to_look_at_that_are_not_here_are_told_here(
+    connect: Callable[..., Any], stand_in: PlannerStandIn
+) -> None:
+    with connect() as client:
+        with pytest.raises(RequestError, match=r"clouds\[1\]: 'nowhere\.pcd' is not there"):
+            client.detect([f"sha256:{SHA}.pcd", "nowhere.pcd"], "valve")
+        with pytest.raises(RequestError, match=r"clouds\[0\]: 'tests' is a folder"):
+            client.build_scene(Path("tests"))
+    assert stand_in.asked == []
+
+
+def test_a_path_of_neither_machine_is_told_to_be_on_neither(
+    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
+) -> None:
+    line = "scene.cloud: not a file that requests may name, got '/nowhere.pcd'; the cloud_id of an upload would do"
+    stand_in.plans.append(refused(Code.INVALID_ARGUMENT, line, _bad(line)))
+    with connect() as client, pytest.raises(PlannerError) as caught:
+        client.plan(_request(tmp_path, scene={"cloud": "/nowhere.pcd"}))
+    assert caught.value.problems == (f"{line}; it is no file here that could be uploaded",)
+
+
+@pytest.mark.parametrize("told", ["{id}: no DATA line", "no cloud '{cut}… is there; upload it first, or again"])
+def test_what_is_wrong_with_an_uploaded_cloud_names_its_file(
+    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path, told: str
+) -> None:
+    def plan(request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
+        yield accepted(request)
+        (cloud_id,) = stand_in.clouds
+        line = told.format(id=cloud_id, cut=cloud_id[:40])
+        refuse(context, Code.INVALID_ARGUMENT, line, [_bad(f"scene.cloud: {line}")])
+
+    path = written_cloud(tmp_path)
+    stand_in.plans.append(plan)
+    with connect() as client, pytest.raises(PlannerError) as caught:
+        client.plan(_request(tmp_path, scene={"cloud": "scan.pcd"}))
+    (line,) = caught.value.problems
+    assert "sha256" not in line + caught.value.text
+    assert str(path) in line
+    assert str(path) in caught.value.text
+    assert caught.value.violations[0].field == "request.scene.cloud"
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [
+        ("chunk: the cloud is empty", "the cloud is empty"),
+        ("header.format: pcd, ply would do, got 'txt2'", "format: pcd, ply would do, got 'txt2'"),
+        ("header.size_bytes: at most 9 would do, got 12", "size_bytes: at most 9 would do, got 12"),
+    ],
+)
+@pytest.mark.parametrize("kind", CLIENTS)
+def test_an_upload_that_is_refused_names_its_file(tmp_path: Path, kind: str, told: str, said: str) -> None:
+    class Refusing(PlannerStandIn):
+        def UploadCloud(self, requests: Any, context: grpc.ServicerContext) -> pb.UploadCloudResponse:
+            refuse(context, Code.INVALID_ARGUMENT, told, [_bad(told)])
+
+    path = written_cloud(tmp_path)
+    with serving(Refusing()) as target, CLIENTS[kind](target) as client, pytest.raises(PlannerError) as caught:
+        client.upload_cloud(path)
+    assert (caught.value.text, caught.value.problems) == (f"{path}: {said}", (f"{path}: {said}",))
+
+
+def test_names_of_clouds_are_not_kept_for_ever() -> None:
+    names = CloudNames()
+    for number in range(MOST + 10):
+        names.remember(f"sha256:{number:064x}.pcd", Path(f"{number}.pcd"))
+    told = PlannerError(Code.INVALID_ARGUMENT, f"sha256:{9:064x}.pcd and sha256:{MOST:064x}.pcd are damaged")
+    assert names.in_words_of_here(told).text == f"sha256:{9:064x}.pcd and {MOST}.pcd are damaged"
+
+
+def test_paths_of_a_request_are_told_from_the_root_to_a_server_on_this_machine() -> None:
+    request = load_request(REQUESTS / "mesh.yaml")
+    asked = askable(request, is_this_machine=True)
+    (mesh,) = (one.file for one in asked.scene.obstacles if hasattr(one, "file"))
+    assert mesh == str((REQUESTS.parent / "data" / "window_frame.obj").resolve())
+    assert asked.folder == request.folder
+
+
+def test_paths_of_this_machine_are_not_asked_of_another(tmp_path: Path) -> None:
+    for name in ("robot.urdf", "table.obj"):
+        (tmp_path / name).touch()
+    obstacles = [{"name": name, "type": "mesh", "file": name} for name in ("table.obj", "gone.obj", "/there/b.obj")]
+    request = _request(tmp_path, robot={"urdf": "robot.urdf"}, scene={"obstacles": obstacles})
+    with pytest.raises(RequestError) as caught:
+        askable(request, is_this_machine=False)
+    robot, table, gone = caught.value.problems
+    assert robot.startswith("robot.urdf: 'robot.urdf' is a path of this machine; it is not uploaded")
+    assert table.startswith("scene.obstacles[0].file: 'table.obj' is a path of this machine")
+    assert "scopt serve --allow FOLDER" in table
+    assert gone == "scene.obstacles[1].file: 'gone.obj' is not there; name a file that is"
+    with pytest.raises(RequestError, match=r"^scene\.obstacles\[1\]\.file: 'gone\.obj' is not there"):
+        askable(request, is_this_machine=True)
+
+
+def test_robot_files_are_told_from_the_root_too(tmp_path: Path) -> None:
+    for name in ("robot.urdf", "robot.srdf"):
+        (tmp_path / name).touch()
+    robot = {"urdf": "robot.urdf", "srdf": "robot.srdf", "package_dirs": ["."]}
+    asked = askable(_request(tmp_path, robot=robot), is_this_machine=True).robot
+    assert (asked.urdf, asked.srdf) == (f"{tmp_path}/robot.urdf", f"{tmp_path}/robot.srdf")
+    assert asked.package_dirs == (str(tmp_path),)
+
+
+def test_a_task_without_a_planner_is_told_before_its_cloud_is_read(
+    connect: Callable[..., Any], stand_in: PlannerStandIn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.planned.UNPLANNED", {"valve": "valves"})
+    with connect() as client, pytest.raises(UnplannedTaskError, match=r"task\.valve: there is no planner for valves"):
+        client.plan(load_request(REQUESTS / "valve.yaml"))
+    assert stand_in.asked == []
+
+
+def test_a_result_folder_too_large_for_one_message_is_told_here(
+    stand_in: PlannerStandIn, target: str, tmp_path: Path
+) -> None:
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "result.json").write_text('{"format": "scopt-result/1"}')
+    (tmp_path / "robot" / "torso.stl").write_bytes(bytes(5 * 2**20))
+    with PlannerClient(target) as client, pytest.raises(RequestError) as caught:
+        client.verify(tmp_path)
+    assert str(caught.value) == (
+        "files: 5.0 MiB to send; a server takes at most 4.0 MiB at once, and robot/torso.stl alone has 5.0 MiB; "
+        "verify the folder here, or ask by the plan's id"
+    )
+    assert stand_in.asked == []
