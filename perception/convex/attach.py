@@ -33,10 +33,14 @@ def attached(
     """
     grown, left = list(slabs), []
     free_before = [_free_cells(slab, free) for _, slab in slabs]
+    lower = np.array([slab.vertices.min(axis=0) for _, slab in slabs]).reshape(-1, 3)
+    upper = np.array([slab.vertices.max(axis=0) for _, slab in slabs]).reshape(-1, 3)
     for hull in sorted(hulls, key=lambda one: one.volume):
         options = []
-        for i, (plane, slab) in enumerate(grown):
-            if not _is_beside(hull, slab) or np.abs(hull.vertices @ plane.normal - plane.offset).max() > _IN_PLANE:
+        is_beside = (hull.lower <= upper + _ASIDE).all(axis=1) & (hull.upper >= lower - _ASIDE).all(axis=1)
+        for i in map(int, np.flatnonzero(is_beside)):
+            plane, slab = grown[i]
+            if np.abs(hull.vertices @ plane.normal - plane.offset).max() > _IN_PLANE:
                 continue
             joint = joined(plane, slab, hull.vertices @ plane.basis.T)
             if _free_cells(joint, free) <= free_before[i] + _FEW:
@@ -44,14 +48,10 @@ def attached(
         if options:
             _, i, joint = min(options, key=lambda option: option[:2])
             grown[i] = grown[i][0], joint
+            lower[i], upper[i] = joint.vertices.min(axis=0), joint.vertices.max(axis=0)
         else:
             left.append(hull)
     return grown, left
-
-
-def _is_beside(hull: Hull, slab: Slab) -> bool:
-    lower, upper = slab.vertices.min(axis=0) - _ASIDE, slab.vertices.max(axis=0) + _ASIDE
-    return bool((hull.lower <= upper).all() and (hull.upper >= lower).all())
 
 
 def _free_cells(slab: Slab, free: FreeSpace) -> int:
