@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from perception.clean import row_keys
 
 MAX_VERTICES = 64
-_SKIN = 0.005
+SKIN = 0.005
 _FACES = 8
 # Corners of an octahedron: the smallest symmetric body that gives flat points a volume.
 _OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
@@ -69,7 +69,7 @@ def hull_of(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"]) -> 
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
-        points = thickened(points, _SKIN)
+        points = thickened(points, SKIN)
         hull = ConvexHull(points)
     number = np.zeros(len(points), dtype=np.int64)
     number[hull.vertices] = np.arange(len(hull.vertices))

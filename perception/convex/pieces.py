@@ -16,11 +16,12 @@ from perception.convex.attach import attached
 from perception.convex.coarse import Coarse, coarsened
 from perception.convex.evidence import evidence_of
 from perception.convex.freespace import FreeSpace, carve
-from perception.convex.hulls import Hull, hull_of, limited, thickened
+from perception.convex.hulls import SKIN, Hull, hull_of, limited, thickened
 from perception.convex.piece import Piece
 from perception.convex.planes import Plane, PlaneSettings, find_planes
 from perception.convex.refine import refined
 from perception.convex.slabs import FRONT, Slab, slabs_of
+from perception.convex.smooth import smoothed
 from perception.convex.split import clusters, merge, split
 from perception.convex.standing import still_standing, unexplained
 
@@ -28,7 +29,6 @@ VOXEL = 0.015
 _CELL = 0.02
 _WITHIN = 0.01
 _BEHIND = 0.02
-_SKIN = 0.005
 _GAP = 0.06
 _AROUND = 0.1
 _UPRIGHT = 0.17
@@ -135,6 +135,7 @@ def _bodies(
     clock.lap("planes")
     slabs = [(plane, slab) for plane in planes for slab in slabs_of(plane, points, *rays, free)]
     clock.lap("slabs")
+    points = smoothed(coarse.points, coarse.counts, coarse.starts, left)
     rest = ~_covered(points, slabs)
     hulls = _clutter(points[rest], starts[rest], free)
     hulls = refined(hulls, points[rest], coarse.points, rays, _GAP)
@@ -202,7 +203,7 @@ def _covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Slab]]) 
 
 def _skinned(hull: Hull) -> Float[np.ndarray, "V 3"]:
     """The hull with a skin of 5 mm, which covers the surface between points, and at most 64 vertices."""
-    return limited(hull_of(thickened(hull.vertices, _SKIN), hull.members).vertices)
+    return limited(hull_of(thickened(hull.vertices, SKIN), hull.members).vertices)
 
 
 def _kind_of(plane: Plane, slab: Slab) -> str:

@@ -10,15 +10,15 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 
 from perception.convex.freespace import FreeSpace, carve
-from perception.convex.hulls import Hull
-from perception.convex.split import is_free_of, merge, split
+from perception.convex.hulls import SKIN, Hull, hull_of, thickened
+from perception.convex.split import Allowance, is_free_of, merge, split
 
 _CELL = 0.01
 _CLOSE = 2
 _AROUND = 0.03
 # Smaller hulls are as small as noise and skin make them, and so much seen-free space is noise [m^3].
 _LEAST_VOLUME = 5e-5
-_FREE_VOLUME = 8e-6
+_ALLOWED = Allowance(volume=1.2e-5, share=0.02, skin=SKIN)
 
 
 def refined(
@@ -28,7 +28,10 @@ def refined(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     gap: float,
 ) -> list[Hull]:
-    """The hulls, those that hold seen-free space more than 2 cm from any point split until they do not.
+    """The hulls, those that with a skin hold seen-free space more than 2 cm from any point split until they do not.
+
+    The points of a single scan line round a corner span no volume, but with a skin their hull is a sheet through the
+    air before them.
 
     Args:
         hulls: of some of the points.
@@ -40,16 +43,15 @@ def refined(
     passing = _Passing.of(np.broadcast_to(rays[0], rays[1].shape), rays[1])
     done: list[Hull] = []
     for hull in hulls:
-        if hull.volume < _LEAST_VOLUME:
+        if hull_of(thickened(hull.vertices, SKIN), hull.members).volume < _LEAST_VOLUME:
             done.append(hull)
             continue
         lower = _CELL * np.floor((hull.lower - _AROUND) / _CELL)
         fine = _seen_free(passing, surface, lower, hull.upper + _AROUND)
-        if is_free_of(hull, fine, _FREE_VOLUME):
+        if is_free_of(hull, fine, _ALLOWED):
             done.append(hull)
         else:
-            parts = split(points, hull.members, fine, _FREE_VOLUME)
-            done += merge(parts, fine, gap, _FREE_VOLUME)
+            done += merge(split(points, hull.members, fine, _ALLOWED), fine, gap, _ALLOWED)
     return done
 
 

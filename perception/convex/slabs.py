@@ -19,6 +19,7 @@ FRONT = 0.017
 _BACK = 0.017
 _WORTHWHILE = 0.05
 _NOISE = 0.001
+_MOST_CORNERS = 32
 
 
 @dataclass(frozen=True)
@@ -227,7 +228,7 @@ def _slab(plane: Plane, flat: Float[np.ndarray, "N 2"]) -> Slab:
 
 def _thickened(plane: Plane, corners: Float[np.ndarray, "K 2"], faces: Float[np.ndarray, "F 3"]) -> Slab:
     """Thickened outline, its corners thinned to at most 32."""
-    if len(corners) > 32:
+    if len(corners) > _MOST_CORNERS:
         corners, faces = _coarser(corners)
     middle = corners @ plane.basis + plane.offset * plane.normal
     vertices = np.concatenate([middle + FRONT * plane.normal, middle - _BACK * plane.normal])
@@ -235,9 +236,21 @@ def _thickened(plane: Plane, corners: Float[np.ndarray, "K 2"], faces: Float[np.
 
 
 def _coarser(corners: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "M 2"], Float[np.ndarray, "F 3"]]:
-    """Outline of at most 32 corners that is at most millimetres smaller: extreme corners in 32 directions."""
-    angles = 2 * np.pi * np.arange(32) / 32
-    directions = np.stack([np.cos(angles), np.sin(angles)])
-    scale = np.maximum(np.ptp(corners, axis=0), 1e-3)
-    kept = corners[np.unique(np.argmax((corners / scale) @ directions, axis=0))]
-    return _outline(kept)
+    """Outline of 32 corners that holds the given one: side by side goes whose neighbours meet nearest beyond it."""
+    while len(corners) > _MOST_CORNERS:
+        before, last, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0), np.roll(corners, -2, axis=0)
+        ahead, back, side = corners - before, last - after, last - corners
+        turn = _cross(ahead, -back)
+        meet = _cross(side, back) / np.where(turn > 0.0, -turn, 1.0)
+        added = np.where((turn > 0.0) & (meet >= 0.0), _cross(ahead, side) * meet, np.inf)
+        least = int(np.argmin(added))
+        if not np.isfinite(added[least]):
+            break
+        corners = corners.copy()
+        corners[least] += meet[least] * ahead[least]
+        corners = np.delete(corners, (least + 1) % len(corners), axis=0)
+    return _outline(corners)
+
+
+def _cross(a: Float[np.ndarray, "K 2"], b: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "K"]:
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

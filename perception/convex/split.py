@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,13 +12,30 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from perception.convex.freespace import FreeSpace
-from perception.convex.hulls import Hull, hull_of
+from perception.convex.hulls import Hull, hull_of, thickened
 
 _SMALLEST = 0.03
 _NEIGHBOURS = 10
 _MOST_FREE_CELLS = 2
-_FREE_VOLUME = 1.6e-5
 _PROBES = 12
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """How much seen-free space a hull may hold, since noise explains it.
+
+    Attributes:
+        volume: at most so much [m^3],
+        share: and at most this share of the hull.
+        skin: that the hull has when it is judged [m].
+    """
+
+    volume: float = 1.6e-5
+    share: float = 0.01
+    skin: float = 0.0
+
+
+_DEFAULT = Allowance()
 
 
 def clusters(
@@ -38,7 +56,10 @@ def clusters(
 
 
 def split(
-    points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"], free: FreeSpace, most: float = _FREE_VOLUME
+    points: Float[np.ndarray, "N 3"],
+    members: Int[np.ndarray, "K"],
+    free: FreeSpace,
+    allowed: Allowance = _DEFAULT,
 ) -> list[Hull]:
     """Hulls of the members, cut in two until none holds seen-free space (or is as small as the noise)."""
     done: list[Hull] = []
@@ -46,16 +67,18 @@ def split(
     while todo:
         indices = todo.pop()
         hull = hull_of(points[indices], indices)
-        if len(indices) < 4 or (hull.upper - hull.lower).max() <= _SMALLEST or is_free_of(hull, free, most):
+        if len(indices) < 4 or (hull.upper - hull.lower).max() <= _SMALLEST or is_free_of(hull, free, allowed):
             done.append(hull)
         else:
             todo.extend(indices[side] for side in _cut(points[indices]))
     return done
 
 
-def is_free_of(hull: Hull, free: FreeSpace, volume: float = _FREE_VOLUME) -> bool:
-    """Whether the hull holds no more seen-free space than noise explains: at most so much [m^3], and 1 % of it."""
-    most = int(min(volume, 0.01 * hull.volume) / free.size**3 + 1e-6)
+def is_free_of(hull: Hull, free: FreeSpace, allowed: Allowance = _DEFAULT) -> bool:
+    """Whether the hull holds no more seen-free space than noise explains."""
+    if allowed.skin > 0.0:
+        hull = hull_of(thickened(hull.vertices, allowed.skin), hull.members)
+    most = int(min(allowed.volume, allowed.share * hull.volume) / free.size**3 + 1e-6)
     return free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, most) <= most
 
 
@@ -87,15 +110,16 @@ def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
     return np.asarray(first + second)
 
 
-def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float, most: float = _FREE_VOLUME) -> list[Hull]:
+def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float, allowed: Allowance = _DEFAULT) -> list[Hull]:
     """Join neighbours, least added volume first, while the joint hull holds no seen-free space.
 
     Args:
         hulls: what to join.
         free: what was seen free.
         gap: boxes farther apart than this are not neighbours [m].
+        allowed: how much seen-free space a joint hull may hold.
     """
-    merger = _Merger(list(hulls), free, gap, most)
+    merger = _Merger(list(hulls), free, gap, allowed)
     for i in range(len(hulls)):
         merger.propose(i, i)
     while merger.queue:
@@ -108,11 +132,11 @@ def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float, most: float = _FRE
 class _Merger:
     """Hulls, which of them still stand, and the joints that could take the place of two."""
 
-    def __init__(self, hulls: list[Hull], free: FreeSpace, gap: float, most: float) -> None:
+    def __init__(self, hulls: list[Hull], free: FreeSpace, gap: float, allowed: Allowance) -> None:
         self.hulls = hulls
         self.queue: list[tuple[float, int, int, Hull]] = []
         self.is_alive = np.ones(len(hulls), dtype=bool)
-        self._free, self._gap, self._most = free, gap, most
+        self._free, self._gap, self._allowed = free, gap, allowed
         self._lower = np.array([hull.lower for hull in hulls]).reshape(-1, 3)
         self._upper = np.array([hull.upper for hull in hulls]).reshape(-1, 3)
 
@@ -137,7 +161,7 @@ class _Merger:
                 continue
             members = np.concatenate([one.members, other.members])
             joint = hull_of(np.concatenate([one.vertices, other.vertices]), members)
-            if is_free_of(joint, self._free, self._most):
+            if is_free_of(joint, self._free, self._allowed):
                 heapq.heappush(self.queue, (joint.volume - one.volume - other.volume, i, int(j), joint))
 
 

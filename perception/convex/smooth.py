@@ -1,0 +1,80 @@
+"""Points moved along their own rays to where the rays beside them ended: range noise averaged out."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from perception.beside import STARTS_APART, depth_noise
+from perception.clean import row_keys
+
+_NEIGHBOURS = 24
+# Neighbours are looked for in a body that is so many times as long along the ray as it is wide.
+_LENGTHWISE = 2.5
+_ASIDE = 0.008
+_FAR_ASIDE = 0.02
+_AHEAD = 1.5
+_APART = 1e3
+_RIDGE = 0.003
+
+
+def smoothed(
+    points: Float[np.ndarray, "N 3"],
+    counts: Int[np.ndarray, "N"],
+    starts: Float[np.ndarray, "N 3"],
+    chosen: Int[np.ndarray, "C"],
+) -> Float[np.ndarray, "C 3"]:
+    """The chosen points, each where its ray meets the plane of those seen beside it.
+
+    Those count that lie at most 2 cm aside and at most so far ahead or behind as the noise of ranges explains; the
+    nearer to the ray the more, as a Gaussian of 8 mm.
+
+    Args:
+        points: (N, 3) [m].
+        counts: (N,) how many measured points each stands for.
+        starts: (N, 3) where their rays started [m].
+        chosen: which are to be moved.
+    """
+    if len(points) < 2 or not len(chosen):
+        return np.asarray(points[chosen])
+    rays = points - starts
+    ranges = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
+    along = rays / ranges[:, None]
+    neighbours = _beside(along, ranges, starts, chosen)
+    mine, along = points[chosen], along[chosen]
+    apart = np.append(points, points[:1], axis=0)[neighbours] - mine[:, None]
+    right = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=1)])
+    right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-9)
+    ahead, u, v = (np.einsum("nki,ni->nk", apart, axis) for axis in (along, right, np.cross(along, right)))
+    aside = u * u + v * v
+    weight = np.append(counts, 0)[neighbours] * np.exp(-0.5 * aside / _ASIDE**2)
+    weight *= (aside <= _FAR_ASIDE**2) & (np.abs(ahead) <= _AHEAD * depth_noise(ranges[chosen])[:, None])
+    weight /= weight.sum(axis=1, keepdims=True)
+
+    def mean(values: Float[np.ndarray, "C K"]) -> Float[np.ndarray, "C"]:
+        return np.asarray(np.einsum("nk,nk->n", weight, values))
+
+    # Least squares of the depth over (u, v); a little ridge keeps a single scan line from having any slope across it.
+    mean_u, mean_v, depth = mean(u), mean(v), mean(ahead)
+    uu, vv = mean(u * u) - mean_u**2 + _RIDGE**2, mean(v * v) - mean_v**2 + _RIDGE**2
+    uv, ud, vd = mean(u * v) - mean_u * mean_v, mean(u * ahead) - mean_u * depth, mean(v * ahead) - mean_v * depth
+    determinant = uu * vv - uv * uv
+    slope_u, slope_v = (vv * ud - uv * vd) / determinant, (uu * vd - uv * ud) / determinant
+    return np.asarray(mine + (depth - slope_u * mean_u - slope_v * mean_v)[:, None] * along)
+
+
+def _beside(
+    along: Float[np.ndarray, "N 3"],
+    ranges: Float[np.ndarray, "N"],
+    starts: Float[np.ndarray, "N 3"],
+    chosen: Int[np.ndarray, "C"],
+) -> Int[np.ndarray, "C K"]:
+    """For each chosen point those, itself included, whose rays started where its own did and ended near it, or N."""
+    # A small step along the ray is so much shorter here than an equal one aside.
+    places = along * (ranges ** (1.0 / _LENGTHWISE))[:, None]
+    sensors = row_keys(np.floor(starts / STARTS_APART))
+    if (sensors != sensors[0]).any():
+        places[:, 0] += _APART * np.unique(sensors, return_inverse=True)[1]
+    k = np.arange(1, min(_NEIGHBOURS, len(along)) + 1)
+    return np.asarray(cKDTree(places).query(places[chosen], k=k, distance_upper_bound=0.5 * _APART, workers=-1)[1])
