@@ -35,15 +35,11 @@ def request_plan(
         request = load_request(request_file)
         check_planned(request)
         check_folder(folder)
-        end_s = None if deadline_s is None else time.monotonic() + deadline_s
         with connected(where, err) as client:
-            if names := list(local_clouds(request)):
-                report(f"upload {', '.join(names)}", 0.0)
-                request = client.with_uploaded_clouds(request, deadline_s=deadline_s)
-            report("send request", 0.0)
+            names = ", ".join(local_clouds(request))
+            report(f"upload {names}, send request" if names else "send request", 0.0)
             tell = _Teller(report, 0.0 if err.is_terminal else SELDOM_S)
-            left_s = None if end_s is None else end_s - time.monotonic()
-            plan = client.plan(request, request_id=request_id, out=folder, on_progress=tell, deadline_s=left_s)
+            plan = client.plan(request, request_id=request_id, out=folder, on_progress=tell, deadline_s=deadline_s)
     summary = summary_of(plan.result)
     files = None if plan.folder is None else ResultFiles(plan.folder)
     if as_json:

@@ -30,6 +30,7 @@ from service.client.messages import (
 )
 from service.client.names import of_upload
 from service.client.received import received_files
+from service.client.retry import Attempts
 from service.client.settings import ClientSettings
 from service.client.steps import LastStep
 from service.proto.planner.v1.planner_pb2 import (
@@ -124,7 +125,7 @@ class AsyncPlannerClient(ClientSettings):
         if isinstance(request, PlanRequest):
             request = await self.with_uploaded_clouds(request, deadline_s=attempts.timeout_s)
         message = plan_message(request, request_id, with_files, with_waypoints)
-        async with aclosing(self._stream("Plan", message, attempts.timeout_s)) as events:
+        async with aclosing(self._stream("Plan", message, attempts)) as events:
             async for event in events:
                 yield event
 
@@ -172,7 +173,7 @@ class AsyncPlannerClient(ClientSettings):
         """Turn clouds into pieces, floor and objects; the options are those of ``scopt scene``."""
         message = scene_message(await self._clouds(clouds), detect, hint, unknown, method)
         reader = SceneReader()
-        async with aclosing(self._stream("BuildScene", message, deadline_s)) as events:
+        async with aclosing(self._stream("BuildScene", message, self._attempts(deadline_s))) as events:
             async for event in events:
                 reader.take(event)
                 if on_step is not None and event.step:
@@ -202,11 +203,10 @@ class AsyncPlannerClient(ClientSettings):
         """A plan and its reviews; with ``out``, its files are put into that folder."""
         folder = None if out is None else Path(out)
         message = GetPlanRequest(plan_id=plan_id, with_files=out is not None)
+        attempts = self._attempts(self._timeout_s if deadline_s is None else deadline_s)
         with received_files(folder) as files:
             reader = StoredReader(files, folder)
-            async with aclosing(
-                self._stream("GetPlan", message, self._timeout_s if deadline_s is None else deadline_s)
-            ) as parts:
+            async with aclosing(self._stream("GetPlan", message, attempts)) as parts:
                 async for part in parts:
                     reader.take(part)
             return reader.finished()
@@ -236,9 +236,9 @@ class AsyncPlannerClient(ClientSettings):
                 delay = self._wait_s(attempts, planner_error(error))
             await asyncio.sleep(delay)
 
-    async def _stream(self, method: str, message: Message, deadline_s: float | None) -> AsyncGenerator[Any, None]:
+    async def _stream(self, method: str, message: Message, attempts: Attempts) -> AsyncGenerator[Any, None]:
         check_size(message)
-        attempts, step = self._attempts(deadline_s), LastStep()
+        step = LastStep()
         while True:
             call = getattr(self._stub, method)(message, **self._call_options(attempts))
             try:

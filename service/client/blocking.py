@@ -30,6 +30,7 @@ from service.client.messages import (
 )
 from service.client.names import of_upload
 from service.client.received import received_files
+from service.client.retry import Attempts
 from service.client.settings import ClientSettings
 from service.client.steps import LastStep
 from service.proto.planner.v1.planner_pb2 import (
@@ -136,7 +137,7 @@ class PlannerClient(ClientSettings):
         if isinstance(request, PlanRequest):
             request = self.with_uploaded_clouds(request, deadline_s=attempts.timeout_s)
         message = plan_message(request, request_id, with_files, with_waypoints)
-        yield from self._stream("Plan", message, attempts.timeout_s)
+        yield from self._stream("Plan", message, attempts)
 
     def with_uploaded_clouds(self, request: PlanRequest, *, deadline_s: float | None = None) -> PlanRequest:
         """The request, its clouds that are files of this machine uploaded and named by their ids.
@@ -181,7 +182,7 @@ class PlannerClient(ClientSettings):
         """Turn clouds into pieces, floor and objects; the options are those of ``scopt scene``."""
         message = scene_message(self._clouds(clouds), detect, hint, unknown, method)
         reader = SceneReader()
-        with closing(self._stream("BuildScene", message, deadline_s)) as events:
+        with closing(self._stream("BuildScene", message, self._attempts(deadline_s))) as events:
             for event in events:
                 reader.take(event)
                 if on_step is not None and event.step:
@@ -209,11 +210,10 @@ class PlannerClient(ClientSettings):
         """A plan and its reviews; with ``out``, its files are put into that folder."""
         folder = None if out is None else Path(out)
         message = GetPlanRequest(plan_id=plan_id, with_files=out is not None)
+        attempts = self._attempts(self._timeout_s if deadline_s is None else deadline_s)
         with received_files(folder) as files:
             reader = StoredReader(files, folder)
-            with closing(
-                self._stream("GetPlan", message, self._timeout_s if deadline_s is None else deadline_s)
-            ) as parts:
+            with closing(self._stream("GetPlan", message, attempts)) as parts:
                 for part in parts:
                     reader.take(part)
             return reader.finished()
@@ -243,9 +243,9 @@ class PlannerClient(ClientSettings):
                 delay = self._wait_s(attempts, planner_error(error))
             time.sleep(delay)
 
-    def _stream(self, method: str, message: Message, deadline_s: float | None) -> Generator[Any, None, None]:
+    def _stream(self, method: str, message: Message, attempts: Attempts) -> Generator[Any, None, None]:
         check_size(message)
-        attempts, step = self._attempts(deadline_s), LastStep()
+        step = LastStep()
         while True:
             call = getattr(self._stub, method)(message, **self._call_options(attempts))
             try:
