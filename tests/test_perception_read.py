@@ -175,6 +175,35 @@ def test_ply_round_trip(points, form, kind) -> None:
     assert scan.viewpoint == VIEWPOINT
 
 
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply_lists_may_stand_before_the_vertices_and_in_them(form: str) -> None:
+    header = (
+        f"ply\nformat {form} 1.0\nelement nothing 0\nelement face 2\nproperty list uchar int vertex_indices\nelement vertex 3\n"
+        "property float x\nproperty list uchar short seen\nproperty float y\nproperty float z\nend_header\n"
+    ).encode()
+    points = np.arange(9.0).reshape(3, 3)
+    if form == "ascii":
+        body = b"3 0 1 2\n4 0 1 2 0\n" + "".join(f"{x} 2 7 8 {y} {z}\n" for x, y, z in points).encode()
+    else:
+        order = ">" if form.endswith("big_endian") else "<"
+        faces = np.zeros(2, [("n", "u1"), ("i", order + "i4", (3,))])
+        faces["n"] = 3
+        rows = np.zeros(3, [("x", order + "f4"), ("n", "u1"), ("s", order + "i2", (2,)), ("yz", order + "f4", (2,))])
+        rows["x"], rows["n"], rows["yz"] = points[:, 0], 2, points[:, 1:]
+        body = faces.tobytes() + rows.tobytes()
+        rows["n"][1] = 1
+        with pytest.raises(CloudError, match="element vertex has lists of differing lengths; put vertices first"):
+            read_ply(header + faces.tobytes() + rows.tobytes(), "a.ply")
+    np.testing.assert_array_equal(read_ply(header + body, "a.ply").points, points)
+
+
+def test_lines_may_end_in_carriage_returns_alone() -> None:
+    ply = PLY.format(form="ascii", n=2, kind="float z").encode() + b"1 2 3\n4 5 6\n"
+    pcd = pcd_header(DATA="ascii") + b"1 2 3\n4 5 6\n"
+    for read, content in ((read_ply, ply), (read_pcd, pcd), (read_text, b"x,y,z\n1,2,3\n4,5,6\n")):
+        np.testing.assert_array_equal(read(content.replace(b"\n", b"\r"), "a").points, [[1, 2, 3], [4, 5, 6]])
+
+
 PLY = "ply\nformat {form} 1.0\nelement vertex {n}\nproperty float x\nproperty float y\nproperty {kind}\nend_header\n"
 
 
@@ -192,7 +221,9 @@ PLY = "ply\nformat {form} 1.0\nelement vertex {n}\nproperty float x\nproperty fl
         (PLY.format(form="binary_little_endian", n=9, kind="float z").encode() + b"\0" * 12, "only 12 bytes"),
         (PLY.format(form="binary_middle_endian", n=1, kind="float z").encode(), "format 'binary_middle_endian'"),
         (PLY.format(form="ascii", n=1, kind="quad z").encode(), "not a property of a known type"),
-        (PLY.format(form="ascii", n=1, kind="list uchar int z").encode(), "list properties"),
+        (PLY.format(form="ascii", n=1, kind="list uchar int").encode(), "not a property of a known type"),
+        (PLY.format(form="ascii", n=1, kind="list float int z").encode(), "not a property of a known type"),
+        (PLY.format(form="binary_little_endian", n=1, kind="list uint int z").encode() + b"\xff" * 12, "more than it"),
         (PLY.format(form="ascii", n=1, kind="float w").encode(), "no property 'z'"),
         (b"ply\nformat ascii 1.0\nelement face 1\nproperty int a\nend_header\n", "no element vertex"),
     ],

@@ -15,7 +15,7 @@ from perception.files import lzf
 from perception.files.columns import NO_RETURN, missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
 from perception.files.content import Content
 from perception.files.scan import Scan
-from perception.files.text import read_rows
+from perception.files.text import read_rows, with_line_feeds
 from perception.files.thinning import step_of, taken, thinning_note
 from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
@@ -62,6 +62,7 @@ def read_pcd(data: Content, name: str) -> Scan:
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
+    data = with_line_feeds(data, b"DATA ascii")
     header = _parse_header(data, name)
     names = [field for field, _, _ in header.fields]
     found = places(names)

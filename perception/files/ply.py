@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,9 +12,12 @@ from perception.errors import CloudError
 from perception.files.columns import missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
 from perception.files.content import Content
 from perception.files.scan import Scan
-from perception.files.text import Rows, read_rows
+from perception.files.text import Rows, read_rows, with_line_feeds
 from perception.files.thinning import step_of, taken, thinning_note
 from perception.limits import MAX_FILE_POINTS
+
+if TYPE_CHECKING:
+    from jaxtyping import Shaped
 
 _HEADER_LIMIT = 65536
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -27,7 +32,7 @@ _TYPES = {
 class _Element:
     """One element of the header: its name, how many there are, and its (name, numpy type) properties.
 
-    A list property has type ``list``; its width is known only while reading.
+    A list property has two types, of its length and of its entries: ``u1 i4``.
     """
 
     name: str
@@ -36,7 +41,7 @@ class _Element:
 
     @property
     def has_list(self) -> bool:
-        return any(kind == "list" for _, kind in self.properties)
+        return any(" " in kind for _, kind in self.properties)
 
 
 def read_ply(data: Content, name: str) -> Scan:
@@ -47,6 +52,7 @@ def read_ply(data: Content, name: str) -> Scan:
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
+    data = with_line_feeds(data, b"format ascii")
     lines, start = _header_lines(data, name)
     order = _byte_order(lines, name)
     before, vertex = _split_at_vertex(_parse_elements(lines, name), name)
@@ -55,16 +61,11 @@ def read_ply(data: Content, name: str) -> Scan:
         raise CloudError(f"{name}: element vertex has no property '{missing}'; x, y and z are needed")
     viewpoint = _viewpoint(lines, name)
     if order is None:
-        rows = _ascii_rows(data, start, sum(e.count for e in before), vertex, list(found.values()), name)
+        rows = _ascii_rows(data, start, sum(e.count for e in before), vertex, found, name)
         return scan_of({key: rows.values[:, i] for i, key in enumerate(found)}, viewpoint, rows.notes)
-    start += sum(e.count * _dtype(e, order).itemsize for e in before)
-    dtype = _dtype(vertex, order)
-    if len(data) - start < vertex.count * dtype.itemsize:
-        raise CloudError(
-            f"{name}: {vertex.count} vertices of {dtype.itemsize} bytes are announced, "
-            f"but only {max(len(data) - start, 0)} bytes are there for them"
-        )
-    table = np.frombuffer(data, dtype=dtype, count=vertex.count, offset=start)
+    for element in before:
+        start += _table(data, start, element, order, name).nbytes
+    table = _table(data, start, vertex, order, name)
     step = step_of(vertex.count)
     taken_rows = taken(vertex.count, step)
     columns = {key: table[str(i)][taken_rows] for key, i in found.items()}
@@ -99,8 +100,10 @@ def _parse_elements(lines: list[list[str]], name: str) -> list[_Element]:
                 raise CloudError(f"{name}: '{shown(' '.join(words))}' is not an element with a name and a count")
             elements.append(_Element(words[1], natural(words[2]) or 0, ()))
         elif words[0] == "property":
-            kind = "list" if words[1:2] == ["list"] else _TYPES.get(words[1] if len(words) == 3 else "", "")
-            if not elements or not kind:
+            of_list = words[1:2] == ["list"] and len(words) == 5
+            kinds = [_TYPES.get(word, "") for word in (words[2:4] if of_list else words[1:2])]
+            kind = " ".join(kinds)
+            if not elements or not all(kinds) or len(words) != (5 if of_list else 3) or (of_list and "f" in kinds[0]):
                 raise CloudError(f"{name}: '{shown(' '.join(words))}' is not a property of a known type")
             last = elements[-1]
             elements[-1] = _Element(last.name, last.count, (*last.properties, (words[-1], kind)))
@@ -113,8 +116,6 @@ def _split_at_vertex(elements: list[_Element], name: str) -> tuple[list[_Element
         raise CloudError(f"{name}: has no element vertex")
     at = names.index("vertex")
     before, vertex = elements[:at], elements[at]
-    if vertex.has_list or any(element.has_list for element in before):
-        raise CloudError(f"{name}: has list properties in or before its vertices; vertices must come first")
     if vertex.count == 0:
         raise CloudError(f"{name}: the header announces no vertices; at least one is needed")
     if max(element.count for element in elements[: at + 1]) > MAX_FILE_POINTS:
@@ -122,8 +123,46 @@ def _split_at_vertex(elements: list[_Element], name: str) -> tuple[list[_Element
     return before, vertex
 
 
-def _dtype(element: _Element, order: str) -> np.dtype[np.void]:
-    return np.dtype([(str(i), order + kind) for i, (_, kind) in enumerate(element.properties)])
+def _table(data: Content, start: int, element: _Element, order: str, name: str) -> Shaped[np.ndarray, "N"]:
+    """The rows of an element of a binary file, whose lists are as long in all rows as in the first.
+
+    Raises:
+        CloudError: the file is too short for them, or the lists differ in length.
+    """
+    there = max(len(data) - start, 0)
+    layout: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
+    at = start
+    for i, (_, kind) in enumerate(element.properties):
+        kinds = [np.dtype(order + one) for one in kind.split()]
+        if len(kinds) == 2:
+            bytes_of_length = data[at : at + kinds[0].itemsize]
+            is_whole = len(bytes_of_length) == kinds[0].itemsize
+            length = int(np.frombuffer(bytes_of_length, kinds[0])[0]) if element.count and is_whole else 0
+            if not 0 <= length * kinds[1].itemsize <= there:
+                raise CloudError(
+                    f"{name}: element {shown(element.name)} has a list of {length} entries, more than it holds"
+                )
+            layout += [(f"{i} length", kinds[0].str), (str(i), kinds[1].str, (length,))]
+            at += kinds[0].itemsize + length * kinds[1].itemsize
+        else:
+            layout.append((str(i), kinds[0].str))
+            at += kinds[0].itemsize
+    dtype = np.dtype(layout)
+    if not element.count or not dtype.itemsize:
+        return np.zeros(0, dtype)
+    if there < element.count * dtype.itemsize:
+        what = "vertices" if element.name == "vertex" else f"rows of element {shown(element.name)}"
+        raise CloudError(
+            f"{name}: {element.count} {what} of {dtype.itemsize} bytes are announced, but only {there} bytes are there "
+            "for them"
+        )
+    table = np.frombuffer(data, dtype=dtype, count=element.count, offset=start)
+    for field in dtype.names or ():
+        if field.endswith("length") and (table[field] != table[field][:1]).any():
+            raise CloudError(
+                f"{name}: element {shown(element.name)} has lists of differing lengths; put vertices first"
+            )
+    return table
 
 
 def _viewpoint(lines: list[list[str]], name: str) -> tuple[float, ...] | None:
@@ -133,16 +172,37 @@ def _viewpoint(lines: list[list[str]], name: str) -> tuple[float, ...] | None:
     return None
 
 
-def _ascii_rows(data: Content, start: int, n_before: int, vertex: _Element, columns: list[int], name: str) -> Rows:
+def _ascii_rows(
+    data: Content, start: int, n_before: int, vertex: _Element, found: Mapping[str, int], name: str
+) -> Rows:
     first_line = data[:start].count(b"\n") + 1
     for _ in range(n_before):
         at = data.find(b"\n", start) + 1
         if not at:
             raise CloudError(f"{name}: ends before its vertices")
         start, first_line = at, first_line + 1
+    offsets = _ascii_offsets(data, start, vertex)
     rows = read_rows(
-        data, columns, name, start=start, width=len(vertex.properties), n_rows=vertex.count, first_line=first_line
+        data,
+        [offsets[i] for i in found.values()],
+        name,
+        start=start,
+        width=offsets[-1],
+        n_rows=vertex.count,
+        first_line=first_line,
     )
     if rows.n_there < vertex.count:
         raise CloudError(f"{name}: {vertex.count} vertices are announced, {rows.n_there} lines are there")
     return rows
+
+
+def _ascii_offsets(data: Content, start: int, vertex: _Element) -> list[int]:
+    """The column each property starts at, and how many there are; lists are as long as in the first row."""
+    end = data.find(b"\n", start)
+    words = data[start : end if end >= 0 else len(data)][:_HEADER_LIMIT].split() if vertex.has_list else []
+    offsets = [0]
+    for _, kind in vertex.properties:
+        at = offsets[-1]
+        length = natural(words[at].decode("latin-1")) if " " in kind and at < len(words) else None
+        offsets.append(at + 1 + (length or 0))
+    return offsets

@@ -67,6 +67,13 @@ def fits(cells: Sequence[str], width: int) -> bool:
     return len(cells) == width or (len(cells) == width + 1 and cells[-1] == "")
 
 
+def with_line_feeds(content: Content, mark: bytes) -> Content:
+    """A text whose lines end in carriage returns alone with line feeds; ``mark`` is in its head if it is text."""
+    if isinstance(content, bytes) and b"\n" not in content and mark in content[:_LONGEST_LINE]:
+        return content.replace(b"\r", b"\n")
+    return content
+
+
 def read_rows(
     content: Content,
     columns: Sequence[int],
