@@ -53,6 +53,7 @@ def connected(where: Mapping[str, Any], err: Console) -> Iterator[PlannerClient]
         EndedError: a call came to nothing.
     """
     settings = {name: where[name] for name in ("target", "tls_ca", "tls_cert", "tls_key")}
+    token, source = _token(where["token_file"])
 
     def again(error: PlannerError, delay_s: float) -> None:
         line = f"{ENDINGS[error.code][0]}: {error.problems[0]}; trying again in {delay_s:.1f} s"
@@ -60,20 +61,48 @@ def connected(where: Mapping[str, Any], err: Console) -> Iterator[PlannerClient]
 
     retry = Retry(attempts=where["attempts"])
     try:
-        with PlannerClient(**settings, token=_token(where["token_file"]), retry=retry, on_retry=again) as client:
+        with _client(settings, token, source, retry=retry, on_retry=again) as client:
             yield client
     except PlannerError as error:
         verdict, code = ENDINGS[error.code]
-        raise EndedError(verdict, error.problems, code) from None
+        lines = error.problems
+        if error.code is StatusCode.UNAUTHENTICATED:
+            lines = (f"{lines[0]}; {_would_do(token, source)}", *lines[1:])
+        raise EndedError(verdict, lines, code) from None
 
 
-def _token(path: Path | None) -> str | None:
+def _client(settings: Mapping[str, Any], token: str | None, source: str, **more: Any) -> PlannerClient:
+    """
+    Raises:
+        RequestError: what was given cannot be used; of a token, it says where that came from.
+    """
+    try:
+        return PlannerClient(**settings, token=token, **more)
+    except RequestError as error:
+        of_token = ("token: ", f"{source}: ")
+        raise RequestError(
+            [line.replace(*of_token) if line.startswith("token: ") else line for line in error.problems]
+        ) from None
+
+
+def _would_do(token: str | None, source: str) -> str:
+    if token is None:
+        return f"--token-file FILE or the variable {TOKEN_VARIABLE} would do"
+    return f"the token is that of {source}"
+
+
+def _token(path: Path | None) -> tuple[str | None, str]:
+    """The token, if there is one, and what it comes from."""
     if path is None:
-        return os.environ.get(TOKEN_VARIABLE) or None
+        return os.environ.get(TOKEN_VARIABLE) or None, f"the variable {TOKEN_VARIABLE}"
+    source = f"--token-file {path}"
     try:
         with path.open("rb") as file:
-            return file.read(MAX_TOKEN_BYTES).decode().strip()
+            token = file.read(MAX_TOKEN_BYTES).decode().strip()
     except UnicodeDecodeError:
-        raise RequestError(f"--token-file: {path} is no text") from None
+        raise RequestError(f"{source} is no text") from None
     except OSError as error:
-        raise RequestError(f"--token-file: {path} cannot be read: {error.strerror}") from None
+        raise RequestError(f"{source} cannot be read: {error.strerror}") from None
+    if not token:
+        raise RequestError(f"{source} is empty; the line that `scopt token` prints on stdout would do")
+    return token, source

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -63,6 +64,9 @@ def review_command(
         bool | None, typer.Option("--accept/--reject", help="What you say of it.", show_default=False)
     ] = None,
     comment: Annotated[str, typer.Option(help="Why.")] = "",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to fetch the plan's files to, with the viewer to look at.")
+    ] = None,
     tls_ca: TlsCa = None,
     tls_cert: TlsCert = None,
     tls_key: TlsKey = None,
@@ -72,14 +76,14 @@ def review_command(
     """Accept or reject a plan of a server.
 
     The review is bound to the hashes of the trajectory and the certificate that are shown. Without --accept or
-    --reject, the plan and its reviews are shown.
+    --reject, the plan and its reviews are shown. With --out, its files come too, viewer.html among them.
     """
     where = _where(target, tls_ca, tls_cert, tls_key, token_file)
 
     def command() -> None:
         from service.cli_review import review_plan
 
-        review_plan(where, plan_id, is_accepted, comment, as_json)
+        review_plan(where, plan_id, is_accepted, comment, out, as_json)
 
     raise typer.Exit(run(command, as_json))
 
@@ -116,6 +120,7 @@ def _where(
     token_file: Path | None,
     attempts: int = 3,
 ) -> dict[str, Any]:
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # what it tells of sockets, the commands say in words of their own
     return {
         "target": target,
         "tls_ca": tls_ca,

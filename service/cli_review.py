@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -13,22 +14,35 @@ from service.cli_run import consoles, print_json
 from service.client.summary import summary_of
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, Review
+from service.result_folder import ResultFiles
 
 
-def review_plan(where: Mapping[str, Any], plan_id: str, is_accepted: bool | None, comment: str, as_json: bool) -> None:
+def review_plan(
+    where: Mapping[str, Any],
+    plan_id: str,
+    is_accepted: bool | None,
+    comment: str,
+    folder: Path | None,
+    as_json: bool,
+) -> None:
     """Show a plan and, unless ``is_accepted`` is None, review it.
+
+    Args:
+        folder: for the plan's files; None: they are not fetched.
 
     Raises:
         RequestError: it has not finished.
+        ResultError: the folder holds something other than an earlier result, or cannot be written.
     """
     out, err = consoles()
     with connected(where, err) as client:
-        record = client.get_plan(plan_id).record
+        stored = client.get_plan(plan_id, out=folder)
+        record, files = stored.record, None if stored.folder is None else ResultFiles(stored.folder)
         if not record.HasField("result"):
             state = PlanState.Name(record.state).removeprefix("PLAN_STATE_").lower()
             raise RequestError(f"plan {plan_id} is {state}; there is nothing to look at yet")
         if not as_json:
-            _show(out, record)
+            _show(out, record, files)
         if is_accepted is not None:
             client.review(record, accept=is_accepted, comment=comment)
             record = client.get_plan(plan_id).record
@@ -37,6 +51,7 @@ def review_plan(where: Mapping[str, Any], plan_id: str, is_accepted: bool | None
             {
                 **summary_of(record.result),
                 "plan_id": record.plan_id,
+                **({} if files is None else {"result": str(files.result), "viewer": str(files.viewer)}),
                 "trajectory_sha256": record.result.trajectory.sha256,
                 "certificate_sha256": record.result.certificate.sha256,
                 "is_approved": record.is_approved,
@@ -53,12 +68,14 @@ def review_plan(where: Mapping[str, Any], plan_id: str, is_accepted: bool | None
 _COLUMNS = ("decision", "reviewer", "time", "comment")
 
 
-def _show(out: Console, record: PlanRecord) -> None:
+def _show(out: Console, record: PlanRecord, files: ResultFiles | None) -> None:
     summary = summary_of(record.result)
     print_findings(out, summary)
     print_figures(out, summary)
     out.print(f"trajectory       {record.result.trajectory.sha256 or 'none'}", markup=False, soft_wrap=True)
     out.print(f"certificate      {record.result.certificate.sha256 or 'none'}", markup=False, soft_wrap=True)
+    if files is not None:
+        out.print(f"viewer           {files.viewer}", markup=False, soft_wrap=True)
     print_verdict(out, summary)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import grpc
 import pytest
+import trustme
 from click.testing import Result
 from google.protobuf.duration_pb2 import Duration
 from google.rpc.error_details_pb2 import BadRequest, RetryInfo
@@ -214,6 +215,69 @@ def test_a_review_shows_what_it_is_bound_to(stand_in: PlannerStandIn, target: st
         ("REJECTED", "too close"),
         ("ACCEPTED", ""),
     ]
+
+
+def test_what_is_to_be_reviewed_is_fetched_without_a_decision(
+    stand_in: PlannerStandIn, target: str, tmp_path: Path
+) -> None:
+    seen = _scopt("review", PLAN_ID, "--target", target, "--out", tmp_path / "plan")
+    assert seen.exit_code == 0, seen.stderr
+    assert f"viewer           {tmp_path}/plan/viewer.html" in seen.stdout
+    written = {path.relative_to(tmp_path / "plan").as_posix() for path in (tmp_path / "plan").rglob("*.*")}
+    assert written == set(FILES)
+    again = _scopt("review", PLAN_ID, "--target", target, "--out", tmp_path / "plan", "--json")
+    assert json.loads(again.stdout)["viewer"] == f"{tmp_path}/plan/viewer.html"
+    assert stand_in.reviews == []
+    refused = _scopt("review", PLAN_ID, "--target", target, "--out", tmp_path, "--accept")
+    assert refused.exit_code == 3
+    assert stand_in.reviews == []
+
+
+def test_a_token_that_cannot_be_used_is_told_by_where_it_comes_from(
+    stand_in: PlannerStandIn, target: str, tmp_path: Path
+) -> None:
+    def top(*arguments: object, **variables: str) -> str:
+        result = _scopt("top", "--target", target, *arguments, **variables)
+        assert result.exit_code == 3
+        return result.stderr
+
+    empty, odd = tmp_path / "empty", tmp_path / "odd"
+    empty.write_text("\n")
+    odd.write_text("two words")
+    assert top("--token-file", empty).startswith(f"--token-file {empty} is empty; the line that `scopt token` prints")
+    printable = "printable ASCII characters without blanks are needed\n"
+    assert top("--token-file", odd) == f"--token-file {odd}: {printable}"
+    assert top(SCOPT_TOKEN="two words") == f"the variable SCOPT_TOKEN: {printable}"
+    assert stand_in.asked == []
+
+
+def test_without_a_token_that_the_server_knows_the_ways_to_give_one_are_told(
+    stand_in: PlannerStandIn, target: str, tmp_path: Path
+) -> None:
+    stand_in.plans += [refused(Code.UNAUTHENTICATED, "a token is needed")] * 2
+    result = _request(target)
+    assert result.exit_code == 77
+    assert "a token is needed; --token-file FILE or the variable SCOPT_TOKEN would do" in result.stderr
+    (tmp_path / "token").write_text("wrong")
+    assert (
+        f"the token is that of --token-file {tmp_path}/token"
+        in _request(target, "--token-file", tmp_path / "token").stderr
+    )
+
+
+def test_grpc_says_nothing_of_its_own(tmp_path: Path) -> None:
+    authority = trustme.CA()
+    authority.cert_pem.write_to_path(str(tmp_path / "ca.pem"))
+    with serving(PlannerStandIn()) as target:
+        words = [sys.executable, "-c", "from service.cli import main; main()", "top", "--once", "--target", target]
+        words += ["--tls-ca", str(tmp_path / "ca.pem")]
+        variables = {name: value for name, value in os.environ.items() if name != "GRPC_VERBOSITY"}
+        ended = subprocess.run(
+            words, capture_output=True, text=True, env=variables | {"PYTHONPATH": str(ROOT)}, check=False
+        )
+    assert ended.returncode == 69
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith(f"what listens at {target} speaks no TLS")
 
 
 def test_a_plan_that_is_not_there_or_not_finished_is_not_reviewed(stand_in: PlannerStandIn, target: str) -> None:

@@ -194,7 +194,10 @@ def test_archives_without_a_plan_are_removed_at_start_and_others_stay(tmp_path: 
 def test_an_archive_that_is_not_there_is_told(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         plan_id = _finished(store, "r")
-        with pytest.raises(NotStoredError, match="has no archive"):
+        with pytest.raises(NotStoredError, match="was planned without files; have it planned anew with them"):
+            store.plans.open_archive(plan_id)
+        plan_id = store.plans.begin("ann", "s", SHA, "goal").plan.plan_id
+        with pytest.raises(NotStoredError, match="has not finished; there are no files yet"):
             store.plans.open_archive(plan_id)
 
 

@@ -116,7 +116,10 @@ def test_an_uploaded_cloud_is_no_robot_and_no_mesh(folders: AllowedFolders) -> N
 def test_a_server_that_allows_no_folder_says_so() -> None:
     folders = allowed_folders([], lambda cloud_id: False)
     ((_, words),) = folders.problems(_request(robot={"urdf": "/robots/a.urdf"}))
-    assert words == "not a file that requests may name, got '/robots/a.urdf'; this server reads no files of its own"
+    no_files = "this server reads no files of its own (`scopt serve --allow FOLDER` has it read those of a folder)"
+    assert words == f"not a file that requests may name, got '/robots/a.urdf'; {no_files}"
+    ((_, words),) = folders.problems(_request(scene={"cloud": "a.pcd"}))
+    assert words == f"no path on the server, got 'a.pcd'; the cloud_id of an uploaded cloud would do; {no_files}"
 
 
 def test_the_whole_disk_or_what_is_no_folder_cannot_be_allowed(tmp_path: Path) -> None:

@@ -154,8 +154,14 @@ class Plans:
         Raises:
             NotStoredError: no plan of that id, or one without an archive.
         """
-        if not self.get(plan_id).archive_bytes:
-            raise NotStoredError(f"plan {plan_id} has no archive")
+        plan = self.get(plan_id)
+        if plan.state is not PlanState.FINISHED:
+            raise NotStoredError(f"plan {plan_id} has not finished; there are no files yet")
+        if not plan.archive_bytes:
+            raise NotStoredError(
+                f"plan {plan_id} was planned without files; have it planned anew with them "
+                "(with_files; out= of the Python client)"
+            )
         try:
             return (self._archives.path / plan_id).open("rb")
         except OSError as error:

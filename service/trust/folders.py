@@ -13,6 +13,7 @@ from service.request_scene import MeshRequest, SceneRequest
 from service.trust.errors import TrustError
 
 UPLOADED = "sha256:"
+NO_FOLDERS = "this server reads no files of its own (`scopt serve --allow FOLDER` has it read those of a folder)"
 
 
 @dataclass(frozen=True)
@@ -49,23 +50,24 @@ class AllowedFolders:
         """
         if path.startswith(UPLOADED):
             if not is_cloud:
-                return f"an uploaded cloud is no file of this kind, got {shown(path)}; {self._would_do()}"
+                return f"an uploaded cloud is no file of this kind, got {shown(path)}; {self._would_do(is_cloud)}"
             return "" if self.has_cloud(path) else f"no cloud {shown(path)} is there; upload it first, or again"
-        upload = "upload the cloud and give its cloud_id, or " if is_cloud else ""
         if not os.path.isabs(path):
-            return f"no path on the server, got {shown(path)}; {upload}{self._would_do()}"
+            return f"no path on the server, got {shown(path)}; {self._would_do(is_cloud)}"
         try:
             real = Path(os.path.realpath(path))
         except (OSError, ValueError):
             real = None
         if real is None or not any(real.is_relative_to(folder) for folder in self.folders):
-            return f"not a file that requests may name, got {shown(path)}; {upload}{self._would_do()}"
+            return f"not a file that requests may name, got {shown(path)}; {self._would_do(is_cloud)}"
         return ""
 
-    def _would_do(self) -> str:
-        if not self.folders:
-            return "this server reads no files of its own"
-        return f"an absolute path under {' or '.join(map(str, self.folders))} would do"
+    def _would_do(self, is_cloud: bool) -> str:
+        uploaded = "the cloud_id of an uploaded cloud"
+        if self.folders:
+            under = f"an absolute path under {' or '.join(map(str, self.folders))} would do"
+            return f"{uploaded} or {under}" if is_cloud else under
+        return f"{f'{uploaded} would do; ' if is_cloud else ''}{NO_FOLDERS}"
 
 
 def allowed_folders(folders: Sequence[Path], has_cloud: Callable[[str], bool]) -> AllowedFolders:
