@@ -44,7 +44,7 @@ def doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) 
             f"the cloud lies {distance:.0f} m from the origin: map coordinates{unit}? give a transform to where the "
             f"robot stands; {shift_to_zero(points)} would bring the cloud's middle over the origin, its floor to zero"
         )
-    if hint := _sensor_frame_hint(points, origin, float(low[2])):
+    if span <= _LARGEST_SPAN and (hint := _sensor_frame_hint(points, origin, float(low[2]))):
         notes.append(hint)
     return tuple(notes)
 

@@ -178,8 +178,9 @@ def test_ply_round_trip(points, form, kind) -> None:
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
 def test_ply_lists_may_stand_before_the_vertices_and_in_them(form: str) -> None:
     header = (
-        f"ply\nformat {form} 1.0\nelement nothing 0\nelement face 2\nproperty list uchar int vertex_indices\nelement vertex 3\n"
-        "property float x\nproperty list uchar short seen\nproperty float y\nproperty float z\nend_header\n"
+        f"ply\nformat {form} 1.0\nelement nothing 0\nelement face 2\nproperty list uchar int vertex_indices\n"
+        "element vertex 3\nproperty float x\nproperty list uchar short seen\nproperty float y\n"
+        "property float z\nend_header\n"
     ).encode()
     points = np.arange(9.0).reshape(3, 3)
     if form == "ascii":
@@ -381,7 +382,9 @@ def test_a_picture_is_no_cloud(tmp_path: Path, shape: tuple[int, ...]) -> None:
 
 def test_a_turned_array_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.zeros((3, 2000)))
-    with pytest.raises(CloudError, match=r"shape \(3, 2000\), which looks turned; save its transpose \(2000, 3\)"):
+    with pytest.raises(
+        CloudError, match=r"a.npy: array has shape \(3, 2000\), which looks turned; save its transpose \(2000, 3\)"
+    ):
         parse_file(tmp_path / "a.npy")
 
 
@@ -537,6 +540,7 @@ def test_unit_and_frame_oddities_earn_a_note() -> None:
     assert make_cloud(camera[:3], np.zeros(3)).notes == ()
     (note,) = make_cloud(room + np.array([500.0, 0, 0.75]), origin).notes
     assert "500 m from the origin" in note
+    assert not any("framed" in note for note in make_cloud(1000 * (room - origin), np.zeros(3)).notes)
     assert "; -500 0 -0.78 0 0 0 would" in note
     low = room - origin
     assert "stands level it may be 0 0 1.58 0 0 0" in make_cloud(low, np.zeros(3)).notes[0]

@@ -24,12 +24,12 @@ def rows_of(array: Shaped[np.ndarray, "..."], key: str, name: str) -> Float[np.n
     """
     if array.ndim == 2 and array.shape[0] == len(COORDINATES) < array.shape[1]:
         raise CloudError(
-            f"{name}: array '{key}' has shape {array.shape}, which looks turned; save its transpose {array.shape[::-1]}"
+            f"{name}: {_named(key)} has shape {array.shape}, which looks turned; save its transpose {array.shape[::-1]}"
         )
     most = MOST_OF_GRID if array.ndim == 3 else _MOST_COLUMNS
     if array.ndim not in (2, 3) or not 3 <= array.shape[-1] <= most or array.dtype.kind not in "fiu":
         raise CloudError(
-            f"{name}: array '{key}' is {array.dtype} of shape {array.shape}; numbers (N, 3) or (H, W, 3) are needed"
+            f"{name}: {_named(key)} is {array.dtype} of shape {array.shape}; numbers (N, 3) or (H, W, 3) are needed"
         )
     return array.reshape(-1, array.shape[-1])[:, :3].astype(np.float64)
 
@@ -47,7 +47,7 @@ def columns_of(
     found = places(array.dtype.names)
     if missing := missing_coordinate(found):
         held = shown(", ".join(array.dtype.names))
-        raise CloudError(f"{name}: array '{key}' has columns {held}, and no '{missing}'; x, y and z are needed")
+        raise CloudError(f"{name}: {_named(key)} has columns {held}, and no '{missing}'; x, y and z are needed")
     columns = {column: array[array.dtype.names[at]] for column, at in found.items()}
     more: dict[str, Shaped[np.ndarray, "..."]] = {}
     if NO_RETURN in columns:
@@ -68,3 +68,7 @@ def stacked(columns: list[Shaped[np.ndarray, "..."]], key: str, name: str) -> Fl
         held = ", ".join(f"{column.dtype} {column.shape}" for column in columns)
         raise CloudError(f"{name}: {key or 'its'} columns are {held}; numbers, (N,) or (H, W) each, are needed")
     return np.stack([column.ravel().astype(np.float64) for column in columns], axis=1)
+
+
+def _named(key: str) -> str:
+    return f"array '{key}'" if key else "array"
