@@ -48,7 +48,8 @@ def cloud_problem(field: str, name: str, path: Path) -> str | None:
         name: as the user wrote it; path: what it means here.
     """
     if path.is_dir() and not os.path.isabs(name):
-        return f"{field}: {shown(name)} is a folder, and clouds are uploaded file by file; name a file in it"
+        would_do = "name a file in it, or its path from the root there"
+        return f"{field}: {shown(name)} is a folder, and clouds are uploaded file by file; {would_do}"
     if path.exists() or os.path.isabs(name) or name.startswith(UPLOADED):
         return None
     return missing(field, name)
