@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from perception import Detection, FloorPlane, Perceived, PerceptionError, perceive
+from perception import Detection, FloorPlane, Perceived, PerceptionError, Piece, perceive
 from service.cloud_asked import CloudAsked, OnStep, read_asked, view_figures
 from service.detect_file import check_hint, checked_kinds, found, hint_notes, hit_json
 from service.errors import RequestError, ResultError
@@ -79,6 +79,7 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
         raise RequestError(f"{asked.clouds.named}: {error}") from None
     hits = tuple(found(seen.view, kinds, asked.hint, on_step))
     pieces = seen.scene.pieces
+    facts = {piece.name: {"seen": seen_of(piece)} for piece in seen.pieces}
     figures = {
         **view_figures(read, seen.view),
         "pieces": len(pieces),
@@ -93,14 +94,20 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
     }
     data = {
         "format": FORMAT,
-        "pieces": [piece_json(piece) for piece in pieces],
+        "pieces": [{**piece_json(piece), **facts.get(piece.name, {})} for piece in pieces],
         "floor": [_level_json(level) for level in seen.view.floors],
+        "searched": list(kinds),
         "detections": [hit_json(hit) for hit in hits],
         "figures": figures,
         "timings": plain(dict(seen.timings)),
         "notes": [*seen.notes, *hint_notes(seen.view, asked.hint)],
     }
     return SceneSeen(data, seen, hits)
+
+
+def seen_of(piece: Piece) -> dict[str, object]:
+    """What a scan says of a piece: how many points it stands for, and what the rays about it saw."""
+    return {key: value for key, value in piece.summary().items() if key not in ("name", "kind")}
 
 
 def check_out(path: Path, inputs: Iterable[Path]) -> None:

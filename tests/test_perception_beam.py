@@ -60,7 +60,7 @@ def test_a_leaning_two_by_four_is_found_within_the_targets() -> None:
     assert angle <= 2.0
     assert off <= 0.010
     assert abs(found.sizes["length"] - 1.1) <= 0.05
-    assert found.residuals["ends_seen"] == 2.0
+    assert found.residuals["n_ends_seen"] == 2.0
     assert np.allclose(found.pose_world_object[:3, :3] @ found.pose_world_object[:3, :3].T, np.eye(3), atol=1e-9)
     again = detect_beam(view)[0]
     assert np.array_equal(found.pose_world_object, again.pose_world_object)

@@ -201,12 +201,12 @@ def _as_detection(one: _Beam) -> Detection:
         "rms": evidence.rms,
         "axis_spread_rad": one.fit.spread[0],
         "centre_spread": one.fit.spread[1],
-        "doubt": one.doubt,
+        "doubt_ratio": one.doubt,
         "solid_share": evidence.solid,
         "air_share": evidence.air,
         "visible_share": evidence.visible,
-        "misfit": one.flatter.misfit,
+        "misfit_ratio": one.flatter.misfit,
         "flatter_share": one.flatter.share,
-        "ends_seen": float(sum(one.ends.seen)),
+        "n_ends_seen": float(sum(one.ends.seen)),
     }
     return Detection("beam", pose, sizes, one.confidence, residuals, one.points)

@@ -16,9 +16,10 @@ class Detection:
     Attributes:
         kind: what it is, one of ``perception.detect.KINDS``.
         pose_world_object: (4, 4); each detector's docstring says where the object's frame is.
-        sizes: lengths [m] and angles [rad] by name.
+        sizes: lengths [m] by name, but for ``ajar`` [rad], ``side`` and ``lever_direction`` (+1 or -1) and ``n_...``.
         confidence: 0 to 1; 0.5 and more is one to act on.
-        residuals: how well the model explains the scan, by name [m unless the name says otherwise].
+        residuals: how well the model explains the scan, by name: lengths [m], but for names that end in ``_rad``,
+            ``_share`` (0 to 1), ``_ratio`` or ``_score`` and those that begin with ``n_`` (how many).
         points: (K, 3) some of the points it rests on [m].
     """
 

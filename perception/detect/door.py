@@ -213,7 +213,7 @@ def _detection(one: _Candidate, ground: float) -> Detection:
         "side": side,
         "lever_direction": 0.0,
     }
-    residuals = {"rms": leaf.rms, "yaw": leaf.sigma}
+    residuals = {"rms": leaf.rms, "yaw_rad": leaf.sigma}
     if frame is not None:
         residuals["behind_wall"] = frame.depth
     if handle is not None:

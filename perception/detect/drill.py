@@ -266,7 +266,7 @@ def _judged(
         "solid_share": solid,
         "explained_share": explained,
         "notch_open_share": notch_open,
-        "notch_rays": float(notch_seen),
+        "n_notch_rays": float(notch_seen),
     }
     points = rays.ends[hit]
     confidence = float(value**0.7 if is_hinted else value)

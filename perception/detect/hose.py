@@ -16,6 +16,7 @@ from perception.detect.slender import is_flat
 from perception.detect.tips import Tip, find_tips
 from perception.detect.tube import STRAIGHT, Tube, misfits, refined, square_to
 from perception.detect.tube_evidence import Evidence, weigh_tube
+from perception.detect.tube_mouth import settled
 from perception.floor import FloorPlane
 from perception.view import View
 
@@ -172,11 +173,11 @@ def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | No
 
 
 def _judged(index: SightIndex, one: _Candidate, is_hinted: bool) -> _End:
-    """A fitted tube, weighed."""
+    """A fitted tube, weighed, then settled by all rays about it."""
     tube = one.tube
     rays = index.passing(np.stack([tube.mouth, tube.mouth - STRAIGHT * tube.axis]), 1.2 * tube.radius + _BESIDE)
     evidence = weigh_tube(rays, tube)
-    return _End(tube, one.misfit, evidence, _confidence(tube, one.misfit, evidence, is_hinted))
+    return _End(settled(rays, tube), one.misfit, evidence, _confidence(tube, one.misfit, evidence, is_hinted))
 
 
 def _confidence(tube: Tube, misfit: float, evidence: Evidence, is_hinted: bool) -> float:
@@ -212,9 +213,10 @@ def _as_detection(one: _End) -> Detection:
     residuals = {
         "rms": evidence.rms,
         "solid_share": evidence.solid,
-        "open_share": -1.0 if np.isnan(evidence.open) else evidence.open,
         "round_share": evidence.round,
         "air_share": evidence.air,
     }
+    if not np.isnan(evidence.open):
+        residuals["open_share"] = evidence.open
     points = evidence.points[:: max(1, len(evidence.points) // _MOST_POINTS)]
     return Detection("hose", pose, {"radius": one.tube.radius}, one.confidence, residuals, points)

@@ -230,7 +230,7 @@ def _as_detection(one: _Lever, is_hinted: bool) -> Detection:
         "rms": one.fitted.evidence.rms,
         "solid_share": one.fitted.evidence.solid,
         "air_share": one.fitted.evidence.air,
-        "pivot": pivot.confidence,
+        "pivot_score": pivot.confidence,
         "n_hits": float(one.fitted.evidence.n_hits),
     }
     confidence = float(np.sqrt(one.confidence)) if is_hinted else one.confidence

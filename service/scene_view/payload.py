@@ -37,13 +37,13 @@ def payload_of(scene: Mapping[str, Any], perceived: Perceived, hits: Sequence[De
         title: what to call the scan.
     """
     points, owner = _owned_points(perceived, [piece["name"] for piece in scene["pieces"]])
-    facts = {piece.name: piece.summary() for piece in perceived.pieces}
     return {
         "title": title,
         "figures": scene["figures"],
         "notes": scene["notes"],
+        "kinds": scene["searched"],
         "pieces": [
-            {"name": one["name"], "kind": one["kind"], "facts": facts.get(one["name"]), "hull": hull_of(one)}
+            {"name": one["name"], "kind": one["kind"], "facts": one.get("seen"), "hull": hull_of(one)}
             for one in scene["pieces"]
         ],
         "detections": [

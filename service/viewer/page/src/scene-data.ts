@@ -9,7 +9,7 @@ export interface Hit {
 }
 export interface Free { lower: number[]; size: number; shape: number[]; bits: Uint8Array }
 export interface Scan {
-  title: string; figures: Record<string, number>; notes: string[]; pieces: Piece[]; detections: Hit[];
+  title: string; figures: Record<string, number>; notes: string[]; kinds: string[]; pieces: Piece[]; detections: Hit[];
   cloud: Float32Array; owner: Uint16Array; sensors: number[][]; free: Free;
 }
 

@@ -1,6 +1,6 @@
 // What a scan shows: points coloured by piece, pieces as glass, detections with their frames, free space in slices.
 import {
-  BufferAttribute, BufferGeometry, Color, DataTexture, DoubleSide, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments,
+  Box3, BufferAttribute, BufferGeometry, Color, DataTexture, DoubleSide, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments,
   Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, NearestFilter, PlaneGeometry, Points, RGBAFormat, ShaderMaterial,
   SphereGeometry, Vector3,
 } from "three";
@@ -22,8 +22,11 @@ attribute vec3 tint;
 uniform float pixels;
 uniform float size;
 varying vec3 vTint;
+#include <clipping_planes_pars_vertex>
 void main() {
   vec4 place = modelViewMatrix * vec4(position, 1.0);
+  vec4 mvPosition = place;
+  #include <clipping_planes_vertex>
   vTint = tint;
   gl_PointSize = pixels * clamp(size / -place.z, 1.5, 6.0);
   gl_Position = projectionMatrix * place;
@@ -31,7 +34,9 @@ void main() {
 const POINT_FRAGMENT = `
 uniform float opacity;
 varying vec3 vTint;
+#include <clipping_planes_pars_fragment>
 void main() {
+  #include <clipping_planes_fragment>
   if (length(gl_PointCoord - 0.5) > 0.5) discard;
   gl_FragColor = vec4(vTint, opacity);
   #include <colorspace_fragment>
@@ -42,7 +47,7 @@ function pointCloud(points: Float32Array, tints: Float32Array, size: number, opa
   geometry.setAttribute("position", new BufferAttribute(points, 3));
   geometry.setAttribute("tint", new BufferAttribute(tints, 3));
   return new Points(geometry, new ShaderMaterial({
-    transparent: opacity < 1, vertexShader: POINT_VERTEX, fragmentShader: POINT_FRAGMENT,
+    transparent: opacity < 1, clipping: true, vertexShader: POINT_VERTEX, fragmentShader: POINT_FRAGMENT,
     uniforms: { pixels: { value: Math.min(window.devicePixelRatio, 2) }, size: { value: size }, opacity: { value: opacity } },
   }));
 }
@@ -73,15 +78,32 @@ export class OwnedPoints implements Layer {
   }
 }
 
+export const COLOURINGS = { piece: "piece", kind: "kind", free: "share seen free", open: "surface next to free space" };
+export type Colouring = keyof typeof COLOURINGS;
+const KINDS: Record<string, string> = { plane: "#6ea8ff", wall: "#b48cff", clutter: "#ffb454", object: "#4ade80" };
+// Green where the rays agree with a piece, red where they do not.
+const [GOOD, BAD] = [new Color("#4ade80"), new Color("#ff5c5c")];
+
+// A colour for a piece; what is asked of one that no scan stands behind has none.
+function colourOf(piece: Piece, index: number, colouring: Colouring): Color {
+  if (colouring === "piece") return pieceColour(index);
+  if (colouring === "kind") return new Color(KINDS[piece.kind] ?? "#9aa7b8");
+  if (!piece.facts) return new Color("#9aa7b8");
+  const share = colouring === "free" ? Math.min(1, piece.facts.free_share / 0.02) : 1 - piece.facts.open_share;
+  return GOOD.clone().lerp(BAD, share);
+}
+
 // Pieces as coloured glass with crisp edges; what is unknown and what is floor have switches of their own.
 export class PieceGlass implements Layer {
   readonly group = new Group();
   readonly count: number;
   readonly solids: { piece: Piece; index: number; mesh: Mesh }[] = [];
   private readonly edges: { lines: LineBasicMaterial; index: number }[] = [];
+  private colours: Colours | undefined;
+  private colouring: Colouring = "piece";
 
   constructor(
-    scan: Scan, readonly name: string, readonly label: string, readonly key: string,
+    private readonly scan: Scan, readonly name: string, readonly label: string, readonly key: string,
     belongs: (piece: Piece) => boolean, private readonly opacity: number,
   ) {
     scan.pieces.forEach((piece, index) => {
@@ -102,11 +124,16 @@ export class PieceGlass implements Layer {
   }
 
   recolour(colours: Colours): void {
-    const quiet = this.name === "floor" ? new Color(colours.grid) : this.name === "unknown" ? new Color(colours.grid) : null;
-    for (const { mesh, index } of this.solids) (mesh.material as MeshStandardMaterial).color.copy(quiet ?? pieceColour(index));
-    for (const { lines, index } of this.edges) {
-      lines.color.copy(quiet ? new Color(colours.grid) : pieceColour(index).lerp(new Color(colours.com), 0.25));
-    }
+    this.colours = colours;
+    const quiet = this.name === "floor" || this.name === "unknown" ? new Color(colours.grid) : null;
+    const own = (index: number): Color => quiet?.clone() ?? colourOf(this.scan.pieces[index], index, this.colouring);
+    for (const { mesh, index } of this.solids) (mesh.material as MeshStandardMaterial).color.copy(own(index));
+    for (const { lines, index } of this.edges) lines.color.copy(quiet ? own(index) : own(index).lerp(new Color(colours.com), 0.25));
+  }
+
+  colourBy(colouring: Colouring): void {
+    this.colouring = colouring;
+    if (this.colours) this.recolour(this.colours);
   }
 
   // One piece stands out, the others step back.
@@ -127,6 +154,7 @@ export class Hits implements Layer {
   readonly count: number;
   readonly labels: Label[] = [];
   private readonly marks: { points: Points; hit: Hit }[] = [];
+  private readonly frames: Group[] = [];
 
   constructor(scan: Scan) {
     this.count = scan.detections.length;
@@ -151,6 +179,7 @@ export class Hits implements Layer {
       points.renderOrder = 4;
       this.marks.push({ points, hit });
       this.group.add(group, points);
+      this.frames.push(group);
       const isSure = hit.confidence >= CONFIDENT;
       this.labels.push({
         at: new Vector3().setFromMatrixPosition(pose), text: `${words(hit.kind)} ${Math.round(100 * hit.confidence)} %`,
@@ -168,7 +197,14 @@ export class Hits implements Layer {
     }
   }
 
-  place(index: number): Vector3 { return this.labels[index].at; }
+  // What is to be seen of one: its points, its outline, its frame.
+  extent(index: number): Box3 {
+    const box = new Box3().setFromObject(this.frames[index]);
+    const { points } = this.marks[index].hit;
+    const p = new Vector3();
+    for (let i = 0; i < points.length; i += 3) box.expandByPoint(p.fromArray(points, i));
+    return box;
+  }
 }
 
 // The object's outline in its own frame, drawn from its sizes: rings of wheels and openings, leaves, boards, boxes.

@@ -2,21 +2,22 @@
 import { el, figure, words } from "./dom";
 import { Layer } from "./layer";
 import { Hit, Piece, Scan } from "./scene-data";
-import { CONFIDENT, Slice } from "./scene-layers";
+import { COLOURINGS, CONFIDENT, Colouring, Slice } from "./scene-layers";
 
 export interface Acts {
   toggle(layer: Layer): void;
   chooseHit(index: number): void;
   choosePiece(index: number): void;
   moveSlice(axis: number, at: number): void;
+  cut(on: boolean): void;
+  colourBy(colouring: Colouring): void;
 }
 
-const UNITLESS = /count|^n_|share|side|direction|spokes|inliers|score|ratio|coverage|fraction|support/;
-const ANGLES = /angle|tilt|ajar|spin|_rad$/;
+// Residuals and sizes are lengths unless their name says otherwise (docs/scene-format.md).
+const UNITLESS = /^n_|_share$|_score$|_ratio$|^side$|^lever_direction$/;
+const ANGLES = /_rad$|^ajar$/;
 
-// Residuals and sizes are lengths unless their name says otherwise.
 function inUnits(name: string, value: number): string {
-  if (/_deg$/.test(name)) return figure(value, "deg");
   return figure(value, ANGLES.test(name) ? "rad" : UNITLESS.test(name) ? null : "m");
 }
 
@@ -31,6 +32,7 @@ function hitRow(hit: Hit, index: number, acts: Acts): HTMLElement {
     el("span", "mark", isSure ? "✓" : "?"), el("span", "name", words(hit.kind)), el("span", "value", `${Math.round(100 * hit.confidence)} %`),
     el("span", "detail", `at (${place}) m`), el("span", "sizes", listed(hit.sizes)), el("span", "residuals", `residuals: ${listed(hit.residuals) || "none"}`),
   );
+  row.title = "Look at it";
   row.addEventListener("click", () => acts.chooseHit(index));
   return row;
 }
@@ -39,6 +41,8 @@ export class ScenePanel {
   readonly element = el("aside", "panel");
   private readonly boxes = new Map<Layer, HTMLInputElement>();
   private readonly slider = el("input");
+  private readonly cut = el("input");
+  private readonly colouring = el("select");
   private readonly readout = el("output", "value");
   private readonly axes: HTMLButtonElement[];
   private readonly hits: HTMLElement[];
@@ -48,13 +52,11 @@ export class ScenePanel {
     const scroll = el("div", "scroll");
     this.element.append(scroll);
     this.hits = scan.detections.map((hit, i) => hitRow(hit, i, acts));
-    scroll.append(el("h2", "", "Detections"));
-    const checks = el("div", "checks", ...this.hits);
-    scroll.append(scan.detections.length > 0 ? checks : el("p", "notes none", "none asked for, or none found"));
+    scroll.append(el("h2", "", "Detections"), ...this.hitList(scan));
     scroll.append(el("h2", "", "Free space, as the rays saw it"), this.sliceControl());
     this.axes = [...this.element.querySelectorAll<HTMLButtonElement>(".axis")];
     scroll.append(el("h2", "", "Shown"), this.layerList(layers));
-    scroll.append(this.legend());
+    scroll.append(this.legend(), this.colourChoice());
     scroll.append(el("h2", "", "Piece"), this.about);
     this.showPiece(undefined);
     const figures = el("dl", "figures");
@@ -68,6 +70,20 @@ export class ScenePanel {
       scroll.prepend(el("h2", "", "Notes"), notes);
     }
     this.refresh();
+  }
+
+  // The surest first; what is not sure enough to act on is folded away.
+  private hitList(scan: Scan): HTMLElement[] {
+    const order = scan.detections.map((_, i) => i).sort((a, b) => scan.detections[b].confidence - scan.detections[a].confidence);
+    const [sure, weak] = [true, false].map((wanted) => order.filter((i) => scan.detections[i].confidence >= CONFIDENT === wanted));
+    const asked = scan.kinds.length > 0 ? `looked for: ${scan.kinds.map(words).join(", ")}` : "no kind of object was looked for (--detect KIND, or all)";
+    const list: HTMLElement[] = [el("p", "notes none", sure.length > 0 || scan.kinds.length === 0 ? asked : `${asked}; nothing found that is sure`)];
+    if (sure.length > 0) list.push(el("div", "checks", ...sure.map((i) => this.hits[i])));
+    if (weak.length > 0) {
+      const summary = el("summary", "", `${weak.length} not sure enough to act on`);
+      list.push(el("details", "weak", summary, el("div", "checks", ...weak.map((i) => this.hits[i]))));
+    }
+    return list;
   }
 
   private sliceControl(): HTMLElement {
@@ -89,7 +105,10 @@ export class ScenePanel {
       choice.append(one);
     });
     const legend = el("p", "legend", el("i", "swatch free"), "seen free  ", el("i", "swatch hidden"), "not seen free");
-    return el("div", "slice", el("div", "line", choice, this.readout), slider, legend);
+    const cut = el("label", "layer", this.cut, el("span", "name", "cut everything off at the slice"), el("kbd", "", "x"));
+    this.cut.type = "checkbox";
+    this.cut.addEventListener("change", () => this.acts.cut(this.cut.checked));
+    return el("div", "slice", el("div", "line", choice, this.readout), slider, legend, cut);
   }
 
   private layerList(layers: Layer[]): HTMLElement {
@@ -104,6 +123,17 @@ export class ScenePanel {
       list.append(row);
     }
     return list;
+  }
+
+  private colourChoice(): HTMLElement {
+    for (const [name, label] of Object.entries(COLOURINGS)) {
+      const option = el("option", "", label);
+      option.value = name;
+      this.colouring.append(option);
+    }
+    this.colouring.setAttribute("aria-label", "Colour of pieces");
+    this.colouring.addEventListener("change", () => this.acts.colourBy(this.colouring.value as Colouring));
+    return el("label", "layer", el("span", "name", "pieces coloured by"), this.colouring, el("kbd", "", "k"));
   }
 
   private legend(): HTMLElement {
@@ -129,7 +159,15 @@ export class ScenePanel {
     for (const [name, value] of rows) this.about.append(el("dt", "", name), el("dd", "", value));
   }
 
-  choose(hit: number): void { this.hits.forEach((row, i) => row.classList.toggle("chosen", i === hit)); }
+  choose(hit: number): void {
+    this.hits.forEach((row, i) => row.classList.toggle("chosen", i === hit));
+    this.hits[hit]?.closest("details")?.setAttribute("open", "");
+  }
+
+  tell(isCut: boolean, colouring: Colouring): void {
+    this.cut.checked = isCut;
+    this.colouring.value = colouring;
+  }
 
   refresh(): void {
     for (const [layer, box] of this.boxes) box.checked = layer.group.visible;

@@ -1,10 +1,10 @@
 // Starts the page of a scan: stage, layers, panel, keyboard, pointer, URL and what tests ask.
-import { Box3, Vector3 } from "three";
+import { Box3, Plane, Vector3 } from "three";
 import { button, el } from "./dom";
 import { Labels } from "./labels";
 import { Layer } from "./layer";
-import { readScan } from "./scene-data";
-import { Hits, OwnedPoints, PieceGlass, Sensors, Slice } from "./scene-layers";
+import { Piece, Scan, readScan } from "./scene-data";
+import { COLOURINGS, Colouring, Hits, OwnedPoints, PieceGlass, Sensors, Slice } from "./scene-layers";
 import { ScenePanel } from "./scene-panel";
 import { Stage } from "./stage";
 import { THEMES } from "./theme";
@@ -27,11 +27,8 @@ function start(): void {
   const p = new Vector3();
   for (let i = 0; i < scan.cloud.length; i += 3) box.expandByPoint(p.fromArray(scan.cloud, i));
   if (box.isEmpty()) box.set(new Vector3(-1, -1, 0), new Vector3(1, 1, 1));
-  // What stands about is looked at, not all of the floor; the world's origin, where the robot is, comes along.
-  const subject = new Box3().expandByPoint(new Vector3());
-  for (const { hull } of scan.pieces.filter((piece) => !["floor", "unknown"].includes(piece.kind))) {
-    for (let i = 0; i < hull.vertices.length; i += 3) subject.expandByPoint(p.fromArray(hull.vertices, i));
-  }
+  // What stands about is looked at, not all of the floor, nor a few pieces far away.
+  const subject = middleOf(scan);
 
   const tools = el("div", "tools");
   const head = el("header", "top", el("div", "what", el("h1", "", scan.title), el("span", "says", says(scan.figures))), tools);
@@ -52,6 +49,7 @@ function start(): void {
   const hits = new Hits(scan);
   const slice = new Slice(scan.free);
   const sensors = new Sensors(scan);
+  unknown.group.visible = false;  // a fog that hides what there is
   const layers: Layer[] = [cloud, pieces, floor, unknown, hits, slice, sensors];
   for (const layer of layers) stage.scene.add(layer.group);
   for (const label of [...hits.labels, ...sensors.labels]) labels.add(label);
@@ -65,19 +63,40 @@ function start(): void {
   };
   const chooseHit = (index: number): void => {
     panel.choose(index);
-    stage.focus(hits.place(index));
+    const extent = hits.extent(index).expandByScalar(0.15);
+    const centre = extent.getCenter(new Vector3());
+    const direction = stage.camera.position.clone().sub(stage.controls.target).normalize();
+    stage.moveTo(centre.clone().addScaledVector(direction, stage.fitting(direction, extent)), centre);
   };
   const choosePiece = (index: number): void => {
     pieces.choose(index);
     panel.showPiece(scan.pieces[index]);
     stage.draw();
   };
+  let isCut = false;
+  let colouring: Colouring = "piece";
+  // What lies on the side that one looks from is cut off at the slice: what is above it, before it, left of it.
+  const cut = (on: boolean): void => {
+    isCut = on;
+    const sign = slice.axis === 0 ? 1 : -1;
+    const normal = new Vector3().setComponent(slice.axis, sign);
+    stage.renderer.clippingPlanes = on ? [new Plane(normal, 1e-3 - sign * slice.at)] : [];
+    panel.tell(isCut, colouring);
+    stage.draw();
+  };
+  const colourBy = (wanted: Colouring): void => {
+    colouring = wanted;
+    pieces.colourBy(colouring);
+    panel.tell(isCut, colouring);
+    stage.draw();
+  };
   const moveSlice = (axis: number, at: number): void => {
     slice.move(axis, at);
     set(slice, true);
+    cut(isCut);
   };
   const panel = new ScenePanel(scan, layers, slice, {
-    toggle: (layer) => set(layer, !layer.group.visible), chooseHit, choosePiece, moveSlice,
+    toggle: (layer) => set(layer, !layer.group.visible), chooseHit, choosePiece, moveSlice, cut, colourBy,
   });
   document.body.append(panel.element);
   const recolour = (to: "dark" | "light"): void => {
@@ -93,6 +112,13 @@ function start(): void {
   recolour(theme);
   stage.resize();
   show("3d", true);
+  panel.tell(isCut, colouring);
+  const roof = roofOver(scan.pieces, subject);
+  if (roof !== undefined) {
+    moveSlice(2, roof - 0.3);
+    set(slice, false);
+    cut(true);
+  }
 
   const under = (event: MouseEvent): { name: string; index: number; point: Vector3 } | undefined => {
     const seen = [pieces, unknown].filter((layer) => layer.group.visible).flatMap((layer) => layer.solids);
@@ -121,6 +147,7 @@ function start(): void {
   const step = (sign: number): void => moveSlice(slice.axis, slice.at + sign * scan.free.size);
   const acts: Record<string, () => void> = {
     d: () => recolour(theme === "dark" ? "light" : "dark"), l: () => document.body.classList.toggle("unlabelled"),
+    x: () => cut(!isCut), k: () => colourBy(following(colouring)),
     ArrowUp: () => step(1), ArrowDown: () => step(-1), Escape: () => choosePiece(-1),
   };
   Object.keys(CAMERAS).forEach((camera, i) => { acts[String(i + 1)] = () => show(camera); });
@@ -142,6 +169,9 @@ function start(): void {
     if (names) for (const layer of layers) set(layer, names.includes(layer.name));
     const [axis, at] = (wanted.get("slice") ?? "").split(":");
     if ("xyz".includes(axis) && axis !== "" && Number.isFinite(Number(at))) moveSlice("xyz".indexOf(axis), Number(at));
+    if (wanted.has("cut")) cut(wanted.get("cut") === "1");
+    const colours = wanted.get("colour");
+    if (colours && colours in COLOURINGS) colourBy(colours as Colouring);
     const camera = wanted.get("camera");
     if (camera && camera in CAMERAS) show(camera, true);
     const hit = Number(wanted.get("hit") ?? NaN);
@@ -155,6 +185,8 @@ function start(): void {
     get busy(): boolean { return stage.isBusy; },
     get slice(): [number, number] { return [slice.axis, slice.at]; },
     get target(): number[] { return stage.controls.target.toArray(); },
+    get isCut(): boolean { return isCut; },
+    get colouring(): Colouring { return colouring; },
     moveSlice, choosePiece,
     isFreeAt(place: number[]): boolean {
       const [x, y, z] = place.map((value, i) => Math.floor((value - scan.free.lower[i]) / scan.free.size));
@@ -162,6 +194,44 @@ function start(): void {
     },
     project: (place: number[]): number[] => stage.pixel(new Vector3().fromArray(place)),
   } });
+}
+
+// Where most points of pieces are; around the world's origin, where the robot is, if there are none.
+function middleOf(scan: Scan): Box3 {
+  const owned = [...scan.owner.keys()].filter((i) => scan.owner[i] < scan.pieces.length);
+  if (owned.length === 0) return new Box3(new Vector3(-1, -1, 0), new Vector3(1, 1, 1));
+  const [low, high] = [new Vector3(), new Vector3()];
+  for (let axis = 0; axis < 3; axis++) {
+    const places = Float32Array.from(owned, (i) => scan.cloud[3 * i + axis]).sort();
+    low.setComponent(axis, places[Math.floor(FEW * (places.length - 1))]);
+    high.setComponent(axis, places[Math.ceil((1 - FEW) * (places.length - 1))]);
+  }
+  return new Box3(low, high).expandByScalar(0.2);
+}
+
+const FEW = 0.03;  // of the points, that may lie outside of what is looked at
+const ROOF = 1.4;  // [m] above the lowest: nobody looks in through what hangs there
+
+// The lowest height of pieces that hang over a good part of what is looked at; undefined under an open sky.
+function roofOver(pieces: Piece[], subject: Box3): number | undefined {
+  const size = subject.getSize(new Vector3());
+  let [covered, lowest] = [0, Infinity];
+  const box = new Box3();
+  const p = new Vector3();
+  for (const { hull } of pieces.filter((piece) => piece.kind !== "unknown")) {
+    box.makeEmpty();
+    for (let i = 0; i < hull.vertices.length; i += 3) box.expandByPoint(p.fromArray(hull.vertices, i));
+    if (box.min.z < subject.min.z + ROOF) continue;
+    const own = box.getSize(p);
+    covered += own.x * own.y;
+    lowest = Math.min(lowest, box.min.z);
+  }
+  return covered > 0.25 * size.x * size.y ? lowest : undefined;
+}
+
+function following(colouring: Colouring): Colouring {
+  const names = Object.keys(COLOURINGS) as Colouring[];
+  return names[(names.indexOf(colouring) + 1) % names.length];
 }
 
 function says(figures: Record<string, number>): string {
