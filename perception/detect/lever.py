@@ -175,7 +175,7 @@ def _as_detection(one: _Found, is_hinted: bool) -> Detection:
         "solid_share": one.evidence.solid,
         "air_share": one.evidence.air,
         "visible_share": one.evidence.visible,
-        "pivot": pivot.confidence,
+        "pivot_score": pivot.confidence,
         "stand_off": pivot.stand_off,
         "n_hits": float(one.evidence.n_hits),
     }
