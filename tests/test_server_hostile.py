@@ -351,10 +351,14 @@ def test_cloud_that_lies_is_one_clear_line(stub: PlannerServiceStub, server: Ser
 def test_unknown_kinds_and_robots_of_a_scan_are_named(stub: PlannerServiceStub, cloud_id: str) -> None:
     clouds = wire.CloudsSpec(clouds=[{"file": cloud_id}])  # type: ignore[list-item]
     odd = wire.CloudsSpec(clouds=clouds.clouds, robot="r2d2")
+    flat = wire.CloudsSpec(clouds=clouds.clouds, top_m=-0.5)
+    no_bag = wire.CloudsSpec(clouds=clouds.clouds, topic="/points")
     asks = {
         "kind": lambda: stub.Detect(wire.DetectRequest(clouds=clouds, kind="cow"), timeout=30),
         "detect": lambda: stub.BuildScene(wire.BuildSceneRequest(clouds=clouds, detect=["cow"]), timeout=30),
         "clouds.robot": lambda: stub.Detect(wire.DetectRequest(clouds=odd, kind="valve"), timeout=30),
+        "clouds.top_m": lambda: stub.Detect(wire.DetectRequest(clouds=flat, kind="valve"), timeout=30),
+        "clouds.clouds[0].file": lambda: stub.Detect(wire.DetectRequest(clouds=no_bag, kind="valve"), timeout=30),
     }
     for field, ask in asks.items():
         code, text, found = refusal(ask)

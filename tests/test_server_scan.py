@@ -42,6 +42,10 @@ def test_valve_of_an_uploaded_scan_is_found_and_turned(stub: PlannerServiceStub)
 
     assert stub.GetScene(wire.GetSceneRequest(scene_id=scene.scene_id), timeout=20).scene == scene
 
+    low = wire.CloudsSpec(clouds=[{"file": cloud_id}], top_m=0.5, bottom_m=-0.2)  # type: ignore[list-item]
+    cropped = stub.Detect(wire.DetectRequest(clouds=low, kind="valve"), timeout=60)
+    assert any(" above 0.5 m" in note for note in cropped.notes)
+
     hit = stub.Detect(wire.DetectRequest(clouds=clouds, kind="valve"), timeout=60).hits[0]
     assert hit == scene.detections[0]
     assert hit.confidence >= 0.5

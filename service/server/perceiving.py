@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import re
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -187,12 +188,15 @@ class Perceiving:
         given = message.clouds
         plain = to_plain(message)
         clouds = plain.get("clouds", {})
-        data = {key: clouds[key] for key in ("unit", "apply_viewpoint", "sensor") if key in clouds}
+        data = {key: clouds[key] for key in ("unit", "apply_viewpoint", "sensor", "topic", "message") if key in clouds}
         data |= {key: plain[key] for key in ("hint", *more) if key in plain}
         problems = [] if clouds.get("clouds") else ["clouds: at least one is needed"]
         reach = given.reach_m if given.HasField("reach_m") else DEFAULT_REACH_M
         if not 0.1 <= reach <= MAX_REACH_M:
             problems.append(f"reach_m: 0.1 to {MAX_REACH_M:g} would do, got {reach:g}")
+        bottom, top = _heights(given)
+        if not -math.inf < bottom < top < math.inf:
+            problems.append(f"top_m: a height above bottom_m, {bottom:g}, would do, got {top:g}")
         try:
             scene = parse_scene({**data, "cloud": clouds.get("clouds") or None})
             parse_start(clouds.get("start", {}))
@@ -214,11 +218,23 @@ class Perceiving:
                 transforms=tuple(_numbers(one.position, one.quaternion_wxyz) for one in named),
                 apply_viewpoint=scene.apply_viewpoint,
                 sensor=scene.sensor,
+                topic=scene.topic,
+                message=scene.message,
                 reach_m=given.reach_m if given.HasField("reach_m") else DEFAULT_REACH_M,
+                top_m=_heights(given)[1],
+                bottom_m=_heights(given)[0],
                 robot=given.robot if given.HasField("robot") else None,
                 start=parse_start(to_plain(given.start)) if given.HasField("start") else None,
                 seed=given.seed,
             )
+
+
+def _heights(given: CloudsSpec) -> tuple[float, float]:
+    """Between which points are kept [m]."""
+    return (
+        given.bottom_m if given.HasField("bottom_m") else CloudAsked.bottom_m,
+        given.top_m if given.HasField("top_m") else CloudAsked.top_m,
+    )
 
 
 def accepted(answer: T | Refused) -> T:
