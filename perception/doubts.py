@@ -12,12 +12,12 @@ _LARGEST_SPAN = 400.0
 _SMALLEST_SPAN = 0.05
 _FAR = 50.0
 # A scene of this size is one a robot stands in.
-_SCENE = (0.5, 60.0)
+_SCENE = (0.8, 60.0)
 _SMALL_UNITS = {"mm": 0.001, "cm": 0.01, "in": 0.0254, "ft": 0.3048}
 # A crop that leaves less than this has hardly met the scene, and one from which most is gone deserves a word.
 _LEFT_OVER = 0.02
 _MOST = 0.5
-# Times the reach: wider than that, a cloud may be in a smaller unit; than this, it is.
+# Times the reach: wider than that, a cloud may be in a smaller unit, or of a wide place.
 _WIDE, _TOO_WIDE = 1.5, 10.0
 _FEWEST_POINTS = 50
 _LAYER = 0.04
@@ -99,13 +99,11 @@ def _why_so_few(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
     span = float((high - low).max())
     question = ""
     if span > _WIDE * reach.radius:
-        question = f"they span {span:.3g} m: {_unit_question(span, 2.0 * _WIDE * reach.radius)}"
-    if span > _TOO_WIDE * reach.radius:
-        return question
-    return (
-        f"{question and f'{question} Else '}metres in the robot's start frame (z up, floor at 0) are needed; the "
-        f"transform {shift_to_zero(points, reach.x, reach.y)} would bring their middle into reach"
-    )
+        question = f"they span {span:.3g} m: {_unit_question(span, 2.0 * _WIDE * reach.radius)} Else "
+    needed = f"{question}metres in the robot's start frame (z up, floor at 0) are needed"
+    if span > _TOO_WIDE * reach.radius:  # the middle of so much is nobody's place
+        return needed
+    return f"{needed}; the transform {shift_to_zero(points, reach.x, reach.y)} would bring their middle into reach"
 
 
 def _unit_question(span: float, most: float = _SCENE[1]) -> str:
