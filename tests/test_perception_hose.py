@@ -10,8 +10,9 @@ from perception.detect.hose import detect_hose
 from perception.detect.sightlines import Sightlines
 from perception.detect.slender import is_flat
 from perception.detect.tips import find_tips
-from perception.detect.tube import STRAIGHT, Tube, meet_tubes, misfits, refined
+from perception.detect.tube import STRAIGHT, Tube, meet_tubes, misfits, refined, square_to
 from perception.detect.tube_evidence import weigh_tube
+from perception.detect.tube_mouth import settled
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.objects.fixtures import Standpipe
 from perception.simulate.objects.loose import can, pot
@@ -151,3 +152,22 @@ def test_a_hint_elsewhere_leaves_the_opening_out() -> None:
 def test_a_view_without_obstacles_holds_no_hose_end() -> None:
     points = np.random.default_rng(0).uniform((-2.0, -2.0, 0.0), (2.0, 2.0, 0.0), (5000, 3))
     assert detect_hose(make_view(Cloud(points, np.array([0.0, 0.0, 1.5])))) == []
+
+
+def test_an_end_looked_into_is_settled_to_where_its_returns_end() -> None:
+    rng = np.random.default_rng(5)
+    true = Tube(np.array([0.9, 0.1, 0.8]), np.array([-0.6, 0.0, 0.8]), 0.035)
+    across, over = square_to(true.axis)
+    angle, depth = rng.uniform(0.0, 2.0 * np.pi, 300), rng.uniform(0.0, 0.12, 300)
+    depth[:80] = 0.0
+    ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * over
+    places = true.mouth + 0.033 * ring - depth[:, None] * true.axis
+    start = true.mouth + 1.1 * true.axis
+    length = np.linalg.norm(places - start, axis=1)
+    rays = Sightlines(np.tile(start, (300, 1)), (places - start) / length[:, None], length + rng.normal(0, 0.01, 300))
+    tilted = true.axis + 0.2 * across
+    rough = Tube(true.mouth + 0.02 * true.axis + 0.008 * over, tilted / np.linalg.norm(tilted), 0.032)
+    found = settled(rays, rough)
+    assert np.linalg.norm(found.mouth - true.mouth) < 0.005
+    assert np.degrees(np.arccos(found.axis @ true.axis)) < 3.0
+    assert abs(found.radius - true.radius) < 0.003
