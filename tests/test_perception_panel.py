@@ -48,6 +48,22 @@ def test_a_panel_is_found_with_its_buttons(turned_deg: float) -> None:
     assert (apart.min(axis=0) < 0.01).all()
 
 
+def test_a_button_that_fills_a_small_face_moves_neither_the_face_nor_its_edges() -> None:
+    panel = Panel((0.72, 0.05, 1.25), width=0.15, height=0.15, buttons=((0.0, 0.0, 0.045),))
+    placed = panel.placed()
+    pose = placed.truth[0].pose_world_object
+    found = detect("panel", seen(list(placed.meshes)))[0]
+    assert found.confidence >= CONFIDENT
+    assert np.linalg.norm((found.pose_world_object - pose)[:3, 3]) < 0.01
+    assert found.pose_world_object[:3, 2] @ pose[:3, 2] > np.cos(np.radians(3.0))
+    assert np.linalg.norm(button_places(found)[0] - panel.centre) < 0.01
+
+
+def test_a_lever_between_whose_parts_no_ray_met_the_face_is_no_row_of_buttons() -> None:
+    view = make_view(make_scene("lever_box_down", 51).scan("sparse"))
+    assert all(found.confidence < CONFIDENT for kind in ("panel", "lever") for found in detect(kind, view))
+
+
 def test_buttons_that_do_not_stand_out_are_not_claimed() -> None:
     panel = Panel((0.72, 0.05, 1.25), buttons=BUTTONS, proud=0.0015)
     assert all(found.confidence < CONFIDENT for found in detect("panel", seen(list(panel.placed().meshes))))

@@ -28,6 +28,7 @@ _MOST_RAYS = 12_000
 _LEAST_SLOPE = 0.1
 _SIGMA = (0.0015, 0.02)
 _SPACING = 0.15
+_SMALL = 0.6
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,8 @@ def _find_faces(
     regions = [(plane.normal, means[plane.members]) for plane in planes]
     for patch in _patches(means[left]):
         mine = left[patch]
+        if planes and np.ptp(means[mine], axis=0).max() < _SMALL:
+            regions += _parallel(planes[0].normal, means[mine])
         for plane in find_planes(means[mine], counts[mine], from_where[mine], rng, _FACE):
             regions.append((plane.normal, means[mine][plane.members]))
     faces = []
@@ -130,6 +133,17 @@ def _find_faces(
         low, high = np.percentile((members - centre) @ frame[:2].T, [2, 98], axis=0)
         faces.append(_refined(Face(frame, centre, low - 0.01, high + 0.01, 0.01), index))
     return [face for face in faces if face is not None]
+
+
+def _parallel(
+    normal: Float[np.ndarray, "3"], points: Float[np.ndarray, "N 3"]
+) -> list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "K 3"]]]:
+    """The layer most points lie in that is parallel to the largest wall: normals tell no face a hand wide."""
+    height = np.sort(points @ normal)
+    within = np.searchsorted(height, height + _FACE.distance, side="right") - np.arange(len(height))
+    low = height[int(np.argmax(within))]
+    layer = points[(points @ normal >= low) & (points @ normal <= low + _FACE.distance)]
+    return [(normal, layer)] if len(layer) >= _FACE.min_points else []
 
 
 def _patches(points: Float[np.ndarray, "N 3"]) -> list[Int[np.ndarray, "K"]]:
@@ -176,7 +190,16 @@ def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
 def _refined(face: Face, index: SightIndex) -> Face | None:
     """The plane through what is flat of the rays' ends, not through what stands out; None when little is."""
     seen = face_rays(face, index, 0.0)
-    ends = seen.ends[((seen.ends[:, :2] > face.low) & (seen.ends[:, :2] < face.high)).all(axis=1)]
+    return fitted(face, seen.ends[((seen.ends[:, :2] > face.low) & (seen.ends[:, :2] < face.high)).all(axis=1)])
+
+
+def fitted(face: Face, ends: Float[np.ndarray, "K 3"]) -> Face | None:
+    """The face moved and turned onto what is flat of some ends of rays; None when little is.
+
+    Args:
+        face: as known so far.
+        ends: (K, 3) in its frame [m].
+    """
     ends = ends[np.abs(ends[:, 2]) < _BAND]
     if len(ends) < 20:
         return None

@@ -23,6 +23,7 @@ _LEVELS = (0.3, 0.45, 0.6)
 _UNSEEN_END = 0.45
 _UNSEEN_PIVOT = 0.75
 _HUB_OVER_BAR = 1.5
+_GAP_OVER_NOISE = (2.0, 3.0)
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,9 @@ def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
     pivot = end + inwards * _HUB_OVER_BAR * radius
     if len(at) >= _FEWEST:
         pivot = float(np.clip(np.median(at), *sorted((end + inwards * radius, end + inwards * _ZONE))))
-    return Pivot(float(pivot), far_end, stand_off, float(max(scores)))
+    # A gap hardly deeper than the noise tells ends apart by chance.
+    told = rising(bottom / face.sigma, *_GAP_OVER_NOISE)
+    return Pivot(float(pivot), far_end, stand_off, float(max(scores)) * told)
 
 
 def _in_bar(

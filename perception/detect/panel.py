@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
-from perception.detect.faces import Face, FaceRays, FacesInSight, face_rays
+from perception.detect.faces import Face, FaceRays, FacesInSight, face_rays, fitted
 from perception.detect.relief import Disc, find_discs
 from perception.detect.sightlines import SightIndex
 from perception.view import View
@@ -18,12 +18,18 @@ from perception.view import View
 _SIZES = (0.07, 0.7)
 _LEAST_GAIN = 13.0
 _FAINT = 0.03
-_LARGEST, _BETWEEN = 0.05, 0.004
+_LARGEST, _BETWEEN, _NEIGHBOURS = 0.05, 0.004, 0.05
+_FEWEST_BETWEEN = 3
+_LEAST_CLEAR = 0.6
+_CLEAR_OF_NOISE = (0.7, 1.1)
 _HEIGHTS = (0.005, 0.06)
 _BESIDE = 0.08
 _BEHIND = 0.025
 _REPORTED = 0.05
 _SAME_DEPTH = 0.1
+_ROUNDS = 3
+_COLLAR = 0.01
+_SMEAR = 0.1
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,8 @@ def detect_panel(
     with threadpool_limits(limits=1, user_api="blas"):
         found = [_examined(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
     panels = [one for one in found if one is not None and one.confidence >= _REPORTED]
-    return _apart(sorted(panels, key=lambda one: -one.confidence))
+    # Of faces askew and straight through the same panel, both sure, the flatter one is it.
+    return _apart(sorted(panels, key=lambda one: (-round(one.confidence, 2), one.residuals["sigma"])))
 
 
 def _apart(panels: list[Detection]) -> list[Detection]:
@@ -79,21 +86,51 @@ def _is_panel_sized(face: Face) -> bool:
 
 def _examined(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None:
     """Edges and buttons of a face; None when nothing stands out of it."""
-    seen = face_rays(face, index, _BESIDE)
-    edges = _edges(face, seen)
-    size = edges.high - edges.low
-    if size.min() < _SIZES[0] or size.max() > _SIZES[1]:
-        return None
-    ends = seen.ends[(seen.ends[:, 2] > -3.0 * face.sigma) & (seen.ends[:, 2] < _HEIGHTS[1] + 0.05)]
-    ends = ends[((ends[:, :2] > edges.low) & (ends[:, :2] < edges.high)).all(axis=1)]
-    ends = np.column_stack([ends[:, :2], np.minimum(ends[:, 2], _HEIGHTS[1])])
-    discs = find_discs(ends, edges.low, edges.high, face.sigma, _LEAST_GAIN)
-    clearest = max((disc.gain for disc in discs), default=0.0)
-    discs = [disc for disc in discs if disc.gain > _FAINT * clearest]
-    buttons = [disc for disc in discs if _is_button(disc) and _stands_alone(disc, discs)]
+    edges, relief, ends = _Edges(face.low, face.high, (False,) * 4), list[Disc](), np.zeros((0, 3))
+    for k in range(_ROUNDS):
+        if k > 0:
+            # Buttons pull at the plane of a small face: it is fitted anew without them while that makes it flatter.
+            again = fitted(face, ends[_bare(edges, relief, ends)])
+            if again is None or again.sigma > face.sigma:
+                break
+            face = again
+        seen = face_rays(face, index, _BESIDE)
+        edges = _edges(face, seen)
+        size = edges.high - edges.low
+        if size.min() < _SIZES[0] or size.max() > _SIZES[1]:
+            return None
+        ends = seen.ends[((seen.ends[:, :2] > edges.low) & (seen.ends[:, :2] < edges.high)).all(axis=1)]
+        relief = _discs(face, edges, ends)
+    # What is much lower than the noise is a face not quite flat, however many points say so.
+    discs = [disc for disc in relief if disc.height > _LEAST_CLEAR * face.sigma]
+    buttons = [disc for disc in discs if _is_button(disc) and _stands_alone(disc, discs, ends)]
     if not buttons:
         return None
     return _as_detection(face, edges, buttons, len(discs) - len(buttons), ends, is_hinted)
+
+
+def _discs(face: Face, edges: _Edges, ends: Float[np.ndarray, "K 3"]) -> list[Disc]:
+    """What stands out of a face, without what is too faint beside the clearest or part of a clearer one."""
+    kept = ends[(ends[:, 2] > -3.0 * face.sigma) & (ends[:, 2] < _HEIGHTS[1] + 0.05)]
+    kept = np.column_stack([kept[:, :2], np.minimum(kept[:, 2], _HEIGHTS[1])])
+    discs = find_discs(kept, edges.low, edges.high, face.sigma, _LEAST_GAIN)
+    clearest = max((disc.gain for disc in discs), default=0.0)
+    discs = [disc for disc in discs if disc.gain > _FAINT * clearest]
+    return [disc for disc in discs if not any(_is_smear(disc, other) for other in discs)]
+
+
+def _is_smear(disc: Disc, of: Disc) -> bool:
+    """Whether a relief is but what rays that met a clearer one's edge and the face behind it left beside it."""
+    touches = np.linalg.norm(of.centre - disc.centre) < of.radius + disc.radius
+    return bool(touches and disc.gain < _SMEAR * of.gain and disc.height < 0.5 * of.height)
+
+
+def _bare(edges: _Edges, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> Bool[np.ndarray, "K"]:
+    """Which ends lie outside of all discs, and not at an edge where rays met the sides."""
+    outside = ((ends[:, :2] > edges.low + _COLLAR) & (ends[:, :2] < edges.high - _COLLAR)).all(axis=1)
+    for disc in discs:
+        outside &= np.linalg.norm(ends[:, :2] - disc.centre, axis=1) > disc.radius + _COLLAR
+    return np.asarray(outside)
 
 
 def _is_button(disc: Disc) -> bool:
@@ -105,11 +142,21 @@ def _is_button(disc: Disc) -> bool:
     )
 
 
-def _stands_alone(disc: Disc, discs: list[Disc]) -> bool:
-    """Whether no other relief touches it, as the parts of one larger thing do."""
-    return all(
-        one is disc or np.linalg.norm(one.centre - disc.centre) > one.radius + disc.radius + _BETWEEN for one in discs
-    )
+def _stands_alone(disc: Disc, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> bool:
+    """Whether the face was seen between it and any other relief, so that they are no parts of one larger thing."""
+    return all(one is disc or _is_apart(disc, one, ends) for one in discs)
+
+
+def _is_apart(one: Disc, other: Disc, ends: Float[np.ndarray, "K 3"]) -> bool:
+    way = other.centre - one.centre
+    apart = float(np.linalg.norm(way))
+    gap = apart - one.radius - other.radius
+    if not _BETWEEN < gap < _NEIGHBOURS:
+        return gap >= _NEIGHBOURS
+    offset = ends[:, :2] - one.centre
+    along, aside = offset @ way / apart, np.abs(offset @ np.array([-way[1], way[0]])) / apart
+    height = ends[(along > one.radius) & (along < apart - other.radius) & (aside < min(one.radius, other.radius)), 2]
+    return bool(len(height) >= _FEWEST_BETWEEN and np.median(height) < 0.5 * min(one.height, other.height))
 
 
 def _edges(face: Face, seen: FaceRays) -> _Edges:
@@ -125,9 +172,9 @@ def _edges(face: Face, seen: FaceRays) -> _Edges:
         centre = 0.5 * (low[i] + high[i])
         ends = []
         for sign in (-1.0, 1.0):
-            out = sign * (seen.at[:, i] - centre)
-            hits, passes = out[middle & on & (out > 0)], out[middle & past & (out > 0)]
-            edge, is_seen = _edge(hits, passes)
+            # What ended on the side beside the face, near enough to count as the face, ended at its edge.
+            met, crossed = (sign * (where[:, i] - centre) for where in (seen.ends, seen.at))
+            edge, is_seen = _edge(met[middle & on & (met > 0)], crossed[middle & past & (crossed > 0)])
             ends.append(centre + sign * edge)
             known.append(is_seen)
         low[i], high[i] = ends
@@ -169,18 +216,19 @@ def _as_detection(
         sizes |= {f"button_{i}_x": float(x), f"button_{i}_y": float(y), f"button_{i}_radius": disc.radius}
     n_seen = sum(edges.seen)
     confidence = (
-        rising(float(n_seen), 0.0 if is_hinted else 2.0, 3.0 if is_hinted else 4.0)
+        rising(float(n_seen), 0.0 if is_hinted else 2.2, 3.0 if is_hinted else 4.0)
         * rising(min(disc.gain for disc in buttons), _LEAST_GAIN, 2.5 * _LEAST_GAIN)
-        * rising(float(np.mean([disc.roundness for disc in buttons])), 0.5, 0.7)
+        * rising(float(np.mean([disc.roundness for disc in buttons])), 0.6, 0.8)
         * rising(-float(size.max()), -_SIZES[1], -0.6)
+        * rising(min(disc.height for disc in buttons) / face.sigma, *_CLEAR_OF_NOISE)
         * 0.4 ** min(n_other, 3)
     )
     residuals = {
         "sigma": face.sigma,
         "relief": float(np.mean([disc.height for disc in buttons])),
-        "edges_seen": float(n_seen),
-        "least_gain": min(disc.gain for disc in buttons),
-        "other_relief": float(n_other),
+        "n_edges_seen": float(n_seen),
+        "least_gain_ratio": min(disc.gain for disc in buttons),
+        "n_others": float(n_other),
     }
     points = face.world(ends[:: max(1, len(ends) // 300)])
     return Detection("panel", pose, sizes, float(confidence), residuals, points)
