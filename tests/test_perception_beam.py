@@ -66,6 +66,19 @@ def test_a_leaning_two_by_four_is_found_within_the_targets() -> None:
     assert np.array_equal(found.pose_world_object, again.pose_world_object)
 
 
+def test_a_beam_whose_end_is_hidden_says_that_its_length_is_unknown() -> None:
+    pose = posed((1.1, 0.0, 0.3), 90.0, 0.0, 0.0)
+    beam = timber(pose, 1.2, 0.089, 0.038)
+    whole = detect_beam(view_of(beam))[0]
+    assert whole.confidence >= CONFIDENT
+    assert whole.residuals["hidden_length"] < 0.05
+    screen = box((0.7, 0.3, 0.0), (0.72, 1.2, 1.0))
+    near = [one for one in detect_beam(view_of(beam, screen)) if misses(one, pose)[1] < 0.03]
+    assert near[0].sizes["length"] < 1.1
+    assert near[0].residuals["hidden_length"] > 0.08
+    assert near[0].confidence < CONFIDENT
+
+
 def test_a_four_by_four_on_the_floor_is_found_and_not_mistaken_for_a_plank() -> None:
     found = detect_beam(view_of(timber(LYING, 1.2, 0.089, 0.089)))[0]
     angle, off = misses(found, LYING)
@@ -124,17 +137,22 @@ def test_a_view_without_obstacles_holds_no_beam() -> None:
     assert detect_beam(make_view(Cloud(points, np.array([0.0, 0.0, 1.5])))) == []
 
 
-def test_most_beams_of_the_debris_scan_are_found_and_its_pipes_are_none(shared_data: Path) -> None:
+def test_beams_of_the_debris_scan_are_found_with_their_length_or_a_low_confidence(shared_data: Path) -> None:
     folder = shared_data / "scenes" / "debris"
     truth = json.loads((folder / "gt.json").read_text())["beams"]
-    found = [one for one in detect_beam(make_view(read_cloud(folder / "scan0.pcd"))) if one.confidence >= CONFIDENT]
-    n_found = 0
+    found = detect_beam(make_view(read_cloud(folder / "scan0.pcd")))
+    n_sure, n_cut_short = 0, 0
     for beam in truth:
         pose = np.eye(4)
         pose[:3, 0], pose[:3, 3] = beam["axis"], beam["centre"]
-        figures = [misses(one, pose) for one in found]
-        n_found += any(angle <= 2.0 and off <= 0.012 for angle, off in figures)
-    assert n_found >= 4
+        for one in found:
+            angle, off = misses(one, pose)
+            if angle <= 2.0 and off <= 0.012:
+                n_sure += one.confidence >= CONFIDENT
+                n_cut_short += one.confidence < CONFIDENT and one.residuals["hidden_length"] > 0.08
+                assert one.confidence < CONFIDENT or abs(one.sizes["length"] - beam["extents"][0]) < 0.05
+    assert n_sure >= 3
+    assert n_sure + n_cut_short >= 4
 
 
 def rays_into(bar: Bar, rng: np.random.Generator) -> Sightlines:

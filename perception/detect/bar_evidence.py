@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from perception.detect.bars import Bar, SurroundingRays, cross_bar, sort_rays
+from perception.floor import FloorPlane
 
 _BIN = 0.02
 _MOST_UNSEEN = 12
@@ -16,6 +17,8 @@ _INSIDE = 0.003
 _BEYOND = 0.08
 _AIR = (0.008, 0.045)
 _COARSE_BIN = 0.04
+_MOST_HIDDEN = 0.1
+_DESCENDS = 0.05
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,32 @@ def _end(hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"], fallback:
         edge = float(0.5 * (places[i] + behind.min())) if len(behind) else float(places[i])
     seen = int(((passes > edge - 0.5 * _BIN) & (passes < edge + _BEYOND)).sum()) >= 3
     return max(edge, _BIN), seen
+
+
+def hidden_length(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> float:
+    """How much longer the bar may be than what is seen of it, both ends together, up to 10 cm each [m].
+
+    It ends at the latest where two rays went through where it would be, or where it would reach into the floor.
+
+    Args:
+        rays: that pass near the bar and up to 10 cm beyond its ends.
+        bar: with its ends.
+        floor: below everything.
+    """
+    crossing = cross_bar(rays, bar)
+    told = sort_rays(rays, crossing)
+    through = (crossing.outside < -_INSIDE) & (told.passed | (rays.elsewhere & ~told.before))
+    total = 0.0
+    for sign, end in ((-1.0, -bar.first), (1.0, bar.last)):
+        beyond = np.sort(sign * crossing.along[through] - end)
+        beyond = beyond[beyond > -_BIN]
+        longest = _MOST_HIDDEN if len(beyond) < 2 else min(_MOST_HIDDEN, max(0.0, float(beyond[1])))
+        if floor is not None:
+            descent = -sign * float(bar.axis @ floor.normal)
+            height = max(0.0, float(floor.above(bar.corners).min()))
+            longest = min(longest, height / descent) if descent > _DESCENDS else longest
+        total += longest
+    return total
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from perception.clean import voxel_downsample
-from perception.detect.bar_evidence import Ends, Evidence, find_ends, weigh_bar
+from perception.detect.bar_evidence import Ends, Evidence, find_ends, hidden_length, weigh_bar
 from perception.detect.bar_fit import BarFit
 from perception.detect.bar_search import Rivalry, Stock, choose_bar, rays_about, rivalry
 from perception.detect.bar_starts import Run, run_of
@@ -47,6 +47,7 @@ class _Beam:
     fit: BarFit
     ends: Ends
     doubt: float
+    hidden: float
     evidence: Evidence
     flatter: Rivalry
     confidence: float
@@ -62,7 +63,9 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     """Beams, best first; origin the centre, x along the length, z along the smallest side.
 
     Sizes are length, width and thickness.  A beam of which one face is seen may be thicker than it looks: residuals
-    hold ``doubt``, how far off its centre may then be.
+    hold ``doubt``, how far off its centre may then be [m].  Where something lies over its ends or before them, its
+    length is that of what is seen: ``hidden_length`` says by how much it may be longer, up to 10 cm at each end [m],
+    and the confidence is low.
 
     Args:
         view: the scan.
@@ -125,26 +128,29 @@ def _examine(index: SightIndex, line: Line, floor: FloorPlane | None) -> _Beam |
     if ends.bar.length < _LEAST_LENGTH:
         return None
     evidence = weigh_bar(rays, ends.bar)
+    hidden = hidden_length(rays, ends.bar, floor)
     flatter = rivalry(rays, ends.bar, _PIPES, "round")
     points = rays.ends[evidence.hits]
     return _Beam(
         replace(choice.fit, bar=ends.bar),
         ends,
         choice.doubt,
+        hidden,
         evidence,
         flatter,
-        _confidence(ends, choice.doubt, evidence, flatter),
+        _confidence(ends, choice.doubt, hidden, evidence, flatter),
         points[:: max(1, len(points) // _MOST_POINTS)],
     )
 
 
-def _confidence(ends: Ends, doubt: float, evidence: Evidence, flatter: Rivalry) -> float:
+def _confidence(ends: Ends, doubt: float, hidden: float, evidence: Evidence, flatter: Rivalry) -> float:
     """Product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths that agree,
-    flat rather than round, little that it leaves unexplained, a centre that is sure, and an end that is seen."""
+    flat rather than round, little that it leaves unexplained, a centre that is sure, and ends that are seen or bound to
+    be near."""
     bar, ends_seen = ends.bar, sum(ends.seen)
     width, thickness = 2.0 * max(bar.half), 2.0 * min(bar.half)
     return float(
-        rising(evidence.solid, 0.85, 0.965)
+        rising(evidence.solid, 0.88, 0.965)
         * rising(evidence.air, 0.45, 0.75)
         * rising(evidence.known, 0.2, 0.5)
         * rising(evidence.visible, 0.25, 0.6)
@@ -159,6 +165,7 @@ def _confidence(ends: Ends, doubt: float, evidence: Evidence, flatter: Rivalry) 
         * rising(-flatter.misfit, -3.8, -2.6)
         * rising(-_off_size(width, thickness), -0.025, -0.012)
         * (1.0 - 0.4 * rising(doubt, 0.01, 0.03))
+        * (1.0 - 0.6 * rising(hidden, 0.04, 0.1))
         * (0.7 if ends_seen == 0 else 1.0)
     )
 
@@ -201,12 +208,13 @@ def _as_detection(one: _Beam) -> Detection:
         "rms": evidence.rms,
         "axis_spread_rad": one.fit.spread[0],
         "centre_spread": one.fit.spread[1],
-        "doubt_ratio": one.doubt,
+        "doubt": one.doubt,
         "solid_share": evidence.solid,
         "air_share": evidence.air,
         "visible_share": evidence.visible,
         "misfit_ratio": one.flatter.misfit,
         "flatter_share": one.flatter.share,
+        "hidden_length": one.hidden,
         "n_ends_seen": float(sum(one.ends.seen)),
     }
     return Detection("beam", pose, sizes, one.confidence, residuals, one.points)
