@@ -16,6 +16,7 @@ import grpc
 import pytest
 from google.protobuf.duration_pb2 import Duration
 from google.rpc.error_details_pb2 import BadRequest, RetryInfo
+from grpc.aio import AioRpcError, Metadata
 from hypothesis import given
 from hypothesis import strategies as st
 from planner_clients import CLIENTS
@@ -239,6 +240,29 @@ def test_details_that_cannot_be_read_leave_code_and_text(
     with connect() as client, pytest.raises(PlannerError) as caught:
         client.plan(REQUEST)
     assert (caught.value.code, caught.value.problems) == (Code.INTERNAL, ("incident 42",))
+
+
+def test_an_upload_whose_answer_was_lost_on_this_side_is_made_again(
+    target: str, stand_in: PlannerStandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written_cloud(tmp_path)
+
+    async def main() -> str:
+        async with AsyncPlannerClient(target, retry=Retry(first_delay_s=0.01)) as client:
+            upload, lost = (
+                client._stub.UploadCloud,
+                [AioRpcError(Code.INTERNAL, Metadata(), Metadata(), "Internal error from Core")],
+            )
+
+            async def first_lost(*arguments: Any, **named: Any) -> Any:
+                if lost:
+                    raise lost.pop()
+                return await upload(*arguments, **named)
+
+            monkeypatch.setattr(client._stub, "UploadCloud", first_lost)
+            return await client.upload_cloud(path)
+
+    assert asyncio.run(main()) in stand_in.clouds
 
 
 def test_an_overloaded_server_is_asked_again_with_the_same_id_after_the_told_delay(

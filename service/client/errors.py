@@ -14,6 +14,8 @@ from google.rpc.status_pb2 import Status
 from service.errors import ServiceError
 
 DETAILS_KEY = "grpc-status-details-bin"
+# How grpc.aio ends a call whose server answered while something was still being written to it: the answer is gone.
+ANSWER_LOST = (grpc.StatusCode.INTERNAL, "Internal error from Core")
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ def planner_error(error: grpc.RpcError) -> PlannerError:
     """The same error with all that the server told about it."""
     ended = cast(_Ended, error)
     code = ended.code() or grpc.StatusCode.UNKNOWN
+    if (code, ended.details()) == ANSWER_LOST:
+        return PlannerError(grpc.StatusCode.UNAVAILABLE, "the server's answer was lost while more was being sent")
     violations: list[FieldViolation] = []
     delay = None
     for detail in _status(ended.trailing_metadata() or ()).details:
