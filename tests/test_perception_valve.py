@@ -26,6 +26,7 @@ from perception import (
 )
 from perception.clean import half_spaces
 from perception.cloud import Cloud
+from perception.detect.circle_fit import Circles, agreement, refitted
 from perception.detect.level import Patch
 from perception.detect.ring_fit import linearized, moved_ring
 from perception.detect.seat import Seat
@@ -85,14 +86,14 @@ def fake(**changes: object) -> ValveDetection:
 
 def test_a_wheel_of_five_centimetres_is_believed_where_its_axis_can_be_told() -> None:
     valve = Valve((0.55, 0.0, 1.25), tilted(10, 10), rim_radius=0.05, tube_radius=0.008, n_spokes=3, hub_radius=0.014)
-    fine = Scanner(n_beams=541, fan_deg=135.0, n_lines=160, sigma=0.004)
+    fine = Scanner(n_beams=241, fan_deg=60.0, n_lines=160, sigma=0.004)
     assert_matches(
         detect_valves(scan(ROOM.meshes() + valve.meshes(), SENSOR, fine, seed=1))[0],
         valve.centre,
         valve.axis,
         valve.outer_radius,
     )
-    coarse = Scanner(n_beams=541, fan_deg=135.0, n_lines=40, sigma=0.012)
+    coarse = Scanner(n_beams=241, fan_deg=60.0, n_lines=40, sigma=0.012)
     blurred = detect_valves(scan(ROOM.meshes() + valve.meshes(), SENSOR, coarse, seed=1))
     assert all(found.confidence < CONFIDENT for found in blurred)
 
@@ -167,8 +168,17 @@ def test_nothing_is_found_with_confidence_where_there_is_no_wheel(name: str) -> 
 
 @pytest.mark.parametrize(("name", "sensor"), [("hose_wide", "dense"), ("hose_up", "dense"), ("hose_wide", "solid")])
 def test_a_pipe_seen_from_its_open_end_is_no_wheel(name: str, sensor: str) -> None:
-    view = make_view(make_scene(name, seed=5).scan(sensor))
-    assert all(found.confidence < CONFIDENT for found in detect("valve", view))
+    assert all(found.confidence < CONFIDENT for found in detect_valves(make_scene(name, seed=5).scan(sensor)))
+
+
+@pytest.mark.parametrize(("name", "sensor"), [("valve_tiny", "solid"), ("valve_large", "solid")])
+def test_the_smallest_and_a_large_wheel_among_pipes_and_boxes_are_found_within_the_targets(
+    name: str, sensor: str
+) -> None:
+    scene = make_scene(name)
+    (true,) = (one for one in scene.truth if one.kind == "valve")
+    pose = true.pose_world_object
+    assert_matches(detect_valves(scene.scan(sensor))[0], pose[:3, 3], pose[:3, 2], true.sizes["outer_radius"])
 
 
 def test_a_hoses_coupling_beside_its_standpipe_is_no_lever() -> None:
@@ -261,7 +271,9 @@ def test_a_cars_steering_wheel_is_no_valve_but_for_who_points_at_it(shared_data:
     folder = shared_data / "scenes" / "car_ev"
     steering = np.array(json.loads((folder / "gt.json").read_text())["car"]["steering_wheel"]["mean"])
     cloud = read_cloud(folder / "scan0.pcd")
-    assert all(found.confidence < CONFIDENT for found in detect_valves(cloud))
+    unasked = detect_valves(cloud)
+    assert all(found.confidence < CONFIDENT for found in unasked)
+    assert min(np.linalg.norm(found.centre - steering) for found in unasked) < 0.03
     pointed_at = detect_valves(cloud, hint=steering)[0]
     assert np.linalg.norm(pointed_at.centre - steering) < 0.03
     assert pointed_at.confidence >= CONFIDENT
@@ -414,6 +426,25 @@ def test_the_derivatives_of_a_rims_residuals_are_their_differences(seed: int) ->
 
     differences = [(rows(step * axis) - rows(-step * axis)) / (2 * step) for axis in np.eye(8)]
     np.testing.assert_allclose(jacobian[:, smooth], np.array(differences)[:, smooth], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rough_circle_is_drawn_onto_the_noisy_points_about_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    centre, radius, angle = rng.normal(0.0, 3.0, 3), 0.05 + 0.1 * seed, rng.uniform(0, 2 * np.pi, 300)
+    rim = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(300)])
+    points = np.concatenate([centre + rim @ wheel_basis(axis), centre + rng.uniform(0.6, 1.0, (200, 3))])
+    points += rng.normal(0.0, 0.003, points.shape)
+    lean = axis + rng.normal(0.0, 0.1, 3)
+    circles = Circles((centre + 0.005)[None], (lean / np.linalg.norm(lean))[None], np.array([1.05 * radius]))
+    for _ in range(2):
+        circles = refitted(points, circles, agreement(points, circles))
+    assert np.linalg.norm(circles.centres[0] - centre) < 0.002
+    assert abs(circles.axes[0] @ axis) > np.cos(np.radians(3.0))
+    assert abs(circles.radii[0] - radius) < 0.002
+    assert agreement(points, circles).count[0] > 280
 
 
 @pytest.mark.parametrize("n_starts", [1, 3, 40])

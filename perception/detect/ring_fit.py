@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from perception.detect.sightlines import Sightlines
-from perception.detect.wheel import Ring, cross_ring, pass_ring, rim_hits
+from perception.detect.wheel import Gate, Ring, cross_ring, pass_ring, rim_hits
 
 _SIGMA_DEPTH = 0.01
 _SIGMA_EDGE = 0.004
@@ -22,7 +22,6 @@ _MOST_RAYS = 1200
 # Seen from the front a rim's thickness cannot be told from its distance; common handwheels are 3 cm thick.
 _USUAL_HALF_DEPTH = 0.015
 _SIGMA_HALF_DEPTH = 0.004
-_PRIOR = 0.1
 # Unknowns: shift of the centre (3) [m] and tilt (2) [rad] in the wheel's basis, radius, half width, half depth [m].
 _SCALE = np.array([0.005, 0.005, 0.005, 0.03, 0.03, 0.005, 0.005, 0.005])
 _LARGEST_STEP = np.array([0.03, 0.03, 0.03, 0.2, 0.2, 0.03, 0.02, 0.02])
@@ -32,11 +31,11 @@ _FIRST_DAMPING = 1e-2
 _STILL = 1e-4
 
 
-def fit_ring(rays: Sightlines, ring: Ring, n_rounds: int = 3) -> Ring:
+def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, n_rounds: int) -> Ring:
     """Refine a ring; which rays count as hits is decided anew each round."""
     for _ in range(n_rounds):
         passage = pass_ring(rays, ring)
-        hit = rim_hits(rays, ring, passage)
+        hit = rim_hits(rays, ring, passage, gate)
         missed = (rays.length > passage.depth + _BEHIND) & (passage.level < _BESIDE)
         if hit.sum() < _FEWEST:
             return ring
@@ -127,8 +126,8 @@ def linearized(
     wrong = np.flatnonzero(np.where(hit, outside > 0.0, outside < 0.0))
     edge_sign = np.where(hit[wrong], 1.0, -1.0) / _SIGMA_EDGE
     depth = met.crossing - met.nearest - chord
-    # As strong as the mean depth of all hits, or it would drown in their number.
-    prior = _PRIOR * np.sqrt(max(int(hit.sum()), 1)) / _SIGMA_HALF_DEPTH
+    # As strong as the mean depth of all hits, or it would drown in their number and mixed pixels would deepen the rim.
+    prior = np.sqrt(max(int(hit.sum()), 1)) / _SIGMA_HALF_DEPTH
     d_prior = np.zeros((8, 1))
     d_prior[6], d_prior[7] = -prior * (a < _USUAL_HALF_DEPTH), prior
     residuals = [

@@ -17,8 +17,8 @@ from perception.detect.ring_fit import fit_ring
 from perception.detect.seat import find_seats
 from perception.detect.sightlines import SightIndex, Sightlines, index_of
 from perception.detect.steering import could_steer, steers
-from perception.detect.wheel import Ring, pass_ring, rim_hits, wheel_basis
-from perception.detect.wheel_evidence import Evidence, weigh_wheel
+from perception.detect.wheel import CLOSE, Ring, pass_ring, rim_hits, rough_gate, wheel_basis
+from perception.detect.wheel_evidence import Evidence, depth_error, weigh_wheel
 from perception.detect.wheel_inside import look_inside
 from perception.floor import FloorPlane
 from perception.view import View, make_view
@@ -33,6 +33,7 @@ _SOLID = 0.8
 _STEERING = 0.2
 _HOPELESS = 0.005
 _MOST_RAYS = 4000
+_WIDER, _BESIDE, _JUST_BESIDE = 1.15, 0.07, 0.03
 _MOST_COARSE = 60_000
 
 
@@ -186,21 +187,28 @@ def _apart(detections: list[ValveDetection]) -> list[ValveDetection]:
 
 def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
     """Fit the rim and weigh the evidence."""
-    near = index.passing(circle.centre[None], 1.4 * circle.radius + 0.12).thinned(_MOST_RAYS)
-    ring = fit_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012), n_rounds=1)
+    start = Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012)
+    ring = fit_ring(_about(index, start), start, rough_gate(start), n_rounds=1)
     first = _judged(index, ring, floor, is_hinted)
-    return first if first.confidence < _HOPELESS else _judged(index, fit_ring(near, ring, n_rounds=2), floor, is_hinted)
+    if first.confidence < _HOPELESS:
+        return first
+    # Without the air about it more rays of a small rim are left when they are thinned.
+    return _judged(index, fit_ring(_about(index, ring, _JUST_BESIDE), ring, CLOSE, n_rounds=2), floor, is_hinted)
+
+
+def _about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
+    """Rays through and beside a ring, with room for the ring to move."""
+    return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thinned(_MOST_RAYS)
 
 
 def _judged(index: SightIndex, ring: Ring, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
     """The ring as a detection, with what is inside it and how much speaks for it."""
-    near = index.passing(ring.centre[None], 1.4 * ring.radius + 0.12).thinned(_MOST_RAYS)
+    near = _about(index, ring)
     ring = _towards(near, ring)
     passage = pass_ring(near, ring)
     hit = rim_hits(near, ring, passage)
-    rms = float(np.sqrt(np.mean((near.length - passage.depth)[hit] ** 2))) if hit.any() else np.inf
     inside = look_inside(near, ring, passage)
-    evidence = weigh_wheel(near, ring, passage, hit, rms, inside, floor)
+    evidence = weigh_wheel(near, ring, passage, hit, inside, floor)
     return ValveDetection(
         ring.centre,
         ring.axis,
@@ -212,7 +220,7 @@ def _judged(index: SightIndex, ring: Ring, floor: FloorPlane | None, is_hinted: 
         inside.hub_radius,
         inside.depth,
         _hinted(evidence) if is_hinted else evidence.confidence,
-        rms,
+        depth_error(near, passage, hit),
         int(hit.sum()),
         inside.spoke_half_width,
         inside.spoke_share,

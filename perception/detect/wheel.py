@@ -9,8 +9,6 @@ from jaxtyping import Bool, Float
 
 from perception.detect.sightlines import Sightlines
 
-_NEAR_SURFACE = 0.04
-_EDGE_GATE = 0.008
 _LEAST_SLOPE = 0.05
 
 
@@ -126,7 +124,30 @@ def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
     return Passage(met.place, met.crossing, met.level, depth)
 
 
-def rim_hits(rays: Sightlines, ring: Ring, passage: Passage) -> Bool[np.ndarray, "N"]:
+@dataclass(frozen=True)
+class Gate:
+    """How far off a rim a ray may end to count as ended on it.
+
+    Attributes:
+        along: before or behind it [m].
+        beside: its section [m].
+    """
+
+    along: float
+    beside: float
+
+
+ABOUT = Gate(0.04, 0.008)
+# Of a ring that is nearly right: what ends further off at its edges is mixed of it and what is behind.
+CLOSE = Gate(0.03, 0.004)
+
+
+def rough_gate(ring: Ring) -> Gate:
+    """Of a ring that is but a guess: the larger it is the further off it may be."""
+    return Gate(0.04 + 0.1 * ring.radius, 0.008 + 0.06 * ring.radius)
+
+
+def rim_hits(rays: Sightlines, ring: Ring, passage: Passage, gate: Gate = ABOUT) -> Bool[np.ndarray, "N"]:
     """Rays that ended on the rim: near its depth, and inside its section or just beside it."""
-    beside = passage.level < 1.0 + _EDGE_GATE / ring.half_width
-    return np.asarray(beside & (np.abs(rays.length - passage.depth) < _NEAR_SURFACE))
+    beside = passage.level < 1.0 + gate.beside / ring.half_width
+    return np.asarray(beside & (np.abs(rays.length - passage.depth) < gate.along))

@@ -9,19 +9,23 @@ from jaxtyping import Bool, Float
 
 from perception.detect.confidence import rising
 from perception.detect.sightlines import Sightlines
-from perception.detect.wheel import Passage, Ring
-from perception.detect.wheel_inside import Inside
+from perception.detect.wheel import CLOSE, Passage, Ring, rim_hits
+from perception.detect.wheel_inside import MIDDLE, Inside
 from perception.floor import FloorPlane
 
 _SECTORS = 36
 _BEHIND = 0.05
 _UNKNOWN, _HUB_SEEN, _NO_HUB = 0.4, 0.2, 0.2
+# Half width by radius; flat rims have up to 0.3.
+_SLENDER = (-0.5, -0.35)
 _MOST_SPOKES = 12
 _MANY_SPOKES = 0.7
 _HAND = 0.035
-_ASIDE, _WALL = (0.015, 0.1), 0.025
-_ENCLOSED, _FREE_ASIDE, _LENIENT = 0.05, 0.15, 1.5
-# Standard deviation of the axis that follows from the rim's depths.
+_AT_RIM = (-0.018, -0.005)
+_LEAST_HUB = 0.012
+_ASIDE, _WALL, _USUAL_DEPTH = (0.015, 0.1), 0.025, 0.015
+_ENCLOSED, _FREE_ASIDE, _LENIENT = 0.05, 0.15, 0.75
+# Standard deviation of the axis.
 _SHARP, _BLUNT = np.radians([1.0, 2.0])
 _BLURRED = 0.3  # where it does not tell the axis: still worth a report
 
@@ -34,7 +38,7 @@ class Evidence:
         rim: seen all round, by enough rays whose depths agree.
         air: around it.
         open: there are openings between rim and hub.
-        middle: a hub or spokes are in its middle.
+        middle: a hub or spokes are in its middle, and not all of it behind the rim, as the far wall of a pipe is.
         spokes: what is between hub and rim is a few narrow spokes.
         free: a hand fits between it and the floor.
         sharp: its axis is told well enough to turn it.
@@ -66,7 +70,6 @@ def weigh_wheel(
     ring: Ring,
     passage: Passage,
     hit: Bool[np.ndarray, "N"],
-    rms: float,
     inside: Inside,
     floor: FloorPlane | None,
 ) -> Evidence:
@@ -89,21 +92,37 @@ def weigh_wheel(
     # What is out of sight speaks neither for nor against the rim, but more than half must be seen.
     complete = float(np.mean(rim[seen] > 0.6) * min(1.0, np.sum(rim[seen] > 0.6) / (0.6 * _SECTORS)))
     airy = float(np.mean(air[~np.isnan(air)] > 0.7)) if (~np.isnan(air)).any() else 0.0
+    # The hub of a small wheel fills much of its middle.
+    hub_share = min(0.4, (_LEAST_HUB / max(MIDDLE * (ring.radius - ring.half_width), _LEAST_HUB)) ** 2)
     return Evidence(
         rising(complete, 0.55, 0.9)
-        * rising(-ring.half_width / ring.radius, -0.5, -0.35)
+        * rising(-ring.half_width / ring.radius, *_SLENDER)
         # Much deeper along the axis than wide is the wall of a tube that is seen from its end.
         * rising(-ring.half_depth / ring.half_width, -4.0, -2.5)
-        * rising(-rms, -0.03, -0.02)
+        * rising(-depth_error(rays, passage, hit), -0.03, -0.02)
         * rising(float(hit.sum()), 15.0, 60.0),
         rising(airy, 0.45, 0.85),
         rising(inside.open_share, 0.02, 0.08),
-        rising(inside.middle_share, 0.05, 0.15) * rising(float(inside.n_middle), 1.0, 5.0),
+        rising(inside.middle_share, 0.05 + 0.5 * hub_share, 0.15 + hub_share)
+        * rising(float(inside.n_middle), 1.0, 5.0)
+        * rising(inside.depth[1], *_AT_RIM),
         _spoke_evidence(inside),
         _over_floor(ring, floor),
-        max(_BLURRED, rising(-rms / ring.radius * np.sqrt(2.0 / max(int(hit.sum()), 1)), -_BLUNT, -_SHARP)),
+        max(_BLURRED, rising(-_axis_error(rays, ring, passage), -_BLUNT, -_SHARP)),
         _free_aside(rays, ring),
     )
+
+
+def depth_error(rays: Sightlines, passage: Passage, hit: Bool[np.ndarray, "N"]) -> float:
+    """How far before or behind the rim the rays that ended on it did so, root of the mean square [m]; infinite where
+    none did."""
+    return float(np.sqrt(np.mean((rays.length - passage.depth)[hit] ** 2))) if hit.any() else np.inf
+
+
+def _axis_error(rays: Sightlines, ring: Ring, passage: Passage) -> float:
+    """Standard deviation of the axis that follows from the depths it was fitted to [rad]."""
+    close = rim_hits(rays, ring, passage, CLOSE)
+    return depth_error(rays, passage, close) / ring.radius * float(np.sqrt(2.0 / max(int(close.sum()), 1)))
 
 
 def _spoke_evidence(inside: Inside) -> float:
@@ -141,7 +160,9 @@ def _free_aside(rays: Sightlines, ring: Ring) -> float:
     nearest = -(start[:, :2] * way[:, :2]).sum(axis=1) / speed
     square = nearest**2 - ((start[:, :2] ** 2).sum(axis=1) - ring.radius**2) / speed
     leaves = nearest + np.sqrt(np.maximum(square, 0.0))
-    behind_there, behind_end = (-(start[:, 2] + t * way[:, 2]) - ring.half_depth for t in (leaves, rays.length))
+    # A ring fitted to the wall of a tube is deep: where it ends behind does not count.
+    deep = min(ring.half_depth, _USUAL_DEPTH)
+    behind_there, behind_end = (-(start[:, 2] + t * way[:, 2]) - deep for t in (leaves, rays.length))
     goes_in = (square > 0.0) & (behind_end > _ASIDE[0] - 0.005)
     told = goes_in & (behind_there > _ASIDE[0]) & (behind_there < _ASIDE[1])
     n_out = float((rays.length[told] > leaves[told] + _WALL).sum())

@@ -15,7 +15,7 @@ _SPOKE_DEPTH = 0.04
 _CORRIDOR = 0.005
 _STEP_DEG = 2.0
 _MOST_APART, _BETWEEN = 3, 0.25
-_MIDDLE = 0.45
+MIDDLE = 0.45  # of the rim's inner radius
 _FEWEST = 5
 
 
@@ -72,7 +72,7 @@ def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
         low, high = np.percentile((rays.ends[at_wheel] - ring.centre) @ ring.axis, [4, 96])
         depth = (float(low), float(high))
     hub = _hub_radius(distance[known], solid[known], inner)
-    middle = known & (distance < _MIDDLE * inner)
+    middle = known & (distance < MIDDLE * inner)
     band = known & (distance > max(1.1 * hub, 0.45 * inner))
     spacing = float(np.sqrt(np.pi * inner**2 / known.sum()))
     at_spokes = np.abs(behind) < _SPOKE_DEPTH
