@@ -29,6 +29,7 @@ _LEAST_SLOPE = 0.1
 _SIGMA = (0.0015, 0.02)
 _SPACING = 0.15
 _SMALL = 0.6
+_FIXED = 0.2  # what is fixed to a wall stands hardly further before it [m]
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def _find_faces(
     for patch in _patches(means[left]):
         mine = left[patch]
         if planes and np.ptp(means[mine], axis=0).max() < _SMALL:
-            regions += _parallel(planes[0].normal, means[mine])
+            regions += _parallel(planes[0].normal, planes[0].offset, means[mine])
         for plane in find_planes(means[mine], counts[mine], from_where[mine], rng, _FACE):
             regions.append((plane.normal, means[mine][plane.members]))
     faces = []
@@ -136,14 +137,15 @@ def _find_faces(
 
 
 def _parallel(
-    normal: Float[np.ndarray, "3"], points: Float[np.ndarray, "N 3"]
+    normal: Float[np.ndarray, "3"], offset: float, points: Float[np.ndarray, "N 3"]
 ) -> list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "K 3"]]]:
     """The layer most points lie in that is parallel to the largest wall: normals tell no face a hand wide."""
     height = np.sort(points @ normal)
     within = np.searchsorted(height, height + _FACE.distance, side="right") - np.arange(len(height))
     low = height[int(np.argmax(within))]
     layer = points[(points @ normal >= low) & (points @ normal <= low + _FACE.distance)]
-    return [(normal, layer)] if len(layer) >= _FACE.min_points else []
+    is_fixed = abs(low - offset) < _FIXED
+    return [(normal, layer)] if is_fixed and len(layer) >= _FACE.min_points else []
 
 
 def _patches(points: Float[np.ndarray, "N 3"]) -> list[Int[np.ndarray, "K"]]:
