@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from service.errors import RequestError
+from service.request_file import parse_start
 from service.wire.violations import violation
 
 # What perception says of its options, and the fields that stand for them.
@@ -26,6 +28,15 @@ def as_sent(problems: Iterable[str], files: Iterable[Path], names: Iterable[str]
     """
     clouds = list(zip(map(str, files), names, strict=True))
     return tuple(_as_sent(problem, clouds) for problem in problems)
+
+
+def start_problems(data: object) -> tuple[str, ...]:
+    """What is wrong with where the robot stands, each beginning with the field; none: it can be used."""
+    try:
+        parse_start(data)
+    except RequestError as error:
+        return tuple(f"start{'.' if violation(problem).field else ': '}{problem}" for problem in error.problems)
+    return ()
 
 
 def _as_sent(problem: str, clouds: list[tuple[str, str]]) -> str:

@@ -27,7 +27,7 @@ from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
 from service.rpc import Context, deadline_of
 from service.server.asked import uploaded
-from service.server.cloud_problems import as_sent
+from service.server.cloud_problems import as_sent, start_problems
 from service.server.refusal import invalid, overloaded
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop, outcome
@@ -197,9 +197,9 @@ class Perceiving:
         bottom, top = _heights(given)
         if not -math.inf < bottom < top < math.inf:
             problems.append(f"top_m: a height above bottom_m, {bottom:g}, would do, got {top:g}")
+        problems += start_problems(clouds.get("start", {}))
         try:
             scene = parse_scene({**data, "cloud": clouds.get("clouds") or None})
-            parse_start(clouds.get("start", {}))
         except RequestError as error:
             raise invalid([*problems, *error.problems], "clouds") from None
         problems += [f"{field.removeprefix('scene.')}: {words}" for field, words in self._folders.scene_problems(scene)]

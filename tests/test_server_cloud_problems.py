@@ -1,0 +1,25 @@
+"""What is wrong with where the robot stands among clouds is told under the field that holds it."""
+
+from __future__ import annotations
+
+import pytest
+
+from service.server.cloud_problems import start_problems
+from service.wire.violations import violation
+
+
+@pytest.mark.parametrize(
+    ("start", "field"),
+    [
+        ({"joint_names": [], "positions": [1.0]}, "clouds.start"),
+        ({"joints": {"elbow": float("nan")}}, "clouds.start.joints.elbow"),
+        ({"base": {"position": [0.0, 0.0]}}, "clouds.start.base.position"),
+    ],
+)
+def test_a_wrong_start_is_told_with_its_field(start: object, field: str) -> None:
+    (problem,) = start_problems(start)
+    assert violation(problem, "clouds").field == field
+
+
+def test_a_start_that_can_be_used_has_no_problems() -> None:
+    assert start_problems({"joints": {"elbow": 1.0}}) == ()
