@@ -34,3 +34,12 @@ def test_what_hangs_farther_before_a_wall_than_its_slab_reaches_is_not_its_noise
 
 def test_what_a_wall_s_slab_covers_is_its_noise() -> None:
     assert _explained(0.024, 0.2).mean() > 0.95
+
+
+def test_tails_on_both_sides_of_a_wall_are_its_noise_however_thick() -> None:
+    rng = np.random.default_rng(7)
+    points = np.column_stack([rng.normal(0.0, 0.022, 30_000), rng.uniform(-0.5, 0.5, (30_000, 2))])
+    is_member = np.abs(points[:, 0]) < 0.02
+    tail = np.flatnonzero((np.abs(points[:, 0]) > 0.027) & (np.abs(points[:, 0]) < 0.06))
+    plane = Plane(np.array([1.0, 0.0, 0.0]), 0.0, np.flatnonzero(is_member), tail[:0])
+    assert noise_of(plane, points, np.ones(len(points)), tail, _SETTINGS).mean() > 0.95

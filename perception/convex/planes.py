@@ -30,7 +30,8 @@ class PlaneSettings:
         noise_share: they are when there are fewer than this share of the members around them.
         covered: a slab covers what is this close to its plane [m].
         tail_share: farther off they are noise only when those on their side are fewer than this share of the members,
-        tail_points: or than these points.
+        tail_points: or than these points,
+        tail_ratio: or than so many times those on the other side.
         bias: farthest the mean of the points around a member lies from the plane [m].
     """
 
@@ -48,6 +49,7 @@ class PlaneSettings:
     covered: float = 0.027
     tail_share: float = 0.05
     tail_points: int = 4
+    tail_ratio: float = 3.0
     bias: float = 0.01
 
 
@@ -230,7 +232,8 @@ def noise_of(
     settings: PlaneSettings,
 ) -> Bool[np.ndarray, "K"]:
     """Which of the points left are the plane's noise: near it, and few beside the members around them
-    or evenly on both sides; farther off than a slab covers, no more on one side than the tail of the noise.
+    or evenly on both sides; farther off than a slab covers, no more on one side than the tail of the noise,
+    or than some times what lies on the other side: noise has two tails.
 
     Without this, the tails of the range noise are found as further planes before a wall.  A real thing that lies on
     the plane hides it: there the members are missing, and its points are kept.
@@ -250,10 +253,12 @@ def noise_of(
     few &= members > 0.0
     is_noise = few[tuple(cells.T)]
     most = np.maximum(settings.tail_share * members, settings.tail_points / 9)
-    for side in (distance > settings.covered, distance < -settings.covered):
-        tail = _counts(cells[side], weights[side], raster.shape)
+    sides = [distance > settings.covered, distance < -settings.covered]
+    tails = [_counts(cells[side], weights[side], raster.shape) for side in sides]
+    for side, tail, opposite in zip(sides, tails, tails[::-1], strict=True):
         # What is to be fewer than whole points comes out of sums of fractions.
-        is_noise[side] &= (tail < most - 1e-9)[tuple(cells[side].T)]
+        is_tail = tail < np.maximum(most, settings.tail_ratio * opposite) - 1e-9
+        is_noise[side] &= is_tail[tuple(cells[side].T)]
     noise = np.zeros(len(left), dtype=bool)
     noise[near] = is_noise
     return noise
