@@ -41,6 +41,11 @@ def meets(piece: ConvexPiece, lower: tuple[float, ...], upper: tuple[float, ...]
     return bool((piece.lower <= np.array(upper)).all() and (piece.upper >= np.array(lower)).all())
 
 
+def is_a_few_points(piece: ConvexPiece) -> bool:
+    """Whether noise may bring or take it: points at the edge of a pipe, say, that rays may pass the next time."""
+    return bool(np.ptp(piece.vertices, axis=0).max() <= 0.1)
+
+
 @pytest.fixture(scope="module")
 def before() -> Perceived:
     return perceive(scanned(1), valve=False)
@@ -69,9 +74,9 @@ def test_only_the_pieces_of_a_box_that_moved_are_new(before: Perceived) -> None:
     kept = {id(piece) for piece in after.scene.pieces} & old
     lower, upper = (0.1, 1.1, 0.0), (1.15, 1.8, 1.0)
     for piece in before.scene.pieces:
-        if piece.kind != "floor" and not meets(piece, lower, upper):
+        if piece.kind != "floor" and not meets(piece, lower, upper) and not is_a_few_points(piece):
             assert id(piece) in kept, piece.name
-    new = [piece for piece in after.scene.pieces if id(piece) not in old and np.ptp(piece.vertices, axis=0).max() > 0.1]
+    new = [piece for piece in after.scene.pieces if id(piece) not in old and not is_a_few_points(piece)]
     assert new
     assert all(meets(piece, lower, upper) for piece in new)
 
