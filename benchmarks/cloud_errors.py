@@ -139,8 +139,8 @@ MEASURES: Mapping[str, tuple[Measure, ...]] = {
     ),
     "beam": (
         Measure("centre mm", distance),
-        Measure("along deg", axis(0, signed=False)),
-        Measure("length mm", size("length")),
+        Measure("along deg", axis(0, signed=False), 5.0),
+        Measure("length mm", size("length"), 50.0),
         Measure("width mm", size("width")),
         Measure("thickness mm", size("thickness")),
     ),

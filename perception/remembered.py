@@ -83,9 +83,24 @@ def _feed(update: Callable[[bytes], None], value: object) -> None:
 
 
 def _bytes_of(seen: Perceived) -> int:
-    view = seen.view
-    arrays = [view.cloud.points, view.cloud.misses, view.near.points, view.obstacles, view.starts]
-    return sum(array.size * array.itemsize for array in arrays) + sum(piece.points.nbytes for piece in seen.pieces)
+    """Of all arrays in it, each counted once."""
+    arrays: dict[int, int] = {}
+
+    def count(value: object) -> None:
+        if isinstance(value, np.ndarray):
+            owner = value if value.base is None else value.base
+            arrays[id(owner)] = owner.nbytes if isinstance(owner, np.ndarray) else value.nbytes
+        elif isinstance(value, Mapping):
+            count(tuple(value.values()))
+        elif isinstance(value, list | tuple):
+            for item in value:
+                count(item)
+        elif is_dataclass(value):
+            for one in fields(value):
+                count(getattr(value, one.name))
+
+    count(seen)
+    return sum(arrays.values())
 
 
 def _release() -> str:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -29,6 +29,9 @@ from service.timing import TimingSettings
 from service.verify import Basis, Certificate, Motion, Status, verify
 from service.whole_body import Aims, WholeBody
 
+if TYPE_CHECKING:
+    from perception import Perceived
+
 MAX_REPAIRS = 3
 EXPLAIN_TIME_S = 4.0  # wall time spent on narrowing down why nothing was found
 RANK = {Status.VIOLATED: 0, Status.FEASIBLE_AT_SAMPLES: 1, Status.CERTIFIED: 2}
@@ -50,6 +53,7 @@ def plan(
     robot: RobotModel | None = None,
     terms: Terms | None = None,
     on_iteration: OnIteration | None = None,
+    see: Callable[..., Perceived] | None = None,
 ) -> PlanResult:
     """Plan, time and certify what a request asks for.
 
@@ -61,6 +65,7 @@ def plan(
         terms: costs and constraints of the caller's own for every phase, kept at its waypoints like any other; the
             certificate does not speak of them.
         on_iteration: told every trial of the optimiser and the waypoints it is at.
+        see: ``perception.perceive``, or what remembers its results (a server's); by default every scan is seen anew.
 
     Returns:
         The verdict with the best motion found; only a request that cannot be used is an error.
@@ -73,7 +78,8 @@ def plan(
     # Small matrices all through: BLAS threads cost more than they bring, and another plan can use the core.
     with _thread_pools().limit(limits=1, user_api="blas"):
         monitor = Monitor(request.options.time_limit_s, should_stop, on_progress, on_iteration)
-        return _plan(request, monitor, robot, terms)
+        setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see)
+        return _plan(setup, monitor, terms)
 
 
 @cache
@@ -82,8 +88,8 @@ def _thread_pools() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _plan(request: PlanRequest, monitor: Monitor, robot: RobotModel | None, terms: Terms | None) -> PlanResult:
-    setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over)
+def _plan(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PlanResult:
+    request = setup.request
     monitor.timings.update(setup.timings)
     attempt = _Attempt()
     try:

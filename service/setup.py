@@ -85,6 +85,7 @@ def prepare(
     on_step: Callable[[str], None] | None = None,
     robot: RobotModel | None = None,
     should_stop: Callable[[], bool] = lambda: False,
+    see: Callable[..., Perceived] | None = None,
 ) -> PlanSetup:
     """Load the robot, read the scan, and check the request against both.
 
@@ -93,6 +94,7 @@ def prepare(
         on_step: told the name of each step before it begins.
         robot: the request's robot where it is at hand already; else it is loaded.
         should_stop: asked while the scene is made; once it says so, what comes back ``is_stopped``.
+        see: ``perceive``, or what remembers its results.
 
     Raises:
         RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
@@ -103,7 +105,7 @@ def prepare(
     if robot is None:
         robot = _timed(timings, "load_robot", lambda: load_requested_robot(request))
     robot = robot_with_attached(robot, request)
-    return _prepare(request, robot, say, timings, should_stop)
+    return _prepare(request, robot, say, timings, should_stop, see)
 
 
 def _prepare(
@@ -112,6 +114,7 @@ def _prepare(
     say: Callable[[str], None],
     timings: dict[str, float],
     should_stop: Callable[[], bool],
+    see: Callable[..., Perceived] | None,
 ) -> PlanSetup:
     start, notes, program = _start(robot, request)
     _check_goal(robot, request)
@@ -119,7 +122,7 @@ def _prepare(
     soles = _soles(robot, start, request, program)
     say("perceive scene")
     try:
-        perceived = _timed(timings, "perceive", lambda: _perceive(request, robot, start, soles, should_stop))
+        perceived = _timed(timings, "perceive", lambda: _perceive(request, robot, start, soles, should_stop, see))
         obstacles = _timed(timings, "build_scene", lambda: _obstacles(request, perceived, should_stop))
     except Interrupted:
         empty = Scene(())
@@ -250,6 +253,7 @@ def _perceive(
     start: Float[np.ndarray, "n"],
     soles: Mapping[str, np.ndarray],
     should_stop: Callable[[], bool],
+    see: Callable[..., Perceived] | None,
 ) -> Perceived | None:
     if request.scene.cloud is None:
         return None
@@ -270,7 +274,7 @@ def _perceive(
             topic=scene.topic,
             message=scene.message,
         )
-        return perceive(
+        return (see or perceive)(
             cloud,
             reach=Reach(x=x, y=y),
             robot_hulls=[vertices for _, vertices in placed_bodies(robot, start)],

@@ -168,6 +168,7 @@ def test_scenes_objects_checks_and_robots(
     with connect() as client:
         scene = client.build_scene([path], detect=["valve"], unknown="occupied", method="coacd", on_step=steps.append)
         assert (scene.scene_id, steps) == ("s1", ["read cloud"])
+        assert client.get_scene(scene.scene_id) == scene
         assert client.detect(str(path), "door", hint=(1.0, 0.0, 1.0)).hits[0].kind == "door"
         client.verify(PLAN_ID)
         client.verify(tmp_path / "plan")

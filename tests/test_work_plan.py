@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
+import pytest
+
+from perception import Cloud, Perceived, perceive, remembered
 from service.proto.planner.v1.planner_pb2 import PlanProgress
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, MotionResult
 from service.request_file import parse_request, request_hash
@@ -72,3 +76,19 @@ def test_request_that_cannot_be_used_is_an_answer_too() -> None:
     door = run_plan(PlanTask(parse_request({"robot": {"name": "atlas"}, "task": {"door": {}}})), _Control())
     assert isinstance(door, Refused)
     assert door.is_unplanned
+
+
+def test_scan_that_was_planned_in_before_is_not_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def counted(cloud: Cloud, **settings: Any) -> Perceived:
+        seen.append(cloud)
+        return perceive(cloud, **settings)
+
+    monkeypatch.setattr(remembered, "perceive", counted)
+    data = Path(__file__).parents[1] / "examples" / "data"
+    asked = {"robot": {"name": "atlas"}, "start": {"posture": "reach_ready"}, "scene": {"cloud": "valve_scan.pcd"}}
+    for goal in ({"posture": "reach_ready"}, {"joints": {"neck_ry": 0.2}}):
+        answer = run_plan(PlanTask(parse_request({**asked, "goal": goal}, data)), _Control())
+        assert isinstance(answer, PlanAnswer), answer
+    assert len(seen) == 1

@@ -38,6 +38,8 @@ from service.proto.planner.v1.planner_pb2 import (
     CloudsSpec,
     DetectResponse,
     GetPlanRequest,
+    GetSceneRequest,
+    GetSceneResponse,
     GetStatusRequest,
     GetStatusResponse,
     ListRobotsRequest,
@@ -188,6 +190,11 @@ class PlannerClient(ClientSettings):
                 if on_step is not None and event.step:
                     on_step(event.step)
         return reader.finished()
+
+    def get_scene(self, scene_id: str) -> BuiltScene:
+        """A scene that was built before, also before the server was restarted."""
+        stored: GetSceneResponse = self._ask("GetScene", GetSceneRequest(scene_id=scene_id), self._timeout_s)
+        return stored.scene
 
     def detect(
         self, clouds: Clouds, kind: str, *, hint: Sequence[float] | None = None, deadline_s: float | None = None

@@ -7,7 +7,9 @@ import tarfile
 import tempfile
 import time
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -25,8 +27,12 @@ from service.work.robots import WarmRobots
 
 REPORT_EVERY_S = 0.02  # iterations are told no more often than this: nobody sees more, and every one is a message
 LEAST_TIME_S = 0.01
+MOST_SCENE_BYTES = 256 * 2**20  # of scans that a worker remembers
 # Of what is left until the deadline, kept for the curve and the certificate of the best attempt, and the way back.
 ANSWER_SHARE, MOST_ANSWER_TIME_S = 0.25, 2.0
+
+if TYPE_CHECKING:
+    from perception import Cloud, Memory, Perceived
 
 _ROBOTS = WarmRobots()  # of this process
 
@@ -91,6 +97,7 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
             should_stop=control.should_stop,
             robot=_ROBOTS.get(request),
             on_iteration=teller.iteration,
+            see=see,
         )
     except RequestError as error:
         return Refused(error.problems, isinstance(error, UnplannedTaskError))
@@ -108,6 +115,18 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
         _archive(result) if task.with_files else b"",
         {**result.timings, "total": result.planning_time_s},
     )
+
+
+def see(cloud: Cloud, **settings: Any) -> Perceived:
+    """``perception.perceive``, whose results this process remembers: the same scan is often planned in again."""
+    return _scenes().perceive(cloud, **settings)
+
+
+@cache
+def _scenes() -> Memory:
+    from perception import Memory  # takes a while, and the server itself sees nothing
+
+    return Memory(MOST_SCENE_BYTES)
 
 
 def warm_robots() -> WarmRobots:

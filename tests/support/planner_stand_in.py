@@ -177,6 +177,10 @@ class PlannerStandIn(PlannerServiceServicer):
         yield pb.BuildSceneResponse(step="read cloud")
         yield pb.BuildSceneResponse(scene={"scene_id": "s1", "json": b"{}"})
 
+    def GetScene(self, request: Any, context: grpc.ServicerContext) -> pb.GetSceneResponse:
+        self._hear(request, context)
+        return pb.GetSceneResponse(scene={"scene_id": request.scene_id, "json": b"{}"})  # type: ignore[arg-type]
+
     def Detect(self, request: Any, context: grpc.ServicerContext) -> pb.DetectResponse:
         self._hear(request, context)
         return pb.DetectResponse(hits=[{"kind": request.kind, "confidence": 0.9}])  # type: ignore[list-item]
