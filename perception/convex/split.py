@@ -82,6 +82,12 @@ def is_free_of(hull: Hull, free: FreeSpace, allowed: Allowance = _DEFAULT) -> bo
     return free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, most) <= most
 
 
+def _may_be_free(hull: Hull, free: FreeSpace, allowed: Allowance) -> bool:
+    """What ``is_free_of`` cannot say of a hull of which this is not so; without a skin, which takes longer to make."""
+    most = int(allowed.volume / free.size**3 + 1e-6)
+    return free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, most) <= most
+
+
 def _cut(points: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
     """The cut whose two boxes have the smallest volume together, along the points' principal or the world's axes."""
     axes = np.linalg.eigh(np.cov((points - points.mean(axis=0)).T))[1]
@@ -124,13 +130,13 @@ def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float, allowed: Allowance
         merger.propose(i, i)
     while merger.queue:
         _, i, j, joint = heapq.heappop(merger.queue)
-        if merger.is_alive[i] and merger.is_alive[j]:
+        if merger.is_alive[i] and merger.is_alive[j] and is_free_of(joint, free, allowed):
             merger.replace(i, j, joint)
     return [hull for hull, is_alive in zip(merger.hulls, merger.is_alive, strict=True) if is_alive]
 
 
 class _Merger:
-    """Hulls, which of them still stand, and the joints that could take the place of two."""
+    """Hulls, which of them still stand, and the joints that may take the place of two."""
 
     def __init__(self, hulls: list[Hull], free: FreeSpace, gap: float, allowed: Allowance) -> None:
         self.hulls = hulls
@@ -150,7 +156,7 @@ class _Merger:
         self.propose(len(self.hulls) - 1, len(self.hulls) - 1)
 
     def propose(self, i: int, before: int) -> None:
-        """Queue the acceptable joints of hull ``i`` with its neighbours among the first ones."""
+        """Queue the joints of hull ``i`` with its neighbours among the first ones."""
         near = (self._lower[:before] <= self._upper[i] + self._gap) & (
             self._upper[:before] >= self._lower[i] - self._gap
         )
@@ -161,7 +167,7 @@ class _Merger:
                 continue
             members = np.concatenate([one.members, other.members])
             joint = hull_of(np.concatenate([one.vertices, other.vertices]), members)
-            if is_free_of(joint, self._free, self._allowed):
+            if _may_be_free(joint, self._free, self._allowed):
                 heapq.heappush(self.queue, (joint.volume - one.volume - other.volume, i, int(j), joint))
 
 
