@@ -7,7 +7,7 @@ import inspect
 import time
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import AbstractAsyncContextManager, aclosing, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, aclosing
 from typing import Any, NoReturn, TypeAlias
 
 import grpc
@@ -94,19 +94,6 @@ class Interceptor(grpc.aio.ServerInterceptor, ABC):  # type: ignore[type-arg]
     @abstractmethod
     def through(self, method: str, context: Context) -> AbstractAsyncContextManager[None]:
         """Entered before anything of a call's request is read, left at its end."""
-
-
-class Both(Interceptor):
-    """Two interceptors as one, which costs a call half as much."""
-
-    def __init__(self, outer: Interceptor, inner: Interceptor) -> None:
-        self._outer = outer
-        self._inner = inner
-
-    @asynccontextmanager
-    async def through(self, method: str, context: Context) -> AsyncIterator[None]:
-        async with self._outer.through(method, context), self._inner.through(method, context):
-            yield
 
 
 def around(handler: Handler, enter: Enter) -> Handler:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from service.errors import RequestError, shown
 from service.planned import check_planned
 from service.request import PlanRequest, RobotRequest
 from service.request_scene import MeshRequest, SceneRequest
-from service.trust.folders import UPLOADED
+from service.trust.folders import UPLOADED, paths_of
 
 NOT_UPLOADED = (
     "it is not uploaded; put it where the server looks (`scopt serve --allow FOLDER`) and give its absolute path there"
@@ -28,11 +27,14 @@ def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
         RequestError: a file that is not there, or that would not be found there; a task without a planner.
     """
     check_planned(request)
-    problems = list(_cloud_problems(request))
-    for field, path in _files(request):
-        if os.path.isabs(path):
+    problems = []
+    for field, path, is_cloud in sorted(paths_of(request), key=lambda one: not one[2]):  # clouds first
+        if is_cloud:
+            problem = cloud_problem(field, path, request.resolve(path))
+            problems += [] if problem is None else [problem]
+        elif os.path.isabs(path):
             continue
-        if not request.resolve(path).exists():
+        elif not request.resolve(path).exists():
             problems.append(missing(field, path))
         elif not is_this_machine:
             problems.append(f"{field}: {shown(path)} is a path of this machine; {NOT_UPLOADED}")
@@ -58,25 +60,6 @@ def cloud_problem(field: str, name: str, path: Path) -> str | None:
 def missing(field: str, name: str) -> str:
     """That a file is not there."""
     return f"{field}: {shown(name)} is not there; name a file that is"
-
-
-def _cloud_problems(request: PlanRequest) -> Iterator[str]:
-    for index, cloud in enumerate(request.scene.cloud_files):
-        field = "scene.cloud" if isinstance(request.scene.cloud, str) else f"scene.cloud[{index}].file"
-        problem = cloud_problem(field, cloud.file, request.resolve(cloud.file))
-        if problem:
-            yield problem
-
-
-def _files(request: PlanRequest) -> Iterator[tuple[str, str]]:
-    robot = request.robot
-    yield from (
-        (f"robot.{key}", path) for key, path in (("urdf", robot.urdf), ("srdf", robot.srdf)) if path is not None
-    )
-    yield from ((f"robot.package_dirs[{index}]", path) for index, path in enumerate(robot.package_dirs))
-    for index, obstacle in enumerate(request.scene.obstacles):
-        if isinstance(obstacle, MeshRequest):
-            yield f"scene.obstacles[{index}].file", obstacle.file
 
 
 def _robot(request: PlanRequest) -> RobotRequest:

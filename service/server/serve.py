@@ -17,7 +17,6 @@ from grpc_reflection.v1alpha import reflection
 
 from service.errors import ServiceError
 from service.executor import CancellableExecutor
-from service.rpc import Both
 from service.seen import Metrics, MetricsServer, Spans, Watcher
 from service.server.admission import Admission
 from service.server.asked import Door
@@ -143,7 +142,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         perceiving = Perceiving(settings, folders, workshop, store, clouds, limiter, metrics.uploaded)
         keeping = Keeping(settings, workshop, store, planning.running, robots, verdicts)
         server = grpc.aio.server(
-            interceptors=[Both(Watcher(metrics, port.spans), Gate(port.tokens, limiter))], options=_options(settings)
+            interceptors=[Watcher(metrics, port.spans), Gate(port.tokens, limiter)], options=_options(settings)
         )
         server.add_generic_rpc_handlers((method_handlers(Servicer(planning, perceiving, keeping)),))
         state = Health((SERVICE.full_name,))

@@ -33,7 +33,7 @@ class AllowedFolders:
 
     def problems(self, request: PlanRequest) -> list[tuple[str, str]]:
         """Every path of a request that it may not name: the field, and what would do."""
-        paths = [*_robot_paths(request.robot), *_scene_paths(request.scene)]
+        paths = paths_of(request)
         return [(field, words) for field, path, is_cloud in paths if (words := self.refused(path, is_cloud=is_cloud))]
 
     def scene_problems(self, scene: SceneRequest) -> list[tuple[str, str]]:
@@ -85,6 +85,12 @@ def allowed_folders(folders: Sequence[Path], has_cloud: Callable[[str], bool]) -
             raise TrustError(f"--allow {folder}: is the whole disk; name the folder that holds the files")
         real.append(path)
     return AllowedFolders(tuple(real), has_cloud)
+
+
+def paths_of(request: PlanRequest) -> Iterator[tuple[str, str, bool]]:
+    """Every path of a request: its field, itself as it was written, and whether it is a cloud's."""
+    yield from _robot_paths(request.robot)
+    yield from _scene_paths(request.scene)
 
 
 def _robot_paths(robot: RobotRequest) -> Iterator[tuple[str, str, bool]]:
