@@ -14,14 +14,15 @@ from costs.scene import ConvexPiece, Scene
 from perception.clean import Reach, voxel_downsample
 from perception.cloud import Cloud
 from perception.convex.piece import Piece
-from perception.convex.pieces import make_pieces
+from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.unknown import unknown_pieces
 from perception.detect.valve import ValveDetection, detect_in
 from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
 from perception.errors import CancelledError
 from perception.floor import FloorPlane, floor_pieces
 from perception.solids.decompose import Work
-from perception.solids.match import KnownMesh, MeshMatch, match_mesh
+from perception.solids.known import KnownMesh, located
+from perception.solids.match import MeshMatch
 from perception.solids.pieces import made_by_coacd
 from perception.solids.process import never
 from perception.view import View, make_view
@@ -61,7 +62,7 @@ class Perceived:
     @property
     def valve(self) -> ValveDetection | None:
         """The best valve if it is one to act on."""
-        return self.valves[0] if self.valves and self.valves[0].confidence >= CONFIDENT else None
+        return best_valve(self.valves)
 
     @property
     def shown(self) -> Float[np.ndarray, "M 3"]:
@@ -71,6 +72,11 @@ class Perceived:
             return points
         thinned, _ = voxel_downsample(points, _SHOWN_VOXEL)
         return np.asarray(thinned[:: -(-len(thinned) // _MOST_SHOWN)])
+
+
+def best_valve(valves: Sequence[ValveDetection]) -> ValveDetection | None:
+    """The first of the valves, which are sorted, if it is one to act on."""
+    return valves[0] if valves and valves[0].confidence >= CONFIDENT else None
 
 
 class Clock:
@@ -124,36 +130,53 @@ def perceive(
     """
     clock = Clock()
     view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, soles=soles, seed=seed)
-    kept = np.arange(len(view.obstacles))
     clock.lap("view")
     valves = tuple(detect_in(view, hint)) if valve else ()
-    stem = None
-    if valves and valves[0].confidence >= CONFIDENT:
-        is_other, stem = without_valve(view.obstacles, valves[0])
-        kept = kept[is_other]
+    kept, stem = without_best(valves, view)
     clock.lap("valve")
-    matches: dict[str, MeshMatch] = {}
-    for one in known:
-        stop_if(should_stop, one.name)
-        matches[one.name] = match_mesh(one.solid, view, initial=one.pose_world_mesh)
-        clock.lap("known meshes")
+    matches = matched(known, view, clock, should_stop)
     kept = unexplained(view.obstacles, kept, matches)
     stop_if(should_stop, "cloud")
-    if method == "coacd":
-        work = Work(should_stop=should_stop)
-        made = made_by_coacd(view.obstacles[kept], view.starts[kept], view.cloud.rays, work=work)
-    else:
-        made = make_pieces(view.obstacles[kept], view.starts[kept], view.cloud.rays, seed)
-    pieces = tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces)
+    made = _made(view, kept, method, Work(should_stop=should_stop))
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
     if unknown == "occupied":
         hidden = unknown_pieces(view.cloud.rays, reach, view.floors, robot_hulls, soles)
         clock.lap("unknown")
-    extra = [*floors_of(view), *([] if stem is None else [stem])]
+    scene = Scene((*floors_of(view), *stem, *(piece.shape for piece in made.pieces), *hidden))
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
-    scene = Scene((*extra, *(piece.shape for piece in pieces), *hidden))
-    return Perceived(scene, pieces, view, view.floor, valves, timings, view.notes, matches)
+    return Perceived(scene, made.pieces, view, view.floor, valves, timings, view.notes, matches)
+
+
+def without_best(valves: Sequence[ValveDetection], view: View) -> tuple[Int[np.ndarray, "K"], tuple[ConvexPiece, ...]]:
+    """Indices of the obstacle points that the best valve, if one is to act on, does not explain; its stem, if seen."""
+    kept, best = np.arange(len(view.obstacles)), best_valve(valves)
+    if best is None:
+        return kept, ()
+    is_other, stem = _without_valve(view.obstacles, best)
+    return kept[is_other], () if stem is None else (stem,)
+
+
+def matched(
+    known: Sequence[KnownMesh], view: View, clock: Clock, should_stop: Callable[[], bool] = never
+) -> dict[str, MeshMatch]:
+    """By name where each known mesh is."""
+    matches: dict[str, MeshMatch] = {}
+    for one in known:
+        stop_if(should_stop, one.name)
+        matches[one.name] = located(one, view)
+        clock.lap("known meshes")
+    return matches
+
+
+def _made(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coacd"], work: Work) -> Pieces:
+    """Pieces of the kept obstacle points; ``pieces[i].points`` are indices into all of them."""
+    points, starts = view.obstacles[kept], view.starts[kept]
+    if method == "coacd":
+        made = made_by_coacd(points, starts, view.cloud.rays, work=work)
+    else:
+        made = make_pieces(points, starts, view.cloud.rays, view.seed)
+    return replace(made, pieces=tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces))
 
 
 def stop_if(should_stop: Callable[[], bool], name: str) -> None:
@@ -180,7 +203,7 @@ def floors_of(view: View) -> list[ConvexPiece]:
     return floor_pieces(view.floors, view.reach)
 
 
-def without_valve(
+def _without_valve(
     points: Float[np.ndarray, "N 3"], valve: ValveDetection
 ) -> tuple[Bool[np.ndarray, "N"], ConvexPiece | None]:
     """Which points are neither wheel nor stem, and the stem."""

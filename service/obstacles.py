@@ -30,7 +30,8 @@ from service.request_scene import (
 
 if TYPE_CHECKING:
     from perception.solids.closed import Solid
-    from perception.solids.match import KnownMesh, MeshMatch
+    from perception.solids.known import KnownMesh
+    from perception.solids.match import MeshMatch
 
 FLOOR_HALF_WIDTH_M = 10.0
 FLOOR_THICKNESS_M = 0.2
@@ -50,7 +51,7 @@ def known_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
     Raises:
         RequestError: a mesh file that cannot be used.
     """
-    from perception.solids.match import KnownMesh  # takes a while, and only requests with a scan need it
+    from perception.solids.known import KnownMesh  # takes a while, and only requests with a scan need it
 
     return tuple(
         KnownMesh(one.name, _solid(request, one, f"scene.obstacles[{index}].file"), _pose(one))

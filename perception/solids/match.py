@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -35,21 +35,6 @@ _MIN_AGREEING = 30
 _PLANE_BAND = 0.025
 _TOLERANCE = (0.012, 0.03)
 _DIFFERENT_DEG, _DIFFERENT_M = 20.0, 0.05
-
-
-@dataclass(frozen=True)
-class KnownMesh:
-    """An object of known shape that stands about where it is said to.
-
-    Attributes:
-        name: what to call it.
-        solid: its shape in its own frame [m].
-        pose_world_mesh: (4, 4), right within 20 degrees and 15 cm.
-    """
-
-    name: str
-    solid: Solid
-    pose_world_mesh: Float[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True)
@@ -112,11 +97,7 @@ def match_mesh(
         MeshError: the mesh cannot be used.
     """
     solid = mesh if isinstance(mesh, Solid) else solid_of(mesh)
-    whole = [*solid.closed, *solid.open]
-    surface = Surface(_joined(whole))
-    lower = np.min([part.vertices.min(axis=0) for part in whole], axis=0)
-    upper = np.max([part.vertices.max(axis=0) for part in whole], axis=0)
-    centre, radius = 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
+    surface, centre, radius = _asked(solid)
     index = sight_index(view.cloud)
     candidates: list[tuple[float, Pose, _Judge]] = []
     for place in _places(view, radius, centre, hint, initial):
@@ -133,6 +114,30 @@ def match_mesh(
     rivals = [score for score, other, _ in candidates if _is_different(pose, other, centre)]
     rival = float(max(0.0, max(rivals, default=0.0)) / best) if best > 0.0 else 1.0
     return _match(pose, judge, rival, solid)
+
+
+def judged(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4 4"]) -> MeshMatch:
+    """What the scan says of a mesh that stands where it is said to; there is no ``rival`` to tell of.
+
+    Args:
+        solid: the object, in its own frame [m].
+        view: the scan, made ready.
+        pose_world_mesh: (4, 4).
+    """
+    surface, centre, radius = _asked(solid)
+    pose = Pose(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
+    place = pose.of(centre)
+    region = _region(view, place, radius)
+    rays = sight_index(view.cloud).passing(place[None], 2.0 * radius + 0.1)
+    found = _match(pose, _Judge(surface, rays, region), 0.0, solid)
+    return replace(found, residuals={name: value for name, value in found.residuals.items() if name != "rival"})
+
+
+def _asked(solid: Solid) -> tuple[Surface, Float[np.ndarray, "3"], float]:
+    """The whole surface, and the ball about its box."""
+    whole = _joined([*solid.closed, *solid.open])
+    lower, upper = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
+    return Surface(whole), 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
 
 
 @dataclass(frozen=True)
