@@ -69,3 +69,35 @@ def test_one_slow_plan_does_not_keep_out_those_that_could_be_quick() -> None:
 def test_quick_plans_leave_hope_to_a_short_deadline() -> None:
     admission = _with(1, 8, *[0.1] * 5, *[5.0] * 5)
     admission.check("valve", 0.2)  # a tenth of them took no more than 0.1 s
+
+
+def test_fewer_may_wait_where_work_has_slow_spells() -> None:
+    admission = _with(1, 8, *[*[1.0] * 82, *[1.4] * 18] * 4)  # 1.07 on average, a spell is 1.3 times that
+    for _ in range(7):  # one at work, and 6 that wait: 8 / 1.3
+        admission.check("valve", None)
+        admission.enter("valve")
+    assert admission.is_full()
+
+
+def test_slow_spells_are_forgotten() -> None:
+    admission = _with(1, 8, *[*[1.0] * 82, *[1.4] * 18] * 4, *[1.0] * 1000)
+    for _ in range(9):
+        admission.check("valve", None)
+        admission.enter("valve")
+    assert admission.is_full()
+
+
+def test_even_work_uses_the_whole_queue() -> None:
+    admission = _with(1, 8, *[0.98, 1.02] * 100)
+    for _ in range(9):
+        admission.check("valve", None)
+        admission.enter("valve")
+    assert admission.is_full()
+
+
+def test_hard_requests_after_easy_ones_leave_a_queue() -> None:
+    admission = _with(1, 3, *[0.1] * 100, *[30.0] * 20)
+    for _ in range(3):  # one at work, and two that wait
+        admission.check("valve", None)
+        admission.enter("valve")
+    assert admission.is_full()

@@ -1,4 +1,4 @@
-"""Who is let in: a bounded queue, and no deadline that cannot be met."""
+"""Who is let in: a queue bounded in number and in time, and no deadline that cannot be met."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ REMEMBERED = 256  # durations by kind of work
 FIRST_GUESS_S = 1.0  # of a kind that has never run
 FEWEST = 10  # done before a deadline is held against it: the first is the slowest, and a refusal teaches nothing
 QUICKEST = 10.0  # percentile of durations below which no deadline is believed to be kept
+LEAST_S = 1e-6
+IN_A_ROW, SPELLS = 8, 1000  # requests whose mean tells how fast work goes for a while; such means that are remembered
+SLOW = 95.0  # percentile of these means that is expected
+MOST_SLOW = 1.5  # times the usual; what is slower than that are harder requests, not a slower machine
 
 
 @dataclass
@@ -23,10 +27,23 @@ class Durations:
     """How long work of each kind has taken lately [s]."""
 
     _seconds: dict[str, deque[float]] = field(default_factory=dict)
+    _latest: deque[float] = field(default_factory=lambda: deque(maxlen=IN_A_ROW))  # each against the usual of its kind
+    _spells: deque[float] = field(default_factory=lambda: deque(maxlen=SPELLS))  # their means
+    _slowness: float = 1.0
 
     def add(self, kind: str, seconds: float) -> None:
         """Something of a kind is done."""
-        self._seconds.setdefault(kind, deque(maxlen=REMEMBERED)).append(seconds)
+        known = self._seconds.setdefault(kind, deque(maxlen=REMEMBERED))
+        if len(known) >= FEWEST:
+            self._latest.append(seconds / max(fmean(known), LEAST_S))
+            self._spells.append(fmean(self._latest))
+            self._slowness = min(max(_percentile(self._spells, SLOW), 1.0), MOST_SLOW)
+        known.append(seconds)
+
+    @property
+    def slowness(self) -> float:
+        """How much longer than usual some work in a row takes in a slow spell: 1 to ``MOST_SLOW``."""
+        return self._slowness
 
     def mean(self, kind: str) -> float:
         """Expected of the next."""
@@ -53,9 +70,12 @@ def _percentile(values: Collection[float], share: float) -> float:
 class Admission:
     """The count of what waits and runs, and the rule that keeps it bounded.
 
+    What waits is to be begun within the time that ``queue_limit`` of the usual requests take, in a slow spell too: the
+    more unevenly work goes, the fewer may wait.
+
     Attributes:
         workers: how many run at a time.
-        queue_limit: how many may wait.
+        queue_limit: how many may wait at most.
         durations: by kind of work.
     """
 
@@ -86,7 +106,7 @@ class Admission:
 
     def is_full(self) -> bool:
         """Whether nothing more may wait."""
-        return len(self._open) >= self.workers + self.queue_limit
+        return len(self._open) >= self.workers + round(self.queue_limit / self.durations.slowness)
 
     def check(self, kind: str, left_s: float | None) -> None:
         """Refuse what would not fit the queue, or could not be done in the ``left_s`` seconds it has.
