@@ -4,7 +4,7 @@ from perception.clean import Reach, inside_hulls, voxel_downsample
 from perception.cloud import Cloud, make_cloud
 from perception.convex.piece import Evidence, Piece
 from perception.convex.pieces import Pieces, make_pieces
-from perception.detect import KINDS, detect, detect_kinds
+from perception.detect import KINDS, detect, detect_each, detect_kinds
 from perception.detect.detection import Detection
 from perception.detect.valve import ValveDetection, detect_valves
 from perception.detect.valve_bodies import has_clear_spokes, stem_of, valve_bodies, wheel_points
@@ -21,7 +21,7 @@ from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 from perception.outliers import inliers
 from perception.perceive import CONFIDENT, Perceived, perceive
 from perception.remembered import Memory
-from perception.update import update
+from perception.update import Earlier, update
 from perception.view import View, make_view
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "Cloud",
     "CloudError",
     "Detection",
+    "Earlier",
     "Evidence",
     "FloorPlane",
     "Memory",
@@ -45,6 +46,7 @@ __all__ = [
     "ValveDetection",
     "View",
     "detect",
+    "detect_each",
     "detect_kinds",
     "detect_valves",
     "find_floor",

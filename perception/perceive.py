@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece, Scene
 from perception.clean import Reach, voxel_downsample
@@ -31,6 +32,8 @@ Unknown = Literal["free", "occupied"]
 CONFIDENT = 0.5
 _MOST_SHOWN = 60_000
 _SHOWN_VOXEL = 0.01
+_FRINGE = 5.0 / 3.0  # of the tolerance of three standard deviations
+_LONE = 0.03
 _DEFAULT_REACH = Reach()
 
 
@@ -191,10 +194,18 @@ def stop_if(should_stop: Callable[[], bool], name: str) -> None:
 def unexplained(
     points: Float[np.ndarray, "N 3"], kept: Int[np.ndarray, "K"], matches: Mapping[str, MeshMatch]
 ) -> Int[np.ndarray, "L"]:
-    """Those of the kept indices whose points no mesh explains that was found with confidence."""
+    """Those of the kept indices whose points no mesh explains that was found with confidence.
+
+    Its noise is explained too: points a little beyond its tolerance that nothing but the mesh is near to.
+    """
     for match in matches.values():
-        if match.confidence >= CONFIDENT:
-            kept = kept[~match.explains(points[kept])]
+        if match.confidence < CONFIDENT:
+            continue
+        kept = kept[~match.explains(points[kept])]
+        lone = match.explains(points[kept], _FRINGE)
+        if lone.any() and not lone.all():
+            lone[lone] = cKDTree(points[kept[~lone]]).query(points[kept[lone]])[0] > _LONE
+        kept = kept[~lone]
     return kept
 
 

@@ -19,7 +19,8 @@ from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, solid_of, united
 from perception.solids.decompose import CoacdSettings, Work, convex_parts
-from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, match_mesh
+from perception.solids.known import KnownMesh, located
+from perception.solids.match import CONFIDENT, MeshMatch, match_mesh
 from perception.solids.read import read_mesh
 from perception.view import View
 
@@ -232,6 +233,45 @@ def test_another_object_gets_a_low_confidence(
     assert match_mesh(other, view, hint=middle).confidence < CONFIDENT
 
 
+def test_a_tool_on_a_table_is_found_without_being_told_where(
+    tool_on_a_table: tuple[View, np.ndarray, np.ndarray],
+) -> None:
+    view, rotation, middle = tool_on_a_table
+    found = match_mesh(TOOL, view)
+    shift, angle = _errors(found, rotation, middle)
+    assert shift <= 0.010
+    assert angle <= 2.0
+    assert found.confidence >= CONFIDENT
+
+
+def test_a_wall_is_no_evidence_of_an_object_whose_side_would_lie_in_it(
+    tool_on_a_table: tuple[View, np.ndarray, np.ndarray],
+) -> None:
+    view, _, _ = tool_on_a_table
+    flush = np.eye(4)
+    flush[:3, :3], flush[:3, 3] = Rotation.from_euler("z", -np.pi / 2).as_matrix(), (2.2, 0.2, 1.5)
+    placed = located(KnownMesh("tool", solid_of(TOOL), flush, is_placed=True), view)
+    assert placed.confidence < CONFIDENT
+
+
+def test_a_placed_mesh_stays_and_the_scan_says_how_well_it_agrees(
+    tool_on_a_table: tuple[View, np.ndarray, np.ndarray],
+) -> None:
+    view, rotation, middle = tool_on_a_table
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, middle - rotation @ MIDDLE
+    there = located(KnownMesh("tool", solid_of(TOOL), pose, is_placed=True), view)
+    np.testing.assert_array_equal(there.pose_world_mesh, pose)
+    assert there.confidence >= CONFIDENT
+    assert "rival" not in there.residuals
+    beside = pose.copy()
+    beside[1, 3] -= 0.5
+    elsewhere = located(KnownMesh("tool", solid_of(TOOL), beside, is_placed=True), view)
+    np.testing.assert_array_equal(elsewhere.pose_world_mesh, beside)
+    assert elsewhere.confidence < CONFIDENT
+    assert elsewhere.residuals["seen_through"] > 0.5
+
+
 def test_where_nothing_is_nothing_is_found(tool_on_a_table: tuple[View, np.ndarray, np.ndarray]) -> None:
     found = match_mesh(TOOL, tool_on_a_table[0], hint=np.array([-1.5, -1.5, 1.8]))
     assert found.confidence == 0.0
@@ -266,6 +306,14 @@ def test_a_mesh_found_with_little_confidence_takes_no_points() -> None:
     for confidence, left in ((CONFIDENT - 0.01, [0, 2]), (CONFIDENT, [])):
         match = MeshMatch(np.eye(4), confidence, {}, solid_of(RING), 0.01)
         np.testing.assert_array_equal(unexplained(points, kept, {"ring": match}), left)
+
+
+def test_noise_about_a_mesh_is_explained_unless_something_is_near_to_it() -> None:
+    match = MeshMatch(np.eye(4), 1.0, {}, solid_of(RING), 0.012)
+    fringe, beside_it = [0.198, 0, 0], [0.22, 0, 0]
+    for others, left in (([], []), ([beside_it], [0, 1])):
+        points = np.array([fringe, *others])
+        np.testing.assert_array_equal(unexplained(points, np.arange(len(points)), {"ring": match}), left)
 
 
 def test_points_inside_a_closed_mesh_are_explained_and_those_in_a_ring_s_hole_are_not() -> None:

@@ -1,6 +1,6 @@
 """Objects a task needs, found in a scan with an honest confidence."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -68,10 +68,19 @@ def detect_kinds(
     Raises:
         PerceptionError: a kind is unknown.
     """
+    return [hit for _, hits in detect_each(kinds, view, hint, on_kind) for hit in hits]
+
+
+def detect_each(
+    kinds: Sequence[str],
+    view: View,
+    hint: Float[np.ndarray, "3"] | None = None,
+    on_kind: Callable[[str], None] = lambda _: None,
+) -> Iterator[tuple[str, list[Detection]]]:
+    """As ``detect_kinds``, each kind with its objects as soon as they are found."""
     for kind in kinds:
         if kind not in _DETECTORS:
             raise PerceptionError(f"unknown kind '{kind}'; one of {', '.join(KINDS)} is needed")
-    found: list[Detection] = []
     seen: FacesInSight | None = None
     for kind in kinds:
         on_kind(kind)
@@ -80,5 +89,4 @@ def detect_kinds(
             hits = _ON_FACES[kind](view, hint, seen)
         else:
             hits = _DETECTORS[kind](view, hint)
-        found += sorted(hits, key=lambda one: -one.confidence)
-    return found
+        yield kind, sorted(hits, key=lambda one: -one.confidence)

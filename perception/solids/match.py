@@ -13,7 +13,7 @@ from perception.convex.coarse import coarsened
 from perception.convex.pieces import VOXEL
 from perception.convex.planes import find_planes
 from perception.convex.split import clusters
-from perception.detect.sightlines import Sightlines, sight_index
+from perception.detect.sightlines import SightIndex, Sightlines, sight_index
 from perception.errors import MeshError
 from perception.mesh import Mesh
 from perception.solids.closed import Solid, solid_of
@@ -58,16 +58,17 @@ class MeshMatch:
     solid: Solid
     tolerance: float
 
-    def explains(self, points: Float[np.ndarray, "M 3"]) -> Bool[np.ndarray, "M"]:
-        """Which points of the world lie on the mesh's surface, or inside of its closed parts."""
+    def explains(self, points: Float[np.ndarray, "M 3"], times: float = 1.0) -> Bool[np.ndarray, "M"]:
+        """Which points of the world lie within some times the tolerance of its surface, or inside of closed parts."""
+        tolerance = times * self.tolerance
         pose = Pose(self.pose_world_mesh[:3, :3], self.pose_world_mesh[:3, 3])
         points = pose.into_mesh(points)
         whole = _joined([*self.solid.closed, *self.solid.open])
         explained = np.zeros(len(points), dtype=bool)
-        near = _about(points, whole, self.tolerance)
+        near = _about(points, whole, tolerance)
         if len(near):
             offset = points[near] - Surface(whole).nearest(points[near])[0]
-            explained[near] = np.linalg.norm(offset, axis=1) <= self.tolerance
+            explained[near] = np.linalg.norm(offset, axis=1) <= tolerance
         for part in self.solid.closed:
             # Each by itself: they may overlap, and then counting crossings of all of them would tell nothing.
             rest = _about(points, part, 0.0)
@@ -90,7 +91,8 @@ def match_mesh(
     Args:
         mesh: the object, in its own frame [m]; as a solid where it is checked already.
         view: the scan, made ready.
-        hint: (3,) a point on or near the object; without it and ``initial`` every cluster of its size is tried.
+        hint: (3,) a point on or near the object; without it and ``initial`` every cluster of its size is tried
+            that is left when planes wider than it are taken away.
         initial: (4, 4) about where it stands (20 degrees, 15 cm); only poses near it are tried.
 
     Raises:
@@ -101,10 +103,10 @@ def match_mesh(
     index = sight_index(view.cloud)
     candidates: list[tuple[float, Pose, _Judge]] = []
     for place in _places(view, radius, centre, hint, initial):
-        region = _region(view, place, radius)
+        judge = _judge(surface, index, view, place, radius)
+        region = judge.region
         if len(region.points) < _MIN_AGREEING:
             continue
-        judge = _Judge(surface, index.passing(place[None], 2.0 * radius + 0.1), region)
         starts = _starts(place, centre, radius, region, initial)
         candidates += [(score, pose, judge) for score, pose in _searched(surface, judge, region, starts, radius)]
     if not candidates:
@@ -126,10 +128,8 @@ def judged(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4 4"]) 
     """
     surface, centre, radius = _asked(solid)
     pose = Pose(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
-    place = pose.of(centre)
-    region = _region(view, place, radius)
-    rays = sight_index(view.cloud).passing(place[None], 2.0 * radius + 0.1)
-    found = _match(pose, _Judge(surface, rays, region), 0.0, solid)
+    judge = _judge(surface, sight_index(view.cloud), view, pose.of(centre), radius)
+    found = _match(pose, judge, 0.0, solid)
     return replace(found, residuals={name: value for name, value in found.residuals.items() if name != "rival"})
 
 
@@ -160,11 +160,12 @@ class _Verdict:
 
 @dataclass(frozen=True)
 class _Judge:
-    """The rays and points about a place."""
+    """The rays and points about a place; ``wide`` are planes (P, 4) that reach farther than the object does."""
 
     surface: Surface
     rays: Sightlines
     region: Region
+    wide: Float[np.ndarray, "P 4"]
 
     def verdict(self, pose: Pose, most_rays: int, most_points: int) -> _Verdict:
         """Hold a pose against the rays."""
@@ -181,8 +182,10 @@ class _Judge:
         # Things stand on tables: only what is well before the surface and far from its base is held against it.
         outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + 0.05)
         share = len(rays) / max(1, len(region.points))
+        # A ray that ends on a wall says nothing of an object whose side lies in that wall.
+        agreeing = np.flatnonzero(met)[np.abs(beyond) <= tolerance]
         return _Verdict(
-            int((np.abs(beyond) <= tolerance).sum()),
+            int((~_on_planes(rays.ends[agreeing], self.wide)).sum()),
             int((beyond > tolerance).sum()),
             int((beyond < -tolerance).sum()),
             int(share * 0.2 * outside.sum()),
@@ -221,20 +224,35 @@ def _nudged(surface: Surface, judge: _Judge, region: Region, found: tuple[float,
     return found[0], fitted(surface, region, found[1], _NUDGE_GATES[-3:])
 
 
-def _region(view: View, place: Float[np.ndarray, "3"], radius: float) -> Region:
-    """Points about a place that may be the object's: not those of planes that reach farther than it does."""
+def _judge(surface: Surface, index: SightIndex, view: View, place: Float[np.ndarray, "3"], radius: float) -> _Judge:
+    """The rays about a place, and the points that may be the object's: not those of planes wider than it is."""
     near = np.flatnonzero(np.linalg.norm(view.obstacles - place, axis=1) <= 3.0 * radius + 0.1)
-    if len(near) < _MIN_AGREEING:
-        return Region(view.obstacles[near], view.starts[near])
     points, starts = view.obstacles[near], view.starts[near]
+    wide = _wide_planes(points, starts, radius, view.seed)
+    kept = (np.linalg.norm(points - place, axis=1) <= 1.6 * radius + 0.05) & ~_on_planes(points, wide)
+    rays = index.passing(place[None], 2.0 * radius + 0.1)
+    return _Judge(surface, rays, Region(points[kept], starts[kept]), wide)
+
+
+def _wide_planes(
+    points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], radius: float, seed: int
+) -> Float[np.ndarray, "P 4"]:
+    """Planes (unit normal, offset) that reach farther than an object of this radius: tables, walls."""
+    if len(points) < _MIN_AGREEING:
+        return np.zeros((0, 4))
     coarse = coarsened(points, starts, VOXEL)
-    planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(view.seed), None)
-    kept = np.linalg.norm(points - place, axis=1) <= 1.6 * radius + 0.05
-    for plane in planes:
-        flat = coarse.points[plane.members] @ plane.basis.T
-        if np.linalg.norm(np.ptp(flat, axis=0)) > 2.4 * radius:
-            kept &= np.abs(points @ plane.normal - plane.offset) > _PLANE_BAND
-    return Region(points[kept], starts[kept])
+    planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(seed), None)
+    reaches = [np.linalg.norm(np.ptp(coarse.points[plane.members] @ plane.basis.T, axis=0)) for plane in planes]
+    wide = [
+        np.append(plane.normal, plane.offset)
+        for plane, reach in zip(planes, reaches, strict=True)
+        if reach > 2.4 * radius
+    ]
+    return np.array(wide).reshape(-1, 4)
+
+
+def _on_planes(points: Float[np.ndarray, "N 3"], planes: Float[np.ndarray, "P 4"]) -> Bool[np.ndarray, "N"]:
+    return np.asarray((np.abs(points @ planes[:, :3].T - planes[:, 3]) <= _PLANE_BAND).any(axis=1))
 
 
 def _places(
@@ -251,7 +269,10 @@ def _places(
         return [np.asarray(hint, dtype=float)]
     if not len(view.obstacles):
         return []
-    groups = [view.obstacles[members] for members in clusters(view.obstacles, view.starts)]
+    # What an object stands on or leans against would join it with all else there.
+    loose = ~_on_planes(view.obstacles, _wide_planes(view.obstacles, view.starts, radius, view.seed))
+    points, starts = view.obstacles[loose], view.starts[loose]
+    groups = [points[members] for members in clusters(points, starts)] if len(points) else []
     fitting = [group for group in groups if 0.2 * radius < 0.5 * np.linalg.norm(np.ptp(group, axis=0)) < 1.5 * radius]
     return [group.mean(axis=0) for group in sorted(fitting, key=len, reverse=True)[:_MOST_CLUSTERS]]
 
