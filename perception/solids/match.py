@@ -306,7 +306,7 @@ def _is_different(one: Pose, other: Pose, centre: Float[np.ndarray, "3"]) -> boo
 
 
 def _match(pose: Pose, judge: _Judge, rival: float, solid: Solid) -> MeshMatch:
-    verdict = judge.verdict(pose, len(judge.rays) or 1, len(judge.region.points))
+    verdict = judge.verdict(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
     met = max(1, verdict.agreeing + verdict.through)
     through = verdict.through / met
     hidden = verdict.hidden / max(1, met + verdict.hidden)
