@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from costs.robot import RobotModel
@@ -139,7 +138,7 @@ class _Attempt:
             self.certificate = verify(self.motion)
 
     def result(self, setup: PlanSetup, monitor: Monitor) -> PlanResult:
-        task, perceived = self.task, setup.perceived
+        task = self.task
         return PlanResult(
             request=setup.request,
             verdict=self.verdict,
@@ -156,7 +155,7 @@ class _Attempt:
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
             detections=detections_of(setup),
-            cloud=np.zeros((0, 3)) if perceived is None else perceived.shown,
+            cloud=setup.surroundings.points,
         )
 
 
@@ -230,6 +229,4 @@ def shortfalls(certificate: Certificate) -> tuple[str, ...]:
 
 def detections_of(setup: PlanSetup) -> tuple[Mapping[str, Any], ...]:
     """What perception recognised, as JSON-ready data."""
-    if setup.perceived is None:
-        return ()
-    return tuple({"kind": "valve", **asdict(valve)} for valve in setup.perceived.valves)
+    return tuple({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves)

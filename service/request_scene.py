@@ -126,9 +126,10 @@ CloudRequest = Annotated[
 
 @dataclass(config=SECTION)
 class SceneRequest(Section):
-    """What surrounds the robot: a scan, obstacles, or both.
+    """What surrounds the robot: a scan or a scene made of one, obstacles, or both.
 
     Attributes:
+        file: a scene as ``scopt scene`` writes it, planned in as it stands: its pieces, and its valve.
         cloud: point cloud file, or several with their poses, merged.
         unit: of the files' lengths.
         apply_viewpoint: whether the points are in the sensor's frame and its VIEWPOINT takes them to the world (or to
@@ -144,6 +145,7 @@ class SceneRequest(Section):
             robot with a free base.
     """
 
+    file: FilePath | None = None
     cloud: CloudRequest | None = None
     unit: Literal["m", "cm", "mm", "km", "in", "ft"] = "m"
     apply_viewpoint: StrictBool = False
@@ -168,6 +170,8 @@ class SceneRequest(Section):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})
+        if self.file is not None and self.cloud is not None:
+            raise PydanticCustomError("file", "file and cloud exclude each other: a scene was made of its own scan")
         if self.unknown == "occupied" and not self.cloud:
             raise PydanticCustomError("unknown", "unknown: occupied needs a scan that says what was seen; give cloud")
         lost = [one.name for one in self.obstacles if isinstance(one, MeshRequest) and one.match]

@@ -14,12 +14,11 @@ from jaxtyping import Float
 
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
-from scopt import Status
 from service.attached import robot_with_attached
 from service.errors import RequestError, would_do
 from service.keep import KeptPose, kept_poses
 from service.monitor import Interrupted
-from service.obstacles import Obstacles, flat_floor, known_meshes, obstacles_of
+from service.obstacles import flat_floor, obstacles_of
 from service.request import PlanRequest
 from service.start import (
     FEET_GROUP,
@@ -28,18 +27,19 @@ from service.start import (
     beyond_limits,
     no_way_out,
     overlaps,
-    placed_bodies,
     sole,
     standing_problems,
     start_configuration,
     unknown_joints,
 )
+from service.surroundings import NOTHING, Surroundings, surroundings
 
 if TYPE_CHECKING:
     from perception import Perceived
     from service.trajopt import Program
 
 T = TypeVar("T")
+OWN_POINTS = "scene.file: where the robot stood in the scan, `scopt scene --robot NAME` leaves its own points out"
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class PlanSetup:
         robot: the robot.
         start: (n,) start configuration, within the limits.
         scene: all pieces, the floor's included.
-        perceived: what the scan showed; None without a scan.
+        surroundings: what the scan, or the scene's file, showed.
         soles: for each planted link, the corners of its sole in the world at the start [m].
         kept: relative poses that hold along the whole motion.
         program: the problem file that is to be solved, or None.
@@ -65,7 +65,7 @@ class PlanSetup:
     robot: RobotModel
     start: Float[np.ndarray, "n"]
     scene: Scene
-    perceived: Perceived | None
+    surroundings: Surroundings
     soles: Mapping[str, Float[np.ndarray, "C 3"]]
     kept: tuple[KeptPose, ...]
     program: Program | None
@@ -122,20 +122,20 @@ def _prepare(
     soles = _soles(robot, start, request, program)
     say("perceive scene")
     try:
-        perceived = _timed(timings, "perceive", lambda: _perceive(request, robot, start, soles, should_stop, see))
-        obstacles = _timed(timings, "build_scene", lambda: _obstacles(request, perceived, should_stop))
+        about = _timed(timings, "perceive", lambda: surroundings(request, robot, start, soles, should_stop, see))
+        obstacles = _timed(timings, "build_scene", lambda: obstacles_of(request, about.matches, should_stop))
     except Interrupted:
         empty = Scene(())
-        return PlanSetup(request, robot, start, empty, None, soles, kept, program, (), notes, timings, is_stopped=True)
-    scene = _scene(request, robot, start, perceived, obstacles.pieces)
+        return PlanSetup(
+            request, robot, start, empty, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
+        )
+    scene = _scene(request, robot, start, about.pieces, obstacles.pieces)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
     inside = _timed(timings, "check_start", check)
     notes += tuple(f"start is in collision: {one}; the first phase leaves it" for one in inside)
-    notes += obstacles.notes
-    if perceived is not None:
-        notes += perceived.notes
-    return PlanSetup(request, robot, start, scene, perceived, soles, kept, program, inside, notes, timings)
+    notes += obstacles.notes + about.notes
+    return PlanSetup(request, robot, start, scene, about, soles, kept, program, inside, notes, timings)
 
 
 def _start(robot: RobotModel, request: PlanRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
@@ -247,67 +247,16 @@ def _soles(
     return {foot: sole(robot, start, foot) for foot in feet}
 
 
-def _perceive(
-    request: PlanRequest,
-    robot: RobotModel,
-    start: Float[np.ndarray, "n"],
-    soles: Mapping[str, np.ndarray],
-    should_stop: Callable[[], bool],
-    see: Callable[..., Perceived] | None,
-) -> Perceived | None:
-    if request.scene.cloud is None:
-        return None
-    from perception import PerceptionError, Reach, perceive, read_clouds  # takes a while, and most scenes need none
-    from perception.errors import CancelledError
-
-    scene = request.scene
-    task = None if request.task is None else request.task.valve
-    hint = scene.hint if task is None or task.hint is None else task.hint
-    x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
-    known = known_meshes(request)
-    try:
-        cloud = read_clouds(
-            [(request.resolve(one.file), one.transform) for one in scene.cloud_files],
-            unit=scene.unit,
-            apply_viewpoint=scene.apply_viewpoint,
-            sensor=scene.sensor,
-            topic=scene.topic,
-            message=scene.message,
-        )
-        return (see or perceive)(
-            cloud,
-            reach=Reach(x=x, y=y),
-            robot_hulls=[vertices for _, vertices in placed_bodies(robot, start)],
-            soles=list(soles.values()),
-            valve=task is not None,
-            hint=None if hint is None else np.array(hint),
-            unknown=scene.unknown,
-            seed=request.options.seed,
-            method=scene.method,
-            known=known,
-            should_stop=should_stop,
-        )
-    except CancelledError:
-        raise Interrupted(Status.CANCELLED) from None
-    except PerceptionError as error:
-        raise RequestError(f"scene.cloud: {error}") from None
-
-
-def _obstacles(request: PlanRequest, perceived: Perceived | None, should_stop: Callable[[], bool]) -> Obstacles:
-    return obstacles_of(request, {} if perceived is None else perceived.matches, should_stop)
-
-
 def _scene(
     request: PlanRequest,
     robot: RobotModel,
     start: Float[np.ndarray, "n"],
-    perceived: Perceived | None,
+    seen: tuple[ConvexPiece, ...],
     obstacles: tuple[ConvexPiece, ...],
 ) -> Scene:
-    """Obstacles first, then what the scan shows, then the floor; a floor given in the request replaces the scan's."""
+    """Obstacles first, then what was seen, then the floor; a floor given in the request replaces the one seen."""
     pieces: list[ConvexPiece] = list(obstacles)
     floor = request.scene.floor
-    seen = () if perceived is None else perceived.scene.pieces
     pieces += [piece for piece in seen if floor is None or piece.kind != FLOOR_KIND]
     if floor is None:
         floor = robot.is_floating and not any(piece.kind == FLOOR_KIND for piece in pieces)
@@ -318,7 +267,7 @@ def _scene(
         return Scene(tuple(pieces))
     except ValueError as error:
         raise RequestError(
-            f"scene.obstacles: {error}; the names 'floor' and those of the scan's pieces are taken"
+            f"scene.obstacles: {error}; the names 'floor' and those of the pieces that were seen are taken"
         ) from None
 
 
@@ -341,6 +290,8 @@ def _check_start(
     else:
         stuck = [(one, obstacle) for one, obstacle in zip(inside, obstacles, strict=True) if obstacle]
         problems = [f"start is in collision: {one}; {obstacle}" for one, obstacle in stuck]
+    if problems and request.scene.file is not None:
+        problems.append(OWN_POINTS)
     if soles and (program is None or program.is_balanced):
         problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]
     if problems:

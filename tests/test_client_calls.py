@@ -120,6 +120,21 @@ def test_clouds_of_this_machine_are_uploaded_once_and_others_are_sent_as_they_ar
         assert [cloud.file for cloud in message.request.scene.cloud.files.value] == [cloud_id, "/robot/scans/other.pcd"]
 
 
+def test_a_scene_of_this_machine_is_uploaded_and_one_that_was_built_is_named(
+    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
+) -> None:
+    path = written_cloud(tmp_path, name="scene.json")
+    built = "scene:" + "0" * 64
+    with connect() as client:
+        for file in ("scene.json", built):
+            parts = {"robot": {"name": "atlas"}, "goal": {"posture": "stand"}, "scene": {"file": file}}
+            client.plan(parse_request(parts, tmp_path))
+    (scene_id,) = stand_in.clouds
+    assert stand_in.clouds[scene_id] == path.read_bytes()
+    asked = [message for message in stand_in.asked if isinstance(message, pb.PlanRequest)]
+    assert [message.request.scene.file for message in asked] == [scene_id, built]
+
+
 def test_a_cloud_that_the_server_knows_is_not_sent_to_its_end(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -58,7 +58,7 @@ def test_a_cloud_that_starts_here_and_is_not_here_is_told_here(
         client.plan(_request(tmp_path, scene={"cloud": clouds}))
     assert caught.value.problems == (
         "scene.cloud[0].file: 'nowhere.pcd' is not there; name a file that is",
-        "scene.cloud[1].file: 'bag' is a folder, and clouds are uploaded file by file; "
+        "scene.cloud[1].file: 'bag' is a folder, and files are uploaded one by one; "
         "name a file in it, or its path from the root there",
     )
     with connect() as client, pytest.raises(RequestError, match=r"scene\.cloud: 'nowhere\.pcd' is not there"):

@@ -10,7 +10,7 @@ import grpc
 import numpy as np
 import pytest
 import yaml
-from planner_calls import finished, plan_request, uploaded
+from planner_calls import QUICK, finished, plan_request, refusal, uploaded
 from planner_server import planner_server
 
 from service.proto.planner.v1 import planner_pb2 as wire
@@ -32,7 +32,8 @@ def stub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PlannerServiceStu
 def test_valve_of_an_uploaded_scan_is_found_and_turned(stub: PlannerServiceStub) -> None:
     scan, truth = EXAMPLES / "data" / "valve_scan.pcd", json.loads((EXAMPLES / "data" / "valve_scan.json").read_text())
     cloud_id = stub.UploadCloud(uploaded(scan.read_bytes(), format="pcd"), timeout=30).cloud_id
-    clouds = wire.CloudsSpec(clouds=[{"file": cloud_id}])  # type: ignore[list-item]
+    request = yaml.safe_load((EXAMPLES / "requests" / "valve.yaml").read_text())
+    clouds = wire.CloudsSpec(clouds=[{"file": cloud_id}], robot="atlas", start=request["start"])  # type: ignore[list-item]
 
     built = list(stub.BuildScene(wire.BuildSceneRequest(clouds=clouds, detect=["valve"]), timeout=60))
     assert [one.WhichOneof("event") for one in built[:-1]] == ["step"] * (len(built) - 1)
@@ -53,8 +54,28 @@ def test_valve_of_an_uploaded_scan_is_found_and_turned(stub: PlannerServiceStub)
     assert pose[:3, 3] == pytest.approx(truth["valve"]["centre"], abs=0.01)
     assert hit.sizes["rim_radius"] == pytest.approx(truth["valve"]["rim_radius"], abs=0.005)
 
-    request = yaml.safe_load((EXAMPLES / "requests" / "valve.yaml").read_text())
-    done = finished(stub.Plan(plan_request({**request, "scene": {"cloud": cloud_id}}), timeout=60))
-    assert done.result.verdict == VERDICT_CERTIFIED
-    assert done.result.trajectory.is_timed
-    assert len(done.result.trajectory.phases) > 1
+    json_id = stub.UploadCloud(uploaded(scene.json, format="json"), timeout=30).cloud_id
+    for surroundings in ({"cloud": cloud_id}, {"file": scene.scene_id}, {"file": json_id}):
+        done = finished(stub.Plan(plan_request({**request, "scene": surroundings}), timeout=60))
+        assert done.result.verdict == VERDICT_CERTIFIED, surroundings
+        assert done.result.trajectory.is_timed
+        assert len(done.result.trajectory.phases) > 1
+
+
+def test_what_was_uploaded_and_is_no_scene_is_told_by_its_name(stub: PlannerServiceStub) -> None:
+    no_scene = stub.UploadCloud(uploaded(b'{"format": "other"}', format="json"), timeout=30).cloud_id
+    code, _, fields = refusal(lambda: stub.Plan(plan_request(QUICK | {"scene": {"file": no_scene}}), timeout=30))
+    assert code == "INVALID_ARGUMENT"
+    assert fields == {
+        "request.scene.file": f"scene.file: {no_scene} is no scene, its format is 'other', scopt-scene/1 would do"
+    }
+    code, _, fields = refusal(lambda: stub.Plan(plan_request(QUICK | {"scene": {"cloud": no_scene}}), timeout=30))
+    assert code == "INVALID_ARGUMENT"
+    assert list(fields) == ["request.scene.cloud"]
+
+
+def test_a_scene_that_was_never_built_is_told(stub: PlannerServiceStub) -> None:
+    scene = {"file": "scene:" + "0" * 64}
+    code, _, fields = refusal(lambda: stub.Plan(plan_request(QUICK | {"scene": scene}), timeout=30))
+    assert code == "INVALID_ARGUMENT"
+    assert "it never was, or went when the store was full" in fields["request.scene.file"]

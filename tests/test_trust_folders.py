@@ -15,6 +15,7 @@ from service.request_fields import FilePath
 from service.trust import AllowedFolders, TrustError, allowed_folders
 
 CLOUD = "sha256:" + "0" * 64 + ".pcd"
+SCENE = "scene:" + "0" * 64
 
 
 @pytest.fixture
@@ -25,7 +26,7 @@ def folders(tmp_path: Path) -> AllowedFolders:
     (tmp_path / "scans" / "out").symlink_to(tmp_path)
     (tmp_path / "scans" / "loop").symlink_to(tmp_path / "scans" / "loop")
     (tmp_path / "link").symlink_to(tmp_path / "scans")
-    return allowed_folders([tmp_path / "link"], lambda cloud_id: cloud_id == CLOUD)
+    return allowed_folders([tmp_path / "link"], lambda cloud_id: cloud_id == CLOUD, lambda scene_id: scene_id == SCENE)
 
 
 def _request(**parts: Any) -> PlanRequest:
@@ -74,7 +75,7 @@ def test_whatever_leads_out_is_refused_naming_the_field(folders: AllowedFolders,
 
 @given(st.text(st.characters(codec="utf-8"), min_size=1))
 def test_no_text_leads_out(text: str) -> None:
-    folders = AllowedFolders((Path("/nowhere/allowed"),), lambda cloud_id: False)
+    folders = AllowedFolders((Path("/nowhere/allowed"),), lambda cloud_id: False, lambda scene_id: False)
     assert folders.refused(text)
     assert folders.refused(f"/nowhere/allowed/../{text}") or "allowed" in text
 
@@ -110,11 +111,11 @@ def test_every_field_that_holds_a_path_is_checked(folders: AllowedFolders) -> No
 def test_an_uploaded_cloud_is_no_robot_and_no_mesh(folders: AllowedFolders) -> None:
     ((field, words),) = folders.problems(_request(robot={"urdf": CLOUD}))
     assert field == "robot.urdf"
-    assert "an uploaded cloud is no file of this kind" in words
+    assert "what was uploaded is no file of this kind" in words
 
 
 def test_a_server_that_allows_no_folder_says_so() -> None:
-    folders = allowed_folders([], lambda cloud_id: False)
+    folders = allowed_folders([], lambda cloud_id: False, lambda scene_id: False)
     ((_, words),) = folders.problems(_request(robot={"urdf": "/robots/a.urdf"}))
     no_files = "this server reads no files of its own (`scopt serve --allow FOLDER` has it read those of a folder)"
     assert words == f"not a file that requests may name, got '/robots/a.urdf'; {no_files}"
@@ -125,9 +126,9 @@ def test_a_server_that_allows_no_folder_says_so() -> None:
 def test_the_whole_disk_or_what_is_no_folder_cannot_be_allowed(tmp_path: Path) -> None:
     (tmp_path / "root").symlink_to("/")
     with pytest.raises(TrustError, match="is the whole disk"):
-        allowed_folders([tmp_path / "root"], bool)
+        allowed_folders([tmp_path / "root"], bool, bool)
     with pytest.raises(TrustError, match="is no folder"):
-        allowed_folders([tmp_path / "not_there"], bool)
+        allowed_folders([tmp_path / "not_there"], bool, bool)
 
 
 def _path_fields(section: Any) -> set[str]:
@@ -146,3 +147,21 @@ def _path_fields(section: Any) -> set[str]:
 
     walk(section, "")
     return found
+
+
+def test_a_scene_is_one_that_was_built_or_uploaded_or_lies_in_an_allowed_folder(
+    folders: AllowedFolders, tmp_path: Path
+) -> None:
+    for path in (SCENE, CLOUD, str(tmp_path / "scans" / "scene.json")):
+        assert folders.problems(_request(scene={"file": path})) == []
+    other = "scene:" + "1" * 64
+    ((field, words),) = folders.problems(_request(scene={"file": other}))
+    assert field == "scene.file"
+    assert words.endswith("is there; it never was, or went when the store was full")
+    ((_, words),) = folders.problems(_request(scene={"file": "scene.json"}))
+    assert "the scene_id of a scene that was built, the cloud_id of an uploaded one or an absolute path under" in words
+
+
+def test_the_id_of_a_scene_is_no_cloud(folders: AllowedFolders) -> None:
+    ((field, words),) = folders.problems(_request(scene={"cloud": SCENE}))
+    assert (field, words.startswith("no path on the server")) == ("scene.cloud", True)

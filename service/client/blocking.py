@@ -13,7 +13,7 @@ import grpc
 from google.protobuf.message import Message
 
 from service.client.answers import FinishedPlan, PlanReader, SceneReader, StoredPlan, StoredReader
-from service.client.clouds import CloudParts, cloud_to_send, local_clouds, with_cloud_ids
+from service.client.clouds import CloudParts, cloud_to_send, local_files, with_ids
 from service.client.connection import OPTIONS
 from service.client.errors import planner_error
 from service.client.local import askable
@@ -137,21 +137,21 @@ class PlannerClient(ClientSettings):
         """
         attempts = self._attempts(deadline_s)
         if isinstance(request, PlanRequest):
-            request = self.with_uploaded_clouds(request, deadline_s=attempts.timeout_s)
+            request = self.with_uploads(request, deadline_s=attempts.timeout_s)
         message = plan_message(request, request_id, with_files, with_waypoints)
         yield from self._stream("Plan", message, attempts)
 
-    def with_uploaded_clouds(self, request: PlanRequest, *, deadline_s: float | None = None) -> PlanRequest:
-        """The request, its clouds that are files of this machine uploaded and named by their ids.
+    def with_uploads(self, request: PlanRequest, *, deadline_s: float | None = None) -> PlanRequest:
+        """The request, its clouds and its scene that are files of this machine uploaded and named by their ids.
 
         Its other paths that start here are told from the root where the server is this machine.
         """
         request = askable(request, self._connection.is_this_machine)
         attempts = self._attempts(deadline_s)
         ids = {
-            name: self.upload_cloud(path, deadline_s=attempts.timeout_s) for name, path in local_clouds(request).items()
+            name: self.upload_cloud(path, deadline_s=attempts.timeout_s) for name, path in local_files(request).items()
         }
-        return with_cloud_ids(request, ids)
+        return with_ids(request, ids)
 
     def upload_cloud(self, path: str | Path, *, deadline_s: float | None = None) -> str:
         """Bring a cloud; returns its id. One that the server has is recognised by its hash and not sent again."""

@@ -1,4 +1,4 @@
-"""Cloud files of this machine, on their way to the server."""
+"""Clouds and scenes that are files of this machine, on their way to the server."""
 
 from __future__ import annotations
 
@@ -65,22 +65,25 @@ def cloud_to_send(path: str | Path) -> CloudToSend:
     return CloudToSend(path, path.suffix[1:].lower(), digest.hexdigest(), n_bytes)
 
 
-def local_clouds(request: PlanRequest) -> dict[str, Path]:
-    """The clouds a request names that are files here, by the name it gives them."""
-    found = {cloud.file: request.resolve(cloud.file) for cloud in request.scene.cloud_files}
+def local_files(request: PlanRequest) -> dict[str, Path]:
+    """What a request's scene names and is a file here, by the name it gives it."""
+    names = [cloud.file for cloud in request.scene.cloud_files]
+    names += [] if request.scene.file is None else [request.scene.file]
+    found = {name: request.resolve(name) for name in names}
     return {name: path for name, path in found.items() if path.is_file()}
 
 
-def with_cloud_ids(request: PlanRequest, ids: Mapping[str, str]) -> PlanRequest:
-    """The request with clouds named by id, where there is one for the name it gives them."""
+def with_ids(request: PlanRequest, ids: Mapping[str, str]) -> PlanRequest:
+    """The request with clouds and scenes named by id, where there is one for the name it gives them."""
     scene, cloud = request.scene, request.scene.cloud
-    if cloud is None or not ids:
+    if not ids:
         return request
-    if isinstance(cloud, str):
-        renamed: object = ids.get(cloud, cloud)
+    if cloud is None or isinstance(cloud, str):
+        renamed: object = None if cloud is None else ids.get(cloud, cloud)
     else:
         renamed = tuple(dataclasses.replace(one, file=ids.get(one.file, one.file)) for one in cloud)
-    return dataclasses.replace(request, scene=dataclasses.replace(scene, cloud=renamed))  # type: ignore[arg-type]
+    file = None if scene.file is None else ids.get(scene.file, scene.file)
+    return dataclasses.replace(request, scene=dataclasses.replace(scene, cloud=renamed, file=file))  # type: ignore[arg-type]
 
 
 def _chunks(path: Path) -> Iterator[bytes]:

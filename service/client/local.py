@@ -10,7 +10,7 @@ from service.errors import RequestError, shown
 from service.planned import check_planned
 from service.request import PlanRequest, RobotRequest
 from service.request_scene import MeshRequest, SceneRequest
-from service.trust.folders import UPLOADED, paths_of
+from service.trust.folders import BUILT, UPLOADED, paths_of
 
 NOT_UPLOADED = (
     "it is not uploaded; put it where the server looks (`scopt serve --allow FOLDER`) and give its absolute path there"
@@ -18,7 +18,7 @@ NOT_UPLOADED = (
 
 
 def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
-    """The request as a server can understand it, clouds aside: it knows nothing of the folder that paths start at.
+    """The request as a server can understand it, clouds and scenes aside: it knows nothing of the folder that paths start at.
 
     Args:
         is_this_machine: whether the server runs here, where a path that starts here can be told from the root.
@@ -28,8 +28,8 @@ def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
     """
     check_planned(request)
     problems = []
-    for field, path, is_cloud in sorted(paths_of(request), key=lambda one: not one[2]):  # clouds first
-        if is_cloud:
+    for field, path, kind in sorted(paths_of(request), key=lambda one: one[2] == "file"):  # what is uploaded first
+        if kind != "file":
             problem = cloud_problem(field, path, request.resolve(path))
             problems += [] if problem is None else [problem]
         elif os.path.isabs(path):
@@ -44,15 +44,15 @@ def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
 
 
 def cloud_problem(field: str, name: str, path: Path) -> str | None:
-    """Why a cloud cannot be sent; None where it can, or where it is the server's to find.
+    """Why a cloud or scene cannot be sent; None where it can, or where it is the server's to find.
 
     Args:
         name: as the user wrote it; path: what it means here.
     """
     if path.is_dir() and not os.path.isabs(name):
         would_do = "name a file in it, or its path from the root there"
-        return f"{field}: {shown(name)} is a folder, and clouds are uploaded file by file; {would_do}"
-    if path.exists() or os.path.isabs(name) or name.startswith(UPLOADED):
+        return f"{field}: {shown(name)} is a folder, and files are uploaded one by one; {would_do}"
+    if path.exists() or os.path.isabs(name) or name.startswith((UPLOADED, BUILT)):
         return None
     return missing(field, name)
 

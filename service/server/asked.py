@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,13 +11,14 @@ from service.errors import RequestError
 from service.planned import check_planned
 from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request import PlanRequest
-from service.request_scene import CloudFileRequest, SceneRequest
+from service.request_scene import SceneRequest
 from service.server.refusal import invalid, refusal_of
 from service.server.robots import RobotFolder
 from service.server.settings import ServerSettings
 from service.store import CloudStore
+from service.store.scenes import Scenes
 from service.trust import AllowedFolders
-from service.trust.folders import UPLOADED
+from service.trust.folders import BUILT, UPLOADED
 from service.wire.requests import request_from_message
 
 WITHIN = "request"  # the field of PlanRequest that holds what the validator speaks of
@@ -30,13 +31,14 @@ class Door:
     Attributes:
         settings: of the server.
         folders: that requests may name files in.
-        clouds: that were uploaded.
+        clouds: that were uploaded; scenes: that were built.
         robots: that this server knows besides those of the package.
     """
 
     settings: ServerSettings
     folders: AllowedFolders
     clouds: CloudStore
+    scenes: Scenes
     robots: RobotFolder
 
     def request(self, message: MotionRequest) -> PlanRequest:
@@ -63,18 +65,19 @@ class Door:
 
     @contextmanager
     def placed(self, request: PlanRequest) -> Iterator[PlanRequest]:
-        """The request with the files of uploaded clouds and of this server's own robots, which stay for the body.
+        """The request with the files of uploads, built scenes and this server's own robots, which stay for the body.
 
         Raises:
-            NotStoredError: a cloud has gone meanwhile.
+            NotStoredError: one of them has gone meanwhile.
         """
         named = self.robots.placed(request)
-        ids = uploaded(request.scene.cloud_files)
-        if not ids:
-            yield named
-            return
-        with self.clouds.using(ids) as files:
-            yield replace(named, scene=_placed(request.scene, files))
+        scene = request.scene
+        ids = uploaded(named_files(scene))
+        with ExitStack() as held:
+            files = dict(held.enter_context(self.clouds.using(ids))) if ids else {}
+            if scene.file is not None and scene.file.startswith(BUILT):
+                files[scene.file] = held.enter_context(self.scenes.as_file(scene.file))
+            yield replace(named, scene=_placed(scene, files)) if files else named
 
 
 def kind_of(request: PlanRequest) -> str:
@@ -86,13 +89,21 @@ def kind_of(request: PlanRequest) -> str:
     return next((name for name in names if getattr(request.task, name) is not None), "unknown")
 
 
-def uploaded(clouds: Iterable[CloudFileRequest]) -> tuple[str, ...]:
-    """The ids of those clouds that were uploaded."""
-    return tuple(one.file for one in clouds if one.file.startswith(UPLOADED))
+def named_files(scene: SceneRequest) -> tuple[str, ...]:
+    """The clouds of a scene, and the file of one that was made already, as they are named."""
+    return (*(one.file for one in scene.cloud_files), *(() if scene.file is None else (scene.file,)))
+
+
+def uploaded(names: Iterable[str]) -> tuple[str, ...]:
+    """Those names that are ids of what was uploaded."""
+    return tuple(name for name in names if name.startswith(UPLOADED))
 
 
 def _placed(scene: SceneRequest, files: Mapping[str, Path]) -> SceneRequest:
-    if isinstance(scene.cloud, str):
-        return replace(scene, cloud=str(files.get(scene.cloud, scene.cloud)))
-    clouds = tuple(replace(one, file=str(files.get(one.file, one.file))) for one in scene.cloud_files)
-    return replace(scene, cloud=clouds)
+    def place(name: str) -> str:
+        return str(files.get(name, name))
+
+    file = None if scene.file is None else place(scene.file)
+    if scene.cloud is None or isinstance(scene.cloud, str):
+        return replace(scene, cloud=None if scene.cloud is None else place(scene.cloud), file=file)
+    return replace(scene, cloud=tuple(replace(one, file=place(one.file)) for one in scene.cloud), file=file)

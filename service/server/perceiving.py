@@ -31,7 +31,7 @@ from service.server.cloud_problems import as_sent, start_problems
 from service.server.refusal import invalid, overloaded
 from service.server.settings import ServerSettings
 from service.server.workshop import Workshop, outcome
-from service.store import CLOUD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
+from service.store import UPLOAD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
 from service.trust import AllowedFolders, current_caller
 from service.trust import Limits as ClientLimiter
 from service.trust.folders import UPLOADED
@@ -87,8 +87,8 @@ class Perceiving:
         if first is None or first.WhichOneof("part") != "header":
             raise invalid(["header: the first message of an upload needs one"])
         suffix = "." + first.header.format.removeprefix(".").lower()
-        if suffix not in CLOUD_SUFFIXES:
-            formats = ", ".join(one.removeprefix(".") for one in CLOUD_SUFFIXES)
+        if suffix not in UPLOAD_SUFFIXES:
+            formats = ", ".join(one.removeprefix(".") for one in UPLOAD_SUFFIXES)
             raise invalid([f"header.format: {formats} would do, got {shown(first.header.format)}"])
         claimed = first.header.sha256.lower()
         if claimed and not SHA256.fullmatch(claimed):
@@ -211,7 +211,7 @@ class Perceiving:
     def _placed(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudAsked]:
         """The clouds where they are kept, which they are while the body runs."""
         named = scene.cloud_files
-        with self._clouds.using(uploaded(named)) as files:
+        with self._clouds.using(uploaded(one.file for one in named)) as files:
             yield CloudAsked(
                 files=tuple(Path(files.get(one.file, one.file)) for one in named),
                 unit=scene.unit,

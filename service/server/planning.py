@@ -20,7 +20,7 @@ from service.result import Verdict
 from service.rpc import Context, Refusal, deadline_of
 from service.seen import bind
 from service.server.archive import chunks
-from service.server.asked import WITHIN, Door, kind_of
+from service.server.asked import WITHIN, Door, kind_of, named_files
 from service.server.incidents import refusal_for
 from service.server.refusal import invalid, refusal_of_problems
 from service.server.running import RunningPlan, RunningPlans
@@ -275,11 +275,7 @@ def _left(deadline: float | None) -> float | None:
 
 def _as_named(problems: tuple[str, ...], request: Request, placed: Request) -> tuple[str, ...]:
     """Problems that speak of the fields and clouds that the client named, not of where they are kept."""
-    names = {
-        str(there.file): asked.file
-        for asked, there in zip(request.scene.cloud_files, placed.scene.cloud_files, strict=True)
-    }
-    for path, name in names.items():
+    for path, name in zip(named_files(placed.scene), named_files(request.scene), strict=True):
         problems = tuple(problem.replace(path, name) for problem in problems)
     if request.task is None or request.task.trajopt is None:
         return problems

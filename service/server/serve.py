@@ -124,7 +124,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         stack.callback(executor.shutdown, wait=False, cancel_futures=True)
         store = stack.enter_context(Store(settings.data / STORE_FOLDER, settings.store_limits))
         clouds = stack.enter_context(CloudStore(settings.data / CLOUDS_FOLDER, settings.cloud_limits))
-        folders = allowed_folders(settings.allowed, clouds.has)
+        folders = allowed_folders(settings.allowed, clouds.has, store.scenes.has)
         limiter = port.limiter or ClientLimiter()
         metrics = Metrics()
         metrics.watch(pool=executor.stats, store=store, clouds=clouds)
@@ -138,7 +138,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
 
         workshop = Workshop(executor, Admission(settings.workers, settings.queue_limit))
         robots = RobotFolder(settings.robots)
-        planning = Planning(Door(settings, folders, clouds, robots), workshop, store, count)
+        planning = Planning(Door(settings, folders, clouds, store.scenes, robots), workshop, store, count)
         perceiving = Perceiving(settings, folders, workshop, store, clouds, limiter, metrics.uploaded)
         keeping = Keeping(settings, workshop, store, planning.running, robots, verdicts)
         server = grpc.aio.server(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.store.clouds import CLOUD_ID, CLOUD_SUFFIXES, CloudLimits, CloudStats, CloudStore, Upload
+from service.store.clouds import CLOUD_ID, UPLOAD_SUFFIXES, CloudLimits, CloudStats, CloudStore, Upload
 from service.store.errors import (
     NotStoredError,
     ReviewRefusedError,
@@ -25,7 +25,7 @@ from service.store.store import Store
 
 __all__ = [
     "CLOUD_ID",
-    "CLOUD_SUFFIXES",
+    "UPLOAD_SUFFIXES",
     "Begun",
     "CloudLimits",
     "CloudStats",

@@ -23,7 +23,8 @@ from service.store.folder import PARTIAL, HeldFolder
 CLOUD_SUFFIXES = (
     ".pcd", ".ply", ".xyz", ".txt", ".csv", ".npz", ".npy", ".las", ".laz", ".e57", ".mcap", ".db3", ".bag",
 )  # fmt: skip
-CLOUD_ID = re.compile(rf"sha256:[0-9a-f]{{64}}({'|'.join(re.escape(suffix) for suffix in CLOUD_SUFFIXES)})")
+UPLOAD_SUFFIXES = (*CLOUD_SUFFIXES, ".json")  # a cloud, or a scene that was made of one
+CLOUD_ID = re.compile(rf"sha256:[0-9a-f]{{64}}({'|'.join(re.escape(suffix) for suffix in UPLOAD_SUFFIXES)})")
 
 
 @dataclass(frozen=True)
@@ -85,8 +86,8 @@ class CloudStore:
             StoreFullError: too many uploads are on their way.
         """
         suffix = suffix.lower()
-        if suffix not in CLOUD_SUFFIXES:
-            raise UploadRefusedError(f"suffix {shown(suffix)} is unknown; {', '.join(CLOUD_SUFFIXES)} would do")
+        if suffix not in UPLOAD_SUFFIXES:
+            raise UploadRefusedError(f"suffix {shown(suffix)} is unknown; {', '.join(UPLOAD_SUFFIXES)} would do")
         limits = self.limits
         with self._turn:
             if self._uploads[client] >= limits.max_uploads_per_client:

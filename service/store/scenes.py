@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import sqlite3
+import tempfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 from service.errors import shown
 from service.store.database import Database
 from service.store.errors import NotStoredError, TooLargeError
 from service.store.records import StoreLimits
-
-PREFIX = "scene:"
+from service.trust.folders import BUILT
 
 
 class Scenes:
@@ -29,7 +31,7 @@ class Scenes:
         Raises:
             TooLargeError: it alone is more than the store keeps.
         """
-        scene_id = PREFIX + hashlib.sha256(data).hexdigest()
+        scene_id = BUILT + hashlib.sha256(data).hexdigest()
         packed = zlib.compress(data, 3)
         if len(packed) > self._limits.max_scene_bytes:
             raise TooLargeError(
@@ -58,6 +60,24 @@ class Scenes:
         if row is None:
             raise NotStoredError(f"no scene {shown(scene_id)}; it never was, or went when the store was full")
         return zlib.decompress(row["data"])
+
+    def has(self, scene_id: str) -> bool:
+        """Whether a scene is there."""
+        with self._database.transaction() as db:
+            return db.execute("SELECT 1 FROM scenes WHERE scene_id = ?", (scene_id,)).fetchone() is not None
+
+    @contextmanager
+    def as_file(self, scene_id: str) -> Iterator[Path]:
+        """A scene as a file that is there while the body runs.
+
+        Raises:
+            NotStoredError: there is no scene of that id.
+        """
+        data = self.get(scene_id)
+        with tempfile.NamedTemporaryFile(prefix="scopt-", suffix=".json") as file:
+            file.write(data)
+            file.flush()
+            yield Path(file.name)
 
     def _make_room(self, db: sqlite3.Connection, newest: str) -> None:
         n, size = db.execute("SELECT n, bytes FROM totals WHERE what = 'scenes'").fetchone()

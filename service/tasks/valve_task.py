@@ -58,9 +58,12 @@ def _valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
         if request.centre is None or request.axis is None or request.radius is None:
             raise RequestError("task.valve: centre, axis and radius come together; give all three or none")
         return _given(np.array(request.centre), np.array(request.axis), request.radius)
-    if setup.perceived is None:
+    scene = setup.request.scene
+    if scene.cloud is None and scene.file is None:
         raise RequestError("task.valve: no scan to find it in; give scene.cloud, or centre, axis and radius")
-    valves = setup.perceived.valves
+    valves = setup.surroundings.valves
+    if not valves and scene.file is not None:
+        return "the scene has no valve; `scopt scene --detect valve` puts one in, or give centre, axis and radius"
     if not valves:
         return "no valve was found in the scan; scene.hint (a point near it) would help, or centre, axis and radius"
     if valves[0].confidence < SURE:

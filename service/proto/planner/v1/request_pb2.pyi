@@ -269,7 +269,7 @@ class Egress(_message.Message):
     def __init__(self, side: _Optional[_Union[Side, str]] = ..., hint: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class SceneSpec(_message.Message):
-    __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown")
+    __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown", "file")
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     UNIT_FIELD_NUMBER: _ClassVar[int]
     APPLY_VIEWPOINT_FIELD_NUMBER: _ClassVar[int]
@@ -281,6 +281,7 @@ class SceneSpec(_message.Message):
     FLOOR_FIELD_NUMBER: _ClassVar[int]
     METHOD_FIELD_NUMBER: _ClassVar[int]
     UNKNOWN_FIELD_NUMBER: _ClassVar[int]
+    FILE_FIELD_NUMBER: _ClassVar[int]
     cloud: Cloud
     unit: LengthUnit
     apply_viewpoint: bool
@@ -292,7 +293,8 @@ class SceneSpec(_message.Message):
     floor: Floor
     method: PieceMethod
     unknown: UnknownSpace
-    def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ...) -> None: ...
+    file: str
+    def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ..., file: _Optional[str] = ...) -> None: ...
 
 class Cloud(_message.Message):
     __slots__ = ("file", "files")

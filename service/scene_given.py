@@ -1,0 +1,155 @@
+"""A scene's file (docs/scene-format.md) as something to plan in, whoever wrote it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as checked
+
+from costs.scene import ConvexPiece, Scene
+from perception.detect.valve import ValveDetection
+from service.errors import RequestError, shown
+
+FORMAT = "scopt-scene/1"
+MOST_BYTES = 64 * 2**20
+MOST_PIECES, MOST_VERTICES = 20_000, 1000
+VALVE = "valve"
+LEAST_THICKNESS_M = 1e-6
+ROUND_WHEEL_M = 0.02  # what of the scan is this near to a wheel is the wheel's
+
+Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
+Vertex = tuple[Number, Number, Number]
+
+
+@checked(frozen=True)
+class _Piece:
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    kind: Annotated[str, Field(max_length=200)]
+    vertices: Annotated[list[Vertex], Field(min_length=4, max_length=MOST_VERTICES)]
+
+
+@checked(frozen=True)
+class _Hit:
+    kind: str
+    confidence: Annotated[float, Field(ge=0.0, le=1.0)]
+    pose_world_object: Annotated[
+        list[Annotated[list[Number], Field(min_length=4, max_length=4)]], Field(min_length=4, max_length=4)
+    ]
+    sizes: Mapping[str, Number]
+
+
+@checked(frozen=True)
+class _File:
+    pieces: Annotated[list[_Piece], Field(max_length=MOST_PIECES)]
+    detections: Annotated[list[_Hit], Field(max_length=MOST_PIECES)] = Field(default_factory=list)
+
+
+_READER = TypeAdapter(_File)
+
+
+@dataclass(frozen=True)
+class SceneGiven:
+    """What a scene's file says.
+
+    Attributes:
+        pieces: all of them.
+        hits: the objects that were found in the scan.
+    """
+
+    pieces: tuple[ConvexPiece, ...]
+    hits: tuple[_Hit, ...]
+
+    def valves(self, hint: Sequence[float] | None) -> tuple[ValveDetection, ...]:
+        """The wheel valves: with a hint the nearest first, else the surest."""
+        found = [_valve(hit) for hit in self.hits if hit.kind == VALVE and hit.sizes.get("rim_radius", 0.0) > 0.0]
+        if hint is None:
+            return tuple(sorted(found, key=lambda valve: -valve.confidence))
+        return tuple(sorted(found, key=lambda valve: float(np.linalg.norm(valve.centre - hint))))
+
+    def pieces_without(self, valves: Sequence[ValveDetection]) -> tuple[ConvexPiece, ...]:
+        """The pieces but for those that lie within a wheel, which is to be touched."""
+        return tuple(piece for piece in self.pieces if not any(_is_of(valve, piece.vertices) for valve in valves))
+
+
+def read_scene(path: Path, field: str) -> SceneGiven:
+    """Read a scene's file.
+
+    Args:
+        path: of the file.
+        field: of the request that names it.
+
+    Raises:
+        RequestError: it is not there, or is no scene.
+    """
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise RequestError(f"{field}: {path} has more than {MOST_BYTES // 2**20} MB; a scene has less")
+        data = json.loads(path.read_bytes())
+    except OSError as error:
+        raise RequestError(f"{field}: {path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError):
+        raise RequestError(f"{field}: {path} is no JSON; the file that 'scopt scene' writes would do") from None
+    told = data.get("format") if isinstance(data, Mapping) else None
+    if told != FORMAT:
+        scan = "; a scan goes into scene.cloud" if told is None else ""
+        raise RequestError(f"{field}: {path} is no scene, its format is {shown(told)}, {FORMAT} would do{scan}")
+    try:
+        file = _READER.validate_python(data)
+        pieces = tuple(ConvexPiece(one.name, np.array(one.vertices), one.kind) for one in file.pieces)
+        Scene(pieces)
+        _check_solid(pieces)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise RequestError(f"{field}: {path}: {where}: {first['msg']}") from None
+    except ValueError as error:
+        raise RequestError(f"{field}: {path}: pieces: {error}") from None
+    return SceneGiven(pieces, tuple(file.detections))
+
+
+def _check_solid(pieces: Sequence[ConvexPiece]) -> None:
+    flat = next((piece.name for piece in pieces if _thickness(piece.vertices) < LEAST_THICKNESS_M), None)
+    if flat is not None:
+        raise ValueError(f"the vertices of {shown(flat)} lie in a plane; four that span a volume would do")
+
+
+def _thickness(vertices: Float[np.ndarray, "V 3"]) -> float:
+    """Of a body along the direction in which it is thinnest, about [m]."""
+    return float(np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[-1])
+
+
+def _valve(hit: _Hit) -> ValveDetection:
+    """A wheel as its file tells it, which says nothing of spokes."""
+    pose = np.array(hit.pose_world_object)
+    rim = hit.sizes["rim_radius"]
+    tube = hit.sizes.get("tube_radius", 0.1 * rim)
+    return ValveDetection(
+        centre=pose[:3, 3],
+        axis=pose[:3, 2] / max(float(np.linalg.norm(pose[:3, 2])), 1e-9),
+        rim_radius=rim,
+        outer_radius=hit.sizes.get("outer_radius", rim + tube),
+        tube_radius=tube,
+        half_depth=tube,
+        spoke_angles=(),
+        hub_radius=0.25 * rim,
+        inner_depth=(-tube, tube),
+        confidence=hit.confidence,
+        rms=0.0,
+        n_inliers=0,
+    )
+
+
+def _is_of(valve: ValveDetection, vertices: Float[np.ndarray, "V 3"]) -> bool:
+    """Whether a piece lies within the disc of a wheel, and a little around it."""
+    offset = vertices - valve.centre
+    height = offset @ valve.axis
+    radius = np.linalg.norm(offset - height[:, None] * valve.axis, axis=1)
+    room = ROUND_WHEEL_M
+    return bool(np.all(radius <= valve.outer_radius + room) and np.all(np.abs(height) <= valve.half_depth + room))
