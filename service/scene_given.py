@@ -95,7 +95,9 @@ def read_scene(path: Path, field: str) -> SceneGiven:
     except OSError as error:
         raise RequestError(f"{field}: {path} cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError):
-        raise RequestError(f"{field}: {path} is no JSON; the file that 'scopt scene' writes would do") from None
+        raise RequestError(
+            f"{field}: {path} is no JSON; the file that 'scopt scene' writes would do, a scan goes into scene.cloud"
+        ) from None
     told = data.get("format") if isinstance(data, Mapping) else None
     if told != FORMAT:
         scan = "; a scan goes into scene.cloud" if told is None else ""

@@ -123,7 +123,10 @@ def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, parts: dict[str, Any],
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (b"VERSION 0.7\nFIELDS x y z\n", "is no JSON; the file that 'scopt scene' writes would do"),
+        (
+            b"VERSION 0.7\nFIELDS x y z\n",
+            "is no JSON; the file that 'scopt scene' writes would do, a scan goes into scene.cloud",
+        ),
         (b"[1, 2]", "is no scene, its format is None, scopt-scene/1 would do; a scan goes into scene.cloud"),
         (b"[" * 100_000, "is no JSON"),
         (b"\xff\xfe\x00", "is no JSON"),

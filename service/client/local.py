@@ -18,7 +18,7 @@ NOT_UPLOADED = (
 
 
 def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
-    """The request as a server can understand it, clouds and scenes aside: it knows nothing of the folder that paths start at.
+    """The request as a server can understand it, clouds and scenes aside: it does not know where paths start.
 
     Args:
         is_this_machine: whether the server runs here, where a path that starts here can be told from the root.
