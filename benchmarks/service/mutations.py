@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from benchmarks.service import asks
 from service.proto.planner.v1 import planner_pb2 as wire
-from service.store import CLOUD_SUFFIXES
+from service.store import UPLOAD_SUFFIXES
 
 DEEPEST = 5  # of messages in messages that are made up
 NUMBERS = (float("nan"), float("inf"), -float("inf"), -1.0, 0.0, 1e308, -1e-8, 5e-324, 1e9)
@@ -71,7 +71,7 @@ def seeds(cloud_id: str) -> dict[str, list[tuple[Message, ...]]]:
     plans = [wire.PlanRequest(request=asks.motion(it)) for it in (_RICH, asks.ARM_TURNS, _POSES, _VALVE)]
     nowhere = wire.CloudsSpec(clouds=[{"file": f"sha256:{'0' * 64}.xyz"}], sensor=[0, 0, 1], reach_m=3.0)  # type: ignore[list-item]
     here = wire.CloudsSpec(clouds=[{"file": cloud_id}], sensor=[0, 0, 1], reach_m=3.0)  # type: ignore[list-item]
-    header = wire.UploadCloudRequest(header={"format": CLOUD_SUFFIXES[0], "size_bytes": 12})  # type: ignore[arg-type]
+    header = wire.UploadCloudRequest(header={"format": UPLOAD_SUFFIXES[0], "size_bytes": 12})  # type: ignore[arg-type]
     chunk = wire.UploadCloudRequest(chunk=b"1 2 3\n4 5 6\n")
     return {
         "Plan": [(plan,) for plan in plans],
