@@ -112,6 +112,17 @@ def test_same_request_id_gives_the_same_plan_and_another_request_is_refused(stub
     assert refused.value.code() is grpc.StatusCode.ALREADY_EXISTS  # type: ignore[attr-defined]
 
 
+def test_plan_asked_for_again_as_soon_as_it_was_cancelled_is_begun_anew(stub: PlannerServiceStub) -> None:
+    first = stub.Plan(plan_request(ENDLESS, request_id="anew"), timeout=60)
+    wait_for(first, "progress")
+    first.cancel()
+    second = stub.Plan(plan_request(ENDLESS, request_id="anew"), timeout=60)
+    assert not next(second).accepted.is_known
+    wait_for(second, "progress")
+    second.cancel()
+    assert stub.GetStatus(wire.GetStatusRequest(), timeout=20).version
+
+
 def test_invalid_request_names_every_field(stub: PlannerServiceStub) -> None:
     message = plan_request(QUICK)
     message.request.options.margin_m = -1.0

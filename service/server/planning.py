@@ -140,11 +140,10 @@ class Planning:
             except Exception as error:
                 self._give_up(plan, error)
                 return plan
-            forget = self.running.add(plan)
+            self.running.add(plan)
             work = asyncio.create_task(self._see_through(plan, asked, piece, deadline, held.pop_all()))
         self._tasks.add(work)
         work.add_done_callback(self._tasks.discard)
-        work.add_done_callback(lambda _: forget())
         return plan
 
     def _submit(self, plan: RunningPlan, asked: _Asked, deadline: float | None) -> Piece[PlanAnswer | Refused]:

@@ -34,7 +34,7 @@ class RunningPlan:
         self._deadlines: list[float] = []  # of those who watch
         self._was_watched = self._is_stopping = False
         self._end: PlanFinished | Refusal | None = None
-        self._ignore = workshop.on_change(self._tell_place)
+        self._at_end: list[Callable[[], object]] = [workshop.on_change(self._tell_place)]
 
     @property
     def is_stopping(self) -> bool:
@@ -107,6 +107,10 @@ class RunningPlan:
             raise self._end
         yield PlanResponse(finished=self._end)
 
+    def at_end(self, do: Callable[[], object]) -> None:
+        """Have something done at the end, before anybody hears of it."""
+        self._at_end.append(do)
+
     async def ended(self) -> None:
         """Wait for the end."""
         while self._end is None:
@@ -126,8 +130,9 @@ class RunningPlan:
         self._wake()
 
     def _close(self, end: PlanFinished | Refusal) -> None:
-        self._ignore()
         self._end = end
+        for do in self._at_end:
+            do()
         self._wake()
 
     def _wake(self) -> None:
@@ -149,11 +154,10 @@ class RunningPlans:
         """A plan that is under way."""
         return self._plans.get(plan_id)
 
-    def add(self, plan: RunningPlan) -> Callable[[], None]:
-        """Keep a plan findable; returns what ends that."""
+    def add(self, plan: RunningPlan) -> None:
+        """Keep a plan findable up to its end.
+
+        Whoever waited for the end finds it no more: asking again then is asking for another plan under the same id.
+        """
         self._plans[plan.plan_id] = plan
-
-        def forget() -> None:
-            self._plans.pop(plan.plan_id, None)
-
-        return forget
+        plan.at_end(lambda: self._plans.pop(plan.plan_id, None))
