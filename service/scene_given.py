@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +14,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked
 
 from costs.scene import ConvexPiece, Scene
-from perception.detect.valve import ValveDetection
+from perception import ValveDetection
 from service.errors import RequestError, shown
 
 FORMAT = "scopt-scene/1"
@@ -22,6 +22,7 @@ MOST_BYTES = 64 * 2**20
 MOST_PIECES, MOST_VERTICES = 20_000, 1000
 VALVE = "valve"
 LEAST_THICKNESS_M = 1e-6
+LEAST_AXIS = 1e-6
 ROUND_WHEEL_M = 0.02  # what of the scan is this near to a wheel is the wheel's
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
@@ -68,7 +69,7 @@ class SceneGiven:
 
     def valves(self, hint: Sequence[float] | None) -> tuple[ValveDetection, ...]:
         """The wheel valves: with a hint the nearest first, else the surest."""
-        found = [_valve(hit) for hit in self.hits if hit.kind == VALVE and hit.sizes.get("rim_radius", 0.0) > 0.0]
+        found = [_valve(hit) for hit in self.hits if _is_wheel(hit)]
         if hint is None:
             return tuple(sorted(found, key=lambda valve: -valve.confidence))
         return tuple(sorted(found, key=lambda valve: float(np.linalg.norm(valve.centre - hint))))
@@ -127,22 +128,39 @@ def _thickness(vertices: Float[np.ndarray, "V 3"]) -> float:
     return float(np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[-1])
 
 
+def _is_wheel(hit: _Hit) -> bool:
+    """Whether it is a valve that is told well enough: with a radius and an axis."""
+    has_axis = np.linalg.norm(np.array(hit.pose_world_object)[:3, 2]) > LEAST_AXIS
+    return hit.kind == VALVE and hit.sizes.get("rim_radius", 0.0) > 0.0 and bool(has_axis)
+
+
 def _valve(hit: _Hit) -> ValveDetection:
-    """A wheel as its file tells it, which says nothing of spokes."""
-    pose = np.array(hit.pose_world_object)
-    rim = hit.sizes["rim_radius"]
+    pose, rim = np.array(hit.pose_world_object), hit.sizes["rim_radius"]
     tube = hit.sizes.get("tube_radius", 0.1 * rim)
+    wheel = wheel_of_circle(pose[:3, 3], pose[:3, 2], rim, tube)
+    return replace(wheel, outer_radius=hit.sizes.get("outer_radius", rim + tube), confidence=hit.confidence)
+
+
+def wheel_of_circle(
+    centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], rim_radius: float, tube_radius: float
+) -> ValveDetection:
+    """A valve known by its rim alone; nothing is known of its spokes.
+
+    Args:
+        centre: of the rim [m]; axis: towards the robot, of any length but zero.
+        rim_radius: of the rim's centre line; tube_radius: half the rim's thickness [m].
+    """
     return ValveDetection(
-        centre=pose[:3, 3],
-        axis=pose[:3, 2] / max(float(np.linalg.norm(pose[:3, 2])), 1e-9),
-        rim_radius=rim,
-        outer_radius=hit.sizes.get("outer_radius", rim + tube),
-        tube_radius=tube,
-        half_depth=tube,
+        centre=centre,
+        axis=axis / np.linalg.norm(axis),
+        rim_radius=rim_radius,
+        outer_radius=rim_radius + tube_radius,
+        tube_radius=tube_radius,
+        half_depth=tube_radius,
         spoke_angles=(),
-        hub_radius=0.25 * rim,
-        inner_depth=(-tube, tube),
-        confidence=hit.confidence,
+        hub_radius=0.25 * rim_radius,
+        inner_depth=(-tube_radius, tube_radius),
+        confidence=1.0,
         rms=0.0,
         n_inliers=0,
     )

@@ -13,6 +13,7 @@ from service.errors import RequestError
 from service.phases import PhaseSolver, TaskPlan
 from service.reachability import beyond_reach
 from service.request import ValveRequest
+from service.scene_given import wheel_of_circle
 from service.setup import PlanSetup
 from service.tasks.stance import stance_advice
 from service.tasks.valve import RIM_TOLERANCE, plan_turn
@@ -57,7 +58,7 @@ def _valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
     if any(value is not None for value in given):
         if request.centre is None or request.axis is None or request.radius is None:
             raise RequestError("task.valve: centre, axis and radius come together; give all three or none")
-        return _given(np.array(request.centre), np.array(request.axis), request.radius)
+        return wheel_of_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
     scene = setup.request.scene
     if scene.cloud is None and scene.file is None:
         raise RequestError("task.valve: no scan to find it in; give scene.cloud, or centre, axis and radius")
@@ -73,24 +74,6 @@ def _valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
             f"of the {SURE} needed; scene.hint (a point near it) would help, or centre, axis and radius"
         )
     return valves[0]
-
-
-def _given(centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], radius: float) -> ValveDetection:
-    """A valve known by its circle; nothing is known of its spokes."""
-    return ValveDetection(
-        centre=centre,
-        axis=axis / np.linalg.norm(axis),
-        rim_radius=radius,
-        outer_radius=radius + TUBE_RADIUS,
-        tube_radius=TUBE_RADIUS,
-        half_depth=TUBE_RADIUS,
-        spoke_angles=(),
-        hub_radius=0.25 * radius,
-        inner_depth=(-TUBE_RADIUS, TUBE_RADIUS),
-        confidence=1.0,
-        rms=0.0,
-        n_inliers=0,
-    )
 
 
 def _hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> list[Hand]:
