@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextvars
-import secrets
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -12,7 +11,8 @@ from typing import Any
 import grpc
 import structlog
 
-from service.rpc import Context, Interceptor, Refusal, refuse, shortened
+from service.rpc import Context, Interceptor, refuse, shortened
+from service.seen.incidents import incident
 from service.seen.metrics import Metrics
 from service.seen.spans import NoSpans, Spans
 from service.trust import current_caller, peer_key
@@ -65,12 +65,8 @@ async def _told(method: str, context: Context) -> AsyncIterator[None]:
         yield
     except grpc.aio.BaseError:  # an abort, and misuse of gRPC that it tells of itself
         raise
-    except Exception:
-        incident = secrets.token_hex(4)
-        _LOG.exception("unexpected", method=method, incident=incident)
-        await refuse(
-            context, Refusal(grpc.StatusCode.INTERNAL, f"internal error; the server's log has it as {incident}")
-        )
+    except Exception as error:
+        await refuse(context, incident(error, method=method))
 
 
 def _log(method: str, context: Context, code: grpc.StatusCode, seconds: float) -> None:

@@ -21,7 +21,7 @@ from service.rpc import Context, Refusal, deadline_of
 from service.seen import bind
 from service.server.archive import chunks
 from service.server.asked import WITHIN, Door, kind_of, named_files
-from service.server.incidents import refusal_for
+from service.server.failures import refusal_for
 from service.server.refusal import invalid, refusal_of_problems
 from service.server.running import RunningPlan, RunningPlans
 from service.server.settings import SMALL_BYTES

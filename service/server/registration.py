@@ -12,7 +12,7 @@ from google.protobuf.message_factory import GetMessageClass
 
 from service.proto.planner.v1 import planner_pb2
 from service.rpc import Context, refuse
-from service.server.incidents import refusal_for
+from service.server.failures import refusal_for
 from service.server.refusal import invalid
 from service.server.settings import SMALL_BYTES
 from service.wire.entries import crowding

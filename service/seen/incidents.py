@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import secrets
+from typing import Any
 
 import grpc
 import structlog
 
-from service.errors import RequestError
 from service.rpc import Refusal
-from service.server.refusal import refusal_of
-from service.store import StoreError
 
 _LOG = structlog.get_logger("scopt.server")
 
 
-def refusal_for(error: Exception) -> Refusal:
-    """How a call ends that an error has ended."""
-    if isinstance(error, Refusal):
-        return error
-    if isinstance(error, RequestError | StoreError):
-        return refusal_of(error)
+def incident(error: BaseException, **where: Any) -> Refusal:
+    """Log an error that nobody expected; how the call ends that it has ended.
+
+    Args:
+        error: with its traceback.
+        where: that the log is to have besides.
+    """
     number = secrets.token_hex(4)
-    _LOG.error("incident", incident=number, exc_info=error)
+    _LOG.error("incident", incident=number, exc_info=error, **where)
     return Refusal(grpc.StatusCode.INTERNAL, f"internal error {number}, please report it; the server's log tells more")
