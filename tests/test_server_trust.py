@@ -44,10 +44,20 @@ class Fort:
     def write_tokens(self, text: str) -> None:
         """Replace the file, and have it read."""
         (self.folder / "tokens.yaml").write_text(text)
-        told = self.log().count("tokens ")
+        self.read_anew()
+
+    def show(self, leaf: trustme.LeafCert) -> None:
+        """Replace the server's certificate, and have it read."""
+        _write(self.folder / "key.pem", leaf.private_key_pem.bytes())
+        _write(self.folder / "cert.pem", leaf.cert_chain_pems[0].bytes())
+        self.read_anew()
+
+    def read_anew(self) -> None:
+        """Have the files read that were changed."""
+        told = self.log().count("certificates ")  # which come last
         os.kill(self.process.process.pid, signal.SIGHUP)
         end = time.monotonic() + 10.0
-        while self.log().count("tokens ") == told:
+        while self.log().count("certificates ") == told:
             assert time.monotonic() < end
             time.sleep(0.01)
 
@@ -93,7 +103,7 @@ def fort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fort]:
     _write(folder / "tokens.yaml", lines.encode())
     leaf = authority.issue_cert("127.0.0.1", common_name="server")
     _write(folder / "key.pem", leaf.private_key_pem.bytes())
-    leaf.cert_chain_pems[0].write_to_path(folder / "cert.pem")
+    _write(folder / "cert.pem", leaf.cert_chain_pems[0].bytes())
     authority.cert_pem.write_to_path(folder / "ca.pem")
     options = {"tls-cert": "cert.pem", "tls-key": "key.pem", "client-ca": "ca.pem", "tokens": "tokens.yaml"}
     words = [word for name, file in options.items() for word in (f"--{name}", str(folder / file))]
@@ -160,6 +170,20 @@ def test_tokens_come_and_go_while_the_server_runs(fort: Fort) -> None:
     assert fort.ask(token, leaf=fort.arm)[0] == "NOT_FOUND"
     fort.write_tokens(fort.lines)
     assert fort.ask(fort.tokens["plan"], leaf=fort.arm)[0] == "NOT_FOUND"
+
+
+def test_certificate_is_renewed_while_the_server_runs(fort: Fort) -> None:
+    token = fort.tokens["plan"]
+    fort.show(trustme.CA().issue_cert("127.0.0.1", common_name="server"))
+    code, words = fort.ask(token, leaf=fort.arm)
+    assert code == "UNAVAILABLE"
+    assert "CERTIFICATE_VERIFY_FAILED" in words
+    fort.show(fort.authority.issue_cert("127.0.0.1", common_name="server"))
+    assert fort.ask(token, leaf=fort.arm)[0] == "NOT_FOUND"
+    _write(fort.folder / "cert.pem", b"nonsense")
+    fort.read_anew()  # what was in force before stays
+    assert fort.ask(token, leaf=fort.arm)[0] == "NOT_FOUND"
+    fort.show(fort.authority.issue_cert("127.0.0.1", common_name="server"))
 
 
 def test_no_secret_is_in_the_log_or_in_what_is_kept(fort: Fort) -> None:

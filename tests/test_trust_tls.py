@@ -13,7 +13,7 @@ import trustme
 from small_service import serving
 
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
-from service.trust import Gate, Limits, Role, TlsFiles, Tokens, TrustError, make_token, server_credentials
+from service.trust import Certificates, Gate, Limits, Role, TlsFiles, Tokens, TrustError, make_token
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_a_token_comes_in_over_tls_and_nothing_without_it(
 ) -> None:
     token, line = make_token("ann", [Role.PLAN])
     tokens = _tokens(tmp_path, line)
-    credentials = server_credentials(TlsFiles(files.cert, files.key))
+    credentials = Certificates(TlsFiles(files.cert, files.key)).credentials
 
     async def calls() -> None:
         async with serving([Gate(tokens, Limits())], credentials) as (address, answering):
@@ -93,7 +93,7 @@ def test_a_client_is_known_by_its_certificate_and_a_strangers_is_not_let_in(
         tmp_path,
         "- {name: robot-7, roles: [plan], certificate: robot-7.local}\n- {name: watch, roles: [admin], certificate: w}",
     )
-    credentials = server_credentials(files)
+    credentials = Certificates(files).credentials
 
     async def calls() -> None:
         async with serving([Gate(tokens, Limits())], credentials) as (address, answering):
@@ -133,7 +133,7 @@ def test_what_is_wrong_with_certificates_is_named(tmp_path: Path, authority: tru
         (TlsFiles(tmp_path, files.key), "cannot be read"),
     ):
         with pytest.raises(TrustError, match=words):
-            server_credentials(wrong)
+            Certificates(wrong)
     files.key.chmod(0o644)
     with pytest.raises(TrustError, match=r"key\.pem: others may read the private key; chmod 600 would do"):
-        server_credentials(files)
+        Certificates(files)

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 
 import grpc
 import structlog
@@ -30,7 +31,7 @@ from service.server.servicer import Servicer
 from service.server.settings import MOST_STREAMS, ServerSettings
 from service.server.workshop import Workshop
 from service.store import CloudStore, Store
-from service.trust import Gate, TlsFiles, Tokens, TrustError, allowed_folders, listen_problems, server_credentials
+from service.trust import Certificates, Gate, TlsFiles, Tokens, TrustError, allowed_folders, listen_problems
 from service.trust import Limits as ClientLimiter
 
 _LOG = structlog.get_logger("scopt.server")
@@ -68,6 +69,7 @@ class Running:
     Attributes:
         address: where; with the port that was free.
         server: of gRPC; planning, keeping, workshop, health: its parts.
+        certificates: that it shows; None without TLS.
     """
 
     address: str
@@ -76,6 +78,7 @@ class Running:
     keeping: Keeping
     workshop: Workshop
     health: Health
+    certificates: Certificates | None
 
 
 async def serve(
@@ -101,8 +104,10 @@ async def serve(
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, ask)
-        # Without tokens there is nothing to read anew: the terminal it was started in has gone.
-        loop.add_signal_handler(signal.SIGHUP, ask if port.tokens is None else _reloaded(port.tokens))
+        kept = {"tokens": port.tokens, "certificates": server.certificates}
+        known = {name: one for name, one in kept.items() if one is not None}
+        # With nothing to read anew, the terminal it was started in has gone.
+        loop.add_signal_handler(signal.SIGHUP, partial(_reload, known) if known else ask)
         gc.collect()
         gc.freeze()  # what is loaded by now is no garbage: nobody waits while it is looked through
         on_ready(server.address)
@@ -120,6 +125,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
     problems = listen_problems(port.address, port.tls, port.tokens)
     if problems:
         raise TrustError("\n".join(problems))
+    certificates = None if port.tls is None else Certificates(port.tls)
     async with AsyncExitStack() as stack:
         stack.callback(executor.shutdown, wait=False, cancel_futures=True)
         store = stack.enter_context(Store(settings.data / STORE_FOLDER, settings.store_limits))
@@ -149,14 +155,14 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         health_pb2_grpc.add_HealthServicer_to_server(state, server)
         names = (SERVICE.full_name, health.SERVICE_NAME, reflection.SERVICE_NAME)
         reflection.enable_server_reflection(names, server)
-        address = _bound(server, port)
+        address = _bound(server, port.address, certificates)
         if not await asyncio.to_thread(executor.wait_ready):
             raise ServiceError("no worker could be started; the log tells why")
         await server.start()
         stack.push_async_callback(server.stop, 0.0)
         overtime = asyncio.create_task(_stop_overtime(workshop))
         stack.callback(overtime.cancel)
-        yield Running(address, server, planning, keeping, workshop, state)
+        yield Running(address, server, planning, keeping, workshop, state, certificates)
 
 
 def _options(settings: ServerSettings) -> list[tuple[str, int]]:
@@ -171,23 +177,23 @@ def _options(settings: ServerSettings) -> list[tuple[str, int]]:
     ]
 
 
-def _bound(server: grpc.aio.Server, port: Port) -> str:
+def _bound(server: grpc.aio.Server, asked: str, certificates: Certificates | None) -> str:
     """The address it listens at.
 
     Raises:
         TrustError: it cannot.
     """
     try:
-        if port.tls is None:
-            number = server.add_insecure_port(port.address)
+        if certificates is None:
+            number = server.add_insecure_port(asked)
         else:
-            number = server.add_secure_port(port.address, server_credentials(port.tls))
+            number = server.add_secure_port(asked, certificates.credentials)
     except RuntimeError:
         number = 0
     if number == 0:
-        raise TrustError(f"--listen {port.address}: cannot listen there; is another server at it?")
-    host, colon, asked = port.address.rpartition(":")
-    return f"{host}{colon}{number}" if asked.isdigit() else port.address
+        raise TrustError(f"--listen {asked}: cannot listen there; is another server at it?")
+    host, colon, last = asked.rpartition(":")
+    return f"{host}{colon}{number}" if last.isdigit() else asked
 
 
 async def _drain(server: Running, drain_s: float, now: asyncio.Event) -> None:
@@ -218,13 +224,11 @@ async def _stop_overtime(workshop: Workshop) -> None:
         workshop.stop_overtime()
 
 
-def _reloaded(tokens: Tokens) -> Callable[[], None]:
-    def reload() -> None:
+def _reload(known: Mapping[str, Tokens | Certificates]) -> None:
+    for name, one in known.items():
         try:
-            tokens.reload()
-        except TrustError as error:  # the ones before stay good
-            _LOG.error("tokens not reloaded", reason=str(error))
+            one.reload()
+        except TrustError as error:  # those before stay good
+            _LOG.error(f"{name} not reloaded", reason=str(error))
         else:
-            _LOG.info("tokens reloaded")
-
-    return reload
+            _LOG.info(f"{name} reloaded")

@@ -9,7 +9,7 @@ from service.trust.gate import Gate
 from service.trust.identity import LOCAL, OPEN_TO_ALL, ROLE_NEEDED, Caller, Identity, Role, current_caller
 from service.trust.limits import ClientLimits, Limits, TokenBuckets, peer_key
 from service.trust.listen import is_loopback, listen_problems
-from service.trust.tls import TlsFiles, server_credentials
+from service.trust.tls import Certificates, TlsFiles
 from service.trust.tokens import Tokens, make_token, token_sha256
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "ROLE_NEEDED",
     "AllowedFolders",
     "Caller",
+    "Certificates",
     "ClientLimits",
     "Gate",
     "Identity",
@@ -35,6 +36,5 @@ __all__ = [
     "listen_problems",
     "make_token",
     "peer_key",
-    "server_credentials",
     "token_sha256",
 ]

@@ -27,12 +27,37 @@ class TlsFiles:
     client_ca: Path | None = None
 
 
-def server_credentials(files: TlsFiles) -> grpc.ServerCredentials:
-    """Credentials for ``Server.add_secure_port``.
+class Certificates:
+    """What a server shows its clients, and whom it asks for the same; read anew while it runs.
+
+    Args:
+        files: that hold it.
 
     Raises:
         TrustError: naming the file that cannot be used.
     """
+
+    def __init__(self, files: TlsFiles) -> None:
+        self._files = files
+        self._newest = _configuration(files)
+
+    @property
+    def credentials(self) -> grpc.ServerCredentials:
+        """Credentials for ``Server.add_secure_port``; every new connection meets what was read last."""
+        return grpc.dynamic_ssl_server_credentials(
+            self._newest, lambda: self._newest, require_client_authentication=self._files.client_ca is not None
+        )
+
+    def reload(self) -> None:
+        """Read the files again.
+
+        Raises:
+            TrustError: naming the file that cannot be used; what was read before is in force still.
+        """
+        self._newest = _configuration(self._files)
+
+
+def _configuration(files: TlsFiles) -> grpc.ServerCertificateConfiguration:
     cert, key = _pem(files.cert), _pem(files.key)
     if files.key.stat().st_mode & 0o027:
         raise TrustError(f"{files.key}: others may read the private key; chmod 600 would do")
@@ -51,7 +76,7 @@ def server_credentials(files: TlsFiles) -> grpc.ServerCredentials:
             context.load_verify_locations(files.client_ca)
         except (ssl.SSLError, OSError):
             raise TrustError(f"{files.client_ca}: holds no certificate of an authority in PEM") from None
-    return grpc.ssl_server_credentials([(key, cert)], authority, require_client_auth=authority is not None)
+    return grpc.ssl_server_certificate_configuration([(key, cert)], authority)
 
 
 def _pem(path: Path) -> bytes:
