@@ -32,7 +32,7 @@ Unknown = Literal["free", "occupied"]
 CONFIDENT = 0.5
 _MOST_SHOWN = 60_000
 _SHOWN_VOXEL = 0.01
-_FRINGE = 5.0 / 3.0  # of the tolerance of three standard deviations
+FRINGE = 5.0 / 3.0  # of the tolerance of three standard deviations
 _LONE = 0.03
 _DEFAULT_REACH = Reach()
 
@@ -202,7 +202,7 @@ def unexplained(
         if match.confidence < CONFIDENT:
             continue
         kept = kept[~match.explains(points[kept])]
-        lone = match.explains(points[kept], _FRINGE)
+        lone = match.explains(points[kept], FRINGE)
         if lone.any() and not lone.all():
             lone[lone] = cKDTree(points[kept[~lone]]).query(points[kept[lone]])[0] > _LONE
         kept = kept[~lone]

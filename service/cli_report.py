@@ -11,6 +11,7 @@ from rich.text import Text
 
 SEEN_TOUCH_M = 1e-4  # feet that rest on a floor are that near to it
 HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "residuals")
+MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
 _COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
 
 
@@ -152,10 +153,29 @@ def _slowest(timings: Mapping[str, float]) -> str:
 
 def hit_row(hit: Mapping[str, Any]) -> tuple[str, ...]:
     """A detection in one line of a table."""
-    position = [row[3] for row in hit["pose_world_object"][:3]]
     return (
         str(hit["kind"]),
         f"{hit['confidence']:.2f}",
-        " ".join(f"{value:.3f}" for value in position),
-        *(", ".join(f"{name} {value:.4g}" for name, value in hit[key].items()) for key in ("sizes", "residuals")),
+        _position(hit["pose_world_object"]),
+        *(_listed(hit[key]) for key in ("sizes", "residuals")),
     )
+
+
+def mesh_row(mesh: Mapping[str, Any]) -> tuple[str, ...]:
+    """What became of a known mesh in one line of a table."""
+    return (
+        str(mesh["name"]),
+        str(mesh["placing"]),
+        f"{mesh['confidence']:.2f}",
+        _position(mesh["pose_world_mesh"]),
+        str(len(mesh["pieces"])),
+        _listed(mesh["residuals"]),
+    )
+
+
+def _position(pose: Sequence[Sequence[float]] | None) -> str:
+    return "-" if pose is None else " ".join(f"{row[3]:.3f}" for row in pose[:3])
+
+
+def _listed(values: Mapping[str, float | None]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in values.items() if value is not None)

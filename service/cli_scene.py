@@ -3,159 +3,123 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from service.cli_report import HIT_COLUMNS, hit_row, print_table
-from service.cli_run import consoles, print_json, progress, run
-from service.scan_choices import Method, Unknown
+from service.cli_clouds import CloudOptions, with_cloud_options
+from service.cli_report import HIT_COLUMNS, MESH_COLUMNS, hit_row, mesh_row, print_table
+from service.cli_run import EXIT_CODES, EndedError, consoles, print_json, progress, run
+from service.scan_choices import EVERY_KIND, KINDS, Method, Unknown
 
+KIND_HELP = f"{', '.join(KINDS)}, or {EVERY_KIND}"
 Json = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout.")]
-Clouds = Annotated[list[Path], typer.Argument(help="Point cloud files; several are merged.", metavar="CLOUD...")]
-Unit = Annotated[
-    list[str] | None,
-    typer.Option("--unit", help="Of the files' lengths: m (as by default), cm, mm, km, in, ft.", metavar="UNIT"),
-]
-Transforms = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--transform",
-        help="Pose of the points in the world: 'X Y Z YAW PITCH ROLL' (radians), 'X Y Z QW QX QY QZ' or 16 numbers; "
-        "once, or for each file.",
-        metavar="NUMBERS",
-    ),
-]
-Sensor = Annotated[
-    list[str] | None, typer.Option("--sensor", help="Where rays started, if the files do not say.", metavar="'X Y Z'")
-]
-Viewpoint = Annotated[bool, typer.Option("--apply-viewpoint", help="The points are in the sensor's frame.")]
-Topic = Annotated[str | None, typer.Option("--topic", help="Of a bag with clouds on several topics.")]
-Message = Annotated[
-    str, typer.Option("--message", help="Of a bag: number of the message, -1 for the last, or all.", metavar="NUMBER")
-]
-Radius = Annotated[float, typer.Option("--reach", help="Horizontal radius kept, in metres.", min=0.1, max=50.0)]
-Top = Annotated[float, typer.Option("--top", help="Height up to which points are kept, in metres.")]
-Bottom = Annotated[float, typer.Option("--bottom", help="Height from which on points are kept, in metres.")]
-RobotThere = Annotated[str | None, typer.Option("--robot", help="Bundled robot whose own points are left out.")]
-Posture = Annotated[Path | None, typer.Option("--posture", help="File with that robot's start (as in a request).")]
 Hint = Annotated[
     tuple[float, float, float] | None,
     typer.Option("--hint", help="A point near the object.", metavar="X Y Z", show_default=False),
 ]
-Seed = Annotated[int, typer.Option(help="Of all random choices.", min=0)]
+# What an update takes from the scene before, and the options that say it otherwise.
+_OF_BEFORE = {
+    "reach_m": "--reach",
+    "top_m": "--top",
+    "bottom_m": "--bottom",
+    "seed": "--seed",
+    "unknown": "--unknown",
+    "method": "--method",
+}
 
 
+@with_cloud_options
 def scene_command(
-    clouds: Clouds,
+    context: typer.Context,
+    clouds: CloudOptions,
     out: Annotated[Path, typer.Option(help="File for the pieces (JSON); the page that shows them is put beside it.")],
-    unit: Unit = None,
-    transform: Transforms = None,
-    sensor: Sensor = None,
-    apply_viewpoint: Viewpoint = False,
-    topic: Topic = None,
-    message: Message = "0",
-    reach: Radius = 4.0,
-    top: Top = 3.0,
-    bottom: Bottom = -0.5,
-    robot: RobotThere = None,
-    posture: Posture = None,
-    unknown: Annotated[Unknown, typer.Option(help="What space no ray has seen is taken for.")] = "free",
+    detect: Annotated[
+        list[str] | None,
+        typer.Option(help=f"Kind of object to look for: {KIND_HELP}; may be given again.", metavar="KIND"),
+    ] = None,
+    hint: Hint = None,
+    mesh: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Known object (STL, OBJ, PLY or URDF): FILE is looked for in the scan, 'FILE near X Y Z' about a "
+            "point, 'FILE near POSE' within 15 cm and 20 degrees of a pose (numbers as of --transform), "
+            "'FILE at POSE' stands there; may be given again.",
+            metavar="MESH",
+        ),
+    ] = None,
+    mesh_scale: Annotated[
+        float, typer.Option(help="Metres per unit of the mesh files: 0.001 for millimetres.", min=1e-6, max=1e6)
+    ] = 1.0,
     method: Annotated[
         Method, typer.Option(help="How pieces are made: planes (slabs and hulls) or coacd (slower).")
     ] = "planes",
-    detect: Annotated[
-        list[str] | None, typer.Option(help="Kind of object to look for, or all; may be given again.", metavar="KIND")
+    unknown: Annotated[Unknown, typer.Option(help="What space no ray has seen is taken for.")] = "free",
+    update: Annotated[
+        Path | None,
+        typer.Option(
+            help="Scene file of an earlier scan: its pieces stay but for those that rays now go through, and new ones "
+            "are made only of what none explains. Reach, heights, seed, method and unknown are that scene's.",
+            metavar="SCENE",
+        ),
     ] = None,
-    hint: Hint = None,
-    seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Turn point clouds into convex pieces, floor and objects, and show them."""
     if hint is not None and not detect:
-        raise typer.BadParameter("--hint needs --detect")
-    options = _cloud_options(
-        files=tuple(clouds), unit=unit, transforms=transform, sensor=sensor, apply_viewpoint=apply_viewpoint,
-        topic=topic, message=message, reach_m=reach, top_m=top, bottom_m=bottom, robot=robot, posture=posture,
-        seed=seed,
-    )  # fmt: skip
-    wanted = {"kinds": tuple(detect or ()), "hint": hint, "unknown": unknown, "method": method}
-    raise typer.Exit(run(lambda: _scene(options, out, wanted, as_json), as_json))
+        raise typer.BadParameter(
+            "--hint needs --detect; a mesh is looked for about a point with --mesh 'FILE near X Y Z'"
+        )
+    if mesh_scale != 1.0 and not mesh:
+        raise typer.BadParameter("--mesh-scale needs --mesh")
+    chosen = {"kinds": tuple(detect or ()), "hint": hint, "method": method, "unknown": unknown}
+    meshes = [(text, mesh_scale) for text in mesh or ()]
+    given = {name for name in _OF_BEFORE if _is_given(context, name)}
+    raise typer.Exit(run(lambda: _scene(clouds, out, chosen, meshes, (update, given), as_json), as_json))
 
 
+@with_cloud_options
 def detect_command(
-    kind: Annotated[str, typer.Argument(help="What to look for: valve, door, ...", metavar="KIND")],
-    clouds: Clouds,
+    kind: Annotated[str, typer.Argument(help=f"What to look for: {KIND_HELP}.", metavar="KIND")],
+    clouds: CloudOptions,
     hint: Hint = None,
-    unit: Unit = None,
-    transform: Transforms = None,
-    sensor: Sensor = None,
-    apply_viewpoint: Viewpoint = False,
-    topic: Topic = None,
-    message: Message = "0",
-    reach: Radius = 4.0,
-    top: Top = 3.0,
-    bottom: Bottom = -0.5,
-    robot: RobotThere = None,
-    posture: Posture = None,
-    seed: Seed = 0,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(help="Seconds the command may take; kinds not looked for by then are named.", min=0.1, max=3600.0),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Find objects of a kind in point clouds, best first."""
-    options = _cloud_options(
-        files=tuple(clouds), unit=unit, transforms=transform, sensor=sensor, apply_viewpoint=apply_viewpoint,
-        topic=topic, message=message, reach_m=reach, top_m=top, bottom_m=bottom, robot=robot, posture=posture,
-        seed=seed,
-    )  # fmt: skip
-    raise typer.Exit(run(lambda: _detect(kind, options, hint, as_json), as_json))
+    """Find objects in point clouds, best first.
 
-
-def _cloud_options(
-    *,
-    unit: list[str] | None,
-    transforms: list[str] | None,
-    sensor: list[str] | None,
-    robot: str | None,
-    posture: Path | None,
-    **others: Any,
-) -> dict[str, Any]:
-    """What ``cloud_asked`` takes.
-
-    Raises:
-        typer.BadParameter: options that do not go together, or one twice that holds for all files.
+    A confidence of 0.5 and more is one to act on.
     """
-    if posture is not None and robot is None:
-        raise typer.BadParameter("--posture needs --robot")
-    for option, given in (("--unit", unit), ("--sensor", sensor)):
-        if len(given or ()) > 1:
-            raise typer.BadParameter(
-                f"{option} is given {len(given or ())} times; it holds for all clouds, give it once"
-            )
-    return {
-        "unit": (unit or ["m"])[0],
-        "transforms": tuple(transforms or ()),
-        "sensor": sensor[0] if sensor else None,
-        "robot": robot,
-        "posture": posture,
-        **others,
-    }
+    raise typer.Exit(run(lambda: _detect(kind, clouds, hint, time_limit, as_json), as_json))
 
 
 def _scene(
-    options: Mapping[str, Any],
+    clouds: CloudOptions,
     out: Path,
-    wanted: Mapping[str, Any],
+    chosen: Mapping[str, Any],
+    meshes: list[tuple[str, float]],
+    before: tuple[Path | None, set[str]],
     as_json: bool,
 ) -> None:
     screen, err = consoles()
+    update, given = before
     with progress(err, "read cloud") as report:
         from service.cloud_asked import cloud_asked
-        from service.scene_file import SceneAsked, check_out, see_files, write_scene
+        from service.scene_file import SceneAsked, see_files
+        from service.scene_meshes import mesh_asked
+        from service.scene_output import check_out, write_scene
 
-        posture = options["posture"]
-        check_out(out, [*options["files"], *([] if posture is None else [posture])])
-        seen = see_files(SceneAsked(cloud_asked(options), **wanted), lambda step: report(step, 0.3))
+        known = tuple(mesh_asked(text, scale) for text, scale in meshes)
+        asked = SceneAsked(cloud_asked(clouds.asked()), **chosen, meshes=known)
+        check_out(out, [*clouds.inputs, *(one.file for one in known), *([] if update is None else [update])])
+        if update is not None:
+            asked = _on_top_of(update, asked, given)
+        seen = see_files(asked, lambda step: report(step, 0.3))
         report("write pieces", 0.9)
         page = write_scene(seen, out)
     shown = {key: value for key, value in seen.data.items() if key != "pieces"}
@@ -166,25 +130,72 @@ def _scene(
     print_table(screen, ("figure", "value"), figures)
     if shown["detections"]:
         print_table(screen, HIT_COLUMNS, [hit_row(hit) for hit in shown["detections"]])
+    if shown["meshes"]:
+        print_table(screen, MESH_COLUMNS, [mesh_row(one) for one in shown["meshes"]])
     for note in shown["notes"]:
         screen.print(f"note: {note}", markup=False, soft_wrap=True)
     screen.print(f"viewer           {page}", markup=False, soft_wrap=True)
     screen.print(f"pieces           {out}", markup=False, soft_wrap=True)
 
 
-def _detect(kind: str, options: Mapping[str, Any], hint: tuple[float, float, float] | None, as_json: bool) -> None:
+def _is_given(context: typer.Context, name: str) -> bool:
+    """Whether an option stands on the command line."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _on_top_of(path: Path, asked: Any, given: set[str]) -> Any:
+    """What was asked, with the settings of the scene before.
+
+    Raises:
+        RequestError: that scene cannot be used, or an option says otherwise.
+    """
+    from service.errors import RequestError
+    from service.scene_before import read_before
+
+    before = read_before(path)
+    for name in sorted(given):
+        was, wanted = getattr(before.settings, name), getattr(asked.settings, name)
+        if was != wanted:
+            raise RequestError(
+                f"{_OF_BEFORE[name]}: {path} was made with {was}, and an update keeps to that; leave it out, "
+                "or leave out --update"
+            )
+    of = before.settings
+    clouds = replace(asked.clouds, reach_m=of.reach_m, top_m=of.top_m, bottom_m=of.bottom_m, seed=of.seed)
+    return replace(asked, clouds=clouds, unknown=of.unknown, method=of.method, before=before)
+
+
+def _detect(
+    kind: str,
+    clouds: CloudOptions,
+    hint: tuple[float, float, float] | None,
+    time_limit: float | None,
+    as_json: bool,
+) -> str | None:
     screen, err = consoles()
     with progress(err, "read cloud") as report:
         from service.cloud_asked import cloud_asked
         from service.detect_file import detect_file
+        from service.time_limit import OutOfTimeError
 
-        found = detect_file(cloud_asked(options), kind, hint, lambda step: report(step, 0.3))
+        try:
+            found = detect_file(cloud_asked(clouds.asked()), kind, hint, lambda step: report(step, 0.3), time_limit)
+        except OutOfTimeError as error:
+            raise EndedError("TIME_LIMIT", (str(error),), EXIT_CODES["TIME_LIMIT"]) from None
+    late = ", ".join(found["unfinished"])
+    ended = "TIME_LIMIT" if late else None
     if as_json:
         print_json(found)
-        return
+        return ended
     if found["hits"]:
         print_table(screen, HIT_COLUMNS, [hit_row(hit) for hit in found["hits"]])
-    else:
-        screen.print(f"no {kind} was found", markup=False)
+    elif found["searched"]:
+        what = f"no {kind}" if kind != EVERY_KIND else f"nothing ({', '.join(found['searched'])})"
+        screen.print(f"{what} was found", markup=False)
     for note in found["notes"]:
         screen.print(f"note: {note}", markup=False, soft_wrap=True)
+    if late:
+        line = f"TIME_LIMIT  {time_limit:g} s were over before these were looked for to the end: {late}"
+        screen.print(line, markup=False, soft_wrap=True)
+    return ended

@@ -4,51 +4,93 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from perception import KINDS, Detection, PerceptionError, View, detect_kinds, make_view
+from perception import Detection, PerceptionError, View, detect_each, make_view
 from service.cloud_asked import CloudAsked, OnStep, read_asked, view_figures
 from service.errors import RequestError, would_do
 from service.result_json import plain
+from service.scan_choices import EVERY_KIND, KINDS
+from service.time_limit import OutOfTimeError, TimeOver, at_most
 
 FORMAT = "scopt-detections/1"
-EVERY_KIND = "all"
 _NEAR_HINT_M = 0.5
+_SHOWN_KINDS = 12
 
 
 def detect_file(
-    asked: CloudAsked, kind: str, hint: tuple[float, float, float] | None, on_step: OnStep
+    asked: CloudAsked,
+    kind: str,
+    hint: tuple[float, float, float] | None,
+    on_step: OnStep,
+    time_limit_s: float | None = None,
 ) -> dict[str, Any]:
-    """Hits of a kind and figures, JSON-ready.
+    """Hits and figures, JSON-ready.
 
     Args:
         asked: the clouds.
-        kind: one of ``perception.KINDS``.
+        kind: one of ``perception.KINDS``, or ``all``.
         hint: a point near the object, as an operator would click it [m].
         on_step: told the name of each step before it begins.
+        time_limit_s: of all together; what was found until then is given, and what was not looked for is named.
 
     Raises:
         RequestError: one line for a file, name or value that cannot be used.
+        OutOfTimeError: the time was over before the first kind was looked for.
     """
     started = time.perf_counter()
-    (kind,) = checked_kinds((kind,), "KIND")
+    kinds = checked_kinds((kind,), "KIND")
     check_hint(hint)
-    read = read_asked(asked, on_step)
+    looked = None
     try:
-        on_step("clean")
-        view = make_view(read.cloud, reach=asked.reach, robot_hulls=read.hulls, soles=read.soles, seed=asked.seed)
+        with at_most(time_limit_s):
+            read = read_asked(asked, on_step)
+            on_step("clean")
+            view = make_view(read.cloud, reach=asked.reach, robot_hulls=read.hulls, soles=read.soles, seed=asked.seed)
+            looked = Search([], [])
+            look_for(kinds, view, hint, on_step, looked)
     except PerceptionError as error:
         raise RequestError(f"{asked.named}: {error}") from None
-    hits = found(view, (kind,), hint, on_step)
+    except TimeOver:
+        if looked is None:
+            raise OutOfTimeError(
+                f"--time-limit: {time_limit_s:g} s were over before the clouds were read; more would do"
+            ) from None
+    hits = sorted(looked.hits, key=lambda hit: -hit.confidence)
     return {
         "format": FORMAT,
         "kind": kind,
+        "searched": list(looked.kinds),
+        "unfinished": [one for one in kinds if one not in looked.kinds],
         "hits": [hit_json(hit) for hit in hits],
         "figures": {**view_figures(read, view), "time_s": round(time.perf_counter() - started, 3)},
         "notes": [*view.notes, *hint_notes(view, hint)],
     }
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was found so far, and the kinds that were looked for to the end."""
+
+    hits: list[Detection]
+    kinds: list[str]
+
+
+def look_for(
+    kinds: Sequence[str],
+    view: View,
+    hint: tuple[float, float, float] | None,
+    on_step: OnStep,
+    search: Search,
+) -> None:
+    """Add the hits of each kind, best first within it, and the kind itself to the search."""
+    place = None if hint is None else np.array(hint)
+    for kind, hits in detect_each(kinds, view, place, on_kind=lambda one: on_step(f"look for {one}")):
+        search.hits.extend(hits)
+        search.kinds.append(kind)
 
 
 def checked_kinds(kinds: Sequence[str], option: str) -> tuple[str, ...]:
@@ -57,10 +99,10 @@ def checked_kinds(kinds: Sequence[str], option: str) -> tuple[str, ...]:
     Raises:
         RequestError: a kind is unknown.
     """
-    known = (*KINDS, EVERY_KIND) if option != "KIND" else KINDS
+    known = (*KINDS, EVERY_KIND)
     for kind in kinds:
         if kind not in known:
-            raise RequestError(f"{option}: unknown kind '{kind}'; {would_do(kind, known)} would do")
+            raise RequestError(f"{option}: unknown kind '{kind}'; {would_do(kind, known, _SHOWN_KINDS)} would do")
     return KINDS if EVERY_KIND in kinds else tuple(dict.fromkeys(kinds))
 
 
@@ -85,14 +127,6 @@ def hint_notes(view: View, hint: tuple[float, float, float] | None) -> tuple[str
     return (
         f"no points within {_NEAR_HINT_M:g} m of the hint ({where}); the nearest in reach lies {nearest:.1f} m away",
     )
-
-
-def found(
-    view: View, kinds: Sequence[str], hint: tuple[float, float, float] | None, on_step: OnStep
-) -> list[Detection]:
-    """Hits of all kinds, best first within each."""
-    place = None if hint is None else np.array(hint)
-    return detect_kinds(kinds, view, place, on_kind=lambda kind: on_step(f"look for {kind}"))
 
 
 def hit_json(hit: Detection) -> dict[str, Any]:

@@ -89,16 +89,21 @@ def convex_parts(
 
 def _body(shape: StillShape, scale: float) -> Mesh:
     """A shape's triangles in the object's frame; a round one as the polytope around it."""
-    from perception.mesh import Mesh
     from perception.solids.read import read_mesh
 
     pose = shape.pose_object_shape.copy()
     pose[:3, 3] *= scale
     if shape.mesh is not None:
         return read_mesh(shape.mesh, shape.scale * scale).placed(pose)
-    points = np.asarray(shape.points) * scale
+    return hull_mesh(np.asarray(shape.points) * scale).placed(pose)
+
+
+def hull_mesh(points: Float[np.ndarray, "N 3"]) -> Mesh:
+    """The convex hull of points as triangles wound outwards."""
+    from perception.mesh import Mesh
+
     hull = ConvexHull(points)
     a, b, c = np.moveaxis(points[hull.simplices], 1, 0)
     is_inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0.0
     triangles = np.where(is_inward[:, None], hull.simplices[:, ::-1], hull.simplices)
-    return Mesh(points, triangles.astype(np.int64)).placed(pose)
+    return Mesh(points, triangles.astype(np.int64))

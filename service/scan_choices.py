@@ -9,3 +9,9 @@ Method = Literal["planes", "coacd"]
 
 Unknown = Literal["free", "occupied"]
 """What space is taken for that no ray has seen."""
+
+KINDS = ("valve", "door", "drill", "beam", "hose", "lever", "panel", "seat", "opening")
+"""Objects that can be looked for, as ``perception.KINDS``, told without its libraries."""
+
+EVERY_KIND = "all"
+"""All of them."""

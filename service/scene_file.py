@@ -1,24 +1,25 @@
-"""``scopt scene``: cloud files as a JSON file of convex pieces, with a page beside it that shows them."""
+"""``scopt scene``: cloud files as pieces, floor, objects and figures, JSON-ready."""
 
 from __future__ import annotations
 
-import json
-import os
-import tempfile
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from perception import Detection, FloorPlane, Perceived, PerceptionError, Piece, perceive
-from service.cloud_asked import CloudAsked, OnStep, read_asked, view_figures
-from service.detect_file import check_hint, checked_kinds, found, hint_notes, hit_json
-from service.errors import RequestError, ResultError
+import numpy as np
+from jaxtyping import Int
+
+from perception import Detection, FloorPlane, Perceived, PerceptionError, Piece, perceive, update
+from perception.solids.known import KnownMesh
+from service.cloud_asked import CloudAsked, CloudRead, OnStep, read_asked, view_figures
+from service.detect_file import Search, check_hint, checked_kinds, hint_notes, hit_json, look_for
+from service.errors import RequestError
 from service.result_json import piece_json, plain
 from service.scan_choices import Method, Unknown
-
-FORMAT = "scopt-scene/1"
+from service.scene_before import SceneBefore, SceneSettings
+from service.scene_given import FORMAT
+from service.scene_meshes import MeshAsked, MeshPlaced, known_of, placed
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,9 @@ class SceneAsked:
         hint: a point near the object that is looked for [m].
         unknown: what space no ray has seen is taken for.
         method: how pieces are made.
+        meshes: known objects, placed or to be found.
+        before: what an earlier scan of the same scene showed, which is held against this one; it was made with the
+            same reach, seed, ``unknown`` and ``method``.
     """
 
     clouds: CloudAsked
@@ -38,15 +42,27 @@ class SceneAsked:
     hint: tuple[float, float, float] | None = None
     unknown: Unknown = "free"
     method: Method = "planes"
+    meshes: tuple[MeshAsked, ...] = ()
+    before: SceneBefore | None = None
+
+    @property
+    def settings(self) -> SceneSettings:
+        """What the scene is made with, apart from its clouds."""
+        clouds = self.clouds
+        return SceneSettings(clouds.reach_m, clouds.top_m, clouds.bottom_m, clouds.seed, self.unknown, self.method)
 
 
 @dataclass(frozen=True)
 class SceneSeen:
-    """A scan's world: ``data`` is what the file holds, the rest what the page is made from."""
+    """A scan's world: ``data`` is what the file holds, the rest what the page is made from.
+
+    ``mesh_points`` are indices of the obstacle points of known meshes, by the name of a piece of the mesh.
+    """
 
     data: dict[str, Any]
     perceived: Perceived
     hits: tuple[Detection, ...]
+    mesh_points: Mapping[str, Int[np.ndarray, "K"]]
 
 
 def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
@@ -62,109 +78,97 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
     started = time.perf_counter()
     kinds = checked_kinds(asked.kinds, "--detect")
     check_hint(asked.hint)
+    known = known_of(asked.meshes)
     read = read_asked(asked.clouds, on_step)
     try:
-        on_step("find pieces")
-        seen = perceive(
-            read.cloud,
-            reach=asked.clouds.reach,
-            robot_hulls=read.hulls,
-            soles=read.soles,
-            valve=False,
-            unknown=asked.unknown,
-            seed=asked.clouds.seed,
-            method=asked.method,
-        )
+        on_step("find pieces" if asked.before is None else "update pieces")
+        seen = _seen(asked, read, known)
     except PerceptionError as error:
         raise RequestError(f"{asked.clouds.named}: {error}") from None
-    hits = tuple(found(seen.view, kinds, asked.hint, on_step))
-    pieces = seen.scene.pieces
-    facts = {piece.name: {"seen": seen_of(piece)} for piece in seen.pieces}
-    figures = {
+    search = Search([], [])
+    look_for(kinds, seen.view, asked.hint, on_step, search)
+    if known:
+        on_step("split meshes")
+    meshes = placed(known, asked.meshes, seen.matches)
+    if asked.before is not None:
+        meshes += [asked.before.placed(one, seen) for one in asked.before.without([one.name for one in known])]
+    mesh_points = {mesh.pieces[0].name: mesh.explains(seen.view.obstacles) for mesh in meshes if mesh.pieces}
+    data = {
+        "format": FORMAT,
+        "settings": asdict(asked.settings),
+        **_pieces(asked, seen, meshes),
+        "floor": [_level_json(level) for level in seen.view.floors],
+        "searched": list(kinds),
+        "detections": [hit_json(hit) for hit in search.hits],
+        "meshes": [one.to_json() for one in meshes],
+        "timings": plain(dict(seen.timings)),
+        "notes": [*seen.notes, *hint_notes(seen.view, asked.hint), *(note for one in meshes for note in one.notes)],
+    }
+    data["figures"] = {
         **view_figures(read, seen.view),
-        "pieces": len(pieces),
-        "largest_piece_vertices": max((len(piece.vertices) for piece in pieces), default=0),
-        "covered_points": _share(seen),
-        "floor_levels": len(seen.view.floors),
-        "detections": len(hits),
+        **_figures(data),
+        "covered_points": _share(seen, mesh_points),
         "reach_m": asked.clouds.reach_m,
         "top_m": asked.clouds.top_m,
         "bottom_m": asked.clouds.bottom_m,
         "time_s": round(time.perf_counter() - started, 3),
     }
-    data = {
-        "format": FORMAT,
-        "pieces": [{**piece_json(piece), **facts.get(piece.name, {})} for piece in pieces],
-        "floor": [_level_json(level) for level in seen.view.floors],
-        "searched": list(kinds),
-        "detections": [hit_json(hit) for hit in hits],
-        "figures": figures,
-        "timings": plain(dict(seen.timings)),
-        "notes": [*seen.notes, *hint_notes(seen.view, asked.hint)],
-    }
-    return SceneSeen(data, seen, hits)
+    return SceneSeen(data, seen, tuple(search.hits), mesh_points)
+
+
+def _seen(asked: SceneAsked, read: CloudRead, known: tuple[KnownMesh, ...]) -> Perceived:
+    """What the scan shows, by itself or held against the scene before."""
+    before = asked.before
+    if before is not None:
+        still = tuple(before.known(one) for one in before.without([one.name for one in known]))
+        return update(before.earlier, read.cloud, robot_hulls=read.hulls, soles=read.soles, known=(*known, *still))
+    return perceive(
+        read.cloud,
+        reach=asked.clouds.reach,
+        robot_hulls=read.hulls,
+        soles=read.soles,
+        valve=False,
+        unknown=asked.unknown,
+        seed=asked.clouds.seed,
+        method=asked.method,
+        known=known,
+    )
+
+
+def _pieces(asked: SceneAsked, seen: Perceived, meshes: Sequence[MeshPlaced]) -> dict[str, Any]:
+    """The pieces, each with what the scan says of it, and how they differ from those of the scene before."""
+    pieces = [*seen.scene.pieces, *(piece for mesh in meshes for piece in mesh.pieces)]
+    facts = {piece.name: {"seen": seen_of(piece)} for piece in seen.pieces}
+    told: dict[str, Any] = {"pieces": [{**piece_json(piece), **facts.get(piece.name, {})} for piece in pieces]}
+    if asked.before is not None:
+        told["update"] = {"previous": str(asked.before.path), **asked.before.changes(pieces)}
+    return told
 
 
 def seen_of(piece: Piece) -> dict[str, object]:
-    """What a scan says of a piece: how many points it stands for, and what the rays about it saw."""
-    return {key: value for key, value in piece.summary().items() if key not in ("name", "kind")}
+    """What a scan says of a piece: how many points it stands for, what the rays about it saw, the plane it is on."""
+    told = {key: value for key, value in piece.summary().items() if key not in ("name", "kind")}
+    return {**told, "plane": plain(piece.plane)}
 
 
-def check_out(path: Path, inputs: Iterable[Path]) -> None:
-    """Refuse a place for the scene where it, or the page beside it, would overwrite what it is made from.
-
-    Raises:
-        RequestError: the name does not end in .json, or is, as the page's may be, one of the inputs.
-    """
-    if path.suffix.lower() != ".json":
-        raise RequestError(f"--out: {path} does not end in .json; a name that does, of a file for the pieces, would do")
-    read = {one.resolve() for one in inputs}
-    for written in (path, _page_beside(path)):
-        if written.resolve() in read:
-            raise RequestError(f"--out: {written} is read and would be overwritten; another name would do")
+def _figures(data: Mapping[str, Any]) -> dict[str, Any]:
+    changes = data.get("update", {})
+    return {
+        "pieces": len(data["pieces"]),
+        **{f"{how}_pieces": len(names) for how, names in changes.items() if how != "previous"},
+        "largest_piece_vertices": max((len(piece["vertices"]) for piece in data["pieces"]), default=0),
+        "floor_levels": len(data["floor"]),
+        "detections": len(data["detections"]),
+        "meshes": len(data["meshes"]),
+    }
 
 
-def write_scene(seen: SceneSeen, path: Path) -> Path:
-    """Write the scene as JSON, and beside it the page that shows it; each as a whole or not at all.
-
-    Args:
-        seen: what to write.
-        path: a name that ``check_out`` accepts.
-
-    Returns:
-        The page's path.
-
-    Raises:
-        ResultError: a file cannot be written.
-    """
-    from service.scene_view import render_scene
-
-    page = _page_beside(path)
-    _replace(path, json.dumps(seen.data, allow_nan=False))
-    _replace(page, render_scene(seen.data, seen.perceived, seen.hits, path.stem))
-    return page
-
-
-def _page_beside(path: Path) -> Path:
-    return path.with_suffix(".html")
-
-
-def _replace(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as scratch:
-            fresh = Path(scratch) / path.name
-            fresh.write_text(text, encoding="utf-8")
-            os.replace(fresh, path)
-    except OSError as error:
-        raise ResultError(f"{path} cannot be written: {error.strerror or error}") from None
-
-
-def _share(seen: Perceived) -> float | None:
+def _share(seen: Perceived, mesh_points: Mapping[str, Int[np.ndarray, "K"]]) -> float | None:
     """Share of the obstacle points that a piece stands for; None when there are none."""
-    n_points = len(seen.view.obstacles)
-    held: Sequence[int] = [len(piece.points) for piece in seen.pieces]
-    return round(sum(held) / n_points, 4) if n_points else None
+    is_held = np.zeros(len(seen.view.obstacles), dtype=bool)
+    for points in (*(piece.points for piece in seen.pieces), *mesh_points.values()):
+        is_held[points] = True
+    return round(float(is_held.mean()), 4) if len(is_held) else None
 
 
 def _level_json(level: FloorPlane) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -79,12 +79,13 @@ class SceneGiven:
         return tuple(piece for piece in self.pieces if not any(_is_of(valve, piece.vertices) for valve in valves))
 
 
-def read_scene(path: Path, field: str) -> SceneGiven:
-    """Read a scene's file.
+def scene_data(path: Path, field: str, scan_goes: str = "") -> Mapping[str, Any]:
+    """What a scene's file holds, apart from its format unchecked.
 
     Args:
         path: of the file.
-        field: of the request that names it.
+        field: or option that names it.
+        scan_goes: what to add where the file may be a scan.
 
     Raises:
         RequestError: it is not there, or is no scene.
@@ -97,12 +98,26 @@ def read_scene(path: Path, field: str) -> SceneGiven:
         raise RequestError(f"{field}: {path} cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError):
         raise RequestError(
-            f"{field}: {path} is no JSON; the file that 'scopt scene' writes would do, a scan goes into scene.cloud"
+            f"{field}: {path} is no JSON; the file that 'scopt scene' writes would do{scan_goes}"
         ) from None
     told = data.get("format") if isinstance(data, Mapping) else None
     if told != FORMAT:
-        scan = "; a scan goes into scene.cloud" if told is None else ""
+        scan = scan_goes if told is None else ""
         raise RequestError(f"{field}: {path} is no scene, its format is {shown(told)}, {FORMAT} would do{scan}")
+    return dict(data)
+
+
+def read_scene(path: Path, field: str) -> SceneGiven:
+    """Read a scene's file.
+
+    Args:
+        path: of the file.
+        field: of the request that names it.
+
+    Raises:
+        RequestError: it is not there, or is no scene.
+    """
+    data = scene_data(path, field, ", a scan goes into scene.cloud")
     try:
         file = _READER.validate_python(data)
         pieces = tuple(ConvexPiece(one.name, np.array(one.vertices), one.kind) for one in file.pieces)

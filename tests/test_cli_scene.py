@@ -11,35 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import Browser, find_chromium
-from click.testing import Result
 from cloud_files import write_bag
-from typer.testing import CliRunner
+from little_scan import little_scan, scopt
 
 from perception import Cloud, write_npz, write_pcd
-from service.cli import app
 
 SCAN = Path(__file__).parents[1] / "examples" / "data" / "valve_scan.pcd"
-
-
-def _scopt(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def _little_scan(shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Cloud:
-    """Floor, a wall 1.5 m ahead and a crate before it, seen from 1.6 m up."""
-    rng = np.random.default_rng(0)
-    floor = np.column_stack([rng.uniform(-1, 1.5, 2500), rng.uniform(-1.2, 1.2, 2500), rng.normal(0, 0.004, 2500)])
-    wall = np.column_stack([rng.normal(1.5, 0.004, 2500), rng.uniform(-1.2, 1.2, 2500), rng.uniform(0, 2, 2500)])
-    crate = np.column_stack([rng.normal(1.0, 0.004, 900), rng.uniform(-0.3, 0.2, 900), rng.uniform(0.0, 0.6, 900)])
-    hidden = (wall[:, 2] < 0.55) & (np.abs(wall[:, 1] + 0.05) < 0.4)
-    points = np.concatenate([floor, wall[~hidden], crate])
-    return Cloud(points + shift, np.array([0.0, 0.0, 1.6]) + shift)
 
 
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("scan") / "little <b>scan.pcd"
-    cloud = _little_scan()
+    cloud = little_scan()
     write_pcd(path, cloud.points, (*cloud.origin.tolist(), 1.0, 0.0, 0.0, 0.0))
     return path
 
@@ -48,7 +31,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """The bundled scan as a scene with its valve, and what was printed."""
     out = tmp_path_factory.mktemp("scene") / "valve.json"
-    result = _scopt("scene", SCAN, "--out", out, "--reach", 2, "--detect", "valve", "--json")
+    result = scopt("scene", SCAN, "--out", out, "--reach", 2, "--detect", "valve", "--json")
     assert result.exit_code == 0, result.stderr
     return out, json.loads(result.stdout)
 
@@ -56,7 +39,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, A
 def test_a_scene_holds_pieces_floor_detections_and_figures(written: tuple[Path, dict[str, Any]]) -> None:
     out, printed = written
     data = json.loads(out.read_text())
-    assert {"format", "pieces", "floor", "searched", "detections", "figures", "timings", "notes"} == data.keys()
+    keys = {"format", "settings", "pieces", "floor", "searched", "detections", "meshes", "figures", "timings", "notes"}
+    assert keys == data.keys()
     assert "pieces" not in printed
     assert printed["viewer"] == str(out.with_suffix(".html"))
     assert {key: printed[key] for key in ("floor", "detections", "figures")} == {
@@ -76,7 +60,7 @@ def test_a_scene_holds_pieces_floor_detections_and_figures(written: tuple[Path, 
 
 def test_detect_lists_hits_best_first(written: tuple[Path, dict[str, Any]]) -> None:
     place = [row[3] for row in written[1]["detections"][0]["pose_world_object"][:3]]
-    result = _scopt("detect", "valve", SCAN, "--reach", 2, "--hint", *place, "--json")
+    result = scopt("detect", "valve", SCAN, "--reach", 2, "--hint", *place, "--json")
     assert result.exit_code == 0, result.stderr
     data = json.loads(result.stdout)
     assert data["kind"] == "valve"
@@ -88,24 +72,24 @@ def test_detect_lists_hits_best_first(written: tuple[Path, dict[str, Any]]) -> N
 
 
 def test_detect_without_a_hit_says_so_and_ends_well(scan: Path) -> None:
-    told = _scopt("detect", "valve", scan)
+    told = scopt("detect", "valve", scan)
     assert told.exit_code == 0, told.stderr
-    listed = _scopt("detect", "valve", scan, "--json")
+    listed = scopt("detect", "valve", scan, "--json")
     assert all(hit["confidence"] < 0.5 for hit in json.loads(listed.stdout)["hits"])
 
 
 def test_units_and_poses_bring_several_clouds_together(scan: Path, tmp_path: Path) -> None:
     shift = (0.4, -0.2, 0.1)
-    moved = _little_scan(tuple(-value for value in shift))  # type: ignore[arg-type]
+    moved = little_scan(tuple(-value for value in shift))  # type: ignore[arg-type]
     write_pcd(tmp_path / "b.pcd", moved.points * 1000.0, (*(moved.origin * 1000.0).tolist(), 1.0, 0.0, 0.0, 0.0))
-    write_pcd(tmp_path / "a.pcd", _little_scan().points * 1000.0, (0.0, 0.0, 1600.0, 1.0, 0.0, 0.0, 0.0))
+    write_pcd(tmp_path / "a.pcd", little_scan().points * 1000.0, (0.0, 0.0, 1600.0, 1.0, 0.0, 0.0, 0.0))
     poses = ("--transform", "0 0 0 0 0 0", "--transform", "0.4,-0.2,0.1,1,0,0,0")
-    both = _scopt(
+    both = scopt(
         "scene", tmp_path / "a.pcd", tmp_path / "b.pcd", "--unit", "mm", *poses, "--out", tmp_path / "s.json", "--json"
     )
     assert both.exit_code == 0, both.stderr
     data = json.loads(both.stdout)
-    assert data["figures"]["points"] == 2 * len(_little_scan().points)
+    assert data["figures"]["points"] == 2 * len(little_scan().points)
     assert abs(data["floor"][0]["offset"]) < 0.01
     assert data["figures"]["floor_levels"] == 1
 
@@ -130,7 +114,7 @@ def test_units_and_poses_bring_several_clouds_together(scan: Path, tmp_path: Pat
     ],
 )  # fmt: skip
 def test_what_cannot_be_used_is_one_line_and_exit_code_3(arguments: tuple[str, ...], problem: str) -> None:
-    result = _scopt(*arguments, "--json")
+    result = scopt(*arguments, "--json")
     assert result.exit_code == 3
     assert result.stderr.splitlines()[-1].startswith(problem)
     assert json.loads(result.stdout)["verdict"] == "INVALID_REQUEST"
@@ -149,11 +133,11 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_3(arguments: tuple[str, .
     ],
 )
 def test_options_that_do_not_go_together_are_usage_errors(arguments: tuple[str, ...]) -> None:
-    assert _scopt("scene", "scan.pcd", "--out", "s.json", *arguments).exit_code == 2
+    assert scopt("scene", "scan.pcd", "--out", "s.json", *arguments).exit_code == 2
 
 
 def _scaled(path: Path, scale: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Path:
-    cloud = _little_scan(shift)
+    cloud = little_scan(shift)
     write_npz(path, Cloud(scale * cloud.points, scale * cloud.origin))
     return path
 
@@ -171,7 +155,7 @@ def test_a_cloud_out_of_reach_is_told_what_would_help(
     tmp_path: Path, scale: float, shift: tuple[float, float, float], told: str
 ) -> None:
     path = _scaled(tmp_path / "far.npz", scale, shift)
-    result = _scopt("detect", "valve", path)
+    result = scopt("detect", "valve", path)
     assert result.exit_code == 3
     (line,) = [line for line in result.stderr.splitlines() if line.startswith(f"{path}: none of 5")]
     assert told in line
@@ -183,7 +167,7 @@ def test_a_cloud_out_of_reach_is_told_what_would_help(
 )
 def test_a_wrong_unit_is_told_when_hardly_anything_is_in_reach(tmp_path: Path, scale: float, told: str) -> None:
     path = _scaled(tmp_path / "small.npz", scale)
-    result = _scopt("scene", path, "--out", tmp_path / "s.json", "--json")
+    result = scopt("scene", path, "--out", tmp_path / "s.json", "--json")
     assert result.exit_code == 0, result.stderr
     data = json.loads(result.stdout)
     assert scale < 50.0 or data["figures"]["covered_points"] is None
@@ -192,10 +176,10 @@ def test_a_wrong_unit_is_told_when_hardly_anything_is_in_reach(tmp_path: Path, s
 
 
 def test_what_became_of_all_points_is_told(tmp_path: Path) -> None:
-    cloud = _little_scan()
+    cloud = little_scan()
     write_npz(tmp_path / "a.npz", Cloud(cloud.points, cloud.origin, (), np.array([[0.0, 9.0, 2.0]])))
     options = ("--reach", 1.6, "--top", 1.5, "--bottom", -1, "--json")
-    result = _scopt("scene", tmp_path / "a.npz", "--out", tmp_path / "s.json", *options)
+    result = scopt("scene", tmp_path / "a.npz", "--out", tmp_path / "s.json", *options)
     assert result.exit_code == 0, result.stderr
     data = json.loads(result.stdout)
     figures = data["figures"]
@@ -208,44 +192,44 @@ def test_what_became_of_all_points_is_told(tmp_path: Path) -> None:
     assert figures["points"] == len(cloud.points) == sum(figures[f"{part}_points"] for part in parts)
     where = f"{beside.sum()} farther than 1.6 m from (0, 0), {above.sum()} above 1.5 m"
     assert any(note.startswith("left out ") and note.endswith(where) for note in data["notes"])
-    detected = json.loads(_scopt("detect", "hose", tmp_path / "a.npz", *options).stdout)
+    detected = json.loads(scopt("detect", "hose", tmp_path / "a.npz", *options).stdout)
     assert {key: detected["figures"][key] for key in detected["figures"] if key.endswith("_points")} == {
         f"{part}_points": figures[f"{part}_points"] for part in parts
     }
 
 
 def test_a_hint_where_nothing_was_seen_is_told(scan: Path) -> None:
-    result = _scopt("detect", "hose", scan, "--hint", 0, 0, 2.5, "--json")
+    result = scopt("detect", "hose", scan, "--hint", 0, 0, 2.5, "--json")
     assert any(
         note.startswith("no points within 0.5 m of the hint (0, 0, 2.5)") for note in json.loads(result.stdout)["notes"]
     )
-    result = _scopt("detect", "hose", scan, "--hint", 1.4, 0, 1, "--json")
+    result = scopt("detect", "hose", scan, "--hint", 1.4, 0, 1, "--json")
     assert not any("hint" in note for note in json.loads(result.stdout)["notes"])
 
 
 def test_topic_and_message_choose_the_cloud_of_a_bag(tmp_path: Path) -> None:
     pytest.importorskip("rosbags")
-    points = _little_scan().points
+    points = little_scan().points
     write_bag(tmp_path / "bag", {"/a": [(points[:50], "map")], "/b": [(points[:90], "map"), (points, "map")]})
-    refused = _scopt("detect", "hose", tmp_path / "bag")
+    refused = scopt("detect", "hose", tmp_path / "bag")
     assert refused.exit_code == 3
     assert "has clouds on 2 topics; name one: /a, /b" in refused.stderr
     options = ("--topic", "/b", "--message", "-1", "--sensor", "0 0 1.6", "--transform", "0 0 0 0 0 0", "--json")
-    result = _scopt("detect", "hose", tmp_path / "bag", *options)
+    result = scopt("detect", "hose", tmp_path / "bag", *options)
     assert result.exit_code == 0, result.stderr
     data = json.loads(result.stdout)
     assert data["figures"]["points"] == len(points)
     assert not any("viewpoint" in note or "so give a transform" in note for note in data["notes"])
     out = tmp_path / "s.json"
-    merged = _scopt("scene", tmp_path / "bag", "--topic", "/b", "--message", "all", "--out", out, "--json")
+    merged = scopt("scene", tmp_path / "bag", "--topic", "/b", "--message", "all", "--out", out, "--json")
     assert json.loads(merged.stdout)["figures"]["points"] == len(points) + 90
 
 
 def test_a_viewpoint_is_applied_when_asked(tmp_path: Path) -> None:
-    cloud = _little_scan((0.0, 0.0, -1.6))
+    cloud = little_scan((0.0, 0.0, -1.6))
     path = tmp_path / "sensor.pcd"
     write_pcd(path, cloud.points, (0.0, 0.0, 1.6, 1.0, 0.0, 0.0, 0.0))
-    applied = json.loads(_scopt("scene", path, "--apply-viewpoint", "--out", tmp_path / "s.json", "--json").stdout)
+    applied = json.loads(scopt("scene", path, "--apply-viewpoint", "--out", tmp_path / "s.json", "--json").stdout)
     assert abs(applied["floor"][0]["offset"]) < 0.01
     assert "cropped_points" in applied["figures"]
     assert applied["figures"]["cropped_points"] == 0
@@ -255,7 +239,7 @@ def test_pieces_of_coacd_and_of_unknown_space_are_written_when_asked(scan: Path,
     pytest.importorskip("coacd")
     out = tmp_path / "s.json"
     options = ("--method", "coacd", "--unknown", "occupied", "--reach", 1.8)
-    result = _scopt("scene", scan, "--out", out, *options, "--json")
+    result = scopt("scene", scan, "--out", out, *options, "--json")
     assert result.exit_code == 0, result.stderr
     names = [piece["name"] for piece in json.loads(out.read_text())["pieces"]]
     assert any(name.startswith("unknown/") for name in names)
@@ -278,7 +262,7 @@ def test_a_scene_never_overwrites_what_it_is_made_from(scan: Path, tmp_path: Pat
         ((table, "--out", tmp_path / "scan.json"), f"{table} is read and would be overwritten"),
         ((cloud, "--robot", "atlas", "--posture", posture, "--out", posture), f"{posture} is read and"),
     ]:
-        result = _scopt("scene", *arguments)
+        result = scopt("scene", *arguments)
         assert result.exit_code == 3
         assert says in result.stderr
         assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
@@ -330,14 +314,18 @@ def test_a_click_on_a_hit_looks_at_it(browser: Browser, written: tuple[Path, dic
     assert np.linalg.norm(np.subtract(browser.run("window.__viewer.target"), place)) < 0.2  # all of it is in the middle
 
 
-def test_the_slice_moves_and_colours_what_rays_saw_free(browser: Browser, written: tuple[Path, dict[str, Any]]) -> None:
+def test_the_slice_moves_and_tells_free_occupied_and_unseen(
+    browser: Browser, written: tuple[Path, dict[str, Any]]
+) -> None:
     out, _ = written
     browser.open(out.with_suffix(".html").as_uri() + "#theme=dark&layers=free&camera=top&slice=z:0.9")
     browser.settle()
     axis, at = browser.run("window.__viewer.slice")
     assert (axis, at) == (2, pytest.approx(0.9))
-    # Half way from the sensor to the wall is free; behind the wall nobody has looked.
-    assert browser.run("window.__viewer.isFreeAt([0.35, 0.3, 0.9])") is True
+    seen = [browser.run(f"window.__viewer.sightAt([{x}, 0.3, 0.9])") for x in (0.35, 0.88, 1.1)]
+    assert seen == ["free", "occupied", "unseen"]  # half way from the sensor to the wall, at it, behind it
+    legend = browser.run("document.querySelector('.slice .legend').innerText")
+    assert legend.split() == ["free", "occupied", "unseen"]
     before = browser.picture().astype(int)
     browser.run("window.__viewer.moveSlice(2, 0.1)")
     browser.settle()
@@ -375,7 +363,7 @@ def test_pieces_can_be_coloured_by_what_rays_say_of_them(
 
 def test_a_hostile_name_is_only_text(browser: Browser, scan: Path, tmp_path: Path) -> None:
     out = tmp_path / "<img src=x onerror=alert(1)>.json"
-    assert _scopt("scene", scan, "--out", out).exit_code == 0
+    assert scopt("scene", scan, "--out", out).exit_code == 0
     browser.open(out.with_suffix(".html").as_uri())
     assert browser.run("document.querySelector('h1').textContent") == out.stem
     assert browser.run("document.querySelectorAll('img').length") == 0

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception import Detection, Perceived, on_floors
+from perception import Perceived, on_floors
 from perception.convex.freespace import carve
 from service.viewer.frames import packed, quantized
 from service.viewer.html import render_page
 from service.viewer.payload import hull_of
+
+if TYPE_CHECKING:
+    from service.scene_file import SceneSeen
 
 MAX_POINTS = 80_000
 MAX_CELLS = 1_500_000
@@ -22,48 +24,55 @@ _CELL = 0.05
 _AROUND = 0.15
 
 
-def render_scene(scene: Mapping[str, Any], perceived: Perceived, hits: Sequence[Detection], title: str) -> str:
+def render_scene(seen: SceneSeen, title: str) -> str:
     """The page of a scan: one file that asks the network for nothing."""
-    return render_page(payload_of(scene, perceived, hits, title), title, "scene")
+    return render_page(payload_of(seen, title), title, "scene")
 
 
-def payload_of(scene: Mapping[str, Any], perceived: Perceived, hits: Sequence[Detection], title: str) -> dict[str, Any]:
+def payload_of(seen: SceneSeen, title: str) -> dict[str, Any]:
     """Everything the page draws, JSON-ready.
 
     Args:
-        scene: what the scene file holds.
-        perceived: what it was made from.
-        hits: the detections, in the order of ``scene["detections"]``.
-        title: what to call the scan.
+        seen: what the scan shows.
+        title: what to call it.
     """
-    points, owner = _owned_points(perceived, [piece["name"] for piece in scene["pieces"]])
+    scene, perceived = seen.data, seen.perceived
+    points, owner = _owned_points(seen)
+    change = {name: how for how in ("stayed", "changed", "new") for name in scene.get("update", {}).get(how, ())}
     return {
         "title": title,
         "figures": scene["figures"],
         "notes": scene["notes"],
         "kinds": scene["searched"],
         "pieces": [
-            {"name": one["name"], "kind": one["kind"], "facts": one.get("seen"), "hull": hull_of(one)}
+            {
+                "name": one["name"],
+                "kind": one["kind"],
+                "facts": one.get("seen"),
+                "change": change.get(one["name"]),
+                "hull": hull_of(one),
+            }
             for one in scene["pieces"]
         ],
         "detections": [
             {**entry, "points": quantized(_some(np.asarray(hit.points, dtype=float), MAX_DETECTION_POINTS))}
-            for entry, hit in zip(scene["detections"], hits, strict=True)
+            for entry, hit in zip(scene["detections"], seen.hits, strict=True)
         ],
+        "meshes": scene["meshes"],
         "cloud": quantized(points),
         "owner": packed(owner, "u2"),
         "sensors": _places(perceived).tolist(),
-        "free": _free_space(perceived),
+        "space": _space(perceived),
     }
 
 
-def _owned_points(perceived: Perceived, names: Sequence[str]) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
+def _owned_points(seen: SceneSeen) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
     """Points in reach, thinned, and what each belongs to: number of its piece, the floor, nobody, or left out."""
-    view = perceived.view
-    number = {name: i for i, name in enumerate(names)}
+    view = seen.perceived.view
+    number = {piece["name"]: i for i, piece in enumerate(seen.data["pieces"])}
     obstacles = np.full(len(view.obstacles), NOBODYS)
-    for piece in perceived.pieces:
-        obstacles[piece.points] = number[piece.name]
+    for name, points in (*seen.mesh_points.items(), *((piece.name, piece.points) for piece in seen.perceived.pieces)):
+        obstacles[points] = number[name]
     is_floor = on_floors(view.near.points, view.floors)
     rest = view.near.points[~is_floor & ~_among(view.near.points, view.obstacles)]
     parts = [(view.obstacles, obstacles)]
@@ -89,16 +98,26 @@ def _places(perceived: Perceived) -> Float[np.ndarray, "S 3"]:
     return _some(starts, 100)
 
 
-def _free_space(perceived: Perceived) -> dict[str, Any]:
-    """The grid of cells that rays went through, one bit for each, x slowest; ``size`` is the edge of a cell [m]."""
+def _space(perceived: Perceived) -> dict[str, Any]:
+    """A grid of cells, one bit for each, x slowest: where points of surfaces are, and what else rays went through.
+
+    ``size`` is the edge of a cell [m].  A cell that is neither was seen by nobody.
+    """
     view = perceived.view
     lower, upper = view.near.points.min(axis=0) - _AROUND, view.near.points.max(axis=0) + _AROUND
     size = max(_CELL, float((np.prod(upper - lower) / MAX_CELLS) ** (1.0 / 3.0)))
-    space = carve(*view.cloud.rays, view.near.points, lower, upper, size)
-    bits = np.packbits(space.free.ravel(), bitorder="little")
+    space = carve(*view.cloud.rays, view.near.points[:0], lower, upper, size)
+    occupied = np.zeros(space.free.shape, dtype=bool)
+    surfaces = np.concatenate([view.obstacles, view.near.points[on_floors(view.near.points, view.floors)]])
+    occupied[tuple(np.floor((surfaces - space.lower) / space.size).astype(int).T)] = True
     return {
         "lower": space.lower.tolist(),
         "size": float(space.size),
         "shape": list(space.free.shape),
-        "bits": packed(bits, "u1"),
+        "free": _bits(space.free & ~occupied),
+        "occupied": _bits(occupied),
     }
+
+
+def _bits(cells: Bool[np.ndarray, "X Y Z"]) -> dict[str, Any]:
+    return packed(np.packbits(cells.ravel(), bitorder="little"), "u1")

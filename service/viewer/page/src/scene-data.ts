@@ -2,21 +2,28 @@
 import { Hull, Packed, PackedHull, Quantized, bytesOf, hullOf, points } from "./data";
 
 export interface Facts { points: number; free_cells: number; free_share: number; open_share: number }
-export interface Piece { name: string; kind: string; facts: Facts | null; hull: Hull }
+// How a piece stands to those of the scan before; null where there was none.
+export type Change = "stayed" | "changed" | "new" | null;
+export interface Piece { name: string; kind: string; facts: Facts | null; change: Change; hull: Hull }
 export interface Hit {
   kind: string; confidence: number; pose_world_object: number[][]; sizes: Record<string, number>;
   residuals: Record<string, number>; points: Float32Array;
 }
-export interface Free { lower: number[]; size: number; shape: number[]; bits: Uint8Array }
+export interface KnownMesh {
+  name: string; file: string; placing: string; confidence: number; pose_world_mesh: number[][] | null;
+  residuals: Record<string, number>; pieces: string[];
+}
+// One bit for each cell: rays went through it, or points were measured in it; neither, and nobody has seen it.
+export interface Space { lower: number[]; size: number; shape: number[]; free: Uint8Array; occupied: Uint8Array }
 export interface Scan {
   title: string; figures: Record<string, number>; notes: string[]; kinds: string[]; pieces: Piece[]; detections: Hit[];
-  cloud: Float32Array; owner: Uint16Array; sensors: number[][]; free: Free;
+  meshes: KnownMesh[]; cloud: Float32Array; owner: Uint16Array; sensors: number[][]; space: Space;
 }
 
-interface Payload extends Omit<Scan, "pieces" | "detections" | "cloud" | "owner" | "free"> {
+interface Payload extends Omit<Scan, "pieces" | "detections" | "cloud" | "owner" | "space"> {
   pieces: (Omit<Piece, "hull"> & { hull: PackedHull })[];
   detections: (Omit<Hit, "points"> & { points: Quantized })[];
-  cloud: Quantized; owner: Packed; free: Omit<Free, "bits"> & { bits: Packed };
+  cloud: Quantized; owner: Packed; space: Omit<Space, "free" | "occupied"> & { free: Packed; occupied: Packed };
 }
 
 // What points without a piece belong to, as payload.py numbers them.
@@ -32,6 +39,8 @@ export function readScan(): Scan {
     detections: payload.detections.map((hit) => ({ ...hit, points: points(hit.points) })),
     cloud: points(payload.cloud),
     owner: new Uint16Array(bytesOf(payload.owner)),
-    free: { ...payload.free, bits: new Uint8Array(bytesOf(payload.free.bits)) },
+    space: {
+      ...payload.space, free: new Uint8Array(bytesOf(payload.space.free)), occupied: new Uint8Array(bytesOf(payload.space.occupied)),
+    },
   };
 }

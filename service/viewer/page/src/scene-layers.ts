@@ -8,7 +8,7 @@ import { words } from "./dom";
 import { edgeGeometry, hullGeometry } from "./geometry";
 import { Label } from "./labels";
 import { Layer } from "./layer";
-import { FLOORS, Free, Hit, LEFT_OUT, NOBODYS, Piece, Scan } from "./scene-data";
+import { FLOORS, Hit, LEFT_OUT, NOBODYS, Piece, Scan, Space } from "./scene-data";
 import { Colours } from "./theme";
 
 export const CONFIDENT = 0.5;
@@ -78,7 +78,7 @@ export class OwnedPoints implements Layer {
   }
 }
 
-export const COLOURINGS = { piece: "piece", kind: "kind", free: "share seen free", open: "surface next to free space" };
+export const COLOURINGS = { piece: "piece", kind: "kind", free: "share seen free", open: "surface next to free space", change: "change since the scan before" };
 export type Colouring = keyof typeof COLOURINGS;
 const KINDS: Record<string, string> = { plane: "#6ea8ff", wall: "#b48cff", clutter: "#ffb454", object: "#4ade80" };
 // Green where the rays agree with a piece, red where they do not.
@@ -88,6 +88,7 @@ const [GOOD, BAD] = [new Color("#4ade80"), new Color("#ff5c5c")];
 function colourOf(piece: Piece, index: number, colouring: Colouring): Color {
   if (colouring === "piece") return pieceColour(index);
   if (colouring === "kind") return new Color(KINDS[piece.kind] ?? "#9aa7b8");
+  if (colouring === "change") return new Color(piece.change === "new" ? "#f4633a" : piece.change === "changed" ? "#facc15" : "#7fa3d8");
   if (!piece.facts) return new Color("#9aa7b8");
   const share = colouring === "free" ? Math.min(1, piece.facts.free_share / 0.02) : 1 - piece.facts.open_share;
   return GOOD.clone().lerp(BAD, share);
@@ -242,44 +243,50 @@ function wire(hit: Hit): LineSegments | undefined {
   return lines;
 }
 
-// One slice of the free space, square to an axis: seen free, or not seen at all.
+export type Sight = "free" | "occupied" | "unseen";
+// How far each shows: what is occupied stands out, what is free leaves the view.
+const OPACITY: Record<Sight, number> = { free: 100, occupied: 235, unseen: 120 };
+
+const bit = (bits: Uint8Array, index: number): boolean => ((bits[index >> 3] >> (index & 7)) & 1) === 1;
+
+// One slice of space, square to an axis: free, where rays went through; occupied, where they ended; or not seen at all.
 export class Slice implements Layer {
   readonly name = "free";
-  readonly label = "Free-space slice";
+  readonly label = "Slice of space";
   readonly key = "v";
   readonly group = new Group();
   readonly count: number;
   axis = 2;
   at: number;
   private readonly mesh = new Mesh(new PlaneGeometry(1, 1), new MeshBasicMaterial({ transparent: true, side: DoubleSide, depthWrite: false }));
-  private colours: [Color, Color] = [new Color(), new Color()];
+  private colours: Record<Sight, Color> = { free: new Color(), occupied: new Color(), unseen: new Color() };
 
-  constructor(private readonly free: Free) {
-    this.count = free.bits.reduce((sum, byte) => sum + bitsIn(byte), 0);
-    this.at = free.lower[2] + 0.5 * free.shape[2] * free.size;
+  constructor(private readonly space: Space) {
+    this.count = space.free.reduce((sum, byte) => sum + bitsIn(byte), 0);
+    this.at = space.lower[2] + 0.5 * space.shape[2] * space.size;
     this.mesh.renderOrder = 1;
     this.group.add(this.mesh);
     this.group.visible = false;
   }
 
   get range(): [number, number] {
-    const { lower, shape, size } = this.free;
+    const { lower, shape, size } = this.space;
     return [lower[this.axis], lower[this.axis] + shape[this.axis] * size];
   }
 
   recolour(colours: Colours): void {
-    this.colours = [new Color(colours.support), new Color(colours.edge)];
+    this.colours = { free: new Color(colours.support), occupied: new Color(colours.movable), unseen: new Color(colours.unseen) };
     this.move(this.axis, this.at);
   }
 
-  isFree(x: number, y: number, z: number): boolean {
-    const [, ny, nz] = this.free.shape;
+  sightOf(x: number, y: number, z: number): Sight {
+    const [, ny, nz] = this.space.shape;
     const index = (x * ny + y) * nz + z;
-    return ((this.free.bits[index >> 3] >> (index & 7)) & 1) === 1;
+    return bit(this.space.occupied, index) ? "occupied" : bit(this.space.free, index) ? "free" : "unseen";
   }
 
   move(axis: number, at: number): void {
-    const { lower, shape, size } = this.free;
+    const { lower, shape, size } = this.space;
     this.axis = axis;
     const [low, high] = this.range;
     this.at = Math.min(Math.max(at, low), high);
@@ -287,16 +294,17 @@ export class Slice implements Layer {
     const [first, second] = axis === 0 ? [1, 2] : axis === 1 ? [0, 2] : [0, 1];
     const [width, height] = [shape[first], shape[second]];
     const pixels = new Uint8Array(4 * width * height);
-    const [free, hidden] = this.colours.map((colour) => colour.clone().convertLinearToSRGB());
+    const paint = (sight: Sight): number[] => [
+      ...this.colours[sight].clone().convertLinearToSRGB().toArray().map((part) => 255 * part), OPACITY[sight],
+    ];
+    const paints = { free: paint("free"), occupied: paint("occupied"), unseen: paint("unseen") };
     const cell = [0, 0, 0];
     cell[axis] = layer;
     for (let v = 0; v < height; v++) {
       for (let u = 0; u < width; u++) {
         cell[first] = u;
         cell[second] = v;
-        const isFree = this.isFree(cell[0], cell[1], cell[2]);
-        const colour = isFree ? free : hidden;
-        pixels.set([255 * colour.r, 255 * colour.g, 255 * colour.b, isFree ? 120 : 110], 4 * (v * width + u));
+        pixels.set(paints[this.sightOf(cell[0], cell[1], cell[2])], 4 * (v * width + u));
       }
     }
     const texture = new DataTexture(pixels, width, height, RGBAFormat);

@@ -1,12 +1,13 @@
 // The panel beside the scan: what was found and how well, the slice's place, what is shown, figures, notes.
 import { el, figure, words } from "./dom";
 import { Layer } from "./layer";
-import { Hit, Piece, Scan } from "./scene-data";
+import { Hit, KnownMesh, Piece, Scan } from "./scene-data";
 import { COLOURINGS, CONFIDENT, Colouring, Slice } from "./scene-layers";
 
 export interface Acts {
   toggle(layer: Layer): void;
   chooseHit(index: number): void;
+  chooseMesh(index: number): void;
   choosePiece(index: number): void;
   moveSlice(axis: number, at: number): void;
   cut(on: boolean): void;
@@ -37,6 +38,26 @@ function hitRow(hit: Hit, index: number, acts: Acts): HTMLElement {
   return row;
 }
 
+// Where a mesh stands, in words.
+const PLACINGS: Record<string, string> = {
+  given: "stands where it was placed", found: "stands where the scan shows it", gone: "is gone", "not found": "was not found",
+};
+
+function meshRow(mesh: KnownMesh, index: number, acts: Acts): HTMLElement {
+  const isSure = mesh.confidence >= CONFIDENT;
+  const row = el("button", `check mesh ${isSure ? "ok" : "unsure"}`);
+  const place = mesh.pose_world_mesh?.slice(0, 3).map((line) => line[3].toFixed(3)).join(", ");
+  const pieces = mesh.pieces.length === 1 ? "1 piece" : `${mesh.pieces.length} pieces`;
+  row.append(
+    el("span", "mark", isSure ? "✓" : "?"), el("span", "name", mesh.name), el("span", "value", `${Math.round(100 * mesh.confidence)} %`),
+    el("span", "detail", place ? `${PLACINGS[mesh.placing]}, at (${place}) m` : PLACINGS[mesh.placing]),
+    el("span", "sizes", `${mesh.file}, ${pieces}`), el("span", "residuals", `residuals: ${listed(mesh.residuals) || "none"}`),
+  );
+  row.title = "Look at it";
+  row.addEventListener("click", () => acts.chooseMesh(index));
+  return row;
+}
+
 export class ScenePanel {
   readonly element = el("aside", "panel");
   private readonly boxes = new Map<Layer, HTMLInputElement>();
@@ -53,10 +74,13 @@ export class ScenePanel {
     this.element.append(scroll);
     this.hits = scan.detections.map((hit, i) => hitRow(hit, i, acts));
     scroll.append(el("h2", "", "Detections"), ...this.hitList(scan));
-    scroll.append(el("h2", "", "Free space, as the rays saw it"), this.sliceControl());
+    if (scan.meshes.length > 0) {
+      scroll.append(el("h2", "", "Known meshes"), el("div", "checks", ...scan.meshes.map((mesh, i) => meshRow(mesh, i, acts))));
+    }
+    scroll.append(el("h2", "", "Space, as the rays saw it"), this.sliceControl());
     this.axes = [...this.element.querySelectorAll<HTMLButtonElement>(".axis")];
     scroll.append(el("h2", "", "Shown"), this.layerList(layers));
-    scroll.append(this.legend(), this.colourChoice());
+    scroll.append(this.legend(), this.colourChoice(scan.pieces.some((piece) => piece.change !== null)));
     scroll.append(el("h2", "", "Piece"), this.about);
     this.showPiece(undefined);
     const figures = el("dl", "figures");
@@ -104,7 +128,10 @@ export class ScenePanel {
       });
       choice.append(one);
     });
-    const legend = el("p", "legend", el("i", "swatch free"), "seen free  ", el("i", "swatch hidden"), "not seen free");
+    const legend = el(
+      "p", "legend", el("i", "swatch free"), "free  ", el("i", "swatch occupied"), "occupied  ", el("i", "swatch unseen"), "unseen",
+    );
+    legend.title = "Free: rays went through. Occupied: rays ended there. Unseen: neither.";
     const cut = el("label", "layer", this.cut, el("span", "name", "cut everything off at the slice"), el("kbd", "", "x"));
     this.cut.type = "checkbox";
     this.cut.addEventListener("change", () => this.acts.cut(this.cut.checked));
@@ -125,8 +152,9 @@ export class ScenePanel {
     return list;
   }
 
-  private colourChoice(): HTMLElement {
+  private colourChoice(hasChanges: boolean): HTMLElement {
     for (const [name, label] of Object.entries(COLOURINGS)) {
+      if (name === "change" && !hasChanges) continue;
       const option = el("option", "", label);
       option.value = name;
       this.colouring.append(option);

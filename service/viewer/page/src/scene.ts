@@ -4,7 +4,7 @@ import { button, el } from "./dom";
 import { Labels } from "./labels";
 import { Layer } from "./layer";
 import { Piece, Scan, readScan } from "./scene-data";
-import { COLOURINGS, Colouring, Hits, OwnedPoints, PieceGlass, Sensors, Slice } from "./scene-layers";
+import { COLOURINGS, Colouring, Hits, OwnedPoints, PieceGlass, Sensors, Sight, Slice } from "./scene-layers";
 import { ScenePanel } from "./scene-panel";
 import { Stage } from "./stage";
 import { THEMES } from "./theme";
@@ -47,7 +47,7 @@ function start(): void {
   const unknown = new PieceGlass(scan, "unknown", "Never seen", "u", (piece) => piece.kind === "unknown", 0.12);
   const cloud = new OwnedPoints(scan);
   const hits = new Hits(scan);
-  const slice = new Slice(scan.free);
+  const slice = new Slice(scan.space);
   const sensors = new Sensors(scan);
   unknown.group.visible = false;  // a fog that hides what there is
   const layers: Layer[] = [cloud, pieces, floor, unknown, hits, slice, sensors];
@@ -63,7 +63,20 @@ function start(): void {
   };
   const chooseHit = (index: number): void => {
     panel.choose(index);
-    const extent = hits.extent(index).expandByScalar(0.15);
+    lookAt(hits.extent(index));
+  };
+  const chooseMesh = (index: number): void => {
+    const extent = new Box3();
+    const place = new Vector3();
+    for (const { hull } of scan.pieces.filter(({ name }) => scan.meshes[index].pieces.includes(name))) {
+      for (let i = 0; i < hull.vertices.length; i += 3) extent.expandByPoint(place.fromArray(hull.vertices, i));
+    }
+    const pose = scan.meshes[index].pose_world_mesh;
+    if (extent.isEmpty() && pose) extent.expandByPoint(place.set(pose[0][3], pose[1][3], pose[2][3])).expandByScalar(0.3);
+    if (!extent.isEmpty()) lookAt(extent);
+  };
+  const lookAt = (thing: Box3): void => {
+    const extent = thing.expandByScalar(0.15);
     const centre = extent.getCenter(new Vector3());
     const direction = stage.camera.position.clone().sub(stage.controls.target).normalize();
     stage.moveTo(centre.clone().addScaledVector(direction, stage.fitting(direction, extent)), centre);
@@ -96,7 +109,7 @@ function start(): void {
     cut(isCut);
   };
   const panel = new ScenePanel(scan, layers, slice, {
-    toggle: (layer) => set(layer, !layer.group.visible), chooseHit, choosePiece, moveSlice, cut, colourBy,
+    toggle: (layer) => set(layer, !layer.group.visible), chooseHit, chooseMesh, choosePiece, moveSlice, cut, colourBy,
   });
   document.body.append(panel.element);
   const recolour = (to: "dark" | "light"): void => {
@@ -144,10 +157,10 @@ function start(): void {
     const found = under(event);
     if (found) stage.focus(found.point);
   });
-  const step = (sign: number): void => moveSlice(slice.axis, slice.at + sign * scan.free.size);
+  const step = (sign: number): void => moveSlice(slice.axis, slice.at + sign * scan.space.size);
   const acts: Record<string, () => void> = {
     d: () => recolour(theme === "dark" ? "light" : "dark"), l: () => document.body.classList.toggle("unlabelled"),
-    x: () => cut(!isCut), k: () => colourBy(following(colouring)),
+    x: () => cut(!isCut), k: () => colourBy(following(colouring, scan)),
     ArrowUp: () => step(1), ArrowDown: () => step(-1), Escape: () => choosePiece(-1),
   };
   Object.keys(CAMERAS).forEach((camera, i) => { acts[String(i + 1)] = () => show(camera); });
@@ -188,9 +201,9 @@ function start(): void {
     get isCut(): boolean { return isCut; },
     get colouring(): Colouring { return colouring; },
     moveSlice, choosePiece,
-    isFreeAt(place: number[]): boolean {
-      const [x, y, z] = place.map((value, i) => Math.floor((value - scan.free.lower[i]) / scan.free.size));
-      return slice.isFree(x, y, z);
+    sightAt(place: number[]): Sight {
+      const [x, y, z] = place.map((value, i) => Math.floor((value - scan.space.lower[i]) / scan.space.size));
+      return slice.sightOf(x, y, z);
     },
     project: (place: number[]): number[] => stage.pixel(new Vector3().fromArray(place)),
   } });
@@ -229,8 +242,8 @@ function roofOver(pieces: Piece[], subject: Box3): number | undefined {
   return covered > 0.25 * size.x * size.y ? lowest : undefined;
 }
 
-function following(colouring: Colouring): Colouring {
-  const names = Object.keys(COLOURINGS) as Colouring[];
+function following(colouring: Colouring, scan: Scan): Colouring {
+  const names = (Object.keys(COLOURINGS) as Colouring[]).filter((name) => name !== "change" || scan.pieces.some((piece) => piece.change !== null));
   return names[(names.indexOf(colouring) + 1) % names.length];
 }
 

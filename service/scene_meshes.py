@@ -1,0 +1,202 @@
+"""Known meshes of ``scopt scene``: what is asked with ``--mesh``, and what becomes of each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.scene import ConvexPiece
+from perception import CONFIDENT, PerceptionError, rigid_pose
+from perception.perceive import FRINGE
+from perception.solids.known import KnownMesh
+from perception.solids.match import MeshMatch
+from service.cloud_asked import numbers
+from service.errors import RequestError
+from service.mesh import FORMATS, convex_parts, read_solid
+from service.result_json import plain
+
+KIND = "object"
+# What no mesh may be called: pieces of these names are made of the scan.
+_TAKEN = ("floor", "plane", "wall", "clutter", "unknown", "coacd", "stem")
+_OPTION = "--mesh"
+_FORMS = "FILE, 'FILE near X Y Z', 'FILE near POSE' or 'FILE at POSE'"
+_AFTER = {3: "X Y Z", 6: "X Y Z YAW PITCH ROLL", 7: "X Y Z QW QX QY QZ", 16: "16 numbers"}
+
+# By the scene file's rule (docs/scene-format.md) a name tells what is no length.
+_RESIDUALS = {
+    "seen_through": "seen_through_share",
+    "hidden": "hidden_share",
+    "unexplained": "unexplained_ratio",
+    "rival": "rival_ratio",
+}
+
+Placing = Literal["given", "found", "not found", "gone"]
+
+
+@dataclass(frozen=True)
+class MeshAsked:
+    """A mesh file, and what is known of where the mesh stands.
+
+    Attributes:
+        file: STL, OBJ, PLY or URDF.
+        scale: metres per unit of the file.
+        pose_world_mesh: (4, 4); None where it is to be found.
+        hint: (3,) a point near it, where there is no pose [m].
+        is_placed: whether it stands exactly at its pose; else it is matched to the scan about it.
+    """
+
+    file: Path
+    scale: float = 1.0
+    pose_world_mesh: Float[np.ndarray, "4 4"] | None = None
+    hint: Float[np.ndarray, "3"] | None = None
+    is_placed: bool = False
+
+
+@dataclass(frozen=True)
+class MeshPlaced:
+    """What became of a known mesh.
+
+    Attributes:
+        known: the mesh, and where it was said to be.
+        file: that it was read from, as it was named.
+        placing: ``given`` (it stands where it was placed), ``found`` (it stands where the scan shows it), ``not found``
+            or ``gone`` (it does not stand in the scene).
+        match: what the scan says of it.
+        pose_world_mesh: (4, 4) of the file's own frame; None where nothing was found at all.
+        pieces: its convex parts in the world; none unless it stands there.
+        notes: what was repaired in it and what is odd about where it is.
+    """
+
+    known: KnownMesh
+    file: str
+    placing: Placing
+    match: MeshMatch
+    pose_world_mesh: Float[np.ndarray, "4 4"] | None
+    pieces: tuple[ConvexPiece, ...]
+    notes: tuple[str, ...]
+
+    def explains(self, points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "K"]:
+        """Indices of the points that it stands for."""
+        if not self.pieces or self.match.confidence < CONFIDENT:
+            return np.arange(0)
+        return np.flatnonzero(self.match.explains(points, FRINGE))
+
+    def to_json(self) -> dict[str, Any]:
+        """As the scene file holds it; lengths in metres."""
+        return {
+            "name": self.known.name,
+            "file": self.file,
+            "placing": self.placing,
+            "confidence": round(self.match.confidence, 4),
+            "pose_world_mesh": plain(self.pose_world_mesh),
+            "residuals": {
+                _RESIDUALS.get(name, name): float(value)
+                for name, value in self.match.residuals.items()
+                if np.isfinite(value)
+            },
+            "pieces": [piece.name for piece in self.pieces],
+        }
+
+
+def mesh_asked(text: str, scale: float = 1.0) -> MeshAsked:
+    """What one ``--mesh`` asks: a file, where it stands (``at``), or about where to look for it (``near``).
+
+    Raises:
+        RequestError: there is no such file, or what follows its name is no pose.
+    """
+    file, how, words = Path(text), "", ""
+    said = re.fullmatch(r"(.+)\s+(at|near)(?:\s+(.*))?", text.strip(), re.DOTALL)
+    if said is not None and not file.is_file():
+        file, how, words = Path(said[1]), said[2], said[3] or ""
+    if not file.is_file():
+        raise RequestError(f"{_OPTION}: {file} is not there; {_FORMS} would do")
+    if file.suffix.lower() not in FORMATS:
+        known = ", ".join(FORMATS)
+        raise RequestError(f"{_OPTION}: {file}: format '{file.suffix}' is not read; {known} would do")
+    if not how:
+        return MeshAsked(file, scale)
+    values = numbers(words, f"{_OPTION}: {file} {how}")
+    if len(values) not in _AFTER:
+        forms = ", ".join(f"'{form}'" for form in _AFTER.values())
+        raise RequestError(f"{_OPTION}: {file} {how}: {forms} would do, got '{words}'")
+    try:
+        pose = rigid_pose((*values, 0.0, 0.0, 0.0) if len(values) == 3 else values)
+    except PerceptionError as error:
+        raise RequestError(f"{_OPTION}: {file} {how}: {str(error).replace('transform', 'pose', 1)}") from None
+    if how == "near" and len(values) == 3:
+        return MeshAsked(file, scale, hint=pose[:3, 3])
+    return MeshAsked(file, scale, pose, is_placed=how == "at")
+
+
+def known_of(asked: Sequence[MeshAsked], taken: Collection[str] = ()) -> tuple[KnownMesh, ...]:
+    """The meshes read, each named as its file, numbered where that name is taken.
+
+    Raises:
+        RequestError: a file that cannot be used.
+    """
+    names = _names([one.file.stem for one in asked], {*_TAKEN, *taken})
+    return tuple(
+        KnownMesh(name, read_solid(one.file, _OPTION, one.scale), one.pose_world_mesh, one.hint, one.is_placed)
+        for name, one in zip(names, asked, strict=True)
+    )
+
+
+def _names(stems: Sequence[str], taken: set[str]) -> Iterator[str]:
+    for stem in stems:
+        name, number = stem, 1
+        while name in taken:
+            number += 1
+            name = f"{stem}-{number}"
+        taken.add(name)
+        yield name
+
+
+def placed(
+    known: Sequence[KnownMesh], asked: Sequence[MeshAsked], matches: Mapping[str, MeshMatch]
+) -> list[MeshPlaced]:
+    """What became of each; those that stand in the scene are split into convex parts.
+
+    Raises:
+        RequestError: CoACD crashed or needs too much.
+    """
+    return [_placed(one, str(mesh.file), matches[one.name]) for one, mesh in zip(known, asked, strict=True)]
+
+
+def _placed(known: KnownMesh, file: str, match: MeshMatch) -> MeshPlaced:
+    notes = list(known.solid.notes)
+    is_sure = match.confidence >= CONFIDENT
+    if known.is_placed and not is_sure:
+        notes.append(f"{known.name} stands where it was placed, but the scan does not show it there: {doubt(match)}")
+    if not known.is_placed and not is_sure:
+        notes.append(
+            f"{known.name} is not in the scene, since the scan does not show it: {doubt(match)}; "
+            f"if it is there, {_OPTION} '{file} near X Y Z' or '{file} at POSE' may help"
+        )
+        pose = match.pose_world_mesh if match.residuals["n_points"] else None
+        return MeshPlaced(known, file, "not found", match, pose, (), tuple(notes))
+    pose = match.pose_world_mesh
+    parts = convex_parts(known.solid, Path(file).name, _OPTION)
+    pieces = tuple(
+        ConvexPiece(f"{known.name}/{number}", part @ pose[:3, :3].T + pose[:3, 3], KIND)
+        for number, part in enumerate(parts, start=1)
+    )
+    return MeshPlaced(known, file, "given" if known.is_placed else "found", match, pose, pieces, tuple(notes))
+
+
+def doubt(match: MeshMatch) -> str:
+    """Why a mesh's confidence is low, in words."""
+    told = match.residuals
+    shares = {
+        "seen_through": "of the rays that should have met it went on",
+        "hidden": "of the rays that should have met it ended before it",
+    }
+    reasons = [f"{100.0 * told[name]:.0f} % {words}" for name, words in shares.items() if told.get(name, 0.0) > 0.1]
+    if not reasons:
+        reasons = [f"{int(told['n_points'])} points lie on it"]
+    return f"confidence {match.confidence:.2f}, {CONFIDENT} is needed ({', '.join(reasons)})"

@@ -1,0 +1,65 @@
+"""Where ``scopt scene`` puts what it made: the scene's file, and the page beside it that shows it."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from service.errors import RequestError, ResultError
+
+if TYPE_CHECKING:
+    from service.scene_file import SceneSeen
+
+
+def check_out(path: Path, inputs: Iterable[Path]) -> None:
+    """Refuse a place for the scene where it, or the page beside it, would overwrite what it is made from.
+
+    Raises:
+        RequestError: the name does not end in .json, or is, as the page's may be, one of the inputs.
+    """
+    if path.suffix.lower() != ".json":
+        raise RequestError(f"--out: {path} does not end in .json; a name that does, of a file for the pieces, would do")
+    read = {one.resolve() for one in inputs}
+    for written in (path, _page_beside(path)):
+        if written.resolve() in read:
+            raise RequestError(f"--out: {written} is read and would be overwritten; another name would do")
+
+
+def write_scene(seen: SceneSeen, path: Path) -> Path:
+    """Write the scene as JSON, and beside it the page that shows it; each as a whole or not at all.
+
+    Args:
+        seen: what to write.
+        path: a name that ``check_out`` accepts.
+
+    Returns:
+        The page's path.
+
+    Raises:
+        ResultError: a file cannot be written.
+    """
+    from service.scene_view import render_scene
+
+    page = _page_beside(path)
+    _replace(path, json.dumps(seen.data, allow_nan=False))
+    _replace(page, render_scene(seen, path.stem))
+    return page
+
+
+def _page_beside(path: Path) -> Path:
+    return path.with_suffix(".html")
+
+
+def _replace(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as scratch:
+            fresh = Path(scratch) / path.name
+            fresh.write_text(text, encoding="utf-8")
+            os.replace(fresh, path)
+    except OSError as error:
+        raise ResultError(f"{path} cannot be written: {error.strerror or error}") from None

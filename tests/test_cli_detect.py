@@ -1,0 +1,119 @@
+"""``scopt detect all`` and its time limit."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from little_scan import little_scan, scopt
+
+import perception
+from perception import Detection, write_npz
+from service import detect_file
+from service.scan_choices import KINDS
+from service.time_limit import TimeOver, at_most
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scan") / "little.npz"
+    write_npz(path, little_scan())
+    return path
+
+
+def _hit(kind: str, confidence: float) -> Detection:
+    return Detection(kind, np.eye(4), {}, confidence, {}, np.zeros((0, 3)))
+
+
+def _found(*kinds: str, is_late: bool = False) -> object:
+    """Stands in for the detectors: one hit of each kind, the later the surer; then perhaps the time is over."""
+
+    def found(wanted: tuple[str, ...], *_: object, **__: object) -> Iterator[tuple[str, list[Detection]]]:
+        assert wanted == KINDS
+        for i, kind in enumerate(kinds):
+            yield kind, [_hit(kind, 0.1 * i)]
+        if is_late:
+            raise TimeOver
+
+    return found
+
+
+def test_kinds_told_without_libraries_are_those_that_can_be_found() -> None:
+    assert KINDS == perception.KINDS
+
+
+def test_help_lists_the_kinds() -> None:
+    told = " ".join(scopt("detect", "--help").stdout.split())
+    assert f"What to look for: {', '.join(KINDS)}, or all." in told
+
+
+def test_all_kinds_are_listed_surest_first(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detect_file, "detect_each", _found(*KINDS))
+    result = scopt("detect", "all", scan, "--json")
+    assert result.exit_code == 0
+    data = json.loads(result.stdout)
+    assert (data["kind"], data["searched"], data["unfinished"]) == ("all", list(KINDS), [])
+    assert [hit["kind"] for hit in data["hits"]] == list(reversed(KINDS))
+
+
+def test_when_the_time_is_over_what_was_found_is_given_and_the_rest_named(
+    scan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(detect_file, "detect_each", _found("valve", "door", is_late=True))
+    result = scopt("detect", "all", scan, "--json")
+    assert result.exit_code == 5
+    data = json.loads(result.stdout)
+    assert data["searched"] == ["valve", "door"]
+    assert data["unfinished"] == list(KINDS[2:])
+    assert len(data["hits"]) == 2
+    told = scopt("detect", "all", scan, "--time-limit", 60)
+    assert told.exit_code == 5
+    assert told.stdout.splitlines()[-1] == (
+        f"TIME_LIMIT  60 s were over before these were looked for to the end: {', '.join(KINDS[2:])}"
+    )
+
+
+def test_a_time_that_is_over_before_the_clouds_were_read_is_one_line(
+    scan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def late(*_: object) -> None:
+        raise TimeOver
+
+    monkeypatch.setattr(detect_file, "read_asked", late)
+    result = scopt("detect", "valve", scan, "--time-limit", 0.5, "--json")
+    assert result.exit_code == 5
+    line = "--time-limit: 0.5 s were over before the clouds were read; more would do"
+    assert result.stderr.splitlines()[-1] == line
+    told = json.loads(result.stdout)
+    assert (told["verdict"], told["explanation"]) == ("TIME_LIMIT", [line])
+
+
+def test_what_is_at_work_is_interrupted_and_the_clock_stopped_afterwards() -> None:
+    earlier = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(TimeOver), at_most(0.02):
+        time.sleep(60.0)
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+    with at_most(60.0):
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 0.0
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+    assert signal.getsignal(signal.SIGALRM) is earlier
+
+
+def test_other_threads_are_not_interrupted() -> None:
+    ended: list[bool] = []
+
+    def work() -> None:
+        with at_most(0.001):
+            time.sleep(0.01)
+        ended.append(True)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert ended == [True]
