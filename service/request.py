@@ -17,7 +17,20 @@ from pydantic_core import PydanticCustomError
 
 from service.errors import shown
 from service.request_attached import AttachedRequest
-from service.request_fields import SECTION, FilePath, Label, Name, Number, Point, Quaternion, Section, exactly_one
+from service.request_fields import (
+    MAX_JOINTS,
+    SECTION,
+    FilePath,
+    Joints,
+    Label,
+    Name,
+    Number,
+    Point,
+    Quaternion,
+    Section,
+    exactly_one,
+    repeated,
+)
 from service.request_keep import KeepRequest
 from service.request_scene import SceneRequest
 
@@ -33,7 +46,7 @@ class RobotRequest(Section):
     name: Label | None = None
     urdf: FilePath | None = None
     srdf: FilePath | None = None
-    package_dirs: tuple[FilePath, ...] = ()
+    package_dirs: Annotated[tuple[FilePath, ...], Field(max_length=20)] = ()
     root: Literal["floating", "fixed"] | None = None
     tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
 
@@ -61,9 +74,9 @@ class StartRequest(Section):
     """
 
     posture: Label | None = None
-    joints: dict[Name, Number] = field(default_factory=dict)
-    joint_names: tuple[Name, ...] = ()
-    positions: tuple[Number, ...] = ()
+    joints: Joints = field(default_factory=dict)
+    joint_names: Annotated[tuple[Name, ...], Field(max_length=MAX_JOINTS)] = ()
+    positions: Annotated[tuple[Number, ...], Field(max_length=MAX_JOINTS)] = ()
     base: PoseRequest | None = None
 
     def __post_init__(self) -> None:
@@ -73,7 +86,7 @@ class StartRequest(Section):
                 "joint_names has {names} entries and positions has {positions}; they must be as many",
                 {"names": len(self.joint_names), "positions": len(self.positions)},
             )
-        twice = sorted({name for name in self.joint_names if name in self.joints or self.joint_names.count(name) > 1})
+        twice = repeated((*self.joint_names, *self.joints))
         if twice:
             raise PydanticCustomError("start", "joint {name} is given twice", {"name": shown(twice[0])})
 
@@ -103,14 +116,13 @@ class PoseGoalRequest(Section):
 class GoalRequest(Section):
     """Where the motion ends: joint positions, poses of links, or a named posture."""
 
-    joints: dict[Name, Number] = field(default_factory=dict)
+    joints: Joints = field(default_factory=dict)
     poses: Annotated[tuple[PoseGoalRequest, ...], Field(max_length=20)] = ()
     posture: Label | None = None
 
     def __post_init__(self) -> None:
         exactly_one(self, ("joints", "poses", "posture"))
-        links = [pose.link for pose in self.poses]
-        twice = sorted({link for link in links if links.count(link) > 1})
+        twice = repeated(pose.link for pose in self.poses)
         if twice:
             words = "link {link} has two poses; one for each link would do"
             raise PydanticCustomError("goal", words, {"link": shown(twice[0])})

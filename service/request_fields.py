@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
@@ -13,12 +15,14 @@ from service.errors import shown, would_do
 
 QUATERNION_NORM_TOLERANCE = 1e-3  # what rounding to a few digits explains
 WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
+MAX_JOINTS = 1000  # of a robot that anybody plans for
 MAP_M = 1e8  # map coordinates are offset from zero by thousands of kilometres
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Coordinate = Annotated[Number, Field(ge=-WORKSPACE_M, le=WORKSPACE_M)]
 Length = Annotated[Number, Field(gt=0.0, le=WORKSPACE_M)]
 Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
+Joints = Annotated[dict[Name, Number], Field(max_length=MAX_JOINTS)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 _MapCoordinate = Annotated[Number, Field(ge=-MAP_M, le=MAP_M)]
 MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
@@ -82,6 +86,11 @@ class Section:
                         {"key": shown(key), "known": would_do(key, known)},
                     )
         return data
+
+
+def repeated(names: Iterable[str]) -> list[str]:
+    """Those that stand there more than once, sorted."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
 def exactly_one(section: object, names: tuple[str, ...]) -> None:

@@ -20,6 +20,7 @@ from service.request_fields import (
     Point,
     Quaternion,
     Section,
+    repeated,
 )
 from service.scan_choices import Method, Unknown
 
@@ -166,8 +167,7 @@ class SceneRequest(Section):
         return (CloudFileRequest(self.cloud),) if isinstance(self.cloud, str) else self.cloud
 
     def __post_init__(self) -> None:
-        names = [obstacle.name for obstacle in self.obstacles]
-        twice = sorted({name for name in names if names.count(name) > 1})
+        twice = repeated(obstacle.name for obstacle in self.obstacles)
         if twice:
             raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})
         if self.file is not None and self.cloud is not None:

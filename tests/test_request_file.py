@@ -166,6 +166,12 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
             "scene: {obstacles: [{name: a, type: sphere, radius: 1}, {name: a, type: sphere, radius: 1}]}",
             "scene: obstacle name 'a' is given twice",
         ),
+        (
+            f"start: {{joint_names: [{'a, ' * 1001}], positions: []}}",
+            "start.joint_names: at most 1000 entries would do",
+        ),
+        (f"start: {{joints: {{{', '.join(f'j{i}: 0' for i in range(1001))}}}}}", "start.joints: at most 1000 entries"),
+        ("start: {joint_names: [a, b], joints: {b: 0}, positions: [0, 0]}", "start: joint 'b' is given twice"),
         ("keep: [{link: a, relative_to: a}]", "keep[0]: link and relative_to are both 'a'; two links are needed"),
         ("keep: [{link: a, relativ_to: b}]", "keep[0]: unknown key 'relativ_to'; relative_to, … would do"),
         ("keep: [{relative_to: b}]", "keep[0].link: is missing"),
@@ -208,6 +214,10 @@ def test_a_wrong_field_earns_one_line(tmp_path: Path, extra: str, problem: str) 
         (
             "robot: {name: a, urdf: b}\ngoal: {posture: s}",
             "robot: exactly one of name, urdf is needed, not name and urdf",
+        ),
+        (
+            f"robot: {{urdf: a, package_dirs: [{'a, ' * 21}]}}\ngoal: {{posture: s}}",
+            "robot.package_dirs: at most 20 entries would do",
         ),
         (
             "robot: {name: a, srdf: b}\ngoal: {posture: s}",
