@@ -1,4 +1,4 @@
-"""Rotations of many waypoints at once: logarithm, its derivative, and the direction of an axis."""
+"""Rotations of many waypoints at once: logarithm, its derivative, the direction of an axis, quaternions."""
 
 from __future__ import annotations
 
@@ -98,3 +98,14 @@ def tangent_basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:
     first = np.cross(axis, helper)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first)])
+
+
+def quaternions_of(yaw_pitch_roll: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 4"]:
+    """Unit quaternions (w, x, y, z) of ``Rz(yaw) Ry(pitch) Rx(roll)`` [rad].
+
+    They are products of half angles: their sign does not flip between samples, as long as the angles do not jump.
+    """
+    half = 0.5 * yaw_pitch_roll
+    (cz, cy, cx), (sz, sy, sx) = np.cos(half).T, np.sin(half).T
+    cc, ss, cs, sc = cz * cy, sz * sy, cz * sy, sz * cy
+    return np.stack([cc * cx + ss * sx, cc * sx - ss * cx, cs * cx + sc * sx, sc * cx - cs * sx], axis=1)

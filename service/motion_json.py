@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.curve import Curve, TimeLaw
 from costs.robot import BASE_NAMES, RobotModel, with_revolute
+from costs.rotation import quaternions_of
 from costs.scene import ConvexPiece, Scene
 from service.phase_json import phase_from_json, phase_json, sample_index
 from service.verify import Motion
@@ -95,9 +95,7 @@ def file_positions(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> Float[np.n
     """Configurations in the columns of ``file_columns``."""
     if not robot.is_floating or not len(q):
         return q if len(q) else np.zeros((0, len(file_columns(robot))))
-    # Products of half-angle quaternions: their sign does not flip between samples, as long as the angles do not jump.
-    quaternions = Rotation.from_euler("ZYX", q[:, 3:6]).as_quat(scalar_first=True)
-    return np.hstack([q[:, :3], quaternions, q[:, 6:]])
+    return np.hstack([q[:, :3], quaternions_of(q[:, 3:6]), q[:, 6:]])
 
 
 def _curve(motion: Motion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -75,10 +76,21 @@ def plan(
     """
     check_planned(request)
     # Small matrices all through: BLAS threads cost more than they bring, and another plan can use the core.
-    with _thread_pools().limit(limits=1, user_api="blas"):
+    with _one_thread():
         monitor = Monitor(request.options.time_limit_s, should_stop, on_progress, on_iteration)
         setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see)
         return _plan(setup, monitor, terms)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """BLAS with one thread; nothing to do where it has no more, as in a server's workers."""
+    pools = _thread_pools()
+    if all(library.num_threads == 1 for library in pools.lib_controllers if library.user_api == "blas"):
+        yield
+        return
+    with pools.limit(limits=1, user_api="blas"):
+        yield
 
 
 @cache

@@ -17,6 +17,7 @@ import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 from service.executor.errors import JobFailed
@@ -182,6 +183,7 @@ def _pickled(result: object) -> bytes:
         raise JobFailed(f"returned what cannot be carried between processes, a {kind}: {error}") from error
 
 
+@lru_cache(maxsize=256)
 def _takes_control(fn: Callable[..., object]) -> bool:
     try:
         return "control" in inspect.signature(fn).parameters

@@ -46,4 +46,4 @@ def _as_sent(problem: str, clouds: list[tuple[str, str]]) -> str:
     option, colon, words = problem.partition(": ")
     if colon and option in FIELDS:
         return f"{FIELDS[option]}: {words}"
-    return f"{'clouds' if violation(problem).field else 'clouds.clouds'}: {problem}"
+    return f"clouds.{violation(problem).field or 'clouds'}: {problem}"

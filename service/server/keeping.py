@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping
 from functools import cache
 from importlib.metadata import version
 
@@ -39,6 +39,7 @@ _STATES = {
     PlanState.LOST: wire.PLAN_STATE_LOST,
 }
 _DECISIONS = {Decision.ACCEPTED: wire.DECISION_ACCEPTED, Decision.REJECTED: wire.DECISION_REJECTED}
+MAX_FILES = 1000  # to verify: a result's own and its robot's, a few dozen
 
 
 class Keeping:
@@ -121,7 +122,7 @@ class Keeping:
             record = self._record(message.plan_id)
             files = await asyncio.to_thread(files_of, self._store, record.plan_id)
         else:
-            files = _joined(list(message.files))
+            files = _joined(message.files)
         found = accepted(
             await self._workshop.run(
                 "verify", verify, files, deadline=deadline_of(context), budget_s=self._settings.budget_s("verify")
@@ -206,11 +207,20 @@ class Keeping:
         return message
 
 
-def _joined(parts: list[FileChunk]) -> dict[str, bytes]:
-    files: dict[str, bytes] = {}
+def _joined(parts: Iterable[FileChunk]) -> dict[str, bytes]:
+    """Files by path.
+
+    Raises:
+        Refusal: they are more than any result folder has.
+    """
+    pieces: dict[str, list[bytes]] = {}
     for part in parts:
-        files[part.path] = files.get(part.path, b"") + part.data
-    return files
+        pieces.setdefault(part.path, []).append(part.data)
+        if len(pieces) > MAX_FILES:
+            raise invalid(
+                [f"files: at most {MAX_FILES} would do; those of a result folder's motion and robot are fewer"]
+            )
+    return {path: b"".join(data) for path, data in pieces.items()}
 
 
 def _review(review: Review) -> wire.Review:

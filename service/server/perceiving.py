@@ -29,7 +29,7 @@ from service.rpc import Context, deadline_of
 from service.server.asked import uploaded
 from service.server.cloud_problems import as_sent, start_problems
 from service.server.refusal import invalid, overloaded
-from service.server.settings import ServerSettings
+from service.server.settings import SMALL_BYTES, ServerSettings
 from service.server.workshop import Workshop, outcome
 from service.store import UPLOAD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
 from service.trust import AllowedFolders, current_caller
@@ -37,12 +37,14 @@ from service.trust import Limits as ClientLimiter
 from service.trust.folders import UPLOADED
 from service.wire.perceived import detections_to_messages, scene_to_message
 from service.wire.plain import to_plain
+from service.wire.violations import violation
 from service.work.look import SceneTask, build_scene, detect
 from service.work.plan import Refused
 
 T = TypeVar("T")
 MAX_REACH_M = 50.0
 DEFAULT_REACH_M = 4.0
+BESIDE_CLOUDS = ("hint", "unknown", "method")  # fields of a message that a request's scene has, too
 SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
@@ -126,7 +128,7 @@ class Perceiving:
         Raises:
             Refusal: they cannot be had.
         """
-        scene = self._scene(message, {"method": message.method, "unknown": message.unknown})
+        scene = await self._checked(message)
         steps: asyncio.Queue[str | None] = asyncio.Queue()
         with self._placed(message.clouds, scene) as clouds:
             task = SceneTask(clouds, tuple(message.detect), scene.hint, scene.unknown, scene.method)
@@ -165,7 +167,7 @@ class Perceiving:
         Raises:
             Refusal: they cannot be looked for.
         """
-        scene = self._scene(message, {})
+        scene = await self._checked(message)
         with self._placed(message.clouds, scene) as clouds:
             answer = await self._workshop.run(
                 "detect",
@@ -179,7 +181,12 @@ class Perceiving:
             found = _seen(answer, clouds, scene)
         return DetectResponse(hits=detections_to_messages(found["hits"]), notes=found["notes"])
 
-    def _scene(self, message: BuildSceneRequest | DetectRequest, more: dict[str, Any]) -> SceneRequest:
+    async def _checked(self, message: BuildSceneRequest | DetectRequest) -> SceneRequest:
+        if message.ByteSize() <= SMALL_BYTES:
+            return self._scene(message)
+        return await asyncio.to_thread(self._scene, message)
+
+    def _scene(self, message: BuildSceneRequest | DetectRequest) -> SceneRequest:
         """What is asked of clouds, held to the rules of a request's scene.
 
         Raises:
@@ -189,7 +196,7 @@ class Perceiving:
         plain = to_plain(message)
         clouds = plain.get("clouds", {})
         data = {key: clouds[key] for key in ("unit", "apply_viewpoint", "sensor", "topic", "message") if key in clouds}
-        data |= {key: plain[key] for key in ("hint", *more) if key in plain}
+        data |= {key: plain[key] for key in BESIDE_CLOUDS if key in plain}
         problems = [] if clouds.get("clouds") else ["clouds: at least one is needed"]
         reach = given.reach_m if given.HasField("reach_m") else DEFAULT_REACH_M
         if not 0.1 <= reach <= MAX_REACH_M:
@@ -201,10 +208,10 @@ class Perceiving:
         try:
             scene = parse_scene({**data, "cloud": clouds.get("clouds") or None})
         except RequestError as error:
-            raise invalid([*problems, *error.problems], "clouds") from None
+            raise invalid(map(_of_message, (*problems, *error.problems))) from None
         problems += [f"{field.removeprefix('scene.')}: {words}" for field, words in self._folders.scene_problems(scene)]
         if problems:
-            raise invalid([problem.replace("cloud[", "clouds[", 1) for problem in problems], "clouds")
+            raise invalid(map(_of_message, problems))
         return scene
 
     @contextmanager
@@ -227,6 +234,14 @@ class Perceiving:
                 start=parse_start(to_plain(given.start)) if given.HasField("start") else None,
                 seed=given.seed,
             )
+
+
+def _of_message(problem: str) -> str:
+    """A problem of a scene, beginning with the field of the message that it speaks of."""
+    field = violation(problem).field
+    if re.split(r"[.\[]", field, maxsplit=1)[0] in BESIDE_CLOUDS:
+        return problem
+    return f"clouds.{re.sub(r'^cloud(?=[:[])', 'clouds', problem)}" if field else f"clouds: {problem}"
 
 
 def _heights(given: CloudsSpec) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from service.server.running import RunningPlan, RunningPlans
 from service.server.settings import SMALL_BYTES
 from service.server.spread import first_certified, with_other_starts
 from service.server.workshop import Piece, Workshop, outcome
-from service.store import Outcome, PlanRecord, Store
+from service.store import PlanRecord, PlanState, Store
 from service.trust import current_caller
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
@@ -100,51 +100,46 @@ class Planning:
         self, message: PlanRequest, request: Request, client: str, deadline: float | None
     ) -> tuple[PlanRecord, RunningPlan | None]:
         """The record of a request, and the plan under way; None for one that has been finished before."""
-        kind = kind_of(request)
-        admission = self._workshop.admission
-        if not message.request_id:  # it cannot be known: nothing is written for what is not let in
-            admission.check(kind, _left(deadline))
-        sha = request_hash(request)
+        kind, sha = kind_of(request), request_hash(request)
         while True:
-            begun = self._store.plans.begin(client, message.request_id, sha, kind)
-            known = self.running.get(begun.plan.plan_id)
-            if known is None or not known.is_stopping:
+            record = self._store.plans.find(client, message.request_id)
+            running = None if record is None else self.running.get(record.plan_id)
+            if running is None or not running.is_stopping:
                 break
-            await known.ended()
-        record = begun.plan
-        bind(plan_id=record.plan_id)
-        if begun.outcome is Outcome.CONFLICT:
-            raise Refusal(
-                grpc.StatusCode.ALREADY_EXISTS,
-                f"request_id {message.request_id!r} stands for another request of this client; choose another id",
-            )
-        if begun.outcome is Outcome.FINISHED or known is not None:
-            return record, known
-        try:
-            admission.check(kind, _left(deadline))
-        except Refusal as refusal:
-            self._store.plans.give_up(record.plan_id, refusal.text)
-            raise
-        return record, self._started(record, request, sha, message, deadline)
+            await running.ended()
+        if record is not None:
+            bind(plan_id=record.plan_id)
+            if record.request_sha256 != sha:
+                raise Refusal(
+                    grpc.StatusCode.ALREADY_EXISTS,
+                    f"request_id {message.request_id!r} stands for another request of this client; choose another id",
+                )
+            if record.state is PlanState.FINISHED or running is not None:
+                return record, running
+        self._workshop.admission.check(kind, _left(deadline))
+        return self._started(client, request, sha, message, deadline)
 
     def _started(
-        self, record: PlanRecord, request: Request, sha: str, message: PlanRequest, deadline: float | None
-    ) -> RunningPlan:
-        """The plan under way: a worker has it before the client is told."""
-        plan = RunningPlan(record.plan_id, self._workshop)
+        self, client: str, request: Request, sha: str, message: PlanRequest, deadline: float | None
+    ) -> tuple[PlanRecord, RunningPlan]:
+        """The plan under way: a worker has it before it is written down, and the client is told after that."""
+        plan = RunningPlan(self._workshop)
         with ExitStack() as held:
+            placed = held.enter_context(self._door.placed(request))
+            asked = _Asked(kind_of(request), message, request, placed, sha)
+            piece = self._submit(plan, asked, deadline)
             try:
-                placed = held.enter_context(self._door.placed(request))
-                asked = _Asked(record.kind, message, request, placed, sha)
-                piece = self._submit(plan, asked, deadline)
-            except Exception as error:
-                self._give_up(plan, error)
-                return plan
+                record = self._store.plans.begin(client, message.request_id, sha, asked.kind).plan
+            except Exception:
+                piece.cancel()
+                raise
+            bind(plan_id=record.plan_id)
+            plan.plan_id = record.plan_id
             self.running.add(plan)
             work = asyncio.create_task(self._see_through(plan, asked, piece, deadline, held.pop_all()))
         self._tasks.add(work)
         work.add_done_callback(self._tasks.discard)
-        return plan
+        return record, plan
 
     def _submit(self, plan: RunningPlan, asked: _Asked, deadline: float | None) -> Piece[PlanAnswer | Refused]:
         """Hand a plan to a worker.

@@ -20,12 +20,14 @@ class RunningPlan:
     the last of them goes before the end, the plan is stopped.
 
     Args:
-        plan_id: of the store.
         workshop: where it is worked on.
+
+    Attributes:
+        plan_id: of the store; empty until it is written there.
     """
 
-    def __init__(self, plan_id: str, workshop: Workshop) -> None:
-        self.plan_id = plan_id
+    def __init__(self, workshop: Workshop) -> None:
+        self.plan_id = ""
         self._workshop = workshop
         self._piece: Piece[Any] | None = None
         self._latest: PlanResponse | None = None

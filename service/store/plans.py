@@ -44,6 +44,16 @@ class Plans:
             if file.name not in kept:  # its plan never came, or has gone
                 file.unlink()
 
+    def find(self, client: str, request_id: str) -> PlanRecord | None:
+        """The plan of a request that the client has sent before; None where there is none, or no id to know it by."""
+        if not request_id:
+            return None
+        with self._database.transaction() as db:
+            row = db.execute(
+                f"SELECT {_COLUMNS} FROM plans WHERE client = ? AND request_id = ?", (client, request_id)
+            ).fetchone()
+        return None if row is None else _record(row)
+
     def begin(self, client: str, request_id: str, request_sha256: str, kind: str) -> Begun:
         """Take a request in, unless the client has sent it before.
 
@@ -204,6 +214,10 @@ def _one(db: sqlite3.Connection, plan_id: str) -> PlanRecord:
     row = db.execute(f"SELECT {_COLUMNS} FROM plans WHERE plan_id = ?", (plan_id,)).fetchone()
     if row is None:
         raise NotStoredError(f"no plan {shown(plan_id)}; it never was, or went when the store was full")
+    return _record(row)
+
+
+def _record(row: sqlite3.Row) -> PlanRecord:
     return PlanRecord(**{**dict(row), "state": PlanState(row["state"])})
 
 
