@@ -20,6 +20,7 @@ from benchmarks.service.messages import is_invalid
 from benchmarks.service.mutations import hostile, wire_type
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
+from service.proto.planner.v1.request_pb2 import CloudFile
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, FileChunk
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -348,6 +349,25 @@ def test_cloud_that_lies_is_one_clear_line(stub: PlannerServiceStub, server: Ser
     assert "\n" not in text
 
 
+@pytest.mark.parametrize(
+    ("field", "asked"),
+    [
+        ("hint", {"hint": [1.0]}),
+        ("unknown", {"unknown": 77}),
+        ("method", {"method": 77}),
+        ("clouds.unit", {"clouds": {"clouds": [{"file": NOBODYS}], "unit": 77}}),
+        ("clouds.clouds[1].file", {"clouds": {"clouds": [{"file": NOBODYS}, {"file": ""}]}}),
+        ("clouds.clouds", {"clouds": {"clouds": [{"file": NOBODYS}] * 20_000}}),
+    ],
+)
+def test_what_is_wrong_with_a_scan_is_told_with_its_field(
+    stub: PlannerServiceStub, field: str, asked: dict[str, Any]
+) -> None:
+    request = wire.BuildSceneRequest(**{"clouds": wire.CloudsSpec(clouds=[CloudFile(file=NOBODYS)]), **asked})
+    code, text, found = refusal(lambda: list(stub.BuildScene(request, timeout=30)))
+    assert (code, set(found)) == ("INVALID_ARGUMENT", {field}), text
+
+
 def test_unknown_kinds_and_robots_of_a_scan_are_named(stub: PlannerServiceStub, cloud_id: str) -> None:
     clouds = wire.CloudsSpec(clouds=[{"file": cloud_id}])  # type: ignore[list-item]
     odd = wire.CloudsSpec(clouds=clouds.clouds, robot="r2d2")
@@ -415,6 +435,7 @@ def test_robot_that_does_harm_is_one_clear_line(stub: PlannerServiceStub, files:
         ({"result.json": b"[" * 100_000}, "is no JSON"),
         ({"result.json": b'{"format": "scopt-result/1"}'}, "no motion to verify"),
         ({"else.json": b"{}"}, "result.json cannot be read"),
+        ({f"robot/{number}.stl": b"" for number in range(1001)}, "at most 1000 would do"),
     ],
 )
 def test_result_files_that_lie_are_refused(stub: PlannerServiceStub, files_sent: dict[str, bytes], words: str) -> None:
@@ -422,6 +443,13 @@ def test_result_files_that_lie_are_refused(stub: PlannerServiceStub, files_sent:
     code, text, found = refusal(lambda: stub.Verify(request, timeout=30))
     assert (code, set(found)) == ("INVALID_ARGUMENT", {"files"}), text
     assert words in text
+
+
+def test_file_to_verify_may_come_in_many_pieces(stub: PlannerServiceStub) -> None:
+    pieces = [FileChunk(path="result.json", data=b"        ")] * 50_000
+    pieces += [FileChunk(path="result.json", data=data) for data in (b'{"form', b'at": "scopt-result/1"}')]
+    code, text, _ = refusal(lambda: stub.Verify(wire.VerifyRequest(files=pieces), timeout=30))
+    assert (code, "no motion to verify" in text) == ("INVALID_ARGUMENT", True), text
 
 
 def test_review_that_is_too_long_is_named(stub: PlannerServiceStub) -> None:

@@ -93,5 +93,11 @@ def test_what_is_wrong_with_a_cloud_is_told_of_the_field_that_names_it() -> None
         "no points",
     )
     told = [violation(problem) for problem in as_sent(said, kept, asked)]
-    assert [one.field for one in told] == ["clouds.clouds[1].file", "kind", "clouds.robot", "clouds", "clouds.clouds"]
+    assert [one.field for one in told] == [
+        "clouds.clouds[1].file",
+        "kind",
+        "clouds.robot",
+        "clouds.start",
+        "clouds.clouds",
+    ]
     assert told[0].description == "clouds.clouds[1].file: sha256:b.pcd: is empty"
