@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 import grpc
@@ -241,6 +242,25 @@ def test_certificates_of_clients_and_who_they_are_go_together(tmp_path: Path) ->
 )
 def test_what_is_no_address_is_refused(address: str) -> None:
     assert len(listen_problems(address, None, None)) == 1
+
+
+def test_a_socket_is_not_taken_from_whoever_listens_there(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    address = f"unix:{path}"
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(path))
+        assert listen_problems(address, None, None) == []  # left behind: nobody answers
+        listening.listen()
+        (problem,) = listen_problems(address, None, None)
+        assert problem == f"--listen {address}: another server listens there; stop it, or choose another path"
+
+
+@pytest.mark.parametrize(
+    ("path", "words"), [("none/s", "none is no folder"), (200 * "s", "cannot listen there (AF_UNIX path too long)")]
+)
+def test_why_there_can_be_no_socket_is_told(tmp_path: Path, path: str, words: str) -> None:
+    (problem,) = listen_problems(f"unix:{tmp_path / path}", None, None)
+    assert problem.endswith(words)
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from service.server.servicer import Servicer
 from service.server.settings import MOST_STREAMS, ServerSettings
 from service.server.workshop import Workshop
 from service.store import CloudStore, Store
-from service.trust import Certificates, Gate, TlsFiles, Tokens, TrustError, allowed_folders, listen_problems
+from service.trust import UNIX, Certificates, Gate, TlsFiles, Tokens, TrustError, allowed_folders, listen_problems
 from service.trust import Limits as ClientLimiter
 
 _LOG = structlog.get_logger("scopt.server")
@@ -192,8 +192,7 @@ def _bound(server: grpc.aio.Server, asked: str, certificates: Certificates | Non
         number = 0
     if number == 0:
         raise TrustError(f"--listen {asked}: cannot listen there; is another server at it?")
-    host, colon, last = asked.rpartition(":")
-    return f"{host}{colon}{number}" if last.isdigit() else asked
+    return asked if asked.startswith(UNIX) else f"{asked.rpartition(':')[0]}:{number}"
 
 
 async def _drain(server: Running, drain_s: float, now: asyncio.Event) -> None:

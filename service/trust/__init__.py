@@ -8,7 +8,7 @@ from service.trust.folders import AllowedFolders, allowed_folders
 from service.trust.gate import Gate
 from service.trust.identity import LOCAL, OPEN_TO_ALL, ROLE_NEEDED, Caller, Identity, Role, current_caller
 from service.trust.limits import ClientLimits, Limits, TokenBuckets, peer_key
-from service.trust.listen import is_loopback, listen_problems
+from service.trust.listen import UNIX, is_loopback, listen_problems
 from service.trust.tls import Certificates, TlsFiles
 from service.trust.tokens import Tokens, make_token, token_sha256
 
@@ -16,6 +16,7 @@ __all__ = [
     "LOCAL",
     "OPEN_TO_ALL",
     "ROLE_NEEDED",
+    "UNIX",
     "AllowedFolders",
     "Caller",
     "Certificates",

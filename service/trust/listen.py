@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ipaddress
 import re
+import socket
+from pathlib import Path
 
 from service.errors import shown
 from service.trust.tls import TlsFiles
@@ -22,7 +24,7 @@ def listen_problems(address: str, tls: TlsFiles | None, tokens: Tokens | None) -
         tokens: who may come in.
     """
     if address.startswith(UNIX):
-        return [] if len(address) > len(UNIX) else ["--listen unix: needs a path"]
+        return _socket_problems(address)
     match = _ADDRESS.fullmatch(address)
     if match is None or int(match["port"]) > 65535:
         return [f"--listen {shown(address)} is no address; HOST:PORT, [IPV6]:PORT or unix:PATH would do"]
@@ -53,3 +55,21 @@ def is_loopback(host: str) -> bool:
         return False
     mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
     return (mapped or address).is_loopback
+
+
+def _socket_problems(address: str) -> list[str]:
+    """Of ``unix:PATH``, where gRPC would take the path away from whoever listens there."""
+    path = address.removeprefix(UNIX)
+    if not path:
+        return ["--listen unix: needs a path"]
+    if not Path(path).parent.is_dir():
+        return [f"--listen {address}: {Path(path).parent} is no folder"]
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+            probe.settimeout(1.0)
+            probe.connect(path)
+    except (FileNotFoundError, ConnectionRefusedError):  # nothing there, or left behind by a server that was killed
+        return []
+    except OSError as error:
+        return [f"--listen {address}: cannot listen there ({error.strerror or error})"]
+    return [f"--listen {address}: another server listens there; stop it, or choose another path"]
