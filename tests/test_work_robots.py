@@ -92,9 +92,9 @@ def test_problems_name_the_folder_s_robots_and_not_where_it_is(tmp_path: Path) -
     (tmp_path / "swinger").mkdir()
     _write(tmp_path / "swinger" / "robot.urdf", 0.5, 1)
     unknown, broken = RobotFolder(tmp_path).as_named(
-        ["unknown robot 'swingr'; known: atlas", f"{tmp_path.resolve()}/swinger/robot.urdf: has no links"]
+        ["robot: unknown robot 'swingr'; known: atlas", f"{tmp_path.resolve()}/swinger/robot.urdf: has no links"]
     )
-    assert unknown == "unknown robot 'swingr'; known: atlas; this server also has swinger"
+    assert unknown == "robot: unknown robot 'swingr'; known: atlas; this server also has swinger"
     assert broken == "swinger/robot.urdf: has no links"
 
 

@@ -146,7 +146,9 @@ class Keeping:
             deadline=deadline_of(context),
             budget_s=self._settings.budget_s("robots"),
         )
-        return wire.ListRobotsResponse(robots=[wire.RobotInfo(**robot) for robot in found])
+        texts = self._robots.as_named(robot["description"] for robot in found)
+        robots = [wire.RobotInfo(**{**robot, "description": text}) for robot, text in zip(found, texts, strict=True)]
+        return wire.ListRobotsResponse(robots=robots)
 
     async def status(self, message: wire.GetStatusRequest, context: Context) -> wire.GetStatusResponse:
         """What the server is doing."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 from service.request import PlanRequest, RobotRequest
 
 URDF_NAME, SRDF_NAME = "robot.urdf", "robot.srdf"
+UNKNOWN = re.compile(r"(robot: )?unknown robot ")
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class RobotFolder:
         here = "" if self.folder is None else f"{self.folder.resolve()}{os.sep}"
         also = ", ".join(self.requests())
         return [
-            f"{problem}; this server also has {also}" if also and problem.startswith("unknown robot") else problem
+            f"{problem}; this server also has {also}" if also and UNKNOWN.match(problem) else problem
             for problem in (problem.replace(here, "") if here else problem for problem in problems)
         ]
 

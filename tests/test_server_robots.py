@@ -1,0 +1,66 @@
+"""A real server whose folder of robots changes while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import grpc
+import pytest
+from planner_calls import finished, plan_request, refusal
+from planner_server import planner_server
+
+from service.proto.planner.v1 import planner_pb2 as wire
+from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
+from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+URDF = """<robot name="swinger"><link name="base"/><link name="tip">
+<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><box size="0.1 0.1 0.5"/></geometry></collision></link>
+<joint name="swing" type="revolute"><parent link="base"/><child link="tip"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="{upper}" velocity="1" effort="10"/></joint></robot>"""
+
+
+@pytest.fixture
+def robots(tmp_path: Path) -> Path:
+    folder = tmp_path / "robots"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def stub(tmp_path: Path, robots: Path) -> Iterator[PlannerServiceStub]:
+    with (
+        planner_server(tmp_path / "data", "--robots", str(robots)) as started,
+        grpc.insecure_channel(started.address) as channel,
+    ):
+        yield PlannerServiceStub(channel)
+
+
+def test_robots_come_change_break_and_go_while_the_server_runs(stub: PlannerServiceStub, robots: Path) -> None:
+    message = plan_request({"robot": {"name": "swinger"}, "goal": {"joints": {"swing": 1.5}}})
+
+    def told() -> str:
+        return refusal(lambda: list(stub.Plan(message, timeout=60)))[1]
+
+    def described() -> dict[str, str]:
+        return {one.name: one.description for one in stub.ListRobots(wire.ListRobotsRequest(), timeout=60).robots}
+
+    (robots / "other").mkdir()
+    (robots / "other" / "robot.urdf").write_text(URDF.format(upper=1))
+    assert told() == "robot: unknown robot 'swinger'; known: atlas; this server also has other"
+    urdf = robots / "swinger" / "robot.urdf"
+    urdf.parent.mkdir()
+    urdf.write_text(URDF.format(upper=1))
+    assert "1.5 is outside the joint's limits; -1 to 1 would do" in told()
+    urdf.write_text(URDF.format(upper=2.5))
+    assert finished(stub.Plan(message, timeout=60)).result.verdict == VERDICT_CERTIFIED
+    assert described()["swinger"] == "1 degrees of freedom"
+    urdf.write_text("<robot")
+    assert told().startswith("robot: swinger/robot.urdf: not well-formed XML")
+    assert described()["swinger"].startswith("cannot be used: robot: swinger/robot.urdf: not well-formed XML")
+    urdf.unlink()
+    assert "unknown robot 'swinger'" in told()
+    assert set(described()) == {"other", "atlas"}
