@@ -12,136 +12,27 @@ from scipy.optimize import minimize
 from perception.clean import voxel_downsample
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
+from perception.detect.drill_shape import BODY_RADIUS, FOOT, Shape, about_up, meet, notch_open
+from perception.detect.footing import is_held
 from perception.detect.sightlines import SightIndex, Sightlines, sight_index
-from perception.detect.supports import StandingCluster, standing_clusters
+from perception.detect.supports import StandingCluster, dense_parts, standing_clusters
 from perception.view import View
 
 _TALL = (0.15, 0.33)
 _WIDE = 0.38
 _HINT_RADIUS = 0.4
 _REPORTED = 0.05
-# Seen from ahead or behind a drill has no notch that tells it from a bottle.
+# Without rays that go on into its notches nothing tells a drill from a bottle.
 _UNSEEN_NOTCH, _UNSEEN_HINTED = 0.3, 0.9
 _YAWS = np.radians(np.arange(0.0, 360.0, 15.0))
 _SIGMA_DEPTH = 0.01
 _SIGMA_EDGE = 0.006
 _NEAR = 0.035
 _WORST = 9.0
-_MOST_RAYS = 400
-_MOST_CLUSTERS = 6
+_MOST_RAYS, _FEW_RAYS = 2000, 400
+_MOST_CLUSTERS, _MOST_FITS = 24, 6
+_OVER_SUPPORT = (0.015, 0.03)
 _MOST_POINTS = 200
-# Usual half sizes: of the battery's foot, and radii of body and grip; its base is as high as the foot [m].
-_FOOT = (0.06, 0.035, 0.0275)
-_BODY_RADIUS = 0.031
-_NOSE_RADIUS = 0.02
-_NOSE_SHARE = 0.34
-_GRIP_RADIUS = 0.021
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A drill's place and sizes.
-
-    Attributes:
-        x, y: of the grip on its support [m].
-        yaw: of the chuck about z [rad].
-        grip: length of the grip [m].
-        body: length of the body with its chuck [m].
-        back: how far the body reaches behind the grip [m].
-    """
-
-    x: float
-    y: float
-    yaw: float
-    grip: float = 0.125
-    body: float = 0.2
-    back: float = 0.07
-
-    @classmethod
-    def of(cls, values: Float[np.ndarray, "6"]) -> Shape:
-        """From numbers in the order of the attributes."""
-        x, y, yaw, grip, body, back = values.tolist()
-        return cls(x, y, yaw, grip, body, back)
-
-    @property
-    def values(self) -> Float[np.ndarray, "6"]:
-        """In the order of the attributes."""
-        return np.array([self.x, self.y, self.yaw, self.grip, self.body, self.back])
-
-
-@dataclass(frozen=True)
-class Solids:
-    """Parts of a drill, each what lies within a radius of a segment.
-
-    Attributes:
-        first, last: (S, 3) ends of the segments, in the drill's frame on its support [m].
-        radius: (S,) [m].
-    """
-
-    first: Float[np.ndarray, "S 3"]
-    last: Float[np.ndarray, "S 3"]
-    radius: Float[np.ndarray, "S"]
-
-
-def solids_of(shape: Shape) -> Solids:
-    """Capsules: body, nose, grip and three for the battery's foot."""
-    foot = 2.0 * _FOOT[2]
-    top = foot + shape.grip + 0.03
-    front, nose = shape.body - shape.back, _NOSE_SHARE * shape.body
-    r, low = _FOOT[2], _FOOT[2]
-    across = _FOOT[1] - r
-    parts = [
-        ((-shape.back + _BODY_RADIUS, 0.0, top), (front - nose - 0.5 * _BODY_RADIUS, 0.0, top), _BODY_RADIUS),
-        ((front - nose, 0.0, top), (front - _NOSE_RADIUS, 0.0, top), _NOSE_RADIUS),
-        ((0.0, 0.0, foot), (0.0, 0.0, top), _GRIP_RADIUS),
-        ((-0.05 + r, -across, low), (0.07 - r, -across, low), r),
-        ((-0.05 + r, across, low), (0.07 - r, across, low), r),
-    ]
-    first, last, radius = (np.array(column) for column in zip(*parts, strict=True))
-    return Solids(first, last, radius)
-
-
-def meet(rays: Sightlines, shape: Shape, level: float) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """How far outside the drill each ray passes (negative inside), and how deep along it the nearest part lies [m]."""
-    rotation = _about_up(-shape.yaw)
-    start = (rays.start - (shape.x, shape.y, level)) @ rotation.T
-    way = rays.direction @ rotation.T
-    solids = solids_of(shape)
-    apart, along = _rays_to_segments(start, way, solids.first, solids.last)
-    radius = solids.radius[:, None]
-    beyond = apart - radius
-    enters = along - np.sqrt(np.maximum(radius**2 - np.minimum(apart, radius) ** 2, 0.0))
-    # Of the parts a ray meets the first counts; of those it misses the nearest.
-    outside, is_hit = beyond.min(axis=0), beyond < 0.0
-    nearest = np.take_along_axis(enters, beyond.argmin(axis=0)[None], axis=0)[0]
-    first = np.where(is_hit, enters, np.inf).min(axis=0)
-    return outside, np.where(outside < 0.0, first, nearest)
-
-
-def _about_up(angle: float) -> Float[np.ndarray, "3 3"]:
-    """Turn about the vertical."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _rays_to_segments(
-    start: Float[np.ndarray, "N 3"],
-    way: Float[np.ndarray, "N 3"],
-    first: Float[np.ndarray, "S 3"],
-    last: Float[np.ndarray, "S 3"],
-) -> tuple[Float[np.ndarray, "S N"], Float[np.ndarray, "S N"]]:
-    """Distance of each ray from each segment, and where along the ray it is nearest [m]."""
-    side = last - first
-    a, b = side @ way.T, (side**2).sum(axis=1)[:, None]
-    c = (way * start).sum(axis=1) - first @ way.T
-    d = side @ start.T - (side * first).sum(axis=1)[:, None]
-    share = np.clip((d - a * c) / np.maximum(b - a**2, 1e-9), 0.0, 1.0)
-    along = share * a - c
-    square = np.zeros_like(along)
-    for i in range(3):
-        offset = start[:, i] - first[:, i, None] + along * way[:, i] - share * side[:, i, None]
-        square += offset * offset
-    return np.sqrt(square), along
 
 
 def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
@@ -156,50 +47,85 @@ def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     if not len(view.obstacles):
         return []
     index = sight_index(view.cloud)
-    clusters = [one for one in standing_clusters(view) if _fits(one)]
+    clusters = [part for one in standing_clusters(view) for part in _of_a_size(one)]
     if hint is not None:
         clusters = [one for one in clusters if np.linalg.norm(one.points.mean(axis=0) - hint) < _HINT_RADIUS]
-    found = [_examine(index, one, hint is not None) for one in clusters[:_MOST_CLUSTERS]]
+    clusters = [one for one in clusters if is_held(index, one)]
+    begun = sorted((_begin(index, one) for one in clusters[:_MOST_CLUSTERS]), key=lambda one: one.least_cost)
+    found = [_finish(one, hint is not None) for one in begun[:_MOST_FITS]]
     return sorted((one for one in found if one.confidence > _REPORTED), key=lambda one: -one.confidence)
 
 
-def _fits(cluster: StandingCluster) -> bool:
-    """Whether a cluster may be a drill by its size."""
+def _of_a_size(cluster: StandingCluster) -> list[StandingCluster]:
+    """The densest parts of a cluster that may be a drill by their size."""
+    if not _TALL[0] < _size(cluster)[0] < _TALL[1]:
+        return []
+    for parts in dense_parts(cluster):
+        fitting = [part for part in parts if _TALL[0] < _size(part)[0] < _TALL[1] and _size(part)[1] < _WIDE]
+        if fitting:
+            return fitting
+    return []
+
+
+def _size(cluster: StandingCluster) -> tuple[float, float]:
+    """Height over the support and diagonal of the ground plan, strays left out [m]."""
     low, high = np.percentile(cluster.points, [3, 97], axis=0)
-    return bool(_TALL[0] < high[2] - cluster.level < _TALL[1] and np.hypot(*(high - low)[:2]) < _WIDE)
+    return float(high[2] - cluster.level), float(np.hypot(*(high - low)[:2]))
 
 
-def _examine(index: SightIndex, cluster: StandingCluster, is_hinted: bool) -> Detection:
-    """Fit a drill to what stands there and weigh it."""
+@dataclass(frozen=True)
+class _Begun:
+    """A cluster held against drills that stand there, before any is fitted.
+
+    Attributes:
+        cluster: what stands there.
+        least: height over which a ray may have ended on it: what ended on its support passed beside it [m].
+        rays: that pass it; ``few`` of them suffice to fit.
+        starts: drills that look different ways, best first.
+        least_cost: of the first.
+    """
+
+    cluster: StandingCluster
+    least: float
+    rays: Sightlines
+    few: Sightlines
+    starts: tuple[Shape, ...]
+    least_cost: float
+
+
+def _begin(index: SightIndex, cluster: StandingCluster) -> _Begun:
+    """Rays and starts of a fit."""
     places, _ = voxel_downsample(cluster.points, 0.05)
     rays = index.passing(places, 0.1).thinned(_MOST_RAYS)
-    height = rays.ends[:, 2] - cluster.level
-    # What ended on the support passed beside the drill.
-    on_support = np.abs(height) < 0.015
+    few = rays.thinned(_FEW_RAYS)
+    least = cluster.level + _over_support(rays, cluster.level)
     tall = float(np.percentile(cluster.points[:, 2], 98)) - cluster.level
-    grip = float(np.clip(tall - 2.0 * _FOOT[2] - 0.03 - _BODY_RADIUS, 0.08, 0.17))
+    grip = float(np.clip(tall - 2.0 * FOOT[2] - 0.03 - BODY_RADIUS, 0.08, 0.17))
+    costs = [(_cost(few, least, cluster.level, shape), shape) for shape in _starts(cluster, grip)]
+    costs.sort(key=lambda one: one[0])
+    return _Begun(cluster, least, rays, few, tuple(_distinct([shape for _, shape in costs])[:3]), costs[0][0])
 
-    may_end = ~on_support & (rays.ends[:, 2] > cluster.level + 0.01)
+
+def _finish(begun: _Begun, is_hinted: bool) -> Detection:
+    """Fit a drill to what stands there and weigh it."""
+    level = begun.cluster.level
+    steps = np.array([0.015, 0.015, 0.15, 0.012, 0.02, 0.012])
+    fits = []
 
     def cost(values: Float[np.ndarray, "6"]) -> float:
-        return _cost(rays, may_end, cluster.level, Shape.of(values))
+        return _cost(begun.few, begun.least, level, Shape.of(values))
 
-    starts = _starts(cluster, grip)
-    ranked = sorted(starts, key=lambda shape: cost(shape.values))
-    steps = np.array([0.015, 0.015, 0.15, 0.012, 0.02, 0.012])
-    results = []
-    for start in _distinct(ranked)[:3]:
+    for start in begun.starts:
         simplex = np.concatenate([start.values[None], start.values + np.diag(steps)])
-        results.append(
-            minimize(
-                cost,
-                start.values,
-                method="Nelder-Mead",
-                options={"initial_simplex": simplex, "maxfev": 180, "xatol": 1e-3},
-            )
+        result = minimize(
+            cost,
+            start.values,
+            method="Nelder-Mead",
+            options={"initial_simplex": simplex, "maxfev": 180, "xatol": 1e-3},
         )
-    best = min(results, key=lambda result: float(result.fun))
-    return _judged(rays, on_support, cluster, Shape.of(best.x), is_hinted)
+        fits.append(Shape.of(result.x))
+    best = min(fits, key=lambda shape: _cost(begun.rays, begun.least, level, shape))
+    return _judged(begun, best, is_hinted)
 
 
 def _starts(cluster: StandingCluster, grip: float) -> list[Shape]:
@@ -223,11 +149,23 @@ def _distinct(shapes: list[Shape]) -> list[Shape]:
     return kept
 
 
-def _cost(rays: Sightlines, may_end: Bool[np.ndarray, "N"], level: float, shape: Shape) -> float:
+def _over_support(rays: Sightlines, level: float) -> float:
+    """How high over a support its noise reaches [m]."""
+    height = np.abs(rays.ends[:, 2] - level)
+    near = height[height < 2.0 * _OVER_SUPPORT[1]]
+    noise = 1.4826 * float(np.median(near)) if len(near) else 0.0
+    return float(np.clip(2.5 * noise, *_OVER_SUPPORT))
+
+
+def _may_end(rays: Sightlines, least: float) -> Bool[np.ndarray, "N"]:
+    return np.asarray(rays.start[:, 2] + rays.length * rays.direction[:, 2] > least)
+
+
+def _cost(rays: Sightlines, least: float, level: float, shape: Shape) -> float:
     """Mean squared residual of depth and outline, none worse than three standard deviations, and what is usual."""
     outside, depth = meet(rays, shape, level)
     gap = rays.length - depth
-    ended = (np.abs(gap) < 0.12) & may_end
+    ended = (np.abs(gap) < 0.12) & _may_end(rays, least)
     on = (gap / _SIGMA_DEPTH) ** 2 + (np.maximum(outside, 0.0) / _SIGMA_EDGE) ** 2
     off = (np.maximum(-outside, 0.0) / _SIGMA_EDGE) ** 2 * (gap > 0.0)
     each = np.minimum(np.where(ended, on, off), _WORST)
@@ -235,62 +173,41 @@ def _cost(rays: Sightlines, may_end: Bool[np.ndarray, "N"], level: float, shape:
     return float(each.mean() + 0.03 * usual)
 
 
-def _judged(
-    rays: Sightlines, on_support: Bool[np.ndarray, "N"], cluster: StandingCluster, shape: Shape, is_hinted: bool
-) -> Detection:
+def _judged(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
     """The drill as a detection."""
+    rays, cluster = begun.rays, begun.cluster
     outside, depth = meet(rays, shape, cluster.level)
     gap = rays.length - depth
-    ended = (np.abs(gap) < 0.12) & ~on_support & (rays.ends[:, 2] > cluster.level + 0.01)
+    ended = (np.abs(gap) < 0.12) & _may_end(rays, begun.least)
     inside = (outside < -0.004) & (gap > -_NEAR)
     solid = float((ended & (np.abs(gap) < _NEAR))[inside].mean()) if inside.any() else 0.0
     explained = float((outside[ended] < 0.012).mean()) if ended.any() else 0.0
-    notch_open, notch_seen = _notch(rays, shape, cluster.level)
+    notch_open_share, notch_seen = notch_open(rays, shape, cluster.level)
     hit = ended & inside & (np.abs(gap) < _NEAR)
     rms = float(np.sqrt(np.mean(gap[hit] ** 2))) if hit.any() else float("inf")
     known = rising(float(notch_seen), 3.0, 12.0)
     value = (
         rising(solid, 0.7, 0.9)
         * rising(explained, 0.7, 0.9)
-        * (known * rising(notch_open, 0.4, 0.8) + (1.0 - known) * (_UNSEEN_HINTED if is_hinted else _UNSEEN_NOTCH))
+        * (
+            known * rising(notch_open_share, 0.4, 0.8)
+            + (1.0 - known) * (_UNSEEN_HINTED if is_hinted else _UNSEEN_NOTCH)
+        )
         * rising(-rms, -0.02, -0.014)
         * rising(float(hit.sum()), 15.0, 60.0)
     )
-    foot = 2.0 * _FOOT[2]
+    foot = 2.0 * FOOT[2]
     pose = np.eye(4)
-    pose[:3, :3] = _about_up(shape.yaw)
+    pose[:3, :3] = about_up(shape.yaw)
     pose[:3, 3] = (shape.x, shape.y, cluster.level + foot + 0.5 * shape.grip)
     sizes = {"grip_length": shape.grip, "body_length": shape.body}
     residuals = {
         "rms": rms,
         "solid_share": solid,
         "explained_share": explained,
-        "notch_open_share": notch_open,
+        "notch_open_share": notch_open_share,
         "n_notch_rays": float(notch_seen),
     }
     points = rays.ends[hit]
     confidence = float(value**0.7 if is_hinted else value)
     return Detection("drill", pose, sizes, confidence, residuals, points[:: max(1, len(points) // _MOST_POINTS)])
-
-
-def _notch(rays: Sightlines, shape: Shape, level: float) -> tuple[float, int]:
-    """How many of the rays between chuck and foot before the grip went on behind it, and how many there were.
-
-    The plane of chuck and grip is crossed there by rays that come from the side; seen from ahead or behind, the
-    body's overhang hides the notch and nothing can be said.
-    """
-    rotation = _about_up(-shape.yaw)
-    start = (rays.start - (shape.x, shape.y, level)) @ rotation.T
-    way = rays.direction @ rotation.T
-    slope = np.where(np.abs(way[:, 1]) < 1e-3, 1e-3, way[:, 1])
-    depth = -start[:, 1] / slope
-    place = start + depth[:, None] * way
-    foot = 2.0 * _FOOT[2]
-    top = foot + shape.grip + 0.03
-    inside = (np.abs(way[:, 1]) > 0.2) & (place[:, 2] > foot + 0.015) & (place[:, 2] < top - _BODY_RADIUS - 0.012)
-    ahead = inside & (place[:, 0] > _GRIP_RADIUS + 0.015) & (place[:, 0] < shape.body - shape.back - 0.01)
-    behind = inside & (place[:, 0] < -_GRIP_RADIUS - 0.015) & (place[:, 0] > -shape.back - 0.01)
-    looked = (ahead | behind) & (rays.length > depth - 0.06)
-    if not looked.any():
-        return 0.0, 0
-    return float((rays.length > depth + 0.04)[looked].mean()), int(looked.sum())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -24,6 +24,7 @@ _LINK, _LINK_UP = 0.025, 0.12
 _WIDE = 0.5
 _LEAST_POINTS = 15
 _FOOT_HEIGHT = 0.05
+_LEAST_NEIGHBOURS = (9, 6, 4, 0)
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def standing_clusters(view: View) -> list[StandingCluster]:
     found: list[StandingCluster] = []
     for level in levels:
         layer = standing[(standing[:, 2] > level + _OVER[0]) & (standing[:, 2] < level + _OVER[1])]
-        found += [StandingCluster(one, level) for one in _linked(layer) if one[:, 2].min() < level + _FOOT_HEIGHT]
+        found += [StandingCluster(one, level) for one in _on_foot(_linked(layer), level)]
     return sorted(found, key=lambda one: -len(one.points))
 
 
@@ -99,8 +100,29 @@ def _linked(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
     """Groups of points within 3 cm of a neighbour, 12 cm above or below it: what overhangs hides what is under it."""
     if len(points) < _LEAST_POINTS:
         return []
-    pairs = cKDTree(points * (1.0, 1.0, _LINK / _LINK_UP)).query_pairs(_LINK, output_type="ndarray")
+    pairs = _pairs(points)
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     n_groups, of_point = connected_components(graph, directed=False)
     sizes = np.bincount(of_point, minlength=n_groups)
     return [points[of_point == i] for i in np.flatnonzero(sizes >= _LEAST_POINTS).tolist()]
+
+
+def _pairs(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
+    """Indices of the points that are linked."""
+    return np.asarray(cKDTree(points * (1.0, 1.0, _LINK / _LINK_UP)).query_pairs(_LINK, output_type="ndarray"))
+
+
+def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
+    """What a cluster falls into once points with few neighbours are left out, strictest first, all points last.
+
+    Mixed pixels and noise make bridges between what stands a hand apart; there points are few.
+    """
+    pairs = _pairs(cluster.points)
+    n_neighbours = np.bincount(pairs.ravel(), minlength=len(cluster.points))
+    levels = [_linked(cluster.points[n_neighbours >= least]) for least in _LEAST_NEIGHBOURS]
+    return [[StandingCluster(part, cluster.level) for part in _on_foot(parts, cluster.level)] for parts in levels]
+
+
+def _on_foot(groups: list[Float[np.ndarray, "K 3"]], level: float) -> list[Float[np.ndarray, "K 3"]]:
+    """Those that reach down to the surface."""
+    return [one for one in groups if one[:, 2].min() < level + _FOOT_HEIGHT]
