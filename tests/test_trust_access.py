@@ -183,6 +183,9 @@ def test_uploaded_bytes_are_limited_by_themselves() -> None:
     refusal = limits.upload("ann", 50)
     assert refusal is not None
     assert refusal.retry_after_s == 5.0
+    all_of_it = limits.upload("ann", 50, begun=20)
+    assert all_of_it is not None
+    assert all_of_it.retry_after_s == 7.0
     clock.now = 5.0
     assert limits.upload("ann", 50) is None
 

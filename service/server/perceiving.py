@@ -102,12 +102,12 @@ class Perceiving:
         if known is not None:
             return UploadCloudResponse(cloud_id=f"{UPLOADED}{claimed}{suffix}", size_bytes=known, was_known=True)
         with self._clouds.upload(client.name, suffix) as upload:
+            self._count(client.key, announced)
             async for request in requests:
                 if request.WhichOneof("part") != "chunk":
                     raise invalid(["chunk: every message after the first needs one"])
-                refusal = self._limiter.upload(client.key, len(request.chunk))
-                if refusal is not None:
-                    raise overloaded(refusal.text, refusal.retry_after_s or 0.0)
+                beyond = upload.n_bytes + len(request.chunk) - max(announced, upload.n_bytes)
+                self._count(client.key, beyond, upload.n_bytes)
                 try:
                     await asyncio.to_thread(upload.write, request.chunk)
                 except TooLargeError as error:
@@ -121,6 +121,16 @@ class Perceiving:
             cloud_id = await asyncio.to_thread(_kept, upload.finish)
         self._on_upload(size)
         return UploadCloudResponse(cloud_id=cloud_id, size_bytes=size, was_known=was_known)
+
+    def _count(self, client: str, n_bytes: int, begun: int = 0) -> None:
+        """Count bytes of a client's upload, what is announced before any of it is sent.
+
+        Raises:
+            Refusal: it brings too many, with the time after which all of it would do.
+        """
+        refusal = self._limiter.upload(client, n_bytes, begun) if n_bytes > 0 else None
+        if refusal is not None:
+            raise overloaded(refusal.text, refusal.retry_after_s or 0.0)
 
     async def build_scene(self, message: BuildSceneRequest, context: Context) -> AsyncIterator[BuildSceneResponse]:
         """Pieces, floor and objects of clouds.

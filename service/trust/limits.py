@@ -90,11 +90,18 @@ class Limits:
         words = f"more than {self._limits.requests_per_s:g} requests a second; try again in {wait:.1f} s"
         return _later(words, wait) if wait > 0 else None
 
-    def upload(self, key: str, n_bytes: int) -> Refusal | None:
-        """Count bytes of an upload; why they are refused, if they are."""
+    def upload(self, key: str, n_bytes: int, begun: int = 0) -> Refusal | None:
+        """Count bytes of an upload; why they are refused, if they are.
+
+        Args:
+            begun: bytes that were counted and would have to come again.
+        """
         wait = self._bytes.take(key, n_bytes)
-        words = f"more than {self._limits.upload_bytes_per_s:g} uploaded bytes a second; try again in {wait:.1f} s"
-        return _later(words, wait) if wait > 0 else None
+        if wait <= 0.0:
+            return None
+        rate = self._limits.upload_bytes_per_s
+        wait += begun / rate
+        return _later(f"more than {rate / 2**20:g} MiB uploaded a second; try again in {wait:.1f} s", wait)
 
     def enter(self, key: str) -> Refusal | None:
         """Begin to answer a call, which then leaves again; why it is refused, if it is."""
