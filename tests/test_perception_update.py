@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from costs.scene import ConvexPiece
-from perception import Cloud, Perceived, Reach, perceive
+from perception import Cloud, Evidence, Perceived, Piece, Reach, perceive
 from perception.clean import half_spaces
+from perception.convex.hulls import hull_of
+from perception.convex.pieces import updated_pieces
 from perception.remembered import Memory, content_key
 from perception.simulate import Pose, Room, Scanner, Valve, scan
 from perception.update import update
@@ -18,12 +20,14 @@ SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.3)
 SCANNER = Scanner(n_lines=60)
 
 
-def scanned(seed: int, moved: float | None = 0.0, valve: bool = False) -> Cloud:
-    """A room with a table, a pipe and a box that was moved so far, or taken away."""
+def scanned(seed: int, moved: float | None = 0.0, valve: bool = False, board: float = 0.0) -> Cloud:
+    """A room with a table, a pipe and a box that was moved so far, or taken away; a board so thick on the table."""
     boxes: list[tuple[tuple[float, float, float], tuple[float, float, float]]]
     boxes = [((0.6, -1.1, 0.0), (0.9, -0.7, 0.5)), ((0.9, -0.2, 0.7), (1.2, 0.3, 0.75))]
     if moved is not None:
         boxes.append(((0.2 + moved, 1.2, 0.0), (0.7 + moved, 1.7, 0.9)))
+    if board:
+        boxes.append(((0.95, -0.1, 0.75), (1.15, 0.15, 0.75 + board)))
     room = Room(wall_x=1.4, pipes=((1.1, 0.7, 0.05),), boxes=tuple(boxes))
     parts = [*room.meshes(), *(Valve((0.8, 0.1, 1.1)).meshes() if valve else ())]
     return scan(parts, SENSOR, SCANNER, seed=seed)
@@ -97,6 +101,27 @@ def test_a_box_that_moved_leaves_free_space_and_is_covered_where_it_is(before: P
 def test_a_box_that_was_taken_away_is_gone(before: Perceived) -> None:
     after = update(before, scanned(5, moved=None))
     assert not any(meets(piece, (0.25, 1.25, 0.1), (0.65, 1.65, 0.8)) for piece in after.scene.pieces)
+
+
+@pytest.mark.parametrize("thickness", [0.03, 0.035])
+def test_what_is_as_thin_as_the_noise_of_points_is_new(before: Perceived, thickness: float) -> None:
+    after = update(before, scanned(5, board=thickness))
+    rng = np.random.default_rng(0)
+    top = np.column_stack([rng.uniform(0.97, 1.13, 200), rng.uniform(-0.08, 0.13, 200), np.full(200, 0.75 + thickness)])
+    assert inside(top, before.scene.pieces, 0.01).mean() < 0.1
+    assert inside(top, after.scene.pieces, 0.01).mean() > 0.95
+
+
+@pytest.mark.parametrize("height", [0.588, 0.592, 0.596, 0.6])
+@pytest.mark.parametrize("thickness", [0.022, 0.025, 0.03])
+def test_a_plate_that_rays_go_through_is_gone_wherever_it_lies_between_cells(height: float, thickness: float) -> None:
+    corners = np.array(list(np.ndindex(2, 2, 2))) * (0.4, 0.4, thickness) + (0.8, -0.2, height)
+    shape = ConvexPiece("clutter/0", corners, "clutter")
+    plate = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), hull_of(corners, np.arange(0)).simplified)
+    ends = np.stack(np.meshgrid(np.arange(0.6, 1.6, 0.02), np.arange(-0.5, 0.5, 0.02), [0.0]), axis=-1).reshape(-1, 3)
+    through = np.array([0.0, 0.0, 1.6]), ends
+    assert not updated_pieces([plate], np.zeros((0, 3)), np.zeros((0, 3)), through).pieces
+    assert updated_pieces([plate], np.zeros((0, 3)), np.zeros((0, 3)), (through[0], ends[:0])).pieces
 
 
 def boxes_only(seed: int, *corners: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Cloud:

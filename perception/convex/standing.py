@@ -12,11 +12,12 @@ from perception.convex.freespace import FreeSpace
 from perception.convex.hulls import Hull
 from perception.convex.piece import Piece
 from perception.convex.planes import Plane, PlaneSettings, noise_of
+from perception.convex.smooth import smoothed
 from perception.convex.split import clusters
 
 _WITHIN = 0.01
-_FUZZ = 0.035
-_FUZZ_OF_RANGE = 0.005
+_FUZZ = 0.015
+_FUZZ_OF_RANGE = 0.003
 _FREE_CELLS = 12
 _FREE_SHARE = 0.06
 _DEEP = 0.03
@@ -24,6 +25,7 @@ _DEEP_CELLS = 6
 _DEEP_SHARE = 0.003
 _FREE_WITHIN = 0.5
 _AROUND = 0.02
+_NEAR = 0.1
 _LEAST_POINTS = 4
 
 
@@ -43,10 +45,20 @@ def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> 
         if (
             free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, grazed) <= grazed
             and free.count_inside(hull.faces, hull.vertices, _DEEP, deep) <= deep
-            and (free.contains(_within(hull)).mean() <= _FREE_WITHIN or len(_held(hull, coarse)))
+            and (len(_held(hull, coarse)) or not _is_passed(hull, free, grazed))
         ):
             standing.append(piece)
     return standing
+
+
+def _is_passed(hull: Hull, free: FreeSpace, grazed: int) -> bool:
+    """Whether rays pass through a piece of which nothing is seen, and which may be thinner than the cells tell."""
+    heights = hull.faces[:, :3] @ hull.vertices.T
+    thickness = float(np.ptp(heights, axis=1).min())
+    margin = 0.25 * free.size * float(np.clip(thickness / free.size - 1.0, 0.0, 1.0))
+    if free.count_inside(hull.faces, hull.vertices, margin, grazed) > grazed:
+        return True
+    return bool(free.contains(_within(hull)).mean() > _FREE_WITHIN)
 
 
 def _held(hull: Hull, coarse: Coarse) -> Int[np.ndarray, "K"]:
@@ -61,28 +73,46 @@ def _within(hull: Hull) -> Float[np.ndarray, "V 3"]:
 
 
 def unexplained(standing: Sequence[Piece], coarse: Coarse) -> Int[np.ndarray, "K"]:
-    """Points of clusters that are more than noise about the pieces that stand."""
-    distance = np.full(len(coarse.points), np.inf)
-    reach = _FUZZ + _FUZZ_OF_RANGE * np.linalg.norm(coarse.points - coarse.starts, axis=1)
-    farthest = float(reach.max(initial=0.0))
-    for hull in (piece.hull for piece in standing):
-        near = coarse.within(hull.lower - farthest, hull.upper + farthest)
-        near = near[distance[near] > _WITHIN]
-        inside = hull.is_within(coarse.points[near], _WITHIN)
-        distance[near[inside]] = 0.0
-        near = near[~inside]
-        outside = (hull.faces[:, :3] @ coarse.points[near].T + hull.faces[:, 3:]).max(axis=0, initial=-np.inf)
-        distance[near] = np.minimum(distance[near], outside)
-    left = np.flatnonzero(distance > _WITHIN)
+    """Points of clusters that are more than noise about the pieces that stand.
+
+    Pieces are made of points whose noise along their rays is averaged out, and are held against such points: what is
+    as thin as the noise of single points would be missed otherwise.
+    """
+    left = np.flatnonzero(~_explained(standing, coarse))
     for piece in standing:
         if piece.plane is not None and len(left):
             left = left[~_noise_about(piece.plane, piece.hull, coarse, left)]
     if not len(left):
         return left
+    distance = _distance(standing, smoothed(coarse.points, coarse.counts, coarse.starts, left))
+    is_far = distance > _FUZZ + _FUZZ_OF_RANGE * np.linalg.norm(coarse.points[left] - coarse.starts[left], axis=1)
+    left, is_far = left[distance > _WITHIN], is_far[distance > _WITHIN]
+    if not is_far.any():
+        return left[:0]
     # A cluster counts when part of it lies beyond the noise.
     groups = clusters(coarse.points[left], coarse.starts[left])
-    new = [left[group] for group in groups if _is_new(distance[left[group]] > reach[left[group]], coarse, left[group])]
+    new = [left[group] for group in groups if _is_new(is_far[group], coarse, left[group])]
     return np.sort(np.concatenate(new)) if new else left[:0]
+
+
+def _explained(standing: Sequence[Piece], coarse: Coarse) -> Bool[np.ndarray, "M"]:
+    """Which points lie in a piece or at most 1 cm before it."""
+    explained = np.zeros(len(coarse.points), dtype=bool)
+    for hull in (piece.hull for piece in standing):
+        near = coarse.within(hull.lower - _AROUND, hull.upper + _AROUND)
+        near = near[~explained[near]]
+        explained[near[hull.is_within(coarse.points[near], _WITHIN)]] = True
+    return explained
+
+
+def _distance(standing: Sequence[Piece], points: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K"]:
+    """How far before the nearest piece each point lies, negative inside, infinite where none is near [m]."""
+    distance = np.full(len(points), np.inf)
+    for hull in (piece.hull for piece in standing):
+        near = np.flatnonzero(((points >= hull.lower - _NEAR) & (points <= hull.upper + _NEAR)).all(axis=1))
+        before = (hull.faces[:, :3] @ points[near].T + hull.faces[:, 3:]).max(axis=0, initial=-np.inf)
+        distance[near] = np.minimum(distance[near], before)
+    return distance
 
 
 def _is_new(is_far: Bool[np.ndarray, "K"], coarse: Coarse, group: Int[np.ndarray, "K"]) -> bool:
