@@ -67,8 +67,13 @@ def print_table(out: Console, columns: Sequence[str], rows: Sequence[Sequence[st
     for column in columns:
         table.add_column(column, overflow="fold")
     for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(_printable(cell)) for cell in row))
     out.print(table)
+
+
+def _printable(text: str) -> str:
+    """A text that others wrote, without what would have a terminal do anything but show it."""
+    return "".join(one if one.isprintable() or one == "\n" else repr(one)[1:-1] for one in text)
 
 
 def _deepest(exempt: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, str]]:

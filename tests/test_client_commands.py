@@ -217,6 +217,13 @@ def test_a_review_shows_what_it_is_bound_to(stand_in: PlannerStandIn, target: st
     ]
 
 
+def test_a_comment_does_nothing_to_the_terminal_that_shows_it(stand_in: PlannerStandIn, target: str) -> None:
+    _scopt("review", PLAN_ID, "--target", target, "--reject", "--comment", "\x1b[2K\x1b[1Atoo ☃\nclose")
+    seen = _scopt("review", PLAN_ID, "--target", target).stdout
+    assert "\x1b" not in seen
+    assert r"\x1b[2K\x1b[1Atoo ☃" in seen
+
+
 def test_what_is_to_be_reviewed_is_fetched_without_a_decision(
     stand_in: PlannerStandIn, target: str, tmp_path: Path
 ) -> None:

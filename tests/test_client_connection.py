@@ -175,3 +175,8 @@ def test_tls_files_that_cannot_be_used_are_refused(folder: Path) -> None:
         PlannerClient("localhost:1", tls_cert=folder / "client.pem")
     with pytest.raises(RequestError, match=r"tls_ca: .*missing\.pem cannot be read: No such file"):
         PlannerClient("localhost:1", tls_ca=folder / "missing.pem")
+    (folder / "notes.pem").write_text("no certificate")
+    with pytest.raises(RequestError, match=r"tls_ca: .*notes\.pem holds no certificate of an authority in PEM"):
+        PlannerClient("localhost:1", tls_ca=folder / "notes.pem")
+    with pytest.raises(RequestError, match=r"tls_cert and tls_key: .*server\.key do not go together"):
+        PlannerClient("localhost:1", tls_cert=folder / "client.pem", tls_key=folder / "server.key")

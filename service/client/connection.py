@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ssl
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -79,12 +80,35 @@ class Connection:
         """Of TLS; None where it is not spoken.
 
         Raises:
-            RequestError: a file cannot be read.
+            RequestError: a file cannot be read, or holds something else.
         """
         if not self.is_secure:
             return None
         parts = (("tls_ca", self.tls_ca), ("tls_key", self.tls_key), ("tls_cert", self.tls_cert))
-        return grpc.ssl_channel_credentials(*(_content(name, path) for name, path in parts))
+        contents = [_content(name, path) for name, path in parts]
+        self._check(contents[0])
+        return grpc.ssl_channel_credentials(*contents)
+
+    def _check(self, authority: bytes | None) -> None:
+        """gRPC would go without what it cannot use, and say that nobody answers.
+
+        Raises:
+            RequestError: a file holds something else than it should.
+        """
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        if authority is not None:
+            try:
+                context.load_verify_locations(cadata=authority.decode("ascii", "replace"))
+            except (ssl.SSLError, ValueError):
+                raise RequestError(f"tls_ca: {self.tls_ca} holds no certificate of an authority in PEM") from None
+        if self.tls_cert is not None and self.tls_key is not None and Path(self.tls_key).is_file():
+            try:
+                context.load_cert_chain(self.tls_cert, self.tls_key, password=b"")
+            except (ssl.SSLError, OSError, ValueError):
+                pair = f"{self.tls_cert} and {self.tls_key}"
+                raise RequestError(
+                    f"tls_cert and tls_key: {pair} do not go together as certificate and unencrypted key in PEM"
+                ) from None
 
 
 def _content(name: str, path: str | Path | None) -> bytes | None:
