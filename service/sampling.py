@@ -93,67 +93,86 @@ def sampled_path(
         tree: seed and effort.
         is_over: asked often; True ends the search.
     """
-    from ompl import base, geometric, util  # takes a while to import and is the last resort
+    from ompl import util  # takes a while to import and is the last resort
 
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(tree.seed + 1)
-    robot, free = problem.body.robot, problem.free
-    space = base.RealVectorStateSpace(len(free))
-    bounds = base.RealVectorBounds(len(free))
-    for k, index in enumerate(free.tolist()):
-        ends = float(problem.start[index]), float(problem.end[index])
-        bounds.setLow(k, max(float(robot.lower[index]), min(ends) - np.pi))
-        bounds.setHigh(k, min(float(robot.upper[index]), max(ends) + np.pi))
-    space.setBounds(bounds)
-    information = base.SpaceInformation(space)
+    corners = _connected(problem, tree, is_over)
+    if corners is None:
+        return None
+    corners = _shortened(problem, corners, np.random.default_rng(tree.seed))
+    q = np.tile(problem.start, (len(corners), 1))
+    q[:, problem.free] = corners
+    return q
+
+
+def _connected(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) -> Float[np.ndarray, "K k"] | None:
+    """Corners of the free coordinates from start to end, as OMPL's planner finds them; None if it does not."""
+    from ompl import base, geometric
+
+    space = base.RealVectorStateSpace(len(problem.free))
+    space.setBounds(_bounds(problem))
+    effort = _Effort(problem, tree.most_checks, is_over)
 
     def corner(state: object) -> Float[np.ndarray, "k"]:
-        return np.array([state[k] for k in range(len(free))])  # type: ignore[index]
-
-    n_checks = 0
-
-    def is_clear(poses: Float[np.ndarray, "K k"]) -> bool:
-        nonlocal n_checks
-        n_checks += 1
-        return problem.is_clear(poses)
+        return np.array([state[k] for k in range(len(problem.free))])  # type: ignore[index]
 
     class Edge(base.MotionValidator):  # type: ignore[misc]
         def checkMotion(self, first: object, last: object, *_: object) -> bool:
-            return is_clear(along_edge(corner(first), corner(last)))
+            return effort.is_clear(along_edge(corner(first), corner(last)))
 
-    information.setStateValidityChecker(lambda state: is_clear(corner(state)[None]))
+    information = base.SpaceInformation(space)
+    information.setStateValidityChecker(lambda state: effort.is_clear(corner(state)[None]))
     information.setMotionValidator(Edge(information))
     information.setup()
     definition = base.ProblemDefinition(information)
-    states = []
-    for q in (problem.start, problem.end):
-        state = space.allocState()
-        for k, index in enumerate(free.tolist()):
-            state[k] = float(q[index])
-        states.append(state)
+    states = [space.allocState(), space.allocState()]
+    for state, q in zip(states, (problem.start, problem.end), strict=True):
+        for k, value in enumerate(q[problem.free].tolist()):
+            state[k] = value
     definition.setStartAndGoalStates(*states)
     planner = getattr(geometric, tree.planner)(information)
     planner.setProblemDefinition(definition)
     planner.setRange(RANGE)
     planner.setup()
-    asked, is_stopped = 0, False
-
-    def is_enough() -> bool:
-        nonlocal asked, is_stopped
-        asked += 1
-        # The planner asks about three times as often as it checks: a look at the clock each time would be felt.
-        is_stopped = is_stopped or (asked % CLOCK_EVERY == 0 and is_over())
-        return is_stopped or n_checks >= tree.most_checks
-
-    until = base.PlannerTerminationCondition(is_enough)
-    if not planner.solve(until) or not definition.hasExactSolution():
+    if not planner.solve(base.PlannerTerminationCondition(effort.is_enough)) or not definition.hasExactSolution():
         return None
     path = definition.getSolutionPath()
-    corners = np.array([corner(path.getState(k)) for k in range(path.getStateCount())])
-    corners = _shortened(problem, corners, np.random.default_rng(tree.seed))
-    q = np.tile(problem.start, (len(corners), 1))
-    q[:, free] = corners
-    return q
+    return np.array([corner(path.getState(k)) for k in range(path.getStateCount())])
+
+
+def _bounds(problem: SamplingProblem) -> object:
+    """Of each free coordinate: its limits, and at most half a turn beyond start and end."""
+    from ompl import base
+
+    robot = problem.body.robot
+    bounds = base.RealVectorBounds(len(problem.free))
+    for k, index in enumerate(problem.free.tolist()):
+        ends = float(problem.start[index]), float(problem.end[index])
+        bounds.setLow(k, max(float(robot.lower[index]), min(ends) - np.pi))
+        bounds.setHigh(k, min(float(robot.upper[index]), max(ends) + np.pi))
+    return bounds
+
+
+class _Effort:
+    """Counts what a planner looks at, and says when it is enough."""
+
+    def __init__(self, problem: SamplingProblem, most_checks: int, is_over: Callable[[], bool]) -> None:
+        self._problem, self._most_checks, self._is_over = problem, most_checks, is_over
+        self._n_checks = self._n_asked = 0
+        self._is_stopped = False
+
+    def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
+        """Whether poses of the free coordinates are; counts as one check."""
+        self._n_checks += 1
+        return self._problem.is_clear(poses)
+
+    def is_enough(self) -> bool:
+        """Whether to give up."""
+        self._n_asked += 1
+        # The planner asks about three times as often as it checks: a look at the clock each time would be felt.
+        self._is_stopped = self._is_stopped or (self._n_asked % CLOCK_EVERY == 0 and self._is_over())
+        return self._is_stopped or self._n_checks >= self._most_checks
 
 
 def _shortened(

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+if TYPE_CHECKING:
+    from planner_stand_in import PlannerStandIn
 
 settings.register_profile("house", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("house")
@@ -25,3 +30,28 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no test data at {folder} (set SCOPT_DATA)")
     return folder
+
+
+@pytest.fixture
+def stand_in() -> PlannerStandIn:
+    """What a test tells to answer in a server's place."""
+    from planner_stand_in import PlannerStandIn  # gRPC takes a while to import, and most tests need none
+
+    return PlannerStandIn()
+
+
+@pytest.fixture
+def target(stand_in: PlannerStandIn) -> Iterator[str]:
+    """Where the stand-in is served."""
+    from planner_stand_in import serving
+
+    with serving(stand_in) as address:
+        yield address
+
+
+@pytest.fixture(params=["blocking", "asyncio"])
+def connect(request: pytest.FixtureRequest, target: str) -> Callable[..., Any]:
+    """Makes a client of the stand-in, of either kind."""
+    from planner_clients import CLIENTS
+
+    return lambda **settings: CLIENTS[request.param](target, **settings)

@@ -29,7 +29,6 @@ from planner_stand_in import (
     finished,
     made_result,
     refused,
-    serving,
     slow_plan,
     written_cloud,
 )
@@ -45,22 +44,6 @@ from service.wire.requests import request_from_message, request_to_message
 Code = grpc.StatusCode
 REQUEST = parse_request({"robot": {"name": "atlas"}, "goal": {"joints": {"l_arm_elx": 1.2}}})
 ROOT = Path(__file__).parents[1]
-
-
-@pytest.fixture
-def stand_in() -> PlannerStandIn:
-    return PlannerStandIn()
-
-
-@pytest.fixture
-def target(stand_in: PlannerStandIn) -> Iterator[str]:
-    with serving(stand_in) as address:
-        yield address
-
-
-@pytest.fixture(params=CLIENTS)
-def connect(request: pytest.FixtureRequest, target: str) -> Callable[..., Any]:
-    return lambda **settings: CLIENTS[request.param](target, **settings)
 
 
 def _retry_after(seconds: float) -> RetryInfo:

@@ -46,11 +46,6 @@ REQUESTS = ROOT / "examples" / "requests"
 
 
 @pytest.fixture
-def stand_in() -> PlannerStandIn:
-    return PlannerStandIn()
-
-
-@pytest.fixture
 def target(stand_in: PlannerStandIn, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[str]:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("SCOPT_TOKEN", raising=False)

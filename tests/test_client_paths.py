@@ -25,22 +25,6 @@ REQUESTS = Path(__file__).parents[1] / "examples" / "requests"
 SHA = "795b" * 16
 
 
-@pytest.fixture
-def stand_in() -> PlannerStandIn:
-    return PlannerStandIn()
-
-
-@pytest.fixture
-def target(stand_in: PlannerStandIn) -> Iterator[str]:
-    with serving(stand_in) as address:
-        yield address
-
-
-@pytest.fixture(params=CLIENTS)
-def connect(request: pytest.FixtureRequest, target: str) -> Callable[..., Any]:
-    return lambda **settings: CLIENTS[request.param](target, **settings)
-
-
 def _request(folder: Path, **parts: Any) -> PlanRequest:
     return parse_request({"robot": {"name": "atlas"}, "goal": {"posture": "stand"}} | parts, folder)
 
