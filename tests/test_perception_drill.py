@@ -13,6 +13,7 @@ from perception.detect.supports import level_heights, standing_clusters
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.mesh import hull
 from perception.simulate.objects.loose import Drill, can, pot
+from perception.simulate.scenes import make_scene
 
 SENSOR = Pose((0.1, 0.0, 1.5), pitch=0.7)
 SCANNER = Scanner(n_beams=541, fan_deg=160.0, n_lines=70)
@@ -59,6 +60,11 @@ def test_a_drill_a_hand_from_a_carton_is_found_in_a_thin_noisy_scan() -> None:
     found = detect_drill(view_of(*drill.meshes, carton, scanner=THIN))
     assert found[0].confidence >= CONFIDENT
     assert np.linalg.norm(found[0].pose_world_object[:3, 3] - drill.truth[0].pose_world_object[:3, 3]) <= 0.030
+
+
+def test_a_bend_of_pipe_that_stands_on_no_board_is_no_drill() -> None:
+    view = make_view(make_scene("empty_pipes", 1).scan("solid"))
+    assert all(one.confidence < CONFIDENT for one in detect_drill(view))
 
 
 def test_bottles_boxes_mugs_and_tins_are_no_drills() -> None:

@@ -32,6 +32,8 @@ _WORST = 9.0
 _MOST_RAYS, _FEW_RAYS = 2000, 400
 _MOST_CLUSTERS, _MOST_FITS = 24, 6
 _OVER_SUPPORT = (0.015, 0.03)
+# What a drill stands on goes on beside its foot, on most sides.
+_BESIDE_FOOT, _FEWEST_BESIDE, _SUPPORTED = (0.02, 0.07), 5, (0.6, 0.85)
 _MOST_POINTS = 200
 
 
@@ -157,6 +159,18 @@ def _over_support(rays: Sightlines, level: float) -> float:
     return float(np.clip(2.5 * noise, *_OVER_SUPPORT))
 
 
+def _supported(begun: _Begun, shape: Shape) -> float:
+    """Of the rays that reach the height of the support right beside the foot, the share that went no deeper."""
+    rays, level = begun.rays, begun.cluster.level
+    slope = np.minimum(rays.direction[:, 2], -1e-6)
+    crossing = rays.start + ((level - rays.start[:, 2]) / slope)[:, None] * rays.direction
+    beside = np.abs((crossing - (shape.x, shape.y, level)) @ about_up(-shape.yaw).T)[:, :2] - (FOOT[0], FOOT[1])
+    near = (beside.max(axis=1) > _BESIDE_FOOT[0]) & (beside.max(axis=1) < _BESIDE_FOOT[1])
+    height = rays.ends[:, 2] - level
+    reached = near & (rays.direction[:, 2] < -0.05) & (height < _OVER_SUPPORT[1])
+    return float((height > -_OVER_SUPPORT[1])[reached].mean()) if reached.sum() >= _FEWEST_BESIDE else 1.0
+
+
 def _may_end(rays: Sightlines, least: float) -> Bool[np.ndarray, "N"]:
     return np.asarray(rays.start[:, 2] + rays.length * rays.direction[:, 2] > least)
 
@@ -185,6 +199,7 @@ def _judged(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
     notch_open_share, notch_seen = notch_open(rays, shape, cluster.level)
     hit = ended & inside & (np.abs(gap) < _NEAR)
     rms = float(np.sqrt(np.mean(gap[hit] ** 2))) if hit.any() else float("inf")
+    supported = _supported(begun, shape)
     known = rising(float(notch_seen), 3.0, 12.0)
     value = (
         rising(solid, 0.7, 0.9)
@@ -194,6 +209,7 @@ def _judged(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
             + (1.0 - known) * (_UNSEEN_HINTED if is_hinted else _UNSEEN_NOTCH)
         )
         * rising(-rms, -0.02, -0.014)
+        * rising(supported, *_SUPPORTED)
         * rising(float(hit.sum()), 15.0, 60.0)
     )
     foot = 2.0 * FOOT[2]
@@ -207,6 +223,7 @@ def _judged(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
         "explained_share": explained,
         "notch_open_share": notch_open_share,
         "n_notch_rays": float(notch_seen),
+        "supported_share": supported,
     }
     points = rays.ends[hit]
     confidence = float(value**0.7 if is_hinted else value)
