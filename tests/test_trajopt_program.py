@@ -61,6 +61,7 @@ def test_a_manip_is_groups_joints_and_base_in_the_order_they_are_named():
         (arm, "right_arn", "basic_info.manip: arm7 has no group or joint 'right_arn'; did you mean right_arm?"),
         (arm, "right_arm+elbow_pitch", "basic_info.manip: elbow_pitch is named twice"),
         (arm, "right_arm+base", "basic_info.manip: the base of arm7 is fixed; leave 'base' out"),
+        (arm, "x+" * 100, "basic_info.manip: at most 100 groups and joints would do, got 101"),
         (atlas, "left_arm+", "basic_info.manip: atlas has no group or joint ''"),
     ],
 )

@@ -10,6 +10,7 @@ from service.trajopt.fields import did_you_mean
 ACTIVE, BASE = "active", "base"
 PLANAR_BASE = ("base_x", "base_y", "base_yaw")
 PATH = "basic_info.manip"
+MAX_PARTS = 100  # what is unknown is compared with all that is known
 
 
 def manip_columns(robot: RobotModel, manip: str) -> tuple[tuple[int, ...], tuple[str, ...]]:
@@ -20,7 +21,10 @@ def manip_columns(robot: RobotModel, manip: str) -> tuple[tuple[int, ...], tuple
     """
     names: list[str] = []
     problems: list[str] = []
-    for part in (piece.strip() for piece in manip.split("+")):
+    parts = [piece.strip() for piece in manip.split("+")]
+    if len(parts) > MAX_PARTS:
+        return (), (f"{PATH}: at most {MAX_PARTS} groups and joints would do, got {len(parts)}",)
+    for part in parts:
         found = _part(robot, part)
         if found is None:
             known = [*(group for group, joints in robot.groups.items() if joints), *robot.joint_names, ACTIVE]
