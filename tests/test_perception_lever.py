@@ -33,6 +33,14 @@ def test_a_lever_on_a_box_is_found_with_its_pivot_and_direction(angle: float) ->
     assert np.linalg.det(found.pose_world_object[:3, :3]) == pytest.approx(1.0)
 
 
+def test_the_neck_at_the_top_of_a_lever_is_told_though_rays_pass_over_it() -> None:
+    view = make_view(make_scene("lever_box_down", 0).scan("dense"))
+    lever = next(one for one in make_scene("lever_box_down", 0).truth if one.kind == "lever")
+    found = detect("lever", view)[0]
+    assert found.confidence >= CONFIDENT
+    assert np.linalg.norm((found.pose_world_object - lever.pose_world_object)[:3, 3]) < 0.02
+
+
 def test_which_end_is_held_is_not_claimed_where_the_bar_hides_it() -> None:
     lever = BoxLever((0.65, 0.0, 1.2), angle=-1.4)
     for found in detect("lever", seen(list(lever.placed().meshes))):

@@ -96,10 +96,21 @@ class FacesInSight:
 
     @staticmethod
     def of(view: View, hint: Float[np.ndarray, "3"] | None = None) -> FacesInSight:
-        """The faces of a scan made ready; with a hint, those near it."""
+        """The faces of a scan made ready; with a hint those near it, and what is found about it alone."""
         index = sight_index(view.cloud)
         with threadpool_limits(limits=1, user_api="blas"):
-            return FacesInSight(tuple(_find_faces(view, index, hint, np.random.default_rng(view.seed))), index)
+            faces = _find_faces(view, index, None, np.random.default_rng(view.seed))
+            if hint is not None:
+                faces = [face for face in faces if _is_near(face, hint)]
+                faces += _find_faces(view, index, hint, np.random.default_rng(view.seed))
+        return FacesInSight(tuple(faces), index)
+
+
+def _is_near(face: Face, hint: Float[np.ndarray, "3"]) -> bool:
+    """Whether a face's region comes near a place."""
+    x, y, z = face.local(np.asarray(hint, dtype=float)[None])[0]
+    outside = np.maximum(np.maximum(face.low - (x, y), (x, y) - face.high), 0.0)
+    return float(np.linalg.norm([*outside, z])) < _HINT_RADIUS
 
 
 def _find_faces(

@@ -19,6 +19,7 @@ _ZONE = 0.05
 _HUB = 0.02
 _BESIDE = 0.005
 _FEWEST = 4
+_NECK = 0.75
 _LEVELS = (0.3, 0.45, 0.6)
 _UNSEEN_END = 0.45
 _UNSEEN_PIVOT = 0.75
@@ -108,9 +109,16 @@ def _passed(
 
 
 def _zone(held: Float[np.ndarray, "K"], free: Float[np.ndarray, "M"], end: float, bar: Bar) -> tuple[float, float]:
-    """How surely the bar is free, and how surely it is held, at one of its ends."""
-    near = [x[(np.abs(x - end) < _ZONE) & (x > bar.first) & (x < bar.last)] for x in (held, free)]
-    n_held, n_free = float(len(near[0])), len(near[1]) / len(_LEVELS)
+    """How surely the bar is free, and how surely it is held, at one of its ends.
+
+    Where hardly any ray went past further inwards there is a neck, and those that went past nearer to the bar's end, as
+    from above past a neck at the top, do not deny it.
+    """
+    depths = [np.abs(x[(np.abs(x - end) < _ZONE) & (x > bar.first) & (x < bar.last)] - end) for x in (held, free)]
+    n_held, n_free = float(len(depths[0])), len(depths[1]) / len(_LEVELS)
+    if len(depths[0]) >= _FEWEST:
+        n_inwards = float((depths[1] >= np.median(depths[0])).sum()) / len(_LEVELS)
+        n_free = n_inwards if n_held > _NECK * (n_held + n_inwards) else n_free
     share = n_held / max(n_held + n_free, 1.0)
     is_free = rising(n_free, 1.0, 4.0) * rising(-share, -0.5, -0.25)
     return is_free, rising(n_held, 2.0, 8.0) * rising(share, 0.3, 0.6)
