@@ -57,7 +57,7 @@ def detect_file(
     except TimeOver:
         if looked is None:
             raise OutOfTimeError(
-                f"--time-limit: {time_limit_s:g} s were over before the clouds were read; more would do"
+                f"--time-limit: {time_limit_s:g} s were over before anything could be looked for; more would do"
             ) from None
     hits = sorted(looked.hits, key=lambda hit: -hit.confidence)
     return {

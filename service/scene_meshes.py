@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from costs.scene import ConvexPiece
 from perception import CONFIDENT, PerceptionError, rigid_pose
 from perception.perceive import FRINGE
+from perception.solids.closed import Solid
 from perception.solids.known import KnownMesh
 from perception.solids.match import MeshMatch
 from service.cloud_asked import numbers
@@ -25,6 +26,7 @@ KIND = "object"
 # What no mesh may be called: pieces of these names are made of the scan.
 _TAKEN = ("floor", "plane", "wall", "clutter", "unknown", "coacd", "stem")
 _OPTION = "--mesh"
+_SPANS = (1e-3, 100.0)
 _FORMS = "FILE, 'FILE near X Y Z', 'FILE near POSE' or 'FILE at POSE'"
 _AFTER = {3: "X Y Z", 6: "X Y Z YAW PITCH ROLL", 7: "X Y Z QW QX QY QZ", 16: "16 numbers"}
 
@@ -115,7 +117,8 @@ def mesh_asked(text: str, scale: float = 1.0) -> MeshAsked:
     if said is not None and not file.is_file():
         file, how, words = Path(said[1]), said[2], said[3] or ""
     if not file.is_file():
-        raise RequestError(f"{_OPTION}: {file} is not there; {_FORMS} would do")
+        how = "is a folder" if file.is_dir() else "is not there"
+        raise RequestError(f"{_OPTION}: {file} {how}; {_FORMS} would do")
     if file.suffix.lower() not in FORMATS:
         known = ", ".join(FORMATS)
         raise RequestError(f"{_OPTION}: {file}: format '{file.suffix}' is not read; {known} would do")
@@ -138,13 +141,25 @@ def known_of(asked: Sequence[MeshAsked], taken: Collection[str] = ()) -> tuple[K
     """The meshes read, each named as its file, numbered where that name is taken.
 
     Raises:
-        RequestError: a file that cannot be used.
+        RequestError: a file that cannot be used, or a scale with which it would be no object of this world.
     """
     names = _names([one.file.stem for one in asked], {*_TAKEN, *taken})
     return tuple(
-        KnownMesh(name, read_solid(one.file, _OPTION, one.scale), one.pose_world_mesh, one.hint, one.is_placed)
+        KnownMesh(name, _solid(one), one.pose_world_mesh, one.hint, one.is_placed)
         for name, one in zip(names, asked, strict=True)
     )
+
+
+def _solid(asked: MeshAsked) -> Solid:
+    solid = read_solid(asked.file, _OPTION, asked.scale)
+    vertices = np.concatenate([mesh.vertices for mesh in (*solid.closed, *solid.open)])
+    span = float(np.ptp(vertices, axis=0).max())
+    if not _SPANS[0] <= span <= _SPANS[1]:
+        raise RequestError(
+            f"{_OPTION}: {asked.file} spans {span:.3g} m at --mesh-scale {asked.scale:g}; "
+            f"{_SPANS[0]:g} to {_SPANS[1]:g} m would do"
+        )
+    return solid
 
 
 def _names(stems: Sequence[str], taken: set[str]) -> Iterator[str]:

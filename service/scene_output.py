@@ -19,10 +19,13 @@ def check_out(path: Path, inputs: Iterable[Path]) -> None:
     """Refuse a place for the scene where it, or the page beside it, would overwrite what it is made from.
 
     Raises:
-        RequestError: the name does not end in .json, or is, as the page's may be, one of the inputs.
+        RequestError: the name does not end in .json, or is, as the page's may be, a folder or one of the inputs.
     """
     if path.suffix.lower() != ".json":
         raise RequestError(f"--out: {path} does not end in .json; a name that does, of a file for the pieces, would do")
+    for written in (path, _page_beside(path)):
+        if written.is_dir():
+            raise RequestError(f"--out: {written} is a folder; the name of a file would do")
     read = {one.resolve() for one in inputs}
     for written in (path, _page_beside(path)):
         if written.resolve() in read:

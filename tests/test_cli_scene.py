@@ -253,11 +253,13 @@ def test_a_scene_never_overwrites_what_it_is_made_from(scan: Path, tmp_path: Pat
     table = tmp_path / "scan.html"
     table.write_text("1 2 3")
     (tmp_path / "link.json").symlink_to(cloud)
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    (tmp_path / "folder.json").mkdir()
+    before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     for arguments, says in [
         ((cloud, "--out", cloud), "does not end in .json"),
         ((cloud, "--out", tmp_path / "s.html"), "does not end in .json"),
         ((cloud, "--out", tmp_path / "s"), "does not end in .json"),
+        ((cloud, "--out", tmp_path / "folder.json"), f"{tmp_path / 'folder.json'} is a folder; the name of a file"),
         ((cloud, "--out", tmp_path / "link.json"), f"{tmp_path / 'link.json'} is read and would be overwritten"),
         ((table, "--out", tmp_path / "scan.json"), f"{table} is read and would be overwritten"),
         ((cloud, "--robot", "atlas", "--posture", posture, "--out", posture), f"{posture} is read and"),
@@ -265,7 +267,7 @@ def test_a_scene_never_overwrites_what_it_is_made_from(scan: Path, tmp_path: Pat
         result = scopt("scene", *arguments)
         assert result.exit_code == 3
         assert says in result.stderr
-        assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+        assert {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
 def test_help_imports_no_library_of_the_planner() -> None:

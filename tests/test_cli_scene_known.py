@@ -137,6 +137,7 @@ def test_a_mesh_is_asked_for_anywhere_near_a_place_or_at_a_pose(
     [
         ("gone.obj", "--mesh: {}/gone.obj is not there; FILE, 'FILE near X Y Z'"),
         ("gone.obj at 1 2 3", "--mesh: {}/gone.obj is not there"),
+        ("", "--mesh: {} is a folder; FILE, "),
         ("scan.pcd", "--mesh: {}/scan.pcd: format '.pcd' is not read; .stl, .obj, .ply, .urdf would do"),
         ("crate.obj at", "--mesh: {}/crate.obj at: 'X Y Z', 'X Y Z YAW PITCH ROLL', 'X Y Z QW QX QY QZ', '16 numbers'"),
         ("crate.obj at 1 2", "--mesh: {}/crate.obj at: 'X Y Z', "),
@@ -160,6 +161,16 @@ def test_meshes_take_no_name_that_pieces_have(tmp_path: Path) -> None:
     files = [box_obj(tmp_path / name, (0, 0, 0), (1, 1, 1)) for name in ("wall.obj", "a.obj")]
     asked = [mesh_asked(str(file)) for file in (*files, files[1])]
     assert [one.name for one in known_of(asked)] == ["wall-2", "a", "a-2"]
+
+
+def test_a_scale_that_makes_a_speck_of_a_mesh_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "speck.urdf"
+    shape = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    path.write_text(f'<robot name="a"><link name="a">{shape}</link></robot>')
+    with pytest.raises(
+        RequestError, match=r"speck\.urdf spans 1e-05 m at --mesh-scale 1e-05; 0\.001 to 100 m would do"
+    ):
+        known_of([mesh_asked(str(path), 1e-5)])
 
 
 def test_the_very_same_scan_leaves_every_piece_as_it_was(folder: Path, plain: dict[str, Any]) -> None:
