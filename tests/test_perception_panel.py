@@ -68,6 +68,11 @@ def test_a_lever_between_whose_parts_no_ray_met_the_face_is_no_row_of_buttons() 
     assert all(np.linalg.norm(found.pose_world_object[:3, 3] - pivot) < 0.04 for found in sure)
 
 
+def test_a_plane_through_parts_with_air_between_them_is_no_panel() -> None:
+    view = make_view(make_scene("drill_shelf_two").scan("dense"))
+    assert all(found.confidence < CONFIDENT for found in detect("panel", view))
+
+
 def test_buttons_that_do_not_stand_out_are_not_claimed() -> None:
     panel = Panel((0.72, 0.05, 1.25), buttons=BUTTONS, proud=0.0015)
     assert all(found.confidence < CONFIDENT for found in detect("panel", seen(list(panel.placed().meshes))))

@@ -33,6 +33,8 @@ from perception.detect.seat import Seat
 from perception.detect.sightlines import Sightlines, index_of
 from perception.detect.steering import could_steer, steers
 from perception.detect.wheel import Ring, pass_ring
+from perception.detect.wheel_evidence import _openings
+from perception.detect.wheel_inside import Inside
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cylinder, scan, torus
 from perception.simulate.mesh import lathe, pipe
 from perception.simulate.objects.fixtures import BoxLever
@@ -179,6 +181,18 @@ def test_the_smallest_and_a_large_wheel_among_pipes_and_boxes_are_found_within_t
     (true,) = (one for one in scene.truth if one.kind == "valve")
     pose = true.pose_world_object
     assert_matches(detect_valves(scene.scan(sensor))[0], pose[:3, 3], pose[:3, 2], true.sizes["outer_radius"])
+
+
+OPEN = Inside((0.0, 3.1), 0.01, 1.0, True, 0.3, 0.02, (-0.02, 0.02), 0.4, 20, 1.0)
+
+
+def test_a_lump_as_large_as_a_rim_is_a_wheel_only_with_clear_openings() -> None:
+    clear, few = (replace(OPEN, open_share=share) for share in (0.4, 0.12))
+    assert _openings(clear, blur=0.05) == _openings(few, blur=0.05) == 1.0
+    assert _openings(clear, blur=0.32) == 1.0
+    assert _openings(few, blur=0.32) < 0.5
+    # A standpipe's coupling looked down on.
+    assert all(found.confidence < CONFIDENT for found in detect_valves(make_scene("hose_up").scan("camera")))
 
 
 def test_a_hoses_coupling_beside_its_standpipe_is_no_lever() -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from perception.detect.bar_faces import in_line, runs_on
 from perception.detect.bars import Bar, SurroundingRays, cross_bar, sort_rays
 from perception.floor import FloorPlane
 
@@ -113,7 +114,8 @@ class Evidence:
         n_hits: rays that ended on it.
         solid: share of hits among the rays inside its outline that were not stopped before.
         visible: share of its length where rays ended on it.
-        air: on the worse long side, share of the length known there where rays just beside the bar went on behind it.
+        air: on the worse long side, share of the length known there where rays just beside the bar went on behind it,
+            and did not end on a surface that runs on from one of its faces.
         known: on the worse side, share of the length where rays say so or otherwise.
         rms: of the depths of its hits [m].
         hits: which rays ended on it.
@@ -141,13 +143,15 @@ def weigh_bar(rays: SurroundingRays, bar: Bar) -> Evidence:
     beside = between & (crossing.outside > _AIR[0]) & (crossing.outside < _AIR[1])
     gap = rays.length - crossing.depth
     through = told.passed | (rays.elsewhere & ~told.before)
+    level = told.passed & in_line(bar, rays) & ~rays.elsewhere
     airs, knowns = [], []
     for sign in (-1.0, 1.0):
         there = beside & (np.sign(crossing.side) == sign)
         free = np.bincount(of_bin[there & through], minlength=n_bins)
         full = np.bincount(of_bin[there & ~through & ~told.before], minlength=n_bins)
         known = (free + full) > 0
-        airs.append(float((free > full)[known].mean()) if known.any() else 0.0)
+        is_larger = runs_on(level[there], (through & ~level)[there], crossing.outside[there], of_bin[there], n_bins)
+        airs.append(float(((free > full) & ~is_larger)[known].mean()) if known.any() else 0.0)
         knowns.append(float(known.mean()))
     hits = between & told.hit
     rms = float(np.sqrt(np.mean(gap[hits] ** 2))) if hits.any() else np.inf

@@ -25,6 +25,8 @@ _CLEAR_OF_NOISE = (0.7, 1.1)
 _HEIGHTS = (0.005, 0.06)
 _BESIDE = 0.08
 _BEHIND = 0.025
+_WITHIN = 0.008
+_CLOSED = (0.85, 0.95)
 _REPORTED = 0.05
 _SAME_DEPTH = 0.1
 _ROUNDS = 3
@@ -87,6 +89,7 @@ def _is_panel_sized(face: Face) -> bool:
 def _examined(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None:
     """Edges and buttons of a face; None when nothing stands out of it."""
     edges, relief, ends = _Edges(face.low, face.high, (False,) * 4), list[Disc](), np.zeros((0, 3))
+    closed = 0.0
     for k in range(_ROUNDS):
         if k > 0:
             # Buttons pull at the plane of a small face: it is fitted anew without them while that makes it flatter.
@@ -100,13 +103,21 @@ def _examined(face: Face, index: SightIndex, is_hinted: bool) -> Detection | Non
         if size.min() < _SIZES[0] or size.max() > _SIZES[1]:
             return None
         ends = seen.ends[((seen.ends[:, :2] > edges.low) & (seen.ends[:, :2] < edges.high)).all(axis=1)]
-        relief = _discs(face, edges, ends)
+        relief, closed = _discs(face, edges, ends), _closed_share(face, edges, seen)
     # What is much lower than the noise is a face not quite flat, however many points say so.
     discs = [disc for disc in relief if disc.height > _LEAST_CLEAR * face.sigma]
     buttons = [disc for disc in discs if _is_button(disc) and _stands_alone(disc, discs, ends)]
     if not buttons:
         return None
-    return _as_detection(face, edges, buttons, len(discs) - len(buttons), ends, is_hinted)
+    return _as_detection(face, edges, buttons, len(discs) - len(buttons), closed, ends, is_hinted)
+
+
+def _closed_share(face: Face, edges: _Edges, seen: FaceRays) -> float:
+    """Of the rays that cross the face well within its edges, how many went no further: a panel has no gaps, while a
+    plane through a few parts of something else has air between them."""
+    within = ((seen.at > edges.low + _WITHIN) & (seen.at < edges.high - _WITHIN)).all(axis=1)
+    past = seen.ends[within, 2] < -max(3.0 * face.sigma, _BEHIND)
+    return float(1.0 - past.mean()) if len(past) else 0.0
 
 
 def _discs(face: Face, edges: _Edges, ends: Float[np.ndarray, "K 3"]) -> list[Disc]:
@@ -201,10 +212,11 @@ def _as_detection(
     edges: _Edges,
     buttons: list[Disc],
     n_other: int,
+    closed: float,
     ends: Float[np.ndarray, "K 3"],
     is_hinted: bool,
 ) -> Detection:
-    """Surer with more edges seen, clearer buttons, and nothing else that stands out."""
+    """Surer with more edges seen, clearer buttons, no gaps in the face, and nothing else that stands out."""
     middle = 0.5 * (edges.low + edges.high)
     pose = np.eye(4)
     pose[:3, :3] = face.frame.T
@@ -221,12 +233,14 @@ def _as_detection(
         * rising(float(np.mean([disc.roundness for disc in buttons])), 0.6, 0.8)
         * rising(-float(size.max()), -_SIZES[1], -0.6)
         * rising(min(disc.height for disc in buttons) / face.sigma, *_CLEAR_OF_NOISE)
+        * rising(closed, *_CLOSED)
         * 0.4 ** min(n_other, 3)
     )
     residuals = {
         "sigma": face.sigma,
         "relief": float(np.mean([disc.height for disc in buttons])),
         "n_edges_seen": float(n_seen),
+        "closed_share": closed,
         "least_gain_ratio": min(disc.gain for disc in buttons),
         "n_others": float(n_other),
     }

@@ -22,6 +22,9 @@ _MOST_SPOKES = 12
 _MANY_SPOKES = 0.7
 _HAND = 0.035
 _AT_RIM = (-0.018, -0.005)
+# Of the rays inside the rim: how many have to go through it, and how many more for each outer radius by which depths
+# disagree beyond a fifth of it.
+_OPEN, _SHARPLY, _OPEN_BLURRED = 0.08, 0.2, 1.2
 _LEAST_HUB = 0.012
 _ASIDE, _WALL, _USUAL_DEPTH = (0.015, 0.1), 0.025, 0.015
 _ENCLOSED, _FREE_ASIDE, _LENIENT = 0.05, 0.15, 0.75
@@ -102,7 +105,7 @@ def weigh_wheel(
         * rising(-depth_error(rays, passage, hit), -0.03, -0.02)
         * rising(float(hit.sum()), 15.0, 60.0),
         rising(airy, 0.45, 0.85),
-        rising(inside.open_share, 0.02, 0.08),
+        _openings(inside, depth_error(rays, passage, hit) / outer),
         rising(inside.middle_share, 0.05 + 0.5 * hub_share, 0.15 + hub_share)
         * rising(float(inside.n_middle), 1.0, 5.0)
         * rising(inside.depth[1], *_AT_RIM),
@@ -123,6 +126,20 @@ def _axis_error(rays: Sightlines, ring: Ring, passage: Passage) -> float:
     """Standard deviation of the axis that follows from the depths it was fitted to [rad]."""
     close = rim_hits(rays, ring, passage, CLOSE)
     return depth_error(rays, passage, close) / ring.radius * float(np.sqrt(2.0 / max(int(close.sum()), 1)))
+
+
+def _openings(inside: Inside, blur: float) -> float:
+    """Whether there are openings, and the clearer ones the less the depths tell.
+
+    Where depths disagree by a good part of the radius, any lump as large would fit the rim as well: then it is by its
+    openings alone that a wheel is told from it.
+
+    Args:
+        inside: of the rim.
+        blur: disagreement of the depths over the outer radius.
+    """
+    enough = _OPEN + _OPEN_BLURRED * max(0.0, blur - _SHARPLY)
+    return rising(inside.open_share, 0.25 * enough, enough)
 
 
 def _spoke_evidence(inside: Inside) -> float:
