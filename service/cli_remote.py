@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli_run import run
+from service.cli_run import ended_by_sigterm, run
 
 REMOTE_EXIT_CODES = (
     "Exit codes: 0 CERTIFIED, 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, 6 OVERLOADED, "
@@ -52,7 +52,8 @@ def request_command(
     def command() -> str:
         from service.cli_request import request_plan
 
-        return request_plan(where, request, folder, deadline, request_id, as_json)
+        with ended_by_sigterm():
+            return request_plan(where, request, folder, deadline, request_id, as_json)
 
     raise typer.Exit(run(command, as_json, has_verdict=True))
 

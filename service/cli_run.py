@@ -134,6 +134,16 @@ def cancellable(err: Console) -> Iterator[Callable[[], bool]]:
 
 
 @contextmanager
+def ended_by_sigterm() -> Iterator[None]:
+    """SIGTERM is Ctrl-C while the body runs, so that nothing half done stays behind."""
+    earlier = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, earlier)
+
+
+@contextmanager
 def progress(err: Console, first_step: str) -> Iterator[Callable[[str, float], None]]:
     """A progress bar on stderr; yields ``report(step, fraction done)``.
 

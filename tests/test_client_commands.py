@@ -176,7 +176,10 @@ def test_every_example_request_is_sent_with_its_clouds(stand_in: PlannerStandIn,
     assert cloud in stand_in.clouds if "cloud:" in path.read_text() else cloud == ""
 
 
-def test_ctrl_c_stops_the_plan(stand_in: PlannerStandIn, target: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_stop_the_plan(
+    stand_in: PlannerStandIn, target: str, tmp_path: Path, number: signal.Signals
+) -> None:
     stand_in.plans.append(slow_plan(stand_in))
     command = [sys.executable, "-c", "from service.cli import main; main()", "request", REQUESTS / "joint_goal.yaml"]
     process = subprocess.Popen(
@@ -189,7 +192,7 @@ def test_ctrl_c_stops_the_plan(stand_in: PlannerStandIn, target: str, tmp_path: 
     assert process.stderr is not None
     while "waiting" not in process.stderr.readline():
         assert process.poll() is None
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     stdout, _ = process.communicate(timeout=20)
     assert (process.returncode, stdout) == (130, "CANCELLED  cancelled\n")
     assert stand_in.stopped.wait(5.0)
