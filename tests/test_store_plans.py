@@ -246,6 +246,18 @@ def test_reviews_are_bounded(tmp_path: Path) -> None:
             store.reviews.add(plan_id, Decision.REJECTED, "rev", "p" * 64, "c" * 64)
 
 
+def test_there_is_always_room_to_take_an_approval_back(tmp_path: Path) -> None:
+    with Store(tmp_path, StoreLimits(max_reviews=2)) as store:
+        plan_id = _finished(store, "r1")
+        for _ in range(2):
+            store.reviews.add(plan_id, Decision.ACCEPTED, "rev", "p" * 64, "c" * 64)
+        store.reviews.add(plan_id, Decision.REJECTED, "rev", "p" * 64, "c" * 64)
+        assert not store.reviews.is_accepted(plan_id)
+        for decision in Decision:
+            with pytest.raises(ReviewRefusedError, match="3 reviews already"):
+                store.reviews.add(plan_id, decision, "rev", "p" * 64, "c" * 64)
+
+
 def test_a_scene_is_kept_once_and_comes_back_as_it_was(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         scene_id = store.scenes.put("ann", b"scene" * 100)

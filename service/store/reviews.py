@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from service.errors import shown
 from service.store.database import Database
@@ -51,9 +51,9 @@ class Reviews:
             if plan is None:
                 raise NotStoredError(f"no plan {shown(plan_id)}; it never was, or went when the store was full")
             _check(plan, decision, plan_sha256, certificate_sha256)
-            n = db.execute("SELECT count(*) FROM reviews WHERE plan_id = ?", (plan_id,)).fetchone()[0]
-            if n >= self._limits.max_reviews:
-                raise ReviewRefusedError(f"the plan has {n} reviews already, and no more are kept")
+            said = db.execute("SELECT decision FROM reviews WHERE plan_id = ? ORDER BY number", (plan_id,)).fetchall()
+            if len(said) >= self._limits.max_reviews and not _withdraws(decision, said):
+                raise ReviewRefusedError(f"the plan has {len(said)} reviews already, and no more are kept")
             review = Review(plan_id, plan_sha256, certificate_sha256, decision, reviewer, comment, self._clock())
             db.execute(
                 "INSERT INTO reviews (plan_id, plan_sha256, certificate_sha256, decision, reviewer, comment, time) "
@@ -77,6 +77,11 @@ class Reviews:
         """Whether a person stands behind a plan: the last word on it is that it is accepted."""
         reviews = self.of(plan_id)
         return bool(reviews) and reviews[-1].decision is Decision.ACCEPTED
+
+
+def _withdraws(decision: Decision, said: Sequence[sqlite3.Row]) -> bool:
+    """Whether a review takes back an approval: there is always room for that."""
+    return decision is Decision.REJECTED and bool(said) and said[-1]["decision"] == Decision.ACCEPTED.value
 
 
 def _check(plan: sqlite3.Row, decision: Decision, plan_sha256: str, certificate_sha256: str) -> None:
