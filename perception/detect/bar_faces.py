@@ -11,7 +11,7 @@ from perception.detect.sightlines import Sightlines
 # How far off a face's plane a ray's end may lie, and how much further for each unit of the slope it met it at [m].
 _OFF, _OFF_BY_SLOPE = 0.01, 0.02
 _REACH = 0.6
-_SHARE = 0.5
+_SHARE, _ALONG = 0.5, 0.35
 
 
 def in_line(bar: Bar, rays: Sightlines) -> Bool[np.ndarray, "N"]:
@@ -39,11 +39,11 @@ def runs_on(
     part: Int[np.ndarray, "K"],
     n_parts: int,
 ) -> Bool[np.ndarray, "P"]:
-    """In which parts of a bar's side a good share of the rays beside it met a surface level with its face, and met it
+    """In which parts of a bar's side most rays beside it met a surface level with its face, and met it
     before air.
 
-    What looks like a board there is the rim of a panel, or the narrow side of a slab; where air comes first, or few
-    rays met it, what is level with the face is another thing.
+    What looks like a board there is the rim of a panel, or the narrow side of a slab; where air comes first, few rays
+    met it or it is along little of the bar, what is level with the face is another thing.
 
     Args:
         level: which of the rays ended level with a face.
@@ -55,4 +55,6 @@ def runs_on(
     n_level, n_free = (np.bincount(part[those], minlength=n_parts) for those in (level, free))
     of_level, of_free = (np.bincount(part[those], outside[those], n_parts) for those in (level, free))
     is_nearer = (n_free == 0) | (of_level * n_free <= of_free * n_level)
-    return np.asarray((n_level > 0) & (n_level >= _SHARE * (n_level + n_free)) & is_nearer)
+    larger = (n_level > 0) & (n_level >= _SHARE * (n_level + n_free)) & is_nearer
+    # In a heap something or other is level with a face here and there.
+    return np.asarray(larger & (larger.sum() >= _ALONG * ((n_level + n_free) > 0).sum()))
