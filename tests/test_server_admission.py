@@ -101,3 +101,8 @@ def test_hard_requests_after_easy_ones_leave_a_queue() -> None:
         admission.check("valve", None)
         admission.enter("valve")
     assert admission.is_full()
+
+
+def test_a_deadline_that_has_just_passed_is_told_as_now() -> None:
+    with pytest.raises(Refusal, match=r"^the deadline is in 0\.00 s and work would take 0\.00 s"):
+        _with(1, 1).check("valve", -0.001)

@@ -124,8 +124,8 @@ class Admission:
         if left_s is not None and left_s < needed:
             raise Refusal(
                 grpc.StatusCode.DEADLINE_EXCEEDED,
-                f"the deadline is in {left_s:.2f} s and work would take {needed:.2f} s, {wait:.2f} of it waiting; "
-                "it was not begun",
+                f"the deadline is in {max(left_s, 0.0):.2f} s and work would take {needed:.2f} s, "
+                f"{wait:.2f} of it waiting; it was not begun",
             )
 
     def enter(self, kind: str) -> int:
