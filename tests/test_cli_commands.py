@@ -199,7 +199,7 @@ def test_scene_turns_a_scan_into_pieces(tmp_path: Path) -> None:
         assert piece.keys() - {"seen"} == {"name", "kind", "vertices"}
         assert all(len(vertex) == 3 for vertex in piece["vertices"])
     seen = [piece["seen"] for piece in written["pieces"] if "seen" in piece]
-    assert all(one.keys() == {"points", "free_cells", "free_share", "open_share"} for one in seen)
+    assert all(one.keys() == {"points", "free_cells", "free_share", "open_share", "plane"} for one in seen)
     assert sum(one["points"] for one in seen) > 1000
     assert any("on the robot itself" in note for note in printed["notes"])
     assert {path.name for path in tmp_path.iterdir() if path != posture} == {"scene.json", "scene.html"}
