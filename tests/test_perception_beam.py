@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 
 from perception import CONFIDENT, Cloud, Detection, View, make_view, read_cloud
 from perception.detect.bar_fit import _linearized, _moved, _State
-from perception.detect.bars import Bar, Section, cross_bar
+from perception.detect.bars import Bar, Section, SurroundingRays, cross_bar, sort_rays
 from perception.detect.beam import detect_beam, loose_points
 from perception.detect.lines import find_lines
 from perception.detect.sightlines import Sightlines
 from perception.detect.slender import is_slender
+from perception.detect.strips import find_strips
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.6)
@@ -219,3 +220,43 @@ def test_a_line_of_points_is_found_with_its_ends() -> None:
     line = find_lines(np.concatenate([along, noise]), rng, (0.035,), 0.3)[0]
     assert abs(line.axis @ np.array([0.6, 0.0, 0.8])) > 0.999
     assert line.last - line.first == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_face_in_a_heap_is_found_as_a_strip_whatever_lies_about_it() -> None:
+    rng = np.random.default_rng(2)
+    face = rng.uniform((-0.5, -0.045, 0.0), (0.5, 0.045, 0.0), (700, 3))
+    below = rng.uniform((-0.5, -0.4, -0.06), (0.5, 0.4, -0.06), (4000, 3))
+    below = below[np.abs(below[:, 1]) > 0.06]
+    points = np.concatenate([face, below]) + rng.normal(0.0, 0.005, (len(face) + len(below), 3))
+    strip = find_strips(points, np.array([0.0, 0.0, 2.0]), rng)[0]
+    assert abs(strip.axis[0]) > 0.999
+    assert strip.normal[2] > 0.99
+    assert 2.0 * strip.half == pytest.approx(0.09, abs=0.015)
+    assert strip.last - strip.first == pytest.approx(1.0, abs=0.1)
+    assert np.abs(strip.members[:, 1]).max() < 0.07
+
+
+def test_a_wall_holds_no_strip() -> None:
+    rng = np.random.default_rng(3)
+    wall = rng.uniform((1.0, -1.0, 0.0), (1.0, 1.0, 2.0), (8000, 3)) + rng.normal(0.0, 0.008, (8000, 3))
+    inner = [one for one in find_strips(wall, np.zeros(3), rng) if np.abs(one.place[1:] - (0.0, 1.0)).max() < 0.8]
+    assert inner == []
+
+
+def test_a_beam_that_something_lies_across_is_found_in_one_piece() -> None:
+    pose = posed((1.0, 0.0, 0.045), 90.0, 0.0, 0.0)
+    across = box((0.7, -0.16, 0.1), (1.4, 0.16, 0.13))
+    found = detect_beam(view_of(timber(pose, 1.2, 0.089, 0.089), across))
+    angle, off = misses(found[0], pose)
+    assert angle <= 2.0
+    assert off <= 0.02
+    assert found[0].sizes["length"] == pytest.approx(1.2, abs=0.05)
+
+
+def test_what_ended_on_a_known_bar_says_nothing_of_one_it_touches() -> None:
+    bar = Bar(np.eye(3), np.zeros(3), (0.045, 0.019), -0.5, 0.5)
+    starts, way = np.array([[0.0, 0.0, 1.0], [0.2, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]] * 2)
+    rays = SurroundingRays(starts, way, np.full(2, 0.98), np.zeros(2, dtype=bool), np.array([True, False]))
+    told = sort_rays(rays, cross_bar(rays, bar))
+    assert told.hit.tolist() == [False, True]
+    assert told.before.tolist() == [True, False]

@@ -13,12 +13,15 @@ from perception.floor import FloorPlane
 
 _BIN = 0.02
 _MOST_UNSEEN = 12
+_MOST_COVERED = 30
 _MOST_OPEN = 2
+_FOLLOWED = 4
 _INSIDE = 0.003
 _BEYOND = 0.08
 _AIR = (0.008, 0.045)
 _COARSE_BIN = 0.04
 _MOST_HIDDEN = 0.1
+_STRAY = 0.1
 _DESCENDS = 0.05
 
 
@@ -40,32 +43,44 @@ def find_ends(rays: SurroundingRays, bar: Bar) -> Ends:
     crossing = cross_bar(rays, bar)
     told = sort_rays(rays, crossing)
     inside = crossing.outside < -_INSIDE
-    hits, passes = crossing.along[inside & told.hit], crossing.along[inside & told.passed]
+    hits, passes, stopped = (crossing.along[inside & those] for those in (told.hit, told.passed, told.before))
     if len(hits) < 3:
         return Ends(bar, (False, False))
     middle = 0.5 * (bar.first + bar.last)
-    last, last_seen = _end(hits - middle, passes - middle, 0.5 * bar.length)
-    first, first_seen = _end(middle - hits, middle - passes, 0.5 * bar.length)
+    last, last_seen = _end(hits - middle, passes - middle, stopped - middle, 0.5 * bar.length)
+    first, first_seen = _end(middle - hits, middle - passes, middle - stopped, 0.5 * bar.length)
     return Ends(replace(bar, first=middle - first, last=middle + last), (first_seen, last_seen))
 
 
-def _end(hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"], fallback: float) -> tuple[float, bool]:
-    """Where hits end in the positive direction, and whether passes follow there."""
+def _end(
+    hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"], stopped: Float[np.ndarray, "S"], fallback: float
+) -> tuple[float, bool]:
+    """Where hits end in the positive direction, and whether passes follow there.
+
+    Where something lies over the bar it is followed further than where nothing is known, but what is found behind a
+    long gap has to be long itself.
+    """
     hits, passes = hits[hits > -_BIN], passes[passes > -_BIN]
     if not len(hits):
         return max(fallback * 0.5, _BIN), False
     n_bins = int(max(hits.max(), passes.max() if len(passes) else 0.0) / _BIN) + 2
     h = np.bincount((hits.clip(0.0) / _BIN).astype(np.int64), minlength=n_bins)
     p = np.bincount((passes.clip(0.0) / _BIN).astype(np.int64), minlength=n_bins)
-    reached, unseen, open_bins = 0, 0, 0
+    covered = np.bincount(
+        (stopped[(stopped > 0.0) & (stopped < n_bins * _BIN)] / _BIN).astype(np.int64), minlength=n_bins
+    )
+    reached, gap, unseen, fresh, open_bins = 0, 0, 0, 0, 0
     for k in range(n_bins):
         if h[k] > p[k]:
-            reached, unseen, open_bins = k + 1, 0, 0
+            fresh, open_bins = fresh + 1, 0
+            if gap <= _MOST_UNSEEN or _FOLLOWED * fresh >= gap:
+                reached, gap, unseen, fresh = k + 1, 0, 0, 0
         elif p[k]:
             open_bins += 1
         else:
-            unseen += 1
-        if open_bins >= _MOST_OPEN or unseen > _MOST_UNSEEN:
+            gap += 1
+            unseen += not covered[k]
+        if open_bins >= _MOST_OPEN or unseen > _MOST_UNSEEN or gap > _MOST_COVERED:
             break
     edge = reached * _BIN
     near_hits, near_passes = (x[np.abs(x - edge) < 3 * _BIN] for x in (hits, passes))
@@ -83,7 +98,8 @@ def _end(hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"], fallback:
 def hidden_length(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> float:
     """How much longer the bar may be than what is seen of it, both ends together, up to 10 cm each [m].
 
-    It ends at the latest where two rays went through where it would be, or where it would reach into the floor.
+    It ends at the latest where two rays, or more where they are dense, went through where it would be, or where it
+    would reach into the floor.
 
     Args:
         rays: that pass near the bar and up to 10 cm beyond its ends.
@@ -92,12 +108,15 @@ def hidden_length(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> 
     """
     crossing = cross_bar(rays, bar)
     told = sort_rays(rays, crossing)
-    through = (crossing.outside < -_INSIDE) & (told.passed | (rays.elsewhere & ~told.before))
+    inside = crossing.outside < -_INSIDE
+    through = inside & (told.passed | (rays.elsewhere & ~told.before))
+    # Of the rays that meet an edge some end between what is before and behind it.
+    needed = 2 + int(_STRAY * (inside & told.hit).sum() * _BIN / bar.length)
     total = 0.0
     for sign, end in ((-1.0, -bar.first), (1.0, bar.last)):
         beyond = np.sort(sign * crossing.along[through] - end)
         beyond = beyond[beyond > -_BIN]
-        longest = _MOST_HIDDEN if len(beyond) < 2 else min(_MOST_HIDDEN, max(0.0, float(beyond[1])))
+        longest = _MOST_HIDDEN if len(beyond) < needed else min(_MOST_HIDDEN, max(0.0, float(beyond[needed - 1])))
         if floor is not None:
             descent = -sign * float(bar.axis @ floor.normal)
             height = max(0.0, float(floor.above(bar.corners).min()))
@@ -144,6 +163,8 @@ def weigh_bar(rays: SurroundingRays, bar: Bar) -> Evidence:
     gap = rays.length - crossing.depth
     through = told.passed | (rays.elsewhere & ~told.before)
     level = told.passed & in_line(bar, rays) & ~rays.elsewhere
+    if rays.taken is not None:
+        level &= ~rays.taken
     airs, knowns = [], []
     for sign in (-1.0, 1.0):
         there = beside & (np.sign(crossing.side) == sign)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from perception.detect.bar_fit import SIGMA_USUAL, BarFit, fit_bars
-from perception.detect.bar_starts import Run, misfits, run_of, sample_about, starts_about
+from perception.detect.bar_starts import Run, misfits, run_of, sample_about, starts_about, starts_flush_with
 from perception.detect.bars import Bar, Section, SurroundingRays
 from perception.detect.sightlines import SightIndex
 from perception.floor import FloorPlane
@@ -16,10 +16,12 @@ from perception.floor import FloorPlane
 _SPACING = 0.06
 _AROUND = 0.13
 _ON_FLOOR = 0.02
+_ON_KNOWN = 0.012
 _HOVER = 0.03
 _SIGMA_FLOOR = 0.005
 _WORST_HOVER = 16.0
 _FOR_STARTS = 200
+_N_FLUSH = 3
 _FOR_CHOICE = 900
 _UNDECIDED = 10.0
 _MOST_RAYS = 4000
@@ -57,11 +59,17 @@ class Choice:
     doubt: float
 
 
-def rays_about(index: SightIndex, run: Run, beyond: float, floor: FloorPlane | None) -> SurroundingRays:
-    """Rays that pass near a run, those that ended on the floor told apart."""
+def rays_about(
+    index: SightIndex, run: Run, beyond: float, floor: FloorPlane | None, known: Sequence[Bar] = ()
+) -> SurroundingRays:
+    """Rays that pass near a run, those that ended on the floor or on bars already known told apart."""
     rays = index.passing(run.places(_SPACING, beyond), _AROUND).thinned(_MOST_RAYS)
-    elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(rays.ends) < _ON_FLOOR
-    return SurroundingRays(rays.start, rays.direction, rays.length, elsewhere)
+    ends = rays.ends
+    elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(ends) < _ON_FLOOR
+    taken = np.zeros(len(rays), dtype=bool) if known else None
+    for bar in known:
+        taken |= bar.holds(ends, _ON_KNOWN)
+    return SurroundingRays(rays.start, rays.direction, rays.length, elsewhere, taken)
 
 
 def choose_bar(
@@ -84,18 +92,21 @@ def choose_bar(
         floor: nothing lies in it, and hardly anything just over it.
         n_starts: how many to fit.
         most_rays: for each fit.
-        also: a further start.
+        also: a further start, and others from where it lies.
     """
     few, many = (sample_about(rays, run, radius, most) for most in (_FOR_STARTS, _FOR_CHOICE))
     if few is None or many is None:
         return None
     starts = starts_about(few, run, stock.halves, stock.section, n_starts)
     if also is not None:
-        starts.append((replace(also.bar, centre=run.place, first=run.first, last=run.last), also.usual))
+        bar = replace(also.bar, centre=run.place, first=run.first, last=run.last)
+        starts += [(bar, also.usual), *starts_flush_with(few, bar, stock.halves, _N_FLUSH)]
     fits = fit_bars(rays, starts, most_rays)
     prior = [stock.rarity_of(fit.usual) + _unusual(fit) + _unsupported(fit.bar, floor) for fit in fits]
     cost = misfits(many, [fit.bar for fit in fits]) + prior
-    best = int(np.argmin(cost))
+    # Where nothing but noise tells sizes apart, it is the usual one.
+    usual = [stock.rarity_of(fit.usual) for fit in fits]
+    best = min(np.flatnonzero(cost <= cost.min() + _UNDECIDED).tolist(), key=lambda i: (usual[i], cost[i]))
     # A model is never quite true; what is left unexplained makes small differences mean less.
     tolerance = _UNDECIDED * max(1.0, float(cost[best]) / max(1, int(many.mine.sum())))
     doubt = max(

@@ -64,6 +64,11 @@ class Bar:
         local = np.column_stack([along.ravel(), across.ravel() * self.half[0], over.ravel() * self.half[1]])
         return np.asarray(self.centre + local @ self.frame)
 
+    def holds(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
+        """Points in it or within ``margin`` [m] of it."""
+        local = (points - self.middle) @ self.frame.T
+        return np.asarray((np.abs(local) < np.array([0.5 * self.length, *self.half]) + margin).all(axis=1))
+
     def places(self, spacing: float) -> Float[np.ndarray, "K 3"]:
         """Places along the axis, at most ``spacing`` apart [m]."""
         n = max(2, int(np.ceil(self.length / spacing)) + 1)
@@ -89,24 +94,24 @@ class Crossing:
 
 def cross_bar(rays: Sightlines, bar: Bar) -> Crossing:
     """How each ray crosses the bar."""
-    crossing = _cross(rays, bar.frame[None], bar.centre[None], np.array([bar.half]), bar.section)
+    crossing = cross_sections(rays, bar.frame[None], bar.centre[None], np.array([bar.half]), bar.section)
     return Crossing(crossing.outside[0], crossing.side[0], crossing.depth[0], crossing.along[0])
 
 
 def cross_bars(rays: Sightlines, bars: Sequence[Bar]) -> Crossing:
     """All bars of one section at once."""
     frames, centres = np.stack([bar.frame for bar in bars]), np.stack([bar.centre for bar in bars])
-    return _cross(rays, frames, centres, np.array([bar.half for bar in bars]), bars[0].section)
+    return cross_sections(rays, frames, centres, np.array([bar.half for bar in bars]), bars[0].section)
 
 
-def _cross(
+def cross_sections(
     rays: Sightlines,
     frames: Float[np.ndarray, "P 3 3"],
     centres: Float[np.ndarray, "P 3"],
     halves: Float[np.ndarray, "P 2"],
     section: Section,
 ) -> Crossing:
-    """Many bars at once."""
+    """All bars of one section at once, given as frames, centres [m] and half sizes [m]."""
     start = frames @ rays.start.T - frames @ centres[:, :, None]
     way = frames @ rays.direction.T
     p, d = start[:, 1:], way[:, 1:]
@@ -135,13 +140,16 @@ class SurroundingRays(Sightlines):
 
     Attributes:
         elsewhere: (N,) which ended on something known not to be the bar, as the floor.
+        taken: (N,) which ended on a bar that is known already; None: none is.
     """
 
     elsewhere: Bool[np.ndarray, "N"]
+    taken: Bool[np.ndarray, "N"] | None = None
 
     def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> SurroundingRays:
         """Only these."""
-        return SurroundingRays(self.start[keep], self.direction[keep], self.length[keep], self.elsewhere[keep])
+        taken = None if self.taken is None else self.taken[keep]
+        return SurroundingRays(self.start[keep], self.direction[keep], self.length[keep], self.elsewhere[keep], taken)
 
 
 @dataclass(frozen=True)
@@ -163,11 +171,13 @@ def sort_rays(rays: SurroundingRays, crossing: Crossing) -> Sorted:
     """Hits, passes and rays stopped before, whatever the bars' ends.
 
     What ended elsewhere is no hit; just behind a bar it is no pass either, for what lies on the floor touches it.
+    What ended on another bar near this one's surface may have been stopped by it before.
     """
     gap = rays.length - crossing.depth
     near = np.abs(gap) < NEAR_SURFACE
-    return Sorted(
-        np.asarray(near & (crossing.outside < _BESIDE) & ~rays.elsewhere),
-        np.asarray(gap >= NEAR_SURFACE),
-        np.asarray(gap <= -NEAR_SURFACE),
-    )
+    before = gap <= -NEAR_SURFACE
+    hit = near & (crossing.outside < _BESIDE) & ~rays.elsewhere
+    if rays.taken is not None:
+        hit &= ~rays.taken
+        before |= near & rays.taken
+    return Sorted(np.asarray(hit), np.asarray(gap >= NEAR_SURFACE), np.asarray(before))

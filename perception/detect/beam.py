@@ -3,10 +3,11 @@ weighed into a confidence."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from perception.clean import voxel_downsample
@@ -14,12 +15,12 @@ from perception.detect.bar_evidence import Ends, Evidence, find_ends, hidden_len
 from perception.detect.bar_fit import BarFit
 from perception.detect.bar_search import Rivalry, Stock, choose_bar, rays_about, rivalry
 from perception.detect.bar_starts import Run, run_of
-from perception.detect.bars import Bar
+from perception.detect.bars import Bar, SurroundingRays
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
-from perception.detect.lines import Line, find_lines
 from perception.detect.sightlines import SightIndex, sight_index
-from perception.detect.slender import is_slender
+from perception.detect.strips import Strip, find_strips
+from perception.detect.vectors import cross
 from perception.floor import FloorPlane, on_floors
 from perception.view import View
 
@@ -27,11 +28,16 @@ from perception.view import View
 _TIMBER = Stock("box", ((0.0445, 0.019), (0.0445, 0.0445), (0.07, 0.019), (0.019, 0.019)), rarity=(0.0, 4.0, 4.0, 12.0))
 _PIPES = ((0.02, 0.02), (0.03, 0.03), (0.045, 0.045))
 _VOXEL = 0.015
-_RADII = (0.035, 0.055, 0.08)
 _LEAST_LENGTH = 0.25
 _TUBE = 0.1
-_ROUNDS = 3
-_PER_ROUND = 16
+_BEHIND, _BEYOND = 0.015, 0.15
+_HIDDEN_STRETCH = 0.6
+_LEAST_AIR, _LEAST_KNOWN = 0.1, 0.15
+_HALF_A_FACE = 0.06
+_SHORT = 0.7
+_NEAR_BAR = 0.02
+_SAME_PLACE = 0.03
+_STRIPS = (28, 14)  # in each round
 _HINT_RADIUS = 0.7
 _REPORTED = 0.05
 _EXPLAINS = 0.25
@@ -76,24 +82,28 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     rng = np.random.default_rng(view.seed)
     index = sight_index(view.cloud)
     points, _ = voxel_downsample(loose_points(view), _VOXEL)
-    points = points[is_slender(points)]
     if hint is not None:
         points = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
     found: list[_Beam] = []
-    looked_at: list[Line] = []
     # The fits are many and small: with several threads BLAS spends its time on handing them out.
     with threadpool_limits(limits=1, user_api="blas"):
-        for _ in range(_ROUNDS):
-            lines = find_lines(points, rng, _RADII, _LEAST_LENGTH, looked_at)[:_PER_ROUND]
-            if not lines:
+        known: list[Bar] = []
+        tried: list[tuple[Strip, int]] = []
+        for most in _STRIPS:
+            n_known = len(known)
+            for strip in find_strips(points, view.cloud.starts.mean(axis=0), rng, most=most):
+                if _is_explained(strip, known) or any(_is_again(strip, old, known[n:]) for old, n in tried):
+                    continue
+                tried.append((strip, len(known)))
+                one = _examine(index, strip, view.floor, known)
+                if one is not None and one.confidence > _REPORTED:
+                    found.append(one)
+                    known += [one.bar] if one.confidence > _EXPLAINS else []
+            # What a beam explains hides what lies across it.
+            for bar in known[n_known:]:
+                points = points[~bar.holds(points, _NEAR_BAR)]
+            if len(known) == n_known:
                 break
-            looked_at += lines
-            new = [one for line in lines if (one := _examine(index, line, view.floor)) is not None]
-            found += [one for one in new if one.confidence > _REPORTED]
-            for one in new:
-                # What a beam explains hides what lies across it.
-                if one.confidence > _EXPLAINS:
-                    points = points[~_on_bar(one.bar, points, 0.02)]
     found.sort(key=lambda one: -one.confidence)
     return [_as_detection(one) for one in _apart(found)]
 
@@ -108,20 +118,49 @@ def loose_points(view: View) -> Float[np.ndarray, "N 3"]:
     return np.concatenate([view.obstacles, points[raised]])
 
 
-def _examine(index: SightIndex, line: Line, floor: FloorPlane | None) -> _Beam | None:
-    """Fit a cuboid about a line and weigh it; None when it is hopeless."""
-    run = Run(line.place, line.axis, line.first, line.last)
-    rays = rays_about(index, run, 0.1, floor)
-    choice = choose_bar(rays, run, 1.3 * line.radius, _TIMBER, floor, 5, 200)
+def _is_explained(strip: Strip, known: Sequence[Bar]) -> bool:
+    return any(bar.holds(strip.members, _NEAR_BAR).mean() > 0.5 for bar in known)
+
+
+def _is_again(strip: Strip, tried: Strip, since: Sequence[Bar]) -> bool:
+    """Whether a strip was looked at before and no bar is known near it since."""
+    places = strip.places(9)
+    offset = places - tried.place
+    along = offset @ tried.axis
+    inside = (along > tried.first) & (along < tried.last)
+    inside &= np.linalg.norm(offset - along[:, None] * tried.axis, axis=1) < _SAME_PLACE
+    return bool(inside.mean() > 0.7) and not any(bar.holds(places, _TUBE).any() for bar in since)
+
+
+def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: Sequence[Bar]) -> _Beam | None:
+    """Fit a cuboid behind a strip and weigh it; None when it is hopeless."""
+    run = Run(strip.place - _BEHIND * strip.normal, strip.axis, strip.first, strip.last, -strip.normal)
+    rays = rays_about(index, run, _BEYOND, floor, known)
+    if not _stands_out(rays, strip):
+        return None
+    choice = choose_bar(rays, run, max(strip.half, 0.045) + 0.025, _TIMBER, floor, 6, 160)
     if choice is None:
         return None
-    bar = find_ends(rays, choice.fit.bar).bar
-    rays = rays_about(index, run_of(bar), 0.15, floor)
-    bar = find_ends(rays, bar).bar
+    ends = find_ends(rays, choice.fit.bar)
+    if not all(ends.seen):
+        # What lies over a beam may hide a long stretch of it.
+        rays = rays_about(index, run_of(ends.bar), _HIDDEN_STRETCH, floor, known)
+        ends = find_ends(rays, ends.bar)
+    settled = [_settled(rays, ends.bar, choice.fit, floor)]
+    if ends.bar.length < _SHORT * (run.last - run.first):
+        # It may lie askew in what it was fitted to.
+        settled.append(_settled(rays, _spanning(ends.bar, run), choice.fit, floor))
+    return max(
+        (one for one in settled if one is not None), key=lambda one: one.confidence * one.bar.length, default=None
+    )
+
+
+def _settled(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None) -> _Beam | None:
+    """Fit once more between the ends that were found, and weigh; None when it is hopeless."""
     early = weigh_bar(rays, bar)
-    if bar.length < _LEAST_LENGTH or early.solid < 0.5 or early.air < 0.1:
+    if bar.length < _LEAST_LENGTH or early.solid < 0.5 or early.air < _LEAST_AIR:
         return None
-    choice = choose_bar(rays, run_of(bar), _TUBE, _TIMBER, floor, 7, 350, choice.fit)
+    choice = choose_bar(rays, run_of(bar), _TUBE, _TIMBER, floor, 3, 400, fit)
     if choice is None:
         return None
     ends = find_ends(rays, choice.fit.bar)
@@ -141,6 +180,23 @@ def _examine(index: SightIndex, line: Line, floor: FloorPlane | None) -> _Beam |
         _confidence(ends, choice.doubt, hidden, evidence, flatter),
         points[:: max(1, len(points) // _MOST_POINTS)],
     )
+
+
+def _spanning(bar: Bar, run: Run) -> Bar:
+    """At least as long as a run along it."""
+    middle, sign = float((run.place - bar.centre) @ bar.axis), float(np.sign(run.axis @ bar.axis))
+    first, last = sorted((middle + sign * run.first, middle + sign * run.last))
+    return replace(bar, first=min(bar.first, first), last=max(bar.last, last))
+
+
+def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
+    """Whether rays went past a strip's edges on both sides, or past places further out: it may be part of a face."""
+    frame = np.stack([strip.axis, cross(strip.normal, strip.axis), strip.normal])
+    looks = [
+        weigh_bar(rays, Bar(frame, strip.place, (strip.half + more, _BEHIND), strip.first, strip.last))
+        for more in (0.0, _HALF_A_FACE)
+    ]
+    return any(look.air >= _LEAST_AIR or look.known <= _LEAST_KNOWN for look in looks)
 
 
 def _confidence(ends: Ends, doubt: float, hidden: float, evidence: Evidence, flatter: Rivalry) -> float:
@@ -177,12 +233,6 @@ def _off_size(width: float, thickness: float) -> float:
     return float(nearest.max(axis=1).min())
 
 
-def _on_bar(bar: Bar, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
-    """Points within ``margin`` of the bar."""
-    local = (points - bar.middle) @ bar.frame.T
-    return np.asarray((np.abs(local) < np.array([0.5 * bar.length, *bar.half]) + margin).all(axis=1))
-
-
 def _apart(found: list[_Beam]) -> list[_Beam]:
     """Without those that lie in a surer one, or just beside it in the same direction."""
     kept: list[_Beam] = []
@@ -194,7 +244,7 @@ def _apart(found: list[_Beam]) -> list[_Beam]:
 
 def _same(one: Bar, other: Bar) -> bool:
     margin = 0.5 * min(one.half) if abs(one.axis @ other.axis) > 0.98 else 0.0
-    return bool(_on_bar(other, one.places(0.02), margin).mean() > 0.5)
+    return bool(other.holds(one.places(0.02), margin).mean() > 0.5)
 
 
 def _as_detection(one: _Beam) -> Detection:

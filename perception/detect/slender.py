@@ -21,7 +21,7 @@ def is_slender(points: Float[np.ndarray, "N 3"], most_wide: float = 0.5) -> Bool
         points: (N, 3) thinned evenly [m].
         most_wide: the largest share of the second variance.
     """
-    variances = _variances_about(points) if len(points) else None
+    variances = variances_about(points)
     if variances is None:
         return np.ones(len(points), dtype=bool)
     return np.asarray(variances[:, 1] <= most_wide * np.maximum(variances[:, 2], 1e-9))
@@ -33,15 +33,22 @@ def is_flat(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
     Args:
         points: (N, 3) thinned evenly [m].
     """
-    variances = _variances_about(points) if len(points) else None
+    variances = variances_about(points)
     if variances is None:
         return np.zeros(len(points), dtype=bool)
     return np.asarray((variances[:, 1] > _FLAT_WIDE * variances[:, 2]) & (variances[:, 0] < _FLAT_THICK))
 
 
-def _variances_about(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"] | None:
-    """Variances of the points around each, from the least [m^2]; None where they are spread too far for a grid."""
-    cells = np.floor((points - points.min(axis=0)) / _CELL).astype(np.int64)
+def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Float[np.ndarray, "N 3"] | None:
+    """Variances of the points around each, from the least [m^2]; None where they are spread too far for a grid.
+
+    Args:
+        points: (N, 3) [m].
+        cell: the 3 x 3 x 3 cells of this size about a point are what is around it [m].
+    """
+    if not len(points):
+        return None
+    cells = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
     shape = tuple(int(n) for n in cells.max(axis=0) + 1)
     if np.prod(np.array(shape, dtype=float)) > _MOST_CELLS:
         return None
