@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from perception.simulate.objects.placed import Truth
 
 _GROUND = box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0))
 _SPARSE = Scanner(n_lines=44, sigma=0.015)
+_DENSE = Scanner(n_beams=541)
 _INSIDE = Car(place=(0.0, 0.34), floor=0.4)
 _OUTSIDE = Car(place=(1.4, 0.0), yaw=1.5, floor=0.38)
 
@@ -28,7 +28,19 @@ def _view(car: Car, inside: bool, sensor: Scanner | None = None) -> tuple[View, 
     pose = (
         Pose.looking((0.05, 0.0, 1.54), (0.7, -0.25, 0.6)) if inside else Pose.looking((0.1, 0.0, 1.6), (1.4, 0.0, 0.9))
     )
-    return make_view(scan([*placed.meshes, _GROUND], pose, sensor or Scanner(), 3)), placed.truth
+    return make_view(scan([*placed.meshes, _GROUND], pose, sensor or _DENSE, 3)), placed.truth
+
+
+@cache
+def _recorded(path: Path) -> View:
+    return make_view(read_cloud(path))
+
+
+@cache
+def _only_ahead() -> tuple[View, tuple[Truth, ...]]:
+    """What a sensor sees that looks forward alone, from the passenger's seat."""
+    view, truth = _view(_INSIDE, True)
+    return make_view(view.cloud.selected(view.cloud.points[:, 0] > 0.0)), truth
 
 
 def _near(found: list[Detection], truth: Truth, reach: float = 0.15) -> Detection:
@@ -74,7 +86,7 @@ def test_a_panel_in_the_opening_closes_it() -> None:
     placed = _INSIDE.placed()
     shut = box((-0.4, -0.39, 0.35), (0.7, -0.36, 1.9))
     pose = Pose.looking((0.05, 0.0, 1.54), (0.7, -0.25, 0.6))
-    view = make_view(scan([*placed.meshes, shut, _GROUND], pose, Scanner(), 3))
+    view = make_view(scan([*placed.meshes, shut, _GROUND], pose, _DENSE, 3))
     outwards = [one.pose_world_object[1, 0] for one in detect("opening", view) if one.confidence >= 0.5]
     assert all(y > 0.0 for y in outwards)
 
@@ -106,12 +118,12 @@ _NO_SEATS = {
 @pytest.mark.parametrize("name", _NO_SEATS)
 def test_what_is_no_vehicle_has_no_confident_seat_or_opening(name: str) -> None:
     meshes: list[Mesh] = [*_NO_SEATS[name], _GROUND]
-    view = make_view(scan(meshes, Pose(pitch=0.4), Scanner(), 2))
+    view = make_view(scan(meshes, Pose(pitch=0.4), _DENSE, 2))
     assert not any(one.confidence >= 0.5 for kind in ("seat", "opening") for one in detect(kind, view))
 
 
 def test_the_recorded_vehicle_has_a_seat_and_openings(shared_data: Path) -> None:
-    view = make_view(read_cloud(shared_data / "scenes" / "car_ev" / "scan0.pcd"))
+    view = _recorded(shared_data / "scenes" / "car_ev" / "scan0.pcd")
     seat = detect("seat", view)[0]
     assert seat.confidence >= 0.5
     # The bench; of the part under the sensor nothing was seen.
@@ -166,21 +178,25 @@ def test_a_cushion_cut_by_a_shadow_is_completed_from_the_edges_that_were_seen() 
     assert cushion.filled > 0.9
 
 
-def _only(view: View, keep: Callable[[np.ndarray], np.ndarray]) -> View:
-    return make_view(view.cloud.selected(keep(view.cloud.points)))
-
-
 def test_the_seat_the_robot_sits_on_is_found_though_its_back_is_out_of_sight() -> None:
-    view, truth = _view(_INSIDE, True)
+    ahead, truth = _only_ahead()
     mine = next(one for one in truth if one.kind == "seat" and abs(one.pose_world_object[1, 3]) < 0.1)
-    ahead = _only(view, lambda points: points[:, 0] > 0.0)
     assert _near(detect("seat", ahead), mine, 0.05).confidence >= 0.5
 
 
+def test_the_opening_beside_the_seat_the_robot_sits_on_is_found_though_all_behind_is_out_of_sight() -> None:
+    ahead, truth = _only_ahead()
+    mine = next(one for one in truth if one.kind == "opening" and one.pose_world_object[1, 3] < 0.0)
+    place = mine.pose_world_object[:3, 3]
+    without, hinted = (
+        _near(detect("opening", ahead, hint), mine) for hint in (None, place + np.array([0.1, 0.0, 0.1]))
+    )
+    assert 0.5 <= without.confidence < hinted.confidence
+
+
 def test_a_cushion_without_a_back_in_sight_that_nobody_sits_on_is_no_confident_seat() -> None:
-    view, truth = _view(_INSIDE, True)
+    ahead, truth = _only_ahead()
     other = next(one for one in truth if one.kind == "seat" and one.pose_world_object[1, 3] > 0.3)
-    ahead = _only(view, lambda points: points[:, 0] > 0.0)
     place = other.pose_world_object[:3, 3]
     near = [one for one in detect("seat", ahead) if np.linalg.norm(one.pose_world_object[:3, 3] - place) < 0.2]
     assert all(one.confidence < 0.5 for one in near)
@@ -188,14 +204,14 @@ def test_a_cushion_without_a_back_in_sight_that_nobody_sits_on_is_no_confident_s
 
 def test_seats_are_found_from_outside_though_the_ground_is_out_of_sight() -> None:
     view, truth = _view(_OUTSIDE, False)
-    above = _only(view, lambda points: points[:, 2] > 0.2)
+    above = make_view(view.cloud.selected(view.cloud.points[:, 2] > 0.2))
     found = detect("seat", above)
     for seat in (one for one in truth if one.kind == "seat"):
         assert _near(found, seat, 0.05).confidence >= 0.5
 
 
 def test_the_unseen_seat_under_the_sensor_is_proposed_and_trusted_with_a_hint(shared_data: Path) -> None:
-    view = make_view(read_cloud(shared_data / "scenes" / "car_ev" / "scan0.pcd"))
+    view = _recorded(shared_data / "scenes" / "car_ev" / "scan0.pcd")
     place = np.array([0.0, 0.0, 0.86])
     for hint, is_confident in ((None, False), (place + np.array([0.03, -0.05, 0.04]), True)):
         near = [one for one in detect("seat", view, hint) if np.linalg.norm(one.pose_world_object[:3, 3] - place) < 0.1]

@@ -133,6 +133,8 @@ def _weighed(
     if hint is not None:
         # An operator who points at something has ruled out most of what else it could be.
         confidence = confidence**_HINT_TRUST
+        # No pointing tells on which side the hinges are.
+        confidence = confidence if hinge else min(confidence, _HINGE_UNKNOWN)
     return _Candidate(leaf, frame, handle, hinge or -1, confidence)
 
 

@@ -16,6 +16,9 @@ from perception.view import View
 
 _REPORTED = 0.05
 _LEAST_SEAT = 0.25
+# A sill with an opening over it speaks for the vehicle as well: what is doubtful about a seat is mostly its back.
+_SEAT_TRUST = 0.6
+_HINT_TRUST = 0.7
 _BESIDE = 0.55  # how far beside the cushion's edge the vehicle may end
 _AHEAD = 1.2
 _BEHIND = 0.8
@@ -77,7 +80,7 @@ def detect_opening(view: View, hint: Float[np.ndarray, "3"] | None = None) -> li
     sides.sort(key=lambda one: -one.confidence)
     out: list[Detection] = []
     for one in sides:
-        hit = _detection(one)
+        hit = _detection(one, hint is not None)
         place = hit.pose_world_object[:3, 3]
         if hint is not None and np.linalg.norm((place - hint)[:2]) > 0.5 * hit.sizes["width"] + 0.3:
             continue
@@ -116,7 +119,7 @@ def _beside(
         top = highest
     sill = seat.floor - ground_of(view)
     confidence = (
-        seat.confidence
+        seat.confidence**_SEAT_TRUST
         * (0.4, 0.7, 1.0)[ends_seen]
         * rising(open_share, 0.5, 0.85)
         * rising(seen_share, 0.1, 0.3)
@@ -223,12 +226,13 @@ def _filled(places: Float[np.ndarray, "K 2"], low: Float[np.ndarray, "2"], shape
     return grid
 
 
-def _detection(one: _Side) -> Detection:
+def _detection(one: _Side, is_hinted: bool) -> Detection:
     seat = one.seat
+    confidence = one.confidence**_HINT_TRUST if is_hinted else one.confidence
     pose = np.eye(4)
     outwards = seat.pose[:3, 1] * one.side
     pose[:3, :3] = np.column_stack([outwards, np.cross([0.0, 0.0, 1.0], outwards), [0.0, 0.0, 1.0]])
     pose[:3, 3] = seat.pose[:3, 3] + seat.pose[:3, :3] @ [0.5 * (one.rear + one.front), one.side * one.at, one.floor]
     sizes = {"width": one.front - one.rear, "height": float(one.top - one.floor), "sill": one.sill}
     step = max(1, len(one.points) // _SHOWN)
-    return Detection("opening", pose, sizes, one.confidence, {"open_seen_share": one.open_share}, one.points[::step])
+    return Detection("opening", pose, sizes, confidence, {"open_seen_share": one.open_share}, one.points[::step])
