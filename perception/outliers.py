@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from perception.beside import RADIUS, RADIUS_SHARE, STARTS_APART, depth_noise, spacing_radius, support
 from perception.clean import row_keys, voxel_index
+from perception.grazed import on_grazed_surface
 
 _WIDE = 0.7
 _DEEP = 3.0
@@ -15,6 +16,7 @@ _DEEP = 3.0
 _MOST_STEEP = 4.0
 _THIN_SUPPORT = 4
 _LEAST_SUPPORT = 3
+_GRAZED_ROUNDS = 3
 
 
 def inliers(
@@ -52,7 +54,8 @@ def surface_points(
     """Points that a surface stands for, thin things such as pipes and wires included.
 
     A point must have neighbours (:func:`inliers`) or be one of a row of points at its depth, as on a wire; and among
-    the rays next to its own some must end at its depth: between two surfaces a mixed pixel is alone there.
+    the rays next to its own some must end at its depth: between two surfaces a mixed pixel is alone there.  On a
+    surface that rays graze they end far apart, but in one plane.
 
     Args:
         points: (N, 3) all points that were seen [m].
@@ -71,7 +74,25 @@ def surface_points(
     # A row of the floor's own noise is no wire: thin things are held up by their like.
     like = np.ones(len(points), dtype=bool) if candidates is None else candidates
     kept[asked] = support(points, starts, asked, like, is_thin) >= np.where(is_thin, _THIN_SUPPORT, _LEAST_SUPPORT)
+    _keep_grazed(points, starts, asked[~kept[asked]], kept)
     return kept
+
+
+def _keep_grazed(
+    points: Float[np.ndarray, "N 3"],
+    starts: Float[np.ndarray, "N 3"],
+    left: Int[np.ndarray, "K"],
+    kept: Bool[np.ndarray, "N"],
+) -> None:
+    """Keep those left that go on with a surface of what is kept and that rays graze, so far as it leads on."""
+    rays = points - starts
+    for _ in range(_GRAZED_ROUNDS):
+        apart = 2.0 * spacing_radius(np.linalg.norm(rays[left], axis=1))
+        is_grazed = on_grazed_surface(points[left], rays[left], points[kept], apart)
+        if not is_grazed.any():
+            break
+        kept[left[is_grazed]] = True
+        left = left[~is_grazed]
 
 
 def _tree(points: Float[np.ndarray, "N 3"]) -> cKDTree:

@@ -50,7 +50,7 @@ def outlines_of(
         plane = Plane(level.normal, level.offset, part, part[:0])
         beyond = _wide_gaps(places[part])
         beyond_flat = np.column_stack([beyond, level.height(beyond)]) @ plane.basis.T
-        for slab in slabs_of(plane, points, *rays, _NOTHING, beyond_flat):
+        for slab in slabs_of(plane, points, *rays, _NOTHING, gaps=beyond_flat):
             if _width(slab.outline) >= _NARROWEST:
                 corners = slab.outline @ plane.basis[:, :2] + plane.offset * plane.normal[:2]
                 outlines.append((slab.area, corners))

@@ -16,6 +16,7 @@ from perception import (
     make_view,
     voxel_downsample,
 )
+from perception.grazed import on_grazed_surface
 from perception.outliers import surface_points
 from perception.simulate import box, cylinder
 from perception.simulate.cast import cast
@@ -104,6 +105,34 @@ def test_the_same_point_seen_from_two_places_is_no_copy() -> None:
 
 def test_zero_and_minus_zero_are_one_place() -> None:
     assert len(make_view(Cloud(np.array([[1.0, 0.0, 0.5], [1.0, -0.0, 0.5]]), np.zeros(3))).cloud.points) == 1
+
+
+def beside_the_sensor(aside: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Lines of a lidar at the origin, a degree apart: a board along the rays, so far aside, and a wall behind."""
+    turn, lift = np.radians(np.arange(-12.0, 20.0, 0.25)), np.radians(np.arange(-12.0, 12.0, 1.0))
+    angles = np.stack(np.meshgrid(turn, lift), axis=-1).reshape(-1, 2)
+    direction = np.column_stack([np.ones(len(angles)), np.tan(angles[:, 0]), np.tan(angles[:, 1])])
+    depth = aside / np.maximum(direction[:, 1], 1e-9)
+    is_board = (depth > 0.6) & (depth < 1.6)
+    points = np.where(is_board, depth, 2.0)[:, None] * direction
+    ranges = np.linalg.norm(points, axis=1, keepdims=True)
+    return points * (1.0 + rng.normal(0.0, 0.01, ranges.shape) / ranges), is_board
+
+
+def test_most_of_a_board_stays_that_rays_graze() -> None:
+    points, is_board = beside_the_sensor(0.06, np.random.default_rng(0))
+    assert is_board.sum() > 300
+    assert surface_points(points, np.zeros_like(points))[is_board].mean() > 0.75
+
+
+def test_what_lies_in_a_plane_with_the_sensor_is_no_surface_that_rays_graze() -> None:
+    rng = np.random.default_rng(0)
+    for aside, is_kept in ((0.05, True), (0.01, False)):
+        surface = np.column_stack([rng.uniform(0.6, 1.6, 2000), np.full(2000, aside), rng.uniform(-0.3, 0.3, 2000)])
+        asked = np.array([[0.8, aside, 0.0], [1.2, aside, 0.1]])
+        far = np.full(len(asked), 0.1)
+        assert on_grazed_surface(asked, asked, surface, far).tolist() == [is_kept] * 2
+        assert not on_grazed_surface(asked + np.array([0.0, 0.01, 0.0]), asked, surface, far).any()
 
 
 def depth_picture(meshes: list[Mesh], rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -165,6 +165,27 @@ def test_a_hull_beside_a_slab_joins_it_in_its_plane_where_nothing_was_seen_free(
     assert bool((small @ faces[:, :3].T + faces[:, 3] <= 1e-6).all()) == (n_left == 0)
 
 
+@pytest.mark.parametrize(("gaps", "n_left"), [(0.06, 2), ([0.2, 0.2], 1), ([0.2, 0.06], 2)])
+def test_hulls_are_neighbours_as_far_as_both_their_gaps_reach(gaps: float | list[float], n_left: int) -> None:
+    points = np.concatenate([board((0.0, 0.1)), board((0.2, 0.3))])
+    free = carve(SENSOR, points, points, points.min(axis=0) - 0.1, points.max(axis=0) + 0.1)
+    hulls = [hull_of(points[members], members) for members in np.split(np.arange(len(points)), 2)]
+    assert len(merge(hulls, free, np.array(gaps))) == n_left
+
+
+@pytest.mark.parametrize("is_gap_seen", [False, True])
+def test_pieces_go_on_between_rays_that_lie_far_apart_unless_it_is_open_there(is_gap_seen: bool) -> None:
+    grid = np.stack(np.meshgrid(np.arange(-1.0, 1.0, 0.1), np.arange(0.5, 2.0, 0.1)), axis=-1).reshape(-1, 2)
+    points = np.column_stack([np.full(len(grid), 4.0), grid])
+    ends = points
+    if is_gap_seen:
+        beside = np.column_stack([np.full(40, 4.0), np.full(40, 0.94), np.linspace(0.4, 2.1, 40)])
+        ends = np.concatenate([points, SENSOR + 1.5 * (beside - SENSOR)])
+    pieces = make_pieces(points, SENSOR, (SENSOR, ends), seed=3).pieces
+    farthest = max(piece.shape.vertices[:, 1].max() for piece in pieces) - points[:, 1].max()
+    assert farthest == pytest.approx(0.006 if is_gap_seen else 0.03, abs=1e-6)
+
+
 @pytest.mark.parametrize("is_seen_through", [True, False])
 def test_a_hull_is_split_where_rays_went_through_a_narrow_gap(is_seen_through: bool) -> None:
     height = np.linspace(1.2, 1.6, 40)

@@ -22,6 +22,7 @@ from perception.convex.planes import Plane, PlaneSettings, find_planes
 from perception.convex.refine import refined
 from perception.convex.slabs import FRONT, Slab, slabs_of
 from perception.convex.smooth import smoothed
+from perception.convex.spacing import spacing_of
 from perception.convex.split import clusters, merge, split
 from perception.convex.standing import still_standing, unexplained
 
@@ -30,6 +31,9 @@ _CELL = 0.02
 _WITHIN = 0.01
 _BEHIND = 0.02
 _GAP = 0.06
+_GAP_OF_RANGE = 0.06
+_SKIN_OF_SPACING = 0.4
+_MOST_SKIN = 0.02
 _AROUND = 0.1
 _UPRIGHT = 0.17
 _WALL = (0.8, 1.2)
@@ -133,7 +137,8 @@ def _bodies(
     points, starts = coarse.points[left], coarse.starts[left]
     planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), plane_settings)
     clock.lap("planes")
-    slabs = [(plane, slab) for plane in planes for slab in slabs_of(plane, points, *rays, free)]
+    apart = spacing_of(coarse.points, coarse.starts)[left]
+    slabs = [(plane, slab) for plane in planes for slab in slabs_of(plane, points, *rays, free, apart)]
     clock.lap("slabs")
     points = smoothed(coarse.points, coarse.counts, coarse.starts, left)
     rest = ~_covered(points, slabs)
@@ -143,7 +148,7 @@ def _bodies(
     bodies = [
         _Body(_kind_of(plane, slab), slab.vertices, np.append(plane.normal, plane.offset)) for plane, slab in slabs
     ]
-    bodies += [_Body("clutter", _skinned(hull), None) for hull in hulls]
+    bodies += [_Body("clutter", _skinned(hull, apart[rest], free), None) for hull in hulls]
     clock.lap("clutter")
     return bodies
 
@@ -185,7 +190,9 @@ def _clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"],
     if not len(points):
         return []
     hulls = [hull for members in clusters(points, starts) for hull in split(points, members, free)]
-    return merge(hulls, free, _GAP)
+    ranges = np.linalg.norm(points - starts, axis=1)
+    gaps = np.array([max(_GAP, _GAP_OF_RANGE * float(np.median(ranges[hull.members]))) for hull in hulls])
+    return merge(hulls, free, gaps)
 
 
 def _covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Slab]]) -> Bool[np.ndarray, "N"]:
@@ -201,9 +208,27 @@ def _covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Slab]]) 
     return covered
 
 
-def _skinned(hull: Hull) -> Float[np.ndarray, "V 3"]:
-    """The hull with a skin of 5 mm, which covers the surface between points, and at most 64 vertices."""
-    return limited(hull_of(thickened(hull.vertices, SKIN), hull.members).vertices)
+def _skinned(hull: Hull, apart: Float[np.ndarray, "N"], free: FreeSpace) -> Float[np.ndarray, "V 3"]:
+    """The hull with a skin, which covers the surface between points, and at most 64 vertices.
+
+    The skin is 5 mm, or where points lie far apart two fifths of that if it holds no more seen-free space.
+
+    Args:
+        hull: of points that ``apart`` is told of.
+        apart: (N,) distance of the points from those beside them [m].
+        free: what was seen free.
+    """
+    skinned = hull_of(thickened(hull.vertices, SKIN), hull.members)
+    skin = min(_SKIN_OF_SPACING * float(np.median(apart[hull.members])), _MOST_SKIN)
+    if skin > SKIN:
+        thick = hull_of(thickened(hull.vertices, skin), hull.members)
+        if _free_cells(thick, free) <= _free_cells(skinned, free):
+            skinned = thick
+    return limited(skinned.vertices)
+
+
+def _free_cells(hull: Hull, free: FreeSpace) -> int:
+    return free.count_inside(hull.faces, hull.vertices, 0.25 * free.size)
 
 
 def _kind_of(plane: Plane, slab: Slab) -> str:

@@ -15,6 +15,7 @@ from perception.convex.planes import Plane
 _CELL = 0.02
 _BEHIND = 0.035
 _PAD = 0.006
+_MOST_PAD = 0.03
 FRONT = 0.017
 _BACK = 0.017
 _WORTHWHILE = 0.05
@@ -57,6 +58,7 @@ def slabs_of(
     starts: Float[np.ndarray, "*R 3"],
     ends: Float[np.ndarray, "R 3"],
     free: FreeSpace,
+    apart: Float[np.ndarray, "N"] | None = None,
     gaps: Float[np.ndarray, "G 2"] | None = None,
 ) -> list[Slab]:
     """Convex slabs that cover the plane's members and no opening.
@@ -67,6 +69,7 @@ def slabs_of(
         starts: (3,) or (R, 3), where all rays of the scan started [m].
         ends: (R, 3) where they ended [m].
         free: what they saw to be free.
+        apart: (N,) distance of the points from those beside them; where it is large, slabs go on half as far [m].
         gaps: further places that are not to be covered, in the plane's basis [m].
     """
     flat = points[plane.members] @ plane.basis.T
@@ -82,7 +85,8 @@ def slabs_of(
         else:
             todo.extend(indices[side] for side in _cut(flat[indices], open_cells))
     parts = _merged(region, parts)
-    return [_slab(plane, flat[part]) for part in parts]
+    spacing = np.zeros(len(flat)) if apart is None else apart[plane.members]
+    return [_slab(plane, region, part, float(np.median(spacing[part]))) for part in parts]
 
 
 def _picture(flat: Float[np.ndarray, "N 2"], opened: Float[np.ndarray, "H 2"]) -> _Region:
@@ -222,7 +226,14 @@ def joined(plane: Plane, slab: Slab, flat: Float[np.ndarray, "K 2"]) -> Slab:
     return _thickened(plane, corners, faces)
 
 
-def _slab(plane: Plane, flat: Float[np.ndarray, "N 2"]) -> Slab:
+def _slab(plane: Plane, region: _Region, part: Int[np.ndarray, "K"], apart: float) -> Slab:
+    """The slab of some members, half their distance from each other larger all round unless it is open there."""
+    flat = region.flat[part]
+    pad = min(0.5 * apart, _MOST_PAD)
+    if pad > _PAD:
+        outline = _outline(flat, pad)
+        if not len(_open_cells(region, outline)):
+            return _thickened(plane, *outline)
     return _thickened(plane, *_outline(flat, _PAD))
 
 

@@ -116,16 +116,18 @@ def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
     return np.asarray(first + second)
 
 
-def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float, allowed: Allowance = _DEFAULT) -> list[Hull]:
+def merge(
+    hulls: Sequence[Hull], free: FreeSpace, gap: float | Float[np.ndarray, "H"], allowed: Allowance = _DEFAULT
+) -> list[Hull]:
     """Join neighbours, least added volume first, while the joint hull holds no seen-free space.
 
     Args:
         hulls: what to join.
         free: what was seen free.
-        gap: boxes farther apart than this are not neighbours [m].
+        gap: boxes farther apart than this, or than the lesser of the two hulls' own, are not neighbours [m].
         allowed: how much seen-free space a joint hull may hold.
     """
-    merger = _Merger(list(hulls), free, gap, allowed)
+    merger = _Merger(list(hulls), free, np.broadcast_to(gap, len(hulls)), allowed)
     for i in range(len(hulls)):
         merger.propose(i, i)
     while merger.queue:
@@ -138,7 +140,7 @@ def merge(hulls: Sequence[Hull], free: FreeSpace, gap: float, allowed: Allowance
 class _Merger:
     """Hulls, which of them still stand, and the joints that may take the place of two."""
 
-    def __init__(self, hulls: list[Hull], free: FreeSpace, gap: float, allowed: Allowance) -> None:
+    def __init__(self, hulls: list[Hull], free: FreeSpace, gap: Float[np.ndarray, "H"], allowed: Allowance) -> None:
         self.hulls = hulls
         self.queue: list[tuple[float, int, int, Hull]] = []
         self.is_alive = np.ones(len(hulls), dtype=bool)
@@ -153,13 +155,13 @@ class _Merger:
         self.is_alive = np.append(self.is_alive, True)
         self._lower = np.concatenate([self._lower, joint.lower[None]])
         self._upper = np.concatenate([self._upper, joint.upper[None]])
+        self._gap = np.append(self._gap, self._gap[[i, j]].max())
         self.propose(len(self.hulls) - 1, len(self.hulls) - 1)
 
     def propose(self, i: int, before: int) -> None:
         """Queue the joints of hull ``i`` with its neighbours among the first ones."""
-        near = (self._lower[:before] <= self._upper[i] + self._gap) & (
-            self._upper[:before] >= self._lower[i] - self._gap
-        )
+        gap = np.minimum(self._gap[i], self._gap[:before])[:, None]
+        near = (self._lower[:before] <= self._upper[i] + gap) & (self._upper[:before] >= self._lower[i] - gap)
         one = self.hulls[i]
         for j in np.flatnonzero(near.all(axis=1) & self.is_alive[:before]):
             other = self.hulls[j]

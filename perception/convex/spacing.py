@@ -1,0 +1,23 @@
+"""How far apart the points of a surface lie where rays are few, and how far a piece may go on between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+_FOURTH = 4
+_MOST_OF_RANGE = 0.025
+
+
+def spacing_of(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
+    """Distance of each point to the fourth nearest other, at most 2.5 % of its range: what is farther is alone [m].
+
+    Args:
+        points: (N, 3) [m].
+        starts: (N, 3) where their rays started [m].
+    """
+    if len(points) <= _FOURTH:
+        return np.zeros(len(points))
+    fourth = np.asarray(cKDTree(points).query(points, k=[_FOURTH + 1], workers=-1)[0])[:, 0]
+    return np.asarray(np.minimum(fourth, _MOST_OF_RANGE * np.linalg.norm(points - starts, axis=1)))
