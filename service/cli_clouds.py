@@ -36,8 +36,13 @@ Message = Annotated[
 Radius = Annotated[float, typer.Option("--reach", help="Horizontal radius kept, in metres.", min=0.1, max=50.0)]
 Top = Annotated[float, typer.Option("--top", help="Height up to which points are kept, in metres.")]
 Bottom = Annotated[float, typer.Option("--bottom", help="Height from which on points are kept, in metres.")]
-RobotThere = Annotated[str | None, typer.Option("--robot", help="Bundled robot whose own points are left out.")]
-Posture = Annotated[Path | None, typer.Option("--posture", help="File with that robot's start (as in a request).")]
+RobotThere = Annotated[
+    str | None, typer.Option("--robot", help="Robot whose own points are left out: a bundled one, or a URDF.")
+]
+Posture = Annotated[
+    Path | None,
+    typer.Option("--posture", help="That robot's posture by name, or a file with its start (as in a request)."),
+]
 Seed = Annotated[int, typer.Option("--seed", help="Of all random choices.", min=0)]
 
 
@@ -75,7 +80,8 @@ class CloudOptions:
     @property
     def inputs(self) -> list[Path]:
         """Every file that is read."""
-        return [*self.files, *([] if self.posture is None else [self.posture])]
+        beside = [self.posture, None if self.robot is None else Path(self.robot)]
+        return [*self.files, *(path for path in beside if path is not None)]
 
     def asked(self) -> dict[str, Any]:
         """What ``cloud_asked`` takes."""

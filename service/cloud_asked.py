@@ -12,7 +12,7 @@ import numpy as np
 from costs.robot import RobotError, load_robot
 from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, View, read_clouds, rigid_pose
 from service.errors import RequestError, would_do
-from service.request import StartRequest
+from service.request import RobotRequest, StartRequest
 from service.request_file import load_start
 from service.start import FEET_GROUP, placed_bodies, sole, start_configuration
 
@@ -33,7 +33,7 @@ class CloudAsked:
         message: of a bag; its number, or all of them merged.
         reach_m: horizontal radius about the world's origin that is kept [m].
         top_m, bottom_m: heights between which points are kept [m].
-        robot: a bundled robot whose own points are left out.
+        robot: whose own points are left out.
         start: where that robot stands; None: as it stands by default.
         seed: of all random choices.
     """
@@ -48,7 +48,7 @@ class CloudAsked:
     reach_m: float = 4.0
     top_m: float = 3.0
     bottom_m: float = -0.5
-    robot: str | None = None
+    robot: RobotRequest | None = None
     start: StartRequest | None = None
     seed: int = 0
 
@@ -75,7 +75,8 @@ class CloudRead:
 def cloud_asked(options: Mapping[str, Any]) -> CloudAsked:
     """What was asked on a command line.
 
-    There ``sensor`` and ``message`` are texts and ``posture`` is a file with a request's ``start``.
+    There ``sensor``, ``message`` and ``robot`` are texts, the last a bundled robot's name or a URDF, and ``posture`` is
+    the name of a posture or a file with a request's ``start``.
 
     Raises:
         RequestError: the sensor is not three numbers, the message no number, or the file cannot be used.
@@ -84,10 +85,12 @@ def cloud_asked(options: Mapping[str, Any]) -> CloudAsked:
     if given["top_m"] <= given["bottom_m"]:
         raise RequestError(f"--top: {given['top_m']:g} m is not above --bottom {given['bottom_m']:g} m; more would do")
     sensor, posture, message = given.pop("sensor"), given.pop("posture"), given.pop("message")
+    robot = given.pop("robot")
     return CloudAsked(
         **given,
         sensor=None if sensor is None else point(sensor, "--sensor"),
-        start=None if posture is None else load_start(posture),
+        robot=None if robot is None else _robot(robot),
+        start=None if posture is None else _start(posture),
         message=_message(message),
     )
 
@@ -188,10 +191,29 @@ def _poses(asked: CloudAsked) -> list[np.ndarray | None]:
     return list(poses * n_files if n_given == 1 else poses)
 
 
-def _robot_in_the_way(name: str, start: StartRequest | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Hulls and soles of a bundled robot in the world."""
+def _robot(text: str) -> RobotRequest:
+    """A bundled robot, or the one of a URDF whose meshes are in its folder."""
+    path = Path(text)
+    if path.suffix != ".urdf":
+        return RobotRequest(name=text)
+    if not path.is_file():
+        raise RequestError(f"--robot: {path} is not there; a URDF that is, or a robot of `scopt robots` would do")
+    return RobotRequest(urdf=str(path), package_dirs=(str(path.parent),))
+
+
+def _start(posture: Path) -> StartRequest:
+    return StartRequest(posture=str(posture)) if not posture.suffix and not posture.exists() else load_start(posture)
+
+
+def _robot_in_the_way(asked: RobotRequest, start: StartRequest | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Hulls and soles of a robot in the world."""
     try:
-        robot = load_robot(name)
+        if asked.urdf is None:
+            robot = load_robot(asked.name, root=asked.root)
+        else:
+            srdf = None if asked.srdf is None else Path(asked.srdf)
+            folders = [Path(folder) for folder in asked.package_dirs]
+            robot = load_robot(urdf=Path(asked.urdf), srdf=srdf, package_dirs=folders, root=asked.root)
     except RobotError as error:
         raise RequestError(f"--robot: {error}") from None
     q, _ = start_configuration(robot, start or StartRequest())

@@ -107,7 +107,7 @@ def around(handler: Handler, enter: Enter) -> Handler:
 
     async def request_of(requests: AsyncIterator[Any], context: Context) -> Any:
         if takes_stream:
-            return _to_their_end(requests)
+            return _to_their_end(requests, context)
         try:
             async with asyncio.timeout(REQUEST_WAIT_S):
                 request = await context.read()
@@ -138,13 +138,20 @@ def around(handler: Handler, enter: Enter) -> Handler:
     )
 
 
-async def _to_their_end(requests: AsyncIterator[Any]) -> AsyncIterator[Any]:
-    """The requests of a stream.
+async def _to_their_end(requests: AsyncIterator[Any], context: Context) -> AsyncIterator[Any]:
+    """The requests of a stream, which ends where none comes for too long.
 
     That of a client who has gone ends as that of a client who has said everything does, a moment before the call is
     cancelled; nobody takes the one for the other who waits that moment.
     """
-    async for request in requests:
+    while True:
+        try:
+            async with asyncio.timeout(REQUEST_WAIT_S):
+                request = await anext(requests, None)
+        except TimeoutError:
+            await context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, f"nothing more came in {REQUEST_WAIT_S:g} s")
+        if request is None:
+            break
         yield request
     await asyncio.sleep(GONE_AFTER_S)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from browser import Browser, find_chromium
 from cloud_files import write_bag
-from little_scan import little_scan, scopt
+from little_scan import crate_scan, little_scan, scopt
 
 from perception import Cloud, write_npz, write_pcd
 
@@ -370,3 +370,14 @@ def test_a_hostile_name_is_only_text(browser: Browser, scan: Path, tmp_path: Pat
     assert browser.run("document.querySelector('h1').textContent") == out.stem
     assert browser.run("document.querySelectorAll('img').length") == 0
     assert browser.complaints() == []
+
+
+def test_posture_of_the_robot_is_named_or_a_file(tmp_path: Path) -> None:
+    cloud, out = crate_scan(tmp_path / "scan.npz"), tmp_path / "scene.json"
+    for posture in ("reach_ready", str(tmp_path / "start.yaml")):
+        (tmp_path / "start.yaml").write_text("posture: reach_ready")
+        assert scopt("scene", cloud, "--robot", "atlas", "--posture", posture, "--out", out).exit_code == 0
+    result = scopt("scene", cloud, "--robot", "atlas", "--posture", "nap", "--out", out)
+    assert "unknown posture 'nap'" in result.stderr
+    result = scopt("scene", cloud, "--robot", tmp_path / "none.urdf", "--out", out)
+    assert "none.urdf is not there" in result.stderr

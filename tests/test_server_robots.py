@@ -7,7 +7,7 @@ from pathlib import Path
 
 import grpc
 import pytest
-from planner_calls import finished, plan_request, refusal
+from planner_calls import finished, plan_request, refusal, uploaded
 from planner_server import planner_server
 
 from service.proto.planner.v1 import planner_pb2 as wire
@@ -64,3 +64,25 @@ def test_robots_come_change_break_and_go_while_the_server_runs(stub: PlannerServ
     urdf.unlink()
     assert "unknown robot 'swinger'" in told()
     assert set(described()) == {"other", "atlas"}
+
+
+def test_own_robot_is_left_out_of_a_scan(stub: PlannerServiceStub, robots: Path) -> None:
+    urdf = robots / "swinger" / "robot.urdf"
+    urdf.parent.mkdir()
+    urdf.write_text(URDF.format(upper=1))
+    points = [(x, y, z) for x in (-0.05, 0.0, 0.05) for y in (-0.05, 0.0, 0.05) for z in (0.05, 0.1, 0.2)]
+    points += [(1.0, 0.02 * i, 0.02 * j) for i in range(20) for j in range(20)]
+    cloud = "".join(f"{x} {y} {z}\n" for x, y, z in points).encode()
+    cloud_id = stub.UploadCloud(uploaded(cloud, format="xyz"), timeout=30).cloud_id
+
+    def built(robot: str) -> wire.BuildSceneRequest:
+        clouds = wire.CloudsSpec(clouds=[{"file": cloud_id}], sensor=(3.0, 0.0, 0.2), robot=robot)  # type: ignore[list-item]
+        return wire.BuildSceneRequest(clouds=clouds)
+
+    scene = list(stub.BuildScene(built("swinger"), timeout=60))[-1].scene
+    assert scene.figures["robot_points"] == 27
+    assert "left out 27 points on the robot itself" in scene.notes
+    fields = refusal(lambda: list(stub.BuildScene(built("nobody"), timeout=60)))[2]
+    assert fields == {
+        "clouds.robot": "clouds.robot: unknown robot 'nobody'; known: atlas; this server also has swinger"
+    }

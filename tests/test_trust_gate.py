@@ -209,7 +209,10 @@ def test_a_call_that_says_nothing_or_too_little_ends(monkeypatch: pytest.MonkeyP
             empty = method()
             await empty.done_writing()
             assert await end_of(empty) == (grpc.StatusCode.INVALID_ARGUMENT, "no request came")
-        assert answering.callers == []
+            stalled = planner_pb2_grpc.PlannerServiceStub(channel).UploadCloud()
+            await stalled.write(planner_pb2.UploadCloudRequest())
+            assert await end_of(stalled) == (grpc.StatusCode.DEADLINE_EXCEEDED, "nothing more came in 0.1 s")
+        assert answering.callers == [("UploadCloud", "local")]
 
     _run(calls())
 

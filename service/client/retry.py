@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 import grpc
 
 from service.client.errors import PlannerError
+from service.errors import RequestError
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,9 @@ class Attempts:
         retry: how often.
         deadline_s: for all of them and the waits between; None without one.
         is_repeatable: whether doing it twice is no different from doing it once.
+
+    Raises:
+        RequestError: the deadline is no time.
     """
 
     def __init__(
@@ -44,6 +49,8 @@ class Attempts:
         is_repeatable: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        if deadline_s is not None and not 0.0 <= deadline_s < math.inf:
+            raise RequestError(f"deadline_s: seconds, or None for as long as it takes, would do, got {deadline_s:g}")
         self._retry = retry
         self._clock = clock
         self.deadline_s = deadline_s

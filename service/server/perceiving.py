@@ -23,12 +23,14 @@ from service.proto.planner.v1.planner_pb2 import (
     UploadCloudRequest,
     UploadCloudResponse,
 )
+from service.request import RobotRequest
 from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
 from service.rpc import Context, deadline_of
 from service.server.asked import uploaded
 from service.server.cloud_problems import as_sent, start_problems
 from service.server.refusal import invalid, overloaded
+from service.server.robots import RobotFolder
 from service.server.settings import SMALL_BYTES, ServerSettings
 from service.server.workshop import Workshop, outcome
 from service.store import UPLOAD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
@@ -56,6 +58,7 @@ class Perceiving:
         folders: that requests may name files in.
         workshop: where clouds are looked at.
         store: where scenes are kept; clouds: where clouds are.
+        robots: that this server knows besides those of the package.
         limiter: of how much a client may upload.
         on_upload: told the bytes of every cloud that came.
     """
@@ -67,6 +70,7 @@ class Perceiving:
         workshop: Workshop,
         store: Store,
         clouds: CloudStore,
+        robots: RobotFolder,
         limiter: ClientLimiter,
         on_upload: Callable[[int], None],
     ) -> None:
@@ -75,6 +79,7 @@ class Perceiving:
         self._workshop = workshop
         self._store = store
         self._clouds = clouds
+        self._robots = robots
         self._limiter = limiter
         self._on_upload = on_upload
 
@@ -154,7 +159,7 @@ class Perceiving:
             try:
                 while (step := await steps.get()) is not None:
                     yield BuildSceneResponse(step=step)
-                text = _seen(await outcome(piece), clouds, scene)
+                text = self._seen(await outcome(piece), clouds, scene)
             finally:
                 piece.cancel()
         scene_id = await asyncio.to_thread(self._store.scenes.put, current_caller().name, text)
@@ -188,7 +193,7 @@ class Perceiving:
                 deadline=deadline_of(context),
                 budget_s=self._settings.budget_s("detect"),
             )
-            found = _seen(answer, clouds, scene)
+            found = self._seen(answer, clouds, scene)
         return DetectResponse(hits=detections_to_messages(found["hits"]), notes=found["notes"])
 
     async def _checked(self, message: BuildSceneRequest | DetectRequest) -> SceneRequest:
@@ -240,10 +245,24 @@ class Perceiving:
                 reach_m=given.reach_m if given.HasField("reach_m") else DEFAULT_REACH_M,
                 top_m=_heights(given)[1],
                 bottom_m=_heights(given)[0],
-                robot=given.robot if given.HasField("robot") else None,
+                robot=self._robot(given.robot) if given.HasField("robot") else None,
                 start=parse_start(to_plain(given.start)) if given.HasField("start") else None,
                 seed=given.seed,
             )
+
+    def _seen(self, answer: T | Refused, clouds: CloudAsked, scene: SceneRequest) -> T:
+        """A worker's answer about clouds.
+
+        Raises:
+            Refusal: it cannot be had of them.
+        """
+        if isinstance(answer, Refused):
+            problems = as_sent(answer.problems, clouds.files, [one.file for one in scene.cloud_files])
+            raise invalid(self._robots.as_named(problems))
+        return answer
+
+    def _robot(self, name: str) -> RobotRequest:
+        return self._robots.own(name) or RobotRequest(name=name)
 
 
 def _of_message(problem: str) -> str:
@@ -270,17 +289,6 @@ def accepted(answer: T | Refused) -> T:
     """
     if isinstance(answer, Refused):
         raise invalid(answer.problems)
-    return answer
-
-
-def _seen(answer: T | Refused, clouds: CloudAsked, scene: SceneRequest) -> T:
-    """A worker's answer about clouds.
-
-    Raises:
-        Refusal: it cannot be had of them.
-    """
-    if isinstance(answer, Refused):
-        raise invalid(as_sent(answer.problems, clouds.files, [one.file for one in scene.cloud_files]))
     return answer
 
 

@@ -125,14 +125,14 @@ class Planning:
         """The plan under way: a worker has it before it is written down, and the client is told after that."""
         plan = RunningPlan(self._workshop)
         with ExitStack() as held:
+            begun = held.enter_context(ExitStack())
+            begun.callback(plan.forget)
             placed = held.enter_context(self._door.placed(request))
             asked = _Asked(kind_of(request), message, request, placed, sha)
             piece = self._submit(plan, asked, deadline)
-            try:
-                record = self._store.plans.begin(client, message.request_id, sha, asked.kind).plan
-            except Exception:
-                piece.cancel()
-                raise
+            begun.callback(piece.cancel)
+            record = self._store.plans.begin(client, message.request_id, sha, asked.kind).plan
+            begun.pop_all()
             bind(plan_id=record.plan_id)
             plan.plan_id = record.plan_id
             self.running.add(plan)

@@ -11,7 +11,7 @@ from pathlib import Path
 from service.request import PlanRequest, RobotRequest
 
 URDF_NAME, SRDF_NAME = "robot.urdf", "robot.srdf"
-UNKNOWN = re.compile(r"(robot: )?unknown robot ")
+UNKNOWN = re.compile(r"(\S*robot: )?unknown robot ")
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,15 @@ class RobotFolder:
 
     def placed(self, request: PlanRequest) -> PlanRequest:
         """The request with the files of a robot that it names and that is here."""
-        name = request.robot.name
-        if name is None or self.folder is None or Path(name).name != name:
-            return request
+        own = None if request.robot.name is None else self.own(request.robot.name)
+        return request if own is None else replace(request, robot=replace(own, root=request.robot.root))
+
+    def own(self, name: str) -> RobotRequest | None:
+        """A robot of this folder; None where it has none of that name."""
+        if self.folder is None or Path(name).name != name:
+            return None
         folder = self.folder.resolve() / name
-        if not (folder / URDF_NAME).is_file():
-            return request
-        return replace(request, robot=replace(_request(folder), root=request.robot.root))
+        return _request(folder) if (folder / URDF_NAME).is_file() else None
 
 
 def _request(folder: Path) -> RobotRequest:

@@ -67,6 +67,10 @@ class RunningPlan:
         """It has come to nothing."""
         self._close(refusal)
 
+    def forget(self) -> None:
+        """It has never begun, and nobody waits for it."""
+        self._ended()
+
     @property
     def awaited_until(self) -> float | None:
         """The latest deadline of those who watch, on the clock of ``time.monotonic`` [s]; None where one has none."""
@@ -133,9 +137,12 @@ class RunningPlan:
 
     def _close(self, end: PlanFinished | Refusal) -> None:
         self._end = end
+        self._ended()
+        self._wake()
+
+    def _ended(self) -> None:
         for do in self._at_end:
             do()
-        self._wake()
 
     def _wake(self) -> None:
         # Everyone who waits has this very event; whoever comes later waits for the next.

@@ -145,7 +145,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         workshop = Workshop(executor, Admission(settings.workers, settings.queue_limit))
         robots = RobotFolder(settings.robots)
         planning = Planning(Door(settings, folders, clouds, store.scenes, robots), workshop, store, count)
-        perceiving = Perceiving(settings, folders, workshop, store, clouds, limiter, metrics.uploaded)
+        perceiving = Perceiving(settings, folders, workshop, store, clouds, robots, limiter, metrics.uploaded)
         keeping = Keeping(settings, workshop, store, planning.running, robots, verdicts)
         server = grpc.aio.server(
             interceptors=[Watcher(metrics, port.spans), Gate(port.tokens, limiter)], options=_options(settings)
