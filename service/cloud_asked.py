@@ -13,7 +13,7 @@ from costs.robot import RobotError, load_robot
 from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, View, read_clouds, rigid_pose
 from service.errors import RequestError, would_do
 from service.request import RobotRequest, StartRequest
-from service.request_file import load_start
+from service.request_file import load_start, parse_robot, parse_start
 from service.start import FEET_GROUP, placed_bodies, sole, start_configuration
 
 OnStep = Callable[[str], None]
@@ -195,14 +195,19 @@ def _robot(text: str) -> RobotRequest:
     """A bundled robot, or the one of a URDF whose meshes are in its folder."""
     path = Path(text)
     if path.suffix != ".urdf":
-        return RobotRequest(name=text)
+        try:
+            return parse_robot({"name": text})
+        except RequestError as error:
+            raise RequestError([f"--robot: {problem}" for problem in error.problems]) from None
     if not path.is_file():
         raise RequestError(f"--robot: {path} is not there; a URDF that is, or a robot of `scopt robots` would do")
     return RobotRequest(urdf=str(path), package_dirs=(str(path.parent),))
 
 
 def _start(posture: Path) -> StartRequest:
-    return StartRequest(posture=str(posture)) if not posture.suffix and not posture.exists() else load_start(posture)
+    if posture.suffix or posture.exists():
+        return load_start(posture)
+    return parse_start({"posture": str(posture)})
 
 
 def _robot_in_the_way(asked: RobotRequest, start: StartRequest | None) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
-from service.request import PlanRequest, StartRequest
+from service.request import PlanRequest, RobotRequest, StartRequest
 from service.request_scene import SceneRequest
 
 MAX_BYTES = 1_000_000
@@ -25,6 +25,7 @@ MAX_DEPTH = 20
 T = TypeVar("T")
 _ADAPTER = TypeAdapter(PlanRequest)
 _START_ADAPTER = TypeAdapter(StartRequest)
+_ROBOT_ADAPTER = TypeAdapter(RobotRequest)
 _SCENE_ADAPTER = TypeAdapter(SceneRequest)
 # Our words for pydantic's error types, filled in from the error's context; the rest keep pydantic's own.
 _WORDS = {
@@ -113,6 +114,15 @@ def parse_start(data: object) -> StartRequest:
         RequestError: one line per problem.
     """
     return _validated(data, _START_ADAPTER)
+
+
+def parse_robot(data: object) -> RobotRequest:
+    """Check what a request's ``robot`` holds, given as ``parse_request`` takes it.
+
+    Raises:
+        RequestError: one line per problem.
+    """
+    return _validated(data, _ROBOT_ADAPTER)
 
 
 def parse_scene(data: object) -> SceneRequest:

@@ -86,3 +86,6 @@ def test_own_robot_is_left_out_of_a_scan(stub: PlannerServiceStub, robots: Path)
     assert fields == {
         "clouds.robot": "clouds.robot: unknown robot 'nobody'; known: atlas; this server also has swinger"
     }
+    for name in ("", "n" * 300, "a/b", "\0", "../swinger"):
+        code, _, fields = refusal(lambda name=name: list(stub.BuildScene(built(name), timeout=60)))  # type: ignore[misc]
+        assert (code, list(fields)) == ("INVALID_ARGUMENT", ["clouds.robot"]), name

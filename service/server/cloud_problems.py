@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from service.errors import RequestError
-from service.request_file import parse_start
+from service.request_file import parse_robot, parse_start
 from service.wire.violations import violation
 
 # What perception says of its options, and the fields that stand for them.
@@ -28,6 +28,16 @@ def as_sent(problems: Iterable[str], files: Iterable[Path], names: Iterable[str]
     """
     clouds = list(zip(map(str, files), names, strict=True))
     return tuple(_as_sent(problem, clouds) for problem in problems)
+
+
+def robot_problems(name: str | None) -> tuple[str, ...]:
+    """What is wrong with the name of a robot, beginning with the field; none: it is one, or None."""
+    try:
+        if name is not None:
+            parse_robot({"name": name})
+    except RequestError as error:
+        return tuple(f"robot: {violation(problem).description}" for problem in error.problems)
+    return ()
 
 
 def start_problems(data: object) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
 from service.rpc import Context, deadline_of
 from service.server.asked import uploaded
-from service.server.cloud_problems import as_sent, start_problems
+from service.server.cloud_problems import as_sent, robot_problems, start_problems
 from service.server.refusal import invalid, overloaded
 from service.server.robots import RobotFolder
 from service.server.settings import SMALL_BYTES, ServerSettings
@@ -219,6 +219,7 @@ class Perceiving:
         bottom, top = _heights(given)
         if not -math.inf < bottom < top < math.inf:
             problems.append(f"top_m: a height above bottom_m, {bottom:g}, would do, got {top:g}")
+        problems += robot_problems(clouds.get("robot"))
         problems += start_problems(clouds.get("start", {}))
         try:
             scene = parse_scene({**data, "cloud": clouds.get("clouds") or None})

@@ -47,10 +47,7 @@ class RobotFolder:
 
     def own(self, name: str) -> RobotRequest | None:
         """A robot of this folder; None where it has none of that name."""
-        if self.folder is None or Path(name).name != name:
-            return None
-        folder = self.folder.resolve() / name
-        return _request(folder) if (folder / URDF_NAME).is_file() else None
+        return self.requests().get(name)
 
 
 def _request(folder: Path) -> RobotRequest:
