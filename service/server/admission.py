@@ -18,7 +18,7 @@ FEWEST = 10  # done before a deadline is held against it: the first is the slowe
 QUICKEST = 10.0  # percentile of durations below which no deadline is believed to be kept
 LEAST_S = 1e-6
 IN_A_ROW, SPELLS = 8, 1000  # requests whose mean tells how fast work goes for a while; such means that are remembered
-SLOW = 95.0  # percentile of these means that is expected
+SLOW = 99.0  # percentile of these means that is expected: promises of a service are kept by 99 of 100
 MOST_SLOW = 1.5  # times the usual; what is slower than that are harder requests, not a slower machine
 
 
