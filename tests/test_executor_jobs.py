@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import pickle
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, wait
@@ -16,6 +17,8 @@ import pytest
 from executor_waiting import Events, until
 
 from service.executor import DeadlineExceeded, JobCancelled, JobFailed, LocalPool, PoolClosed, WorkerState
+from service.executor.ray_worker import RayWorker
+from service.executor.worker import WorkerSetup
 
 SOON_S = 20.0  # far more than anything takes
 
@@ -42,6 +45,17 @@ def test_a_result_comes_back(pool: LocalPool) -> None:
 
 def test_functions_run_in_another_process(pool: LocalPool) -> None:
     assert pool.submit(jobs.pid).result(SOON_S) in {worker.pid for worker in pool.stats().workers}
+
+
+def test_a_job_knows_the_time_of_who_submitted_it(pool: LocalPool) -> None:
+    before = time.monotonic()
+    assert before < pool.submit(jobs.now).result(SOON_S) < time.monotonic()
+
+
+def test_a_job_on_another_machine_is_told_the_time_here() -> None:
+    worker = RayWorker(pickle.dumps(WorkerSetup((), None, None)))
+    answer = worker.run(1, pickle.dumps((jobs.now, (), {})), False, now=1e6)
+    assert pickle.loads(answer.payload) == pytest.approx(1e6, abs=5.0)
 
 
 def test_workers_let_others_go_first(pool: LocalPool) -> None:

@@ -41,6 +41,9 @@ class _Stays:
     def should_stop(self) -> bool:
         return False
 
+    def now(self) -> float:
+        return 0.0
+
     def report(self, event: Any) -> None:
         pass
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,8 @@ QUICK: dict[str, Any] = {
     "goal": {"poses": [{"link": "l_hand", "position": [0.35, 0.45, 1.1]}]},
 }
 
+NOW = 1e6  # on the clock of whoever asks [s]
+
 
 class _Control:
     def __init__(self, stop: bool = False) -> None:
@@ -28,6 +29,9 @@ class _Control:
 
     def should_stop(self) -> bool:
         return self.stop
+
+    def now(self) -> float:
+        return NOW
 
     def report(self, event: bytes) -> None:
         self.told.append(PlanProgress.FromString(event))
@@ -51,13 +55,13 @@ def test_progress_tells_iterations_with_merit_penalty_and_violations() -> None:
 def test_result_speaks_of_the_request_as_the_client_said_it() -> None:
     original = parse_request(QUICK)
     placed = parse_request({**QUICK, "options": {"seed": 0}}, folder="/somewhere")
-    answer = run_plan(PlanTask(placed, until=time.time() + 30.0, original=original), _Control())
+    answer = run_plan(PlanTask(placed, until=NOW + 30.0, original=original), _Control())
     assert isinstance(answer, PlanAnswer)
     assert MotionResult.FromString(answer.reply).request_sha256 == request_hash(original)
 
 
 def test_time_that_is_up_ends_the_plan_whatever_the_request_allows() -> None:
-    answer = run_plan(PlanTask(parse_request(QUICK), until=time.time() - 1.0), _Control())
+    answer = run_plan(PlanTask(parse_request(QUICK), until=NOW - 1.0), _Control())
     assert isinstance(answer, PlanAnswer)
     assert answer.verdict == "TIME_LIMIT"
 

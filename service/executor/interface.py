@@ -33,6 +33,13 @@ class Control(Protocol):
         """Hand a small picklable thing to the caller's ``on_event``, in order, before the result."""
         ...
 
+    def now(self) -> float:
+        """The time on the caller's clock of ``time.monotonic`` [s].
+
+        That of another machine is told with the job, and is behind by as long as the job took to get here.
+        """
+        ...
+
 
 class Job(Future[T]):
     """A submitted call.

@@ -240,7 +240,7 @@ class RaySupervisor:
 
     def _ask_to_run(self, actor: Actor, task: Task) -> None:
         run = actor.run
-        reference = actor.handle.run.remote(run, task.payload, task.on_event is not None)
+        reference = actor.handle.run.remote(run, task.payload, task.on_event is not None, time.monotonic())
         self._listen(reference, lambda future: self._on_answer(actor, run, future))
 
     def _ask_for_events(self, actor: Actor) -> None:

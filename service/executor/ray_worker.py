@@ -6,6 +6,7 @@ import importlib
 import os
 import pickle
 import threading
+import time
 from dataclasses import dataclass
 
 from service.executor import linux
@@ -65,14 +66,15 @@ class RayWorker:
         """Come back never: what waits for this learns when the actor ends."""
         threading.Event().wait()
 
-    def run(self, run: int, payload: bytes, wants_events: bool) -> Answer:
-        """Run a pickled call; ``run`` is higher each time."""
+    def run(self, run: int, payload: bytes, wants_events: bool, now: float) -> Answer:
+        """Run a pickled call; ``run`` is higher each time, ``now`` the caller's time [s]."""
+        ahead_s = now - time.monotonic()
         with self._changed:
             self._run, self._is_over, self._wants_events = run, False, wants_events
             self._events, self._n_events = [], 0
             self._changed.notify_all()
         try:
-            kind, answer = run_call(payload, JobControl(run, self._cell, self._report))
+            kind, answer = run_call(payload, JobControl(run, self._cell, self._report, ahead_s))
         finally:
             with self._changed:
                 self._is_over = True

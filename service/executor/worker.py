@@ -14,6 +14,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -61,10 +62,17 @@ class Cell(Protocol):
 class JobControl:
     """``Control`` of one job."""
 
-    def __init__(self, job: int, cell: Cell | ctypes.c_uint64, send: Callable[[Kind, int, bytes], None]) -> None:
+    def __init__(
+        self,
+        job: int,
+        cell: Cell | ctypes.c_uint64,
+        send: Callable[[Kind, int, bytes], None],
+        caller_is_ahead_s: float = 0.0,
+    ) -> None:
         self._job = job
         self._cell = cell
         self._send = send
+        self._caller_is_ahead_s = caller_is_ahead_s  # 0 on one machine: its processes share the clock
 
     def should_stop(self) -> bool:
         """Whether the pool wants the job to end."""
@@ -73,6 +81,10 @@ class JobControl:
     def report(self, event: Any) -> None:
         """Send an event."""
         self._send(Kind.EVENT, self._job, pickle.dumps(event, pickle.HIGHEST_PROTOCOL))
+
+    def now(self) -> float:
+        """The caller's time."""
+        return time.monotonic() + self._caller_is_ahead_s
 
 
 class JobInterrupted(BaseException):

@@ -245,9 +245,8 @@ class _Asked:
 
     def task(self, deadline: float | None) -> PlanTask:
         """To be done by a deadline on the clock of ``time.monotonic``."""
-        until = None if deadline is None else time.time() + deadline - time.monotonic()
         message = self.message
-        return PlanTask(self.placed, until, message.with_files, message.with_waypoints, self.request, self.sha256)
+        return PlanTask(self.placed, deadline, message.with_files, message.with_waypoints, self.request, self.sha256)
 
 
 def _is_cut_short(answer: PlanAnswer | Refused) -> bool:

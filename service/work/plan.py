@@ -43,7 +43,7 @@ class PlanTask:
 
     Attributes:
         request: what is asked; every path in it can be opened here.
-        until: when the answer must be there [s since 1970, which workers on other machines understand]; None: whenever.
+        until: when the answer must be there, on the clock of ``Control.now`` [s]; None: whenever.
         with_files: whether the result's files are wanted.
         with_waypoints: whether progress tells waypoints.
         original: as the client said it, whose hash is the request's; None where it is the same.
@@ -92,7 +92,7 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     teller = _Teller(control, task.with_waypoints)
     try:
         result = plan(
-            _in_time(request, task.until),
+            request if task.until is None else _in_time(request, task.until - control.now()),
             on_progress=teller.step,
             should_stop=control.should_stop,
             robot=_ROBOTS.get(request),
@@ -181,11 +181,8 @@ class _Teller:
         self._control.report(progress.SerializeToString())
 
 
-def _in_time(request: PlanRequest, until: float | None) -> PlanRequest:
-    """The request with no more time than there is."""
-    if until is None:
-        return request
-    left = until - time.time()
+def _in_time(request: PlanRequest, left: float) -> PlanRequest:
+    """The request with no more time than there is [s]."""
     left = max(left - min(ANSWER_SHARE * left, MOST_ANSWER_TIME_S), LEAST_TIME_S)
     if left >= request.options.time_limit_s:
         return request

@@ -33,6 +33,10 @@ def size_of(data: bytes) -> int:
     return len(data)
 
 
+def now(control: Control) -> float:
+    return control.now()
+
+
 def many_bytes(count: int) -> bytes:
     return bytes(count)
 
