@@ -76,6 +76,12 @@ def test_nothing_forges_a_line_or_fills_the_disk(log: io.StringIO) -> None:
     assert len(json.dumps(line)) < 20_000
 
 
+def test_numbers_that_json_does_not_have_are_texts(log: io.StringIO) -> None:
+    structlog.get_logger("scopt.test").info("draining", at_most_s=float("inf"), more=[float("nan"), 1.0])
+    line = json.loads(log.getvalue(), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert (line["at_most_s"], line["more"]) == ("inf", ["nan", 1.0])
+
+
 def test_a_traceback_comes_without_the_values_of_variables(log: io.StringIO) -> None:
     hidden = "value of a variable"
     try:

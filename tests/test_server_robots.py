@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -64,6 +65,23 @@ def test_robots_come_change_break_and_go_while_the_server_runs(stub: PlannerServ
     urdf.unlink()
     assert "unknown robot 'swinger'" in told()
     assert set(described()) == {"other", "atlas"}
+
+
+def test_own_robot_of_a_shipped_name_takes_its_place_and_the_server_says_so(tmp_path: Path, robots: Path) -> None:
+    (robots / "atlas").mkdir()
+    (robots / "atlas" / "robot.urdf").write_text(URDF.format(upper=1))
+    with (
+        planner_server(tmp_path / "data", "--robots", str(robots)) as started,
+        grpc.insecure_channel(started.address) as channel,
+    ):
+        (told,) = PlannerServiceStub(channel).ListRobots(wire.ListRobotsRequest(), timeout=60).robots
+        assert told.description == (
+            "1 degrees of freedom (this server's own, in place of the one of that name that comes with scopt)"
+        )
+        (line,) = [
+            line for line in map(json.loads, started.log.read_text().splitlines()) if "in place of" in line["event"]
+        ]
+        assert (line["level"], line["names"]) == ("warning", ["atlas"])
 
 
 def test_own_robot_is_left_out_of_a_scan(stub: PlannerServiceStub, robots: Path) -> None:

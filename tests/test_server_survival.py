@@ -138,18 +138,23 @@ def test_what_is_under_way_when_the_drain_is_over_is_told_so(tmp_path: Path) -> 
         assert server.process.wait(10.0) == 0
 
 
-def test_second_signal_ends_at_once(tmp_path: Path) -> None:
+def test_second_signal_ends_at_once_and_says_so_to_every_call(tmp_path: Path) -> None:
     with planner_server(tmp_path / "data") as server, grpc.insecure_channel(server.address) as channel:
-        call = PlannerServiceStub(channel).Plan(plan_request(ENDLESS), timeout=60)
+        stub, more = PlannerServiceStub(channel), threading.Event()
+        call, waiting = (stub.Plan(plan_request(ENDLESS), timeout=60) for _ in range(2))
         wait_for(call, "progress")
+        wait_for(waiting, "queued")
+        upload = stub.UploadCloud.future(_never_ending(more), timeout=60)
         processes = descendants(server.process.pid)
         server.process.terminate()
         _until(lambda: "draining" in server.log.read_text(), 10.0)
         time.sleep(0.2)
         assert server.process.poll() is None
         assert server.stop(within_s=10.0) == 0
-        code, words, _ = refusal(lambda: list(call))
-        assert (code, words) != ("OK", "")
+        for ended in (lambda: list(call), lambda: list(waiting), upload.result):
+            code, words, _ = refusal(ended)
+            assert (code, words) == ("UNAVAILABLE", "the server is going down now; try another one, or later")
+        more.set()
         _until(lambda: not still_there(processes), 1.0)
 
 
@@ -165,6 +170,12 @@ def test_server_can_be_stopped_while_it_starts(tmp_path: Path, number: int) -> N
     _, words = never_ready(tmp_path / "data", at_start=stop)
     assert "Traceback" not in words
     _until(lambda: not still_there(found), 1.0)
+
+
+def _never_ending(more: threading.Event) -> Iterator[wire.UploadCloudRequest]:
+    """The beginning of a cloud."""
+    yield wire.UploadCloudRequest(header={"format": "xyz"})  # type: ignore[arg-type]
+    more.wait(60.0)
 
 
 class _Watch:

@@ -54,7 +54,7 @@ def test_a_bearer_token_or_a_verified_certificate_says_who_calls(known: tuple[st
 @pytest.mark.parametrize(
     ("metadata", "names", "words"),
     [
-        ([], [], "who calls is not said; metadata 'authorization: Bearer TOKEN' or a client certificate would do"),
+        ([], [], "who calls is not said; metadata 'authorization: Bearer TOKEN' would do"),
         ([("authorization", "Bearer scopt_wrong")], [], "the token is not known"),
         ([("authorization", "Bearer scopt_wrong")], [b"robot.local"], "the token is not known"),
         ([("authorization", "Basic c2NvcHQ=")], [], "authorization is not understood"),
@@ -73,6 +73,23 @@ def test_whoever_is_not_known_is_unauthenticated_and_told_what_would_do(
     assert caught.value.code is grpc.StatusCode.UNAUTHENTICATED
     assert words in caught.value.text
     assert "scopt_wrong" not in caught.value.text
+
+
+def test_who_says_nothing_is_offered_what_the_server_takes_and_no_more(
+    known: tuple[str, Tokens], tmp_path: Path
+) -> None:
+    path = tmp_path / "certificates.yaml"
+    path.write_text("- {name: robot, roles: [plan], certificate: robot.local}\n")
+    path.chmod(0o600)
+    bearer, certificate = "metadata 'authorization: Bearer TOKEN'", "a client certificate with a common name"
+    for tokens, asks, would_do in (
+        (known[1], False, bearer),
+        (known[1], True, f"{bearer} or {certificate}"),
+        (Tokens(path), True, certificate),
+    ):
+        with pytest.raises(Refusal) as caught:
+            authenticate([], [], tokens, asks)
+        assert caught.value.text == f"who calls is not said; {would_do} would do"
 
 
 def test_without_tokens_everybody_is_local_and_may_everything() -> None:

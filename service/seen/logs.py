@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
@@ -75,7 +76,7 @@ class _Formatter(structlog.stdlib.ProcessorFormatter):
 
 
 def _short(logger: Any, method: str, event: EventDict) -> Mapping[str, Any]:
-    """Values of a bounded length, and texts in which no control character forges a line or colours a terminal."""
+    """Values that JSON has, of a bounded length; in texts no control character forges a line or colours a terminal."""
     return {key: value if key in _EXCEPTION_KEYS else _plain(value) for key, value in event.items()}
 
 
@@ -83,6 +84,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, str):
         text = value if value.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in value)
         return text if len(text) <= MAX_CHARACTERS else f"{text[:MAX_CHARACTERS]}… ({len(value)} characters)"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
     if isinstance(value, Mapping):
         return {_plain(str(key)): _plain(one) for key, one in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray | tuple):

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from costs.robot import bundled_robots
 from service.request import PlanRequest, RobotRequest
 
 URDF_NAME, SRDF_NAME = "robot.urdf", "robot.srdf"
@@ -30,6 +31,11 @@ class RobotFolder:
             return {}
         found = sorted(path for path in self.folder.resolve().iterdir() if (path / URDF_NAME).is_file())
         return {path.name: _request(path) for path in found}
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """The robots that have the name of one of the package, in whose place they are."""
+        return tuple(name for name in self.requests() if name in bundled_robots())
 
     def as_named(self, problems: Iterable[str]) -> list[str]:
         """Problems in words of who asks: names of robots, not where they are kept here."""

@@ -21,6 +21,7 @@ from service.executor import CancellableExecutor
 from service.seen import Metrics, MetricsServer, Spans, Watcher
 from service.server.admission import Admission
 from service.server.asked import Door
+from service.server.farewell import GOING_DOWN, STOPPING, Farewell
 from service.server.health import Health
 from service.server.keeping import Keeping
 from service.server.perceiving import Perceiving
@@ -38,6 +39,7 @@ _LOG = structlog.get_logger("scopt.server")
 PRELOAD = ("service.work.plan", "service.work.look", "perception", "service.tasks.valve_task", "service.trajopt")
 OVERTIME_EVERY_S = 0.5
 LAST_WORDS_S = 5.0  # for files on their way to a client when the work has ended
+SAID_S = 1.0  # for calls to hear that they are ended
 CLOUDS_FOLDER, STORE_FOLDER = "clouds", "plans"
 
 
@@ -68,7 +70,7 @@ class Running:
 
     Attributes:
         address: where; with the port that was free.
-        server: of gRPC; planning, keeping, workshop, health: its parts.
+        server: of gRPC; planning, keeping, workshop, health, farewell: its parts.
         certificates: that it shows; None without TLS.
     """
 
@@ -78,6 +80,7 @@ class Running:
     keeping: Keeping
     workshop: Workshop
     health: Health
+    farewell: Farewell
     certificates: Certificates | None
 
 
@@ -142,13 +145,21 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
             verdicts[verdict] += 1
             metrics.plan_finished(kind, verdict, timings)
 
+        farewell = Farewell()
         workshop = Workshop(executor, Admission(settings.workers, settings.queue_limit))
         robots = RobotFolder(settings.robots)
+        if robots.replaced:
+            _LOG.warning("own robots in place of those that come with scopt", names=list(robots.replaced))
         planning = Planning(Door(settings, folders, clouds, store.scenes, robots), workshop, store, count)
         perceiving = Perceiving(settings, folders, workshop, store, clouds, robots, limiter, metrics.uploaded)
         keeping = Keeping(settings, workshop, store, planning.running, robots, verdicts)
         server = grpc.aio.server(
-            interceptors=[Watcher(metrics, port.spans), Gate(port.tokens, limiter)], options=_options(settings)
+            interceptors=[
+                Watcher(metrics, port.spans),
+                farewell,
+                Gate(port.tokens, limiter, _asks_for_certificates(port.tls)),
+            ],
+            options=_options(settings),
         )
         server.add_generic_rpc_handlers((method_handlers(Servicer(planning, perceiving, keeping)),))
         state = Health((SERVICE.full_name,))
@@ -162,7 +173,11 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         stack.push_async_callback(server.stop, 0.0)
         overtime = asyncio.create_task(_stop_overtime(workshop))
         stack.callback(overtime.cancel)
-        yield Running(address, server, planning, keeping, workshop, state, certificates)
+        yield Running(address, server, planning, keeping, workshop, state, farewell, certificates)
+
+
+def _asks_for_certificates(tls: TlsFiles | None) -> bool:
+    return tls is not None and tls.client_ca is not None
 
 
 def _options(settings: ServerSettings) -> list[tuple[str, int]]:
@@ -206,11 +221,13 @@ async def _drain(server: Running, drain_s: float, now: asyncio.Event) -> None:
     hurry = asyncio.create_task(now.wait())
     emptied = asyncio.create_task(server.workshop.emptied())
     await asyncio.wait([emptied, hurry], timeout=drain_s, return_when=asyncio.FIRST_COMPLETED)
-    server.workshop.stop_all()
-    stopping = asyncio.create_task(server.server.stop(LAST_WORDS_S))  # answers that are on their way arrive
-    await asyncio.wait([stopping, hurry], return_when=asyncio.FIRST_COMPLETED)
+    server.workshop.stop_all(GOING_DOWN if now.is_set() else STOPPING)
+    stopping = asyncio.create_task(server.server.stop(LAST_WORDS_S + SAID_S))  # answers that are on their way arrive
+    await asyncio.wait([stopping, hurry], timeout=LAST_WORDS_S, return_when=asyncio.FIRST_COMPLETED)
     hurry.cancel()
     emptied.cancel()
+    server.farewell.end_all()
+    await asyncio.wait([stopping], timeout=SAID_S)
     await server.server.stop(0.0)
     with suppress(asyncio.CancelledError):
         await stopping

@@ -14,12 +14,12 @@ import grpc
 from service.executor import CancellableExecutor, DeadlineExceeded, ExecutorError, Job, PoolClosed, WorkerDied
 from service.rpc import Refusal
 from service.server.admission import Admission
+from service.server.farewell import STOPPING
 
 T = TypeVar("T")
 OVERTIME_S = 5.0  # beyond its budget, before a worker that does not stop by itself is killed
 
 OVERTIME = "{kind} is allowed {budget:g} s and was not done {over:g} s after them; it was ended"
-_STOPPING = Refusal(grpc.StatusCode.UNAVAILABLE, "the server is stopping; try another one, or later")
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Workshop:
         """
         loop = asyncio.get_running_loop()
         if self.is_closed:
-            raise _STOPPING
+            raise STOPPING
         self.admission.check(kind, None if deadline is None else deadline - time.monotonic())
 
         def tell(event: Any) -> None:
@@ -97,7 +97,7 @@ class Workshop:
         try:
             job = self.executor.submit(fn, *args, on_event=tell, deadline=deadline)
         except PoolClosed:
-            raise _STOPPING from None
+            raise STOPPING from None
         ticket = self.admission.enter(kind)
         self._running[ticket] = (kind, job, budget_s)
         ended: asyncio.Future[T] = loop.create_future()
@@ -152,10 +152,10 @@ class Workshop:
                 text = OVERTIME.format(kind=kind, budget=budget_s, over=OVERTIME_S)
                 self._stop(ticket, job, Refusal(grpc.StatusCode.DEADLINE_EXCEEDED, text))
 
-    def stop_all(self) -> None:
+    def stop_all(self, why: Refusal = STOPPING) -> None:
         """Stop everything, since the server stops."""
         for ticket, (_, job, _) in reversed(self._running.copy().items()):  # else what waits would begin
-            self._stop(ticket, job, _STOPPING)
+            self._stop(ticket, job, why)
 
     async def emptied(self) -> None:
         """Wait until nothing is under way."""

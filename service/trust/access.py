@@ -14,7 +14,10 @@ _SCHEME = "bearer"
 
 
 def authenticate(
-    metadata: Iterable[tuple[str, str | bytes]], common_names: Iterable[bytes], tokens: Tokens | None
+    metadata: Iterable[tuple[str, str | bytes]],
+    common_names: Iterable[bytes],
+    tokens: Tokens | None,
+    asks_for_certificates: bool = False,
 ) -> Identity:
     """Who makes a call.
 
@@ -22,6 +25,7 @@ def authenticate(
         metadata: of the call; ``authorization: Bearer TOKEN`` counts, and comes before a certificate.
         common_names: on the certificate of the peer, which TLS has verified; none without one.
         tokens: who is known; None: nobody has to say who they are.
+        asks_for_certificates: whether the server asks its peers for theirs; it sees none otherwise.
 
     Raises:
         Refusal: UNAUTHENTICATED, with a text that never repeats what was sent as a token.
@@ -39,8 +43,10 @@ def authenticate(
         return identity
     names = [name.decode("utf-8", "replace") for name in common_names]
     if not names:
-        also = " or a client certificate" if tokens.has_certificates else ""
-        raise _unknown(f"who calls is not said; metadata 'authorization: Bearer TOKEN'{also} would do")
+        by_certificate = asks_for_certificates and tokens.has_certificates
+        ways = ["metadata 'authorization: Bearer TOKEN'"] if tokens.has_tokens or not by_certificate else []
+        ways += ["a client certificate with a common name"] if by_certificate else []
+        raise _unknown(f"who calls is not said; {' or '.join(ways)} would do")
     identity = tokens.of_common_name(names[0]) if len(names) == 1 else None
     if identity is None:
         raise _unknown("the client certificate's common name is not known to this server")

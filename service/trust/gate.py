@@ -19,11 +19,14 @@ class Gate(Interceptor):
 
     Args:
         tokens: who is known; None: everybody is ``LOCAL``, for a server that only this machine can reach.
+        limits: of how often.
+        asks_for_certificates: whether the server asks its peers for theirs.
     """
 
-    def __init__(self, tokens: Tokens | None, limits: Limits) -> None:
+    def __init__(self, tokens: Tokens | None, limits: Limits, asks_for_certificates: bool = False) -> None:
         self._tokens = tokens
         self._limits = limits
+        self._asks_for_certificates = asks_for_certificates
 
     @asynccontextmanager
     async def through(self, method: str, context: Context) -> AsyncIterator[None]:
@@ -50,7 +53,8 @@ class Gate(Interceptor):
     def _known(self, context: Context, peer: str) -> Caller:
         metadata: Iterable[tuple[str, str | bytes]] = context.invocation_metadata() or ()
         try:
-            identity = authenticate(metadata, context.auth_context().get("x509_common_name", ()), self._tokens)
+            names = context.auth_context().get("x509_common_name", ())
+            identity = authenticate(metadata, names, self._tokens, self._asks_for_certificates)
         except Refusal:
             self._unless(self._limits.request(peer))
             raise

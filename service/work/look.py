@@ -16,6 +16,9 @@ from service.executor import Control
 from service.request import GoalRequest, PlanRequest, RobotRequest
 from service.work.plan import Refused, warm_robots
 
+# Of a server's own robot, for those who know the other.
+IN_PLACE = " (this server's own, in place of the one of that name that comes with scopt)"
+
 
 @dataclass(frozen=True)
 class SceneTask:
@@ -89,18 +92,18 @@ def describe_robots(more: Mapping[str, RobotRequest]) -> list[dict[str, Any]]:
     """Robots that can be named: ``more`` by name, those of the package; one that cannot be read says why."""
     texts = bundled_robots()
     bundled = {name: RobotRequest(name=name) for name in texts}
-    own = [_described(name, request, "") for name, request in more.items()]
+    own = [_described(name, request, "", IN_PLACE if name in bundled else "") for name, request in more.items()]
     return own + [_described(name, request, texts[name]) for name, request in bundled.items() if name not in more]
 
 
-def _described(name: str, request: RobotRequest, description: str) -> dict[str, Any]:
+def _described(name: str, request: RobotRequest, description: str, besides: str = "") -> dict[str, Any]:
     try:
         robot = warm_robots().get(PlanRequest(robot=request, goal=GoalRequest(posture="-")))
     except RequestError as error:
-        return {"name": name, "description": f"cannot be used: {error}"}
+        return {"name": name, "description": f"cannot be used: {error}{besides}"}
     return {
         "name": name,
-        "description": description or f"{robot.n} degrees of freedom",
+        "description": f"{description or f'{robot.n} degrees of freedom'}{besides}",
         "joint_names": list(robot.joint_names),
         "postures": sorted(robot.postures),
     }
