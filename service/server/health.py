@@ -25,11 +25,19 @@ class Health(health_pb2_grpc.HealthServicer):  # type: ignore[misc]
 
     def __init__(self, services: Iterable[str]) -> None:
         self._services = frozenset(("", *services))
-        self._ending = asyncio.Event()
+        self._is_serving, self._is_ending = True, False
+        self._changed = asyncio.Event()
+
+    def tell(self, *, is_serving: bool) -> None:
+        """Whether anything new is taken in, until the end."""
+        if is_serving != self._is_serving and not self._is_ending:
+            self._is_serving = is_serving
+            self._wake()
 
     def end(self) -> None:
         """From now on nothing is served."""
-        self._ending.set()
+        self._is_serving, self._is_ending = False, True
+        self._wake()
 
     async def Check(self, request: health_pb2.HealthCheckRequest, context: Context) -> health_pb2.HealthCheckResponse:
         if request.service not in self._services:
@@ -39,12 +47,20 @@ class Health(health_pb2_grpc.HealthServicer):  # type: ignore[misc]
     async def Watch(
         self, request: health_pb2.HealthCheckRequest, context: Context
     ) -> AsyncIterator[health_pb2.HealthCheckResponse]:
-        yield self._told(request)
-        if not self._ending.is_set():
-            await self._ending.wait()
-            yield self._told(request)
+        told = self._told(request)
+        yield told
+        while not self._is_ending:
+            await self._changed.wait()
+            if told != self._told(request):
+                told = self._told(request)
+                yield told
 
     def _told(self, request: health_pb2.HealthCheckRequest) -> health_pb2.HealthCheckResponse:
         if request.service not in self._services:
             return _Status(status=_Status.SERVICE_UNKNOWN)
-        return _Status(status=_Status.NOT_SERVING if self._ending.is_set() else _Status.SERVING)
+        return _Status(status=_Status.SERVING if self._is_serving else _Status.NOT_SERVING)
+
+    def _wake(self) -> None:
+        # Everyone who waits has this very event; whoever comes later waits for the next.
+        self._changed.set()
+        self._changed = asyncio.Event()

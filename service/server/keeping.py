@@ -6,6 +6,7 @@ import asyncio
 import os
 import time
 from collections.abc import AsyncIterator, Iterable, Mapping
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 
@@ -39,6 +40,7 @@ _STATES = {
     PlanState.LOST: wire.PLAN_STATE_LOST,
 }
 _DECISIONS = {Decision.ACCEPTED: wire.DECISION_ACCEPTED, Decision.REJECTED: wire.DECISION_REJECTED}
+UNWRITTEN = "how it ended could not be written down"  # on a full disk, say
 MAX_FILES = 1000  # to verify: a result's own and its robot's, a few dozen
 
 
@@ -193,6 +195,8 @@ class Keeping:
 
     def _plan(self, record: PlanRecord) -> wire.PlanRecord:
         running = self._running.get(record.plan_id)
+        if running is None and record.state in (PlanState.ACCEPTED, PlanState.RUNNING):
+            record = replace(record, state=PlanState.LOST, why_lost=UNWRITTEN)
         message = wire.PlanRecord(
             plan_id=record.plan_id,
             request_id=record.request_id,

@@ -29,6 +29,7 @@ from service.request_scene import SceneRequest
 from service.rpc import Context, deadline_of
 from service.server.asked import uploaded
 from service.server.cloud_problems import as_sent, robot_problems, start_problems
+from service.server.disk import Disk
 from service.server.refusal import invalid, overloaded
 from service.server.robots import RobotFolder
 from service.server.settings import SMALL_BYTES, ServerSettings
@@ -57,7 +58,7 @@ class Perceiving:
         settings: of the server.
         folders: that requests may name files in.
         workshop: where clouds are looked at.
-        store: where scenes are kept; clouds: where clouds are.
+        store: where scenes are kept; clouds: where clouds are; disk: both are on.
         robots: that this server knows besides those of the package.
         limiter: of how much a client may upload.
         on_upload: told the bytes of every cloud that came.
@@ -70,6 +71,7 @@ class Perceiving:
         workshop: Workshop,
         store: Store,
         clouds: CloudStore,
+        disk: Disk,
         robots: RobotFolder,
         limiter: ClientLimiter,
         on_upload: Callable[[int], None],
@@ -79,6 +81,7 @@ class Perceiving:
         self._workshop = workshop
         self._store = store
         self._clouds = clouds
+        self._disk = disk
         self._robots = robots
         self._limiter = limiter
         self._on_upload = on_upload
@@ -106,6 +109,7 @@ class Perceiving:
         known = self._clouds.size(f"{UPLOADED}{claimed}{suffix}") if claimed else None
         if known is not None:
             return UploadCloudResponse(cloud_id=f"{UPLOADED}{claimed}{suffix}", size_bytes=known, was_known=True)
+        self._disk.check()
         with self._clouds.upload(client.name, suffix) as upload:
             self._count(client.key, announced)
             async for request in requests:
@@ -144,6 +148,7 @@ class Perceiving:
             Refusal: they cannot be had.
         """
         scene = await self._checked(message)
+        self._disk.check()
         steps: asyncio.Queue[str | None] = asyncio.Queue()
         with self._placed(message.clouds, scene) as clouds:
             task = SceneTask(clouds, tuple(message.detect), scene.hint, scene.unknown, scene.method)

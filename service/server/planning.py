@@ -21,6 +21,7 @@ from service.rpc import Context, Refusal, deadline_of
 from service.seen import bind
 from service.server.archive import chunks
 from service.server.asked import WITHIN, Door, kind_of, named_files
+from service.server.disk import Disk
 from service.server.failures import refusal_for
 from service.server.refusal import invalid, refusal_of_problems
 from service.server.running import RunningPlan, RunningPlans
@@ -43,7 +44,7 @@ class Planning:
     Args:
         door: what requests must pass.
         workshop: where they are worked on.
-        store: where they are kept.
+        store: where they are kept; disk: it is on.
         on_verdict: told kind, verdict and seconds by step of every plan that has one.
     """
 
@@ -52,11 +53,13 @@ class Planning:
         door: Door,
         workshop: Workshop,
         store: Store,
+        disk: Disk,
         on_verdict: Callable[[str, str, Mapping[str, float]], None],
     ) -> None:
         self._door = door
         self._workshop = workshop
         self._store = store
+        self._disk = disk
         self._on_verdict = on_verdict
         self._tasks: set[asyncio.Task[None]] = set()
         self.running = RunningPlans()
@@ -116,6 +119,7 @@ class Planning:
                 )
             if record.state is PlanState.FINISHED or running is not None:
                 return record, running
+        self._disk.check()
         self._workshop.admission.check(kind, _left(deadline))
         return self._started(client, request, sha, message, deadline)
 

@@ -18,7 +18,7 @@ from service.store import (
 )
 from service.wire.violations import bad_request
 
-_OF_STORE: dict[type[StoreError], grpc.StatusCode] = {
+OF_STORE: dict[type[StoreError], grpc.StatusCode] = {
     NotStoredError: grpc.StatusCode.NOT_FOUND,
     ReviewRefusedError: grpc.StatusCode.FAILED_PRECONDITION,
     StoreFullError: grpc.StatusCode.RESOURCE_EXHAUSTED,
@@ -45,7 +45,7 @@ def refusal_of_problems(problems: Iterable[str], is_unplanned: bool, within: str
 
 
 def refusal_of(error: RequestError | StoreError, within: str = "") -> Refusal:
-    """What a client hears of an error of ours."""
+    """What a client hears of an error of ours, if of the store, one of ``OF_STORE``."""
     if isinstance(error, RequestError):
         return refusal_of_problems(error.problems, isinstance(error, UnplannedTaskError), within)
-    return Refusal(_OF_STORE.get(type(error), grpc.StatusCode.INTERNAL), str(error))
+    return Refusal(OF_STORE[type(error)], str(error))

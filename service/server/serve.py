@@ -21,6 +21,7 @@ from service.executor import CancellableExecutor
 from service.seen import Metrics, MetricsServer, Spans, Watcher
 from service.server.admission import Admission
 from service.server.asked import Door
+from service.server.disk import Disk
 from service.server.farewell import GOING_DOWN, STOPPING, Farewell
 from service.server.health import Health
 from service.server.keeping import Keeping
@@ -145,13 +146,14 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
             verdicts[verdict] += 1
             metrics.plan_finished(kind, verdict, timings)
 
-        farewell = Farewell()
+        farewell, state = Farewell(), Health((SERVICE.full_name,))
+        disk = Disk(settings.data, store, clouds, state)
         workshop = Workshop(executor, Admission(settings.workers, settings.queue_limit))
         robots = RobotFolder(settings.robots)
         if robots.replaced:
             _LOG.warning("own robots in place of those that come with scopt", names=list(robots.replaced))
-        planning = Planning(Door(settings, folders, clouds, store.scenes, robots), workshop, store, count)
-        perceiving = Perceiving(settings, folders, workshop, store, clouds, robots, limiter, metrics.uploaded)
+        planning = Planning(Door(settings, folders, clouds, store.scenes, robots), workshop, store, disk, count)
+        perceiving = Perceiving(settings, folders, workshop, store, clouds, disk, robots, limiter, metrics.uploaded)
         keeping = Keeping(settings, workshop, store, planning.running, robots, verdicts)
         server = grpc.aio.server(
             interceptors=[
@@ -162,7 +164,6 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
             options=_options(settings),
         )
         server.add_generic_rpc_handlers((method_handlers(Servicer(planning, perceiving, keeping)),))
-        state = Health((SERVICE.full_name,))
         health_pb2_grpc.add_HealthServicer_to_server(state, server)
         names = (SERVICE.full_name, health.SERVICE_NAME, reflection.SERVICE_NAME)
         reflection.enable_server_reflection(names, server)
@@ -171,8 +172,8 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
             raise ServiceError("no worker could be started; the log tells why")
         await server.start()
         stack.push_async_callback(server.stop, 0.0)
-        overtime = asyncio.create_task(_stop_overtime(workshop))
-        stack.callback(overtime.cancel)
+        for watch in (_stop_overtime(workshop), disk.watch()):
+            stack.callback(asyncio.create_task(watch).cancel)
         yield Running(address, server, planning, keeping, workshop, state, farewell, certificates)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from service.store.clouds import CLOUD_ID, UPLOAD_SUFFIXES, CloudLimits, CloudStats, CloudStore, Upload
 from service.store.errors import (
+    DiskError,
     NotStoredError,
     ReviewRefusedError,
     StoreError,
@@ -31,6 +32,7 @@ __all__ = [
     "CloudStats",
     "CloudStore",
     "Decision",
+    "DiskError",
     "NotStoredError",
     "Outcome",
     "PlanRecord",

@@ -139,6 +139,19 @@ class CloudStore:
             n_bytes = sum(self._bytes.values()) + self._arriving
             return CloudStats(len(self._bytes), n_bytes, self._uploads.total())
 
+    @property
+    def trouble(self) -> str:
+        """Why a cloud could not be written the last time; empty where it could."""
+        return self._folder.trouble
+
+    def probe(self) -> None:
+        """Find out whether clouds can be written again.
+
+        Raises:
+            DiskError: they still cannot.
+        """
+        self._folder.probe()
+
     def _arrive(self, n_bytes: int) -> None:
         """Room for more bytes of an upload.
 
@@ -200,7 +213,7 @@ class Upload:
         try:
             self._file = partial.open("xb")
         except OSError as error:
-            raise StoreError(f"{partial}: cannot be written ({error.strerror})") from None
+            raise store._folder.failed(partial.name, error) from None
 
     def __enter__(self) -> Self:
         return self
@@ -216,7 +229,7 @@ class Upload:
         Raises:
             TooLargeError: the cloud has more bytes than one may have.
             StoreFullError: there is no room for it now.
-            StoreError: it cannot be written, or is closed.
+            DiskError: it cannot be written; StoreError: it is closed.
         """
         with self._taking_turn():
             limit = self._store.limits.max_cloud_bytes
@@ -237,7 +250,7 @@ class Upload:
 
         Raises:
             UploadRefusedError: nothing came.
-            StoreError: it cannot be written, or is closed.
+            DiskError: it cannot be written; StoreError: it is closed.
         """
         self._shall_close = True
         with self._taking_turn():
@@ -266,7 +279,7 @@ class Upload:
                     raise StoreError("the upload is closed")
                 yield
         except OSError as error:
-            raise StoreError(f"{self._partial}: cannot be written ({error.strerror})") from None
+            raise self._store._folder.failed(self._partial.name, error) from None
         finally:
             if self._shall_close:
                 self.close()

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from service.store.errors import StoreError
+from service.store.errors import DiskError, StoreError
 from service.store.folder import PARTIAL
 
 VERSION = 1
@@ -81,10 +81,14 @@ class Database:
 
     Raises:
         StoreError: the file is damaged, of another version, of something else, or cannot be opened.
+
+    Attributes:
+        trouble: why it could not be written the last time; empty where it could.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.trouble = ""
         self._turn = threading.RLock()
         with self._in_plain_words():
             if not path.exists():
@@ -101,6 +105,16 @@ class Database:
         """Write everything to the one file and let it go."""
         with self._turn:
             self._connection.close()
+
+    def probe(self) -> None:
+        """Write something that changes nothing; where that can be done, there is no trouble any more.
+
+        Raises:
+            DiskError: it still cannot be written.
+        """
+        with self.transaction() as db:
+            db.execute("UPDATE totals SET n = n")
+        self.trouble = ""
 
     @contextmanager
     def transaction(self, *, durable: bool = False) -> Iterator[sqlite3.Connection]:
@@ -166,7 +180,8 @@ class Database:
             if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
                 raise StoreError(self._damaged(str(error))) from None
             if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
-                raise StoreError(f"{self.path}: cannot be written ({error}); see to its disk") from None
+                self.trouble = f"{self.path}: cannot be written ({error}); see to its disk"
+                raise DiskError(self.trouble) from None
             raise
 
     def _damaged(self, words: str) -> str:

@@ -9,6 +9,10 @@ class StoreError(ServiceError):
     """A store that cannot be opened, read or written."""
 
 
+class DiskError(StoreError):
+    """A disk that cannot be written: it is full, or worse.  The text names the file, and is for the server's people."""
+
+
 class NotStoredError(StoreError):
     """A plan, scene or cloud that is not, or no longer, in the store."""
 

@@ -8,10 +8,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from service.store.errors import StoreError
+from service.store.errors import DiskError, StoreError
 
 LOCK_NAME = "lock"
 PARTIAL = ".partial-"  # how a file that is being written begins
+PROBE_BYTES = 2**16
 
 
 class HeldFolder:
@@ -19,10 +20,14 @@ class HeldFolder:
 
     Raises:
         StoreError: another process holds it, or it cannot be written.
+
+    Attributes:
+        trouble: why a file could not be written the last time; empty where it could.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.trouble = ""
         try:
             path.mkdir(parents=True, exist_ok=True, mode=0o700)
             self._lock = os.open(path / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -58,7 +63,7 @@ class HeldFolder:
         """Put a file there; a reader sees all of it or none.
 
         Raises:
-            StoreError: it cannot be written.
+            DiskError: it cannot be written.
         """
         partial = self.path / f"{PARTIAL}{name}"
         try:
@@ -69,4 +74,20 @@ class HeldFolder:
             partial.rename(self.path / name)
         except OSError as error:
             partial.unlink(missing_ok=True)
-            raise StoreError(f"{self.path / name}: cannot be written ({error.strerror})") from None
+            raise self.failed(name, error) from None
+
+    def failed(self, name: str, error: OSError) -> DiskError:
+        """Note that a file could not be written; what to raise."""
+        self.trouble = f"{self.path / name}: cannot be written ({error.strerror})"
+        return DiskError(self.trouble)
+
+    def probe(self) -> None:
+        """Write a file and remove it; where that can be done, there is no trouble any more.
+
+        Raises:
+            DiskError: it still cannot be written.
+        """
+        name = f"{PARTIAL}probe"
+        self.write(name, bytes(PROBE_BYTES))
+        (self.path / name).unlink(missing_ok=True)
+        self.trouble = ""

@@ -7,12 +7,12 @@ import sqlite3
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from service.errors import shown
 from service.store.database import Database
-from service.store.errors import NotStoredError, TooLargeError
+from service.store.errors import DiskError, NotStoredError, TooLargeError
 from service.store.records import StoreLimits
 from service.trust.folders import BUILT
 
@@ -54,11 +54,11 @@ class Scenes:
             NotStoredError: there is no scene of that id.
         """
         with self._database.transaction() as db:
-            row = db.execute(
-                "UPDATE scenes SET used = ? WHERE scene_id = ? RETURNING data", (self._clock(), scene_id)
-            ).fetchone()
+            row = db.execute("SELECT data FROM scenes WHERE scene_id = ?", (scene_id,)).fetchone()
         if row is None:
             raise NotStoredError(f"no scene {shown(scene_id)}; it never was, or went when the store was full")
+        with suppress(DiskError), self._database.transaction() as db:  # a full disk can still be read
+            db.execute("UPDATE scenes SET used = ? WHERE scene_id = ?", (self._clock(), scene_id))
         return zlib.decompress(row["data"])
 
     def has(self, scene_id: str) -> bool:

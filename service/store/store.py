@@ -41,7 +41,7 @@ class Store:
         limits = limits or StoreLimits()
         with ExitStack() as opened:
             opened.enter_context(HeldFolder(folder))
-            archives = opened.enter_context(HeldFolder(folder / ARCHIVES_NAME))
+            self._archives = archives = opened.enter_context(HeldFolder(folder / ARCHIVES_NAME))
             self._database = Database(folder / DATABASE_NAME)
             opened.callback(self._database.close)
             self.plans = Plans(self._database, archives, limits, clock)
@@ -60,6 +60,20 @@ class Store:
     def close(self) -> None:
         """Let the folder go; the store cannot be used any more."""
         self._opened.close()
+
+    @property
+    def trouble(self) -> str:
+        """Why something could not be written the last time; empty where it could."""
+        return self._database.trouble or self._archives.trouble
+
+    def probe(self) -> None:
+        """Find out whether it can be written again.
+
+        Raises:
+            DiskError: it still cannot.
+        """
+        self._database.probe()
+        self._archives.probe()
 
     def stats(self) -> StoreStats:
         """How full it is."""
