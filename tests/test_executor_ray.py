@@ -128,6 +128,25 @@ def test_killing_actors_under_load_loses_no_job(pool: CancellableExecutor, tmp_p
     assert [job.result(SOON_S) for job in todo] == [str(i) for i in range(60)]
 
 
+def test_memory_of_an_actor_is_bounded(address: str, pool: CancellableExecutor) -> None:
+    from service.executor.ray_pool import RayPool
+
+    assert pool.submit(jobs.size_after, 2**30).result(SOON_S) == 2**30
+    pool.resize(1)  # the cluster has two CPUs
+    try:
+        with RayPool(address, 1, max_bytes=2**29) as bounded:
+            with pytest.raises(MemoryError):
+                bounded.submit(jobs.size_after, 2**30).result(SOON_S)
+            assert bounded.submit(jobs.size_after, 2**20).result(SOON_S) == 2**20
+    finally:
+        pool.resize(2)
+
+
+def test_the_time_is_that_of_who_submitted_the_job(pool: CancellableExecutor) -> None:
+    before = time.monotonic()
+    assert before - 1.0 < pool.submit(jobs.now).result(SOON_S) < time.monotonic()
+
+
 def test_a_plan_made_there_is_the_plan_made_here(pool: CancellableExecutor) -> None:
     from executor_plan import bend_an_elbow
 

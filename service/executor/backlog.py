@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import heapq
 import threading
+import time
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -36,6 +37,10 @@ class Task:
     on_event: OnEvent | None
     max_attempts: int
     ending: Ending | None = None
+
+    def begin(self, pid: int | None) -> None:
+        """A worker is at it from now on."""
+        self.job.started, self.job.pid, self.job.attempts = time.monotonic(), pid, self.job.attempts + 1
 
 
 class Backlog:

@@ -63,6 +63,11 @@ def limit_memory(max_bytes: int | None) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
+def address_space_bytes() -> int:
+    """Address space that this process has taken, used or not."""
+    return int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+
+
 def count_threads() -> int:
     """Threads of this process, native ones included."""
     return len(os.listdir("/proc/self/task"))

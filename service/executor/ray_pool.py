@@ -43,7 +43,7 @@ class RayPool(Pool):
             warm_up: top-level function, called once in each actor before it takes jobs.
             preload: modules that each actor imports before that.
             grace_s: from asking a job to stop to killing its actor [s].
-            max_bytes: address space of an actor, Ray's own included; None for no limit.
+            max_bytes: address space of an actor beyond what Ray has taken there; None for no limit.
             recycle_after: jobs after which an actor is replaced; None for never.
             start_timeout_s: in which an actor becomes ready [s].
 

@@ -5,20 +5,19 @@ from __future__ import annotations
 import logging
 import pickle
 import queue
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from typing import Any
 
 import ray
 
 from service.executor.backlog import Backlog, Ending, Task
 from service.executor.backoff import Backoff
-from service.executor.desk import Desk
-from service.executor.errors import ExecutorError
 from service.executor.frames import Kind
 from service.executor.interface import WorkerState
+from service.executor.overseer import Overseer
 from service.executor.ray_worker import N_THREADS, Answer, RayWorker
 from service.executor.settings import Settings
 from service.executor.worker import WorkerSetup
@@ -62,22 +61,20 @@ class Actor:
         return self.state in (WorkerState.IDLE, WorkerState.BUSY)
 
 
-class RaySupervisor:
-    """One thread, which alone touches actors; Ray's own threads and others leave it messages.
+class RaySupervisor(Overseer):
+    """The thread that alone touches actors; Ray's own threads and others leave it messages.
 
     Attributes:
         actors: all that are not given up.
-        target: how many there shall be.
         restarts: how many died or were killed.
     """
 
     def __init__(self, target: int, settings: Settings, backlog: Backlog, *, disconnects: bool) -> None:
+        super().__init__(backlog, "scopt-ray-pool")
         self.target = target
         self.actors: list[Actor] = []
         self.restarts = 0
         self._settings = settings
-        self._backlog = backlog
-        self._desk = Desk(backlog)
         self._disconnects = disconnects
         as_actor = ray.remote(num_cpus=1, max_restarts=0, max_concurrency=N_THREADS)
         self._class = as_actor(RayWorker)
@@ -85,9 +82,6 @@ class RaySupervisor:
         self._messages: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._runs = 0
         self._backoff = Backoff()
-        self._is_closing = self._is_over = False
-        self._ready = threading.Condition()
-        self._thread = threading.Thread(target=self._work, name="scopt-ray-pool", daemon=True)
         self._thread.start()
 
     # What other threads may call.
@@ -99,54 +93,31 @@ class RaySupervisor:
 
     def cancel(self, task: Task) -> None:
         """Have a job stopped that runs, or was begun and waits."""
-        self._messages.put(lambda: self._stop_task(task, Ending.CANCELLED))
+        self._messages.put(lambda: self._stop(task, Ending.CANCELLED))
 
-    def close(self, wait: bool) -> None:
-        """End once all jobs are answered."""
-        self._is_closing = True
-        self.wake()
-        if wait:
-            self._thread.join()
-
-    def wait_ready(self, timeout: float | None) -> bool:
-        """Wait until all workers are up."""
-        with self._ready:
-            return (
-                self._ready.wait_for(lambda: self._is_over or self._n_up() >= self.target, timeout)
-                and not self._is_over
-            )
+    @property
+    def n_up(self) -> int:
+        """How many actors work or could."""
+        return sum(actor.is_up for actor in list(self.actors))
 
     # The thread.
 
-    def _work(self) -> None:
-        try:
-            while not (self._is_closing and not self._backlog.open):
-                wait_s = self._keep_house()
-                try:
-                    self._messages.get(timeout=wait_s)()
-                except queue.Empty:
-                    continue
-        except BaseException:
-            _LOG.critical("the pool's supervisor failed", exc_info=True)
-        finally:
-            self._end()
+    def _listen(self, wait_s: float | None) -> None:
+        with suppress(queue.Empty):
+            message = self._messages.get(timeout=wait_s)
+            message()
 
-    def _end(self) -> None:
+    def _disband(self) -> None:
         self._is_over = True
-        for task in self._backlog.all_open():  # none, unless this thread failed
-            self._desk.fail(task, ExecutorError("the pool failed; its log says why"))
         for actor in list(self.actors):
             self._give_up(actor)
         if self._disconnects:
             ray.shutdown()
-        with self._ready:
-            self._ready.notify_all()
 
     def _keep_house(self) -> float | None:
-        """Do all that is due; how long there is nothing to do then [s]."""
         now = time.monotonic()
         for task in self._backlog.take_late(now):
-            self._stop_task(task, Ending.DEADLINE)
+            self._stop(task, Ending.DEADLINE)
         for actor in list(self.actors):
             if actor.kill_at is not None and actor.kill_at <= now:
                 self._lose_patience(actor)
@@ -178,10 +149,10 @@ class RaySupervisor:
     def _start(self) -> None:
         actor = Actor(self._class.remote(self._setup))
         self.actors.append(actor)
-        self._listen(actor.handle.born.remote(), lambda f: self._on_born(actor, f))
-        self._listen(actor.handle.hold.remote(), lambda f: self._on_ended(actor, f))
+        self._hear(actor.handle.born.remote(), lambda f: self._on_born(actor, f))
+        self._hear(actor.handle.hold.remote(), lambda f: self._on_ended(actor, f))
 
-    def _listen(self, reference: Any, then: Callable[[Future[Any]], None]) -> None:
+    def _hear(self, reference: Any, then: Callable[[Future[Any]], None]) -> None:
         """Have something done by this thread once a call has come back."""
         reference.future().add_done_callback(lambda future: self._messages.put(lambda: then(future)))
 
@@ -191,8 +162,7 @@ class RaySupervisor:
         elif actor in self.actors:
             self._backoff.succeeded()
             actor.pid, actor.state = future.result(), WorkerState.IDLE
-            with self._ready:
-                self._ready.notify_all()
+            self._tell_ready()
 
     def _on_ended(self, actor: Actor, future: Future[Any]) -> None:
         """An actor is no more; several calls to it tell so, and the first one counts."""
@@ -217,11 +187,8 @@ class RaySupervisor:
 
     def _start_failed(self, reason: str) -> None:
         _LOG.error("a worker could not be started: %s", reason)
-        if self._backoff.failed() and self._n_up() == 0:
+        if self._backoff.failed() and self.n_up == 0:
             self._desk.give_up(reason)
-
-    def _n_up(self) -> int:
-        return sum(actor.is_up for actor in list(self.actors))
 
     # Jobs.
 
@@ -231,8 +198,7 @@ class RaySupervisor:
             if task is None:
                 return
             self._runs += 1
-            job = task.job
-            job.started, job.pid, job.attempts = time.monotonic(), actor.pid, job.attempts + 1
+            task.begin(actor.pid)
             actor.state, actor.task, actor.run, actor.seen, actor.answer = WorkerState.BUSY, task, self._runs, 0, None
             self._ask_to_run(actor, task)
             if task.on_event is not None:
@@ -241,12 +207,12 @@ class RaySupervisor:
     def _ask_to_run(self, actor: Actor, task: Task) -> None:
         run = actor.run
         reference = actor.handle.run.remote(run, task.payload, task.on_event is not None, time.monotonic())
-        self._listen(reference, lambda future: self._on_answer(actor, run, future))
+        self._hear(reference, lambda future: self._on_answer(actor, run, future))
 
     def _ask_for_events(self, actor: Actor) -> None:
         run = actor.run
         reference = actor.handle.events.remote(run, actor.seen)
-        self._listen(reference, lambda future: self._on_events(actor, run, future))
+        self._hear(reference, lambda future: self._on_events(actor, run, future))
 
     def _on_events(self, actor: Actor, run: int, future: Future[list[bytes]]) -> None:
         if future.exception() is not None:
@@ -278,15 +244,12 @@ class RaySupervisor:
         else:
             self._desk.raised(task, answer.payload)
 
-    def _stop_task(self, task: Task, ending: Ending) -> None:
-        """Ask a job to stop, or let it never begin."""
-        if self._desk.drop(task, ending):
-            return
+    def _ask_to_stop(self, task: Task) -> bool:
         actor = next((actor for actor in self.actors if actor.task is task), None)
-        if actor is not None and task.ending is None:
-            task.ending = ending
+        if actor is not None:
             actor.kill_at = time.monotonic() + self._settings.grace_s
             actor.handle.stop.remote(actor.run)
+        return actor is not None
 
     def _lose_patience(self, actor: Actor) -> None:
         """Kill the actor of a job that was asked to stop and did not."""

@@ -45,7 +45,9 @@ class RayWorker:
 
     def __init__(self, setup: bytes) -> None:
         worker: WorkerSetup = pickle.loads(setup)
-        linux.limit_memory(worker.max_bytes)
+        # Ray's own, such as the objects that all processes of a machine share, is no fault of a job's.
+        taken = linux.address_space_bytes()
+        linux.limit_memory(None if worker.max_bytes is None else taken + worker.max_bytes)
         for name in worker.preload:
             importlib.import_module(name)
         if worker.warm_up is not None:

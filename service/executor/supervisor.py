@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import selectors
 import threading
@@ -11,31 +10,23 @@ from collections import deque
 
 from service.executor.backlog import Backlog, Ending, Task
 from service.executor.crew import Crew
-from service.executor.desk import Desk
-from service.executor.errors import ExecutorError
 from service.executor.frames import Frame, Kind
 from service.executor.interface import WorkerState
 from service.executor.nest import Worker
+from service.executor.overseer import Overseer
 from service.executor.settings import Settings
 
-_LOG = logging.getLogger("service.executor")
 
-
-class Supervisor(Crew):
-    """One thread, which alone touches nursery and workers; others leave wishes and read figures."""
+class Supervisor(Crew, Overseer):
+    """The thread that starts workers, hands out jobs, hears answers."""
 
     def __init__(self, target: int, settings: Settings, backlog: Backlog) -> None:
-        super().__init__(target, settings)
-        self._backlog = backlog
-        self._desk = Desk(backlog)
+        Crew.__init__(self, target, settings)
+        Overseer.__init__(self, backlog, "scopt-pool")
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._selector.register(self._wake, selectors.EVENT_READ, lambda _: os.eventfd_read(self._wake))
         self._to_cancel: deque[Task] = deque()
-        self._is_closing = False
         self._over = threading.Lock()  # held while the wake-up may be used
-        self._is_over = False
-        self._ready = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name="scopt-pool", daemon=True)
         self._thread.start()
 
     # What other threads may call.
@@ -52,45 +43,20 @@ class Supervisor(Crew):
         self._to_cancel.append(task)
         self.wake()
 
-    def close(self, wait: bool) -> None:
-        """End once all jobs are answered."""
-        self._is_closing = True
-        self.wake()
-        if wait:
-            self._thread.join()
-
-    def wait_ready(self, timeout: float | None) -> bool:
-        """Wait until all workers are up."""
-        with self._ready:
-            self._ready.wait_for(lambda: self._is_over or self.n_up >= self.target, timeout)
-            return not self._is_over and self.n_up >= self.target
-
     # The thread.
 
-    def _run(self) -> None:
-        try:
-            while not (self._is_closing and not self._backlog.open):
-                wait_s = self._keep_house()
-                for key, mask in self._selector.select(wait_s):
-                    if self._selector.get_map().get(key.fd) is key:  # what came before may have closed it
-                        key.data(mask)
-        except BaseException:
-            _LOG.critical("the pool's supervisor failed", exc_info=True)
-        finally:
-            self._end()
+    def _listen(self, wait_s: float | None) -> None:
+        for key, mask in self._selector.select(wait_s):
+            if self._selector.get_map().get(key.fd) is key:  # what came before may have closed it
+                key.data(mask)
 
-    def _end(self) -> None:
+    def _disband(self) -> None:
         self._close_crew()
         with self._over:
             self._is_over = True
             os.close(self._wake)
-        for task in self._backlog.all_open():  # none, unless this thread failed
-            self._desk.fail(task, ExecutorError("the pool failed; its log says why"))
-        with self._ready:
-            self._ready.notify_all()
 
     def _keep_house(self) -> float | None:
-        """Do all that is due; how long there is nothing to do then [s]."""
         while self._to_cancel:
             self._stop(self._to_cancel.popleft(), Ending.CANCELLED)
         now = time.monotonic()
@@ -112,20 +78,16 @@ class Supervisor(Crew):
             task = self._desk.next_task()
             if task is None:
                 return
-            job = task.job
-            job.started, job.pid, job.attempts = time.monotonic(), worker.pid, job.attempts + 1
+            task.begin(worker.pid)
             worker.run(task)
             self._flush(worker)
 
-    def _stop(self, task: Task, ending: Ending) -> None:
-        """Ask a job to stop, or let it never begin."""
-        if self._desk.drop(task, ending):
-            return
+    def _ask_to_stop(self, task: Task) -> bool:
         worker = next((worker for worker in self.workers if worker.task is task), None)
-        if worker is not None and task.ending is None:
-            task.ending = ending
+        if worker is not None:
             now, interrupt_s = time.monotonic(), self._settings.interrupt_s
             worker.ask_to_stop(task, None if interrupt_s is None else now + interrupt_s, now + self._settings.grace_s)
+        return worker is not None
 
     def _impatient_at(self) -> list[float | None]:
         return [at for worker in self.workers for at in (worker.interrupt_at, worker.kill_at)]
@@ -144,8 +106,7 @@ class Supervisor(Crew):
     # What the crew tells.
 
     def _on_ready(self, worker: Worker) -> None:
-        with self._ready:
-            self._ready.notify_all()
+        self._tell_ready()
 
     def _on_frame(self, worker: Worker, frame: Frame) -> None:
         task = worker.task

@@ -129,7 +129,7 @@ def _executor(name: str, settings: ServerSettings) -> CancellableExecutor:
         except ImportError:
             raise RequestError(f"--executor {name}: Ray is not installed; pip install 'scopt[ray]' would do") from None
         try:
-            return RayPool(name, settings.workers, warm_up=warm_up, preload=PRELOAD)
+            return RayPool(name, settings.workers, warm_up=warm_up, preload=PRELOAD, max_bytes=settings.worker_bytes)
         except ConnectionError as error:
             raise RequestError(f"--executor {name}: {error}") from None
     raise RequestError(f"--executor: {LOCAL} or ray://HOST:PORT would do, got {name!r}")

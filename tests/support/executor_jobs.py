@@ -37,6 +37,10 @@ def now(control: Control) -> float:
     return control.now()
 
 
+def size_after(count: int) -> int:
+    return len(bytearray(count))
+
+
 def many_bytes(count: int) -> bytes:
     return bytes(count)
 
