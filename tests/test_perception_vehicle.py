@@ -10,10 +10,12 @@ import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
 from perception.detect.cushion import Surround, as_cushion, squared_up
+from perception.detect.footwell import footwell_of
 from perception.detect.level import find_patches, split_at_gap
 from perception.simulate import Mesh, Pose, Scanner, box, scan
 from perception.simulate.objects.car import Car
 from perception.simulate.objects.placed import Truth
+from perception.simulate.scenes import make_scene
 
 _GROUND = box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0))
 _SPARSE = Scanner(n_lines=44, sigma=0.015)
@@ -111,6 +113,12 @@ _NO_SEATS = {
     ],
     "shelf": [_WALL, *(box((1.1, -0.5, z), (1.4, 0.5, z + 0.03)) for z in (0.3, 0.7, 1.1, 1.5))],
     "steps": [box((1.0 + 0.3 * k, -0.5, 0.0), (2.2, 0.5, 0.2 * (k + 1))) for k in range(4)],
+    "cartons, a lower one before and a higher one behind": [
+        _WALL,
+        box((0.8, -0.4, 0.0), (1.25, 0.1, 0.88)),
+        box((0.78, 0.14, 0.0), (1.22, 0.62, 0.55)),
+        box((0.8, -0.9, 0.0), (1.25, -0.45, 1.38)),
+    ],
     "table": [_WALL, box((0.8, -0.6, 0.72), (1.4, 0.6, 0.75))],
 }
 
@@ -120,6 +128,42 @@ def test_what_is_no_vehicle_has_no_confident_seat_or_opening(name: str) -> None:
     meshes: list[Mesh] = [*_NO_SEATS[name], _GROUND]
     view = make_view(scan(meshes, Pose(pitch=0.4), _DENSE, 2))
     assert not any(one.confidence >= 0.5 for kind in ("seat", "opening") for one in detect(kind, view))
+
+
+@pytest.mark.parametrize("sensor", ["solid", "sparse"])
+def test_stacks_of_cartons_hold_no_seat(sensor: str) -> None:
+    view = make_view(make_scene("empty_boxes", 1).scan(sensor))
+    assert not any(one.confidence >= 0.5 for kind in ("seat", "opening") for one in detect(kind, view))
+
+
+def _rays_onto(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.tile([-0.8, 0.0, 1.0], (len(places), 1)), places
+
+
+def test_a_floor_that_ends_in_a_drop_is_told_from_one_that_ends_in_a_wall() -> None:
+    x, y = (grid.ravel() for grid in np.meshgrid(np.arange(-0.2, 1.3, 0.01), np.arange(-0.4, 0.4, 0.01)))
+    floor = np.column_stack([x, y, np.full(len(x), -0.4)])
+    # A floor up to 0.6 m; beyond it the ground, or a wall that hides the ground.
+    ground = np.column_stack([x, y, np.full(len(x), -0.8)])[x > 0.75]
+    height, across = (grid.ravel() for grid in np.meshgrid(np.arange(-0.4, 0.2, 0.01), np.arange(-0.4, 0.4, 0.01)))
+    wall = np.column_stack([np.full(len(height), 0.6), across, height])
+    table, vehicle = (np.concatenate([floor[x < 0.6], beyond]) for beyond in (ground, wall))
+    drop = footwell_of(0.5, 0.46, table, *_rays_onto(table))
+    shut = footwell_of(0.5, 0.46, vehicle, *_rays_onto(vehicle))
+    assert abs(drop.height + 0.4) < 0.01
+    assert drop.drop_share > 0.9
+    assert drop.evidence < 0.2
+    assert shut.drop_share == shut.open_share == 0.0
+    assert shut.evidence == 1.0
+
+
+def test_rays_that_go_below_any_floor_right_before_a_cushion_speak_against_a_vehicle() -> None:
+    x, y = (grid.ravel() for grid in np.meshgrid(np.arange(0.2, 1.0, 0.01), np.arange(-0.4, 0.4, 0.01)))
+    ground = np.column_stack([x, y, np.full(len(x), -0.95)])
+    well = footwell_of(0.5, 0.46, ground, *_rays_onto(ground))
+    assert np.isnan(well.height)
+    assert well.open_share > 0.5
+    assert well.evidence < 0.2
 
 
 def test_the_recorded_vehicle_has_a_seat_and_openings(shared_data: Path) -> None:

@@ -10,20 +10,19 @@ from jaxtyping import Float
 from perception.detect.confidence import rising
 from perception.detect.cushion import USUAL_WIDTH, Cushion, as_cushion, squared_up, surround_of
 from perception.detect.detection import Detection
+from perception.detect.footwell import SEAT_HEIGHT, footwell_of
 from perception.detect.level import Patch, find_patches, is_inside, split_at_gap
 from perception.detect.seat_back import back_of
 from perception.view import View
 
 _REPORTED = 0.05
 _OVER_GROUND = (0.35, 1.15)
-_HEIGHT = (0.22, 0.68)  # of a cushion over the vehicle's floor
 _WIDTH = (0.36, 1.5)
 _DEPTH = (0.3, 0.65)
 # A back that nobody saw, on a seat that the robot sits on and on others.
 _UNSEEN_SAT_ON, _UNSEEN = 0.7, 0.3
 _HEAD, _HEAD_ABOUT = (0.5, 1.0), 0.35
 _NOT_GROUND = 0.12
-_LEAST_FLOOR = 0.04
 _MAYBE_CHAIR = 0.45
 _HINT_REACH = 0.5
 _HINT_TRUST = 0.7
@@ -158,8 +157,10 @@ def _seen_as_seat(
     if not _WIDTH[0] < width < _WIDTH[1] or not _DEPTH[0] < depth < _DEPTH[1]:
         return seat
     local = seat.local(points)
-    back = back_of(width, depth, local, *(seat.local(side) for side in view.cloud.rays))
-    floor, free = _front(seat, local, seat.local(view.near.points))
+    starts, ends = (seat.local(side) for side in view.cloud.rays)
+    back = back_of(width, depth, local, starts, ends)
+    well = footwell_of(width, depth, seat.local(view.near.points), starts, ends)
+    floor = well.height + float(pose[2, 3])
     above = is_inside(
         local,
         np.array([0.15 - 0.5 * depth, 0.06 - 0.5 * width, 0.07]),
@@ -175,8 +176,9 @@ def _seen_as_seat(
         * rising(-patch.rms, -0.024, -0.016)
         * back.evidence(_UNSEEN_SAT_ON if _is_sat_on(seat, head) else _UNSEEN)
         * rising(-above.sum() / len(patch.points), -0.4, -0.15)
-        * free
+        * _ends_ahead(seat, local)
         * _floor_share(floor, ground, pose[2, 3])
+        * well.evidence
         * (rising(patch.filled, 0.4, 0.65) if np.isnan(floor) else 1.0)
     )
     return Seat(pose, width, depth, floor, back.solid, float(confidence), patch)
@@ -188,41 +190,23 @@ def _is_sat_on(seat: Seat, head: Float[np.ndarray, "3"]) -> bool:
     return bool(abs(x) < _HEAD_ABOUT and abs(y) < _HEAD_ABOUT and _HEAD[0] < z < _HEAD[1])
 
 
-def _front(seat: Seat, local: Float[np.ndarray, "N 3"], all_local: Float[np.ndarray, "A 3"]) -> tuple[float, float]:
-    """World z of the floor before the cushion (NaN: not seen), and 1 where the cushion ends in front."""
+def _ends_ahead(seat: Seat, local: Float[np.ndarray, "N 3"]) -> float:
+    """1 where the cushion ends in front."""
     half = 0.5 * seat.depth
     beyond = is_inside(
         local, np.array([half + 0.04, -0.4 * seat.width, -0.06]), np.array([half + 0.2, 0.4 * seat.width, 0.06])
     )
-    free = 1.0 - rising(float(beyond.sum()) / len(seat.patch.points), 0.05, 0.25)
-    down = is_inside(
-        all_local,
-        np.array([half - 0.1, -0.5 * seat.width - 0.1, -_HEIGHT[1]]),
-        np.array([half + 0.6, 0.5 * seat.width + 0.1, -_HEIGHT[0]]),
-    )
-    height, flat = all_local[down, 2], all_local[down, :2]
-    if len(height) < 20:
-        return np.nan, free
-    # The height at which most of the ground plan is covered; what stands up covers little of it.
-    layer = np.floor((height + _HEIGHT[1]) / 0.02).astype(int)
-    cell = np.floor(flat / 0.04).astype(int)
-    places = np.unique(np.column_stack([layer, cell]), axis=0)[:, 0]
-    votes = np.convolve(np.bincount(places, minlength=int(layer.max()) + 2), [1.0, 1.0, 1.0], mode="same")
-    best = int(np.argmax(votes))
-    if votes[best] * 0.04**2 < _LEAST_FLOOR:
-        return np.nan, free
-    middle = (best + 0.5) * 0.02 - _HEIGHT[1]
-    return float(np.median(height[np.abs(height - middle) < 0.03]) + seat.pose[2, 3]), free
+    return 1.0 - rising(float(beyond.sum()) / len(seat.patch.points), 0.05, 0.25)
 
 
 def _floor_share(floor: float, ground: float, top: float) -> float:
     """How much the floor before it speaks for a vehicle: a cushion at seat height over a floor over the ground."""
-    maybe_chair = _MAYBE_CHAIR * rising(top - ground, _HEIGHT[0], 0.3) * rising(ground - top, -_HEIGHT[1], -0.6)
+    maybe_chair = _MAYBE_CHAIR * rising(top - ground, SEAT_HEIGHT[0], 0.3) * rising(ground - top, -SEAT_HEIGHT[1], -0.6)
     if np.isnan(floor):
         return max(0.7 * rising(top - ground, 0.6, 0.7), maybe_chair)
     over_ground = rising(floor - ground, _NOT_GROUND - 0.05, _NOT_GROUND + 0.03)
     # The floor that was found may be the vehicle's own; at a chair's height over it, it may as well be a chair.
-    return max(over_ground * rising(top - floor, _HEIGHT[0], 0.3), maybe_chair)
+    return max(over_ground * rising(top - floor, SEAT_HEIGHT[0], 0.3), maybe_chair)
 
 
 def _detection(seat: Seat) -> Detection:
