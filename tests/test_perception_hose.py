@@ -16,6 +16,7 @@ from perception.detect.tube_mouth import settled
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.objects.fixtures import Standpipe
 from perception.simulate.objects.loose import can, pot
+from perception.simulate.scenes import make_scene
 
 SENSOR = Pose((0.1, 0.0, 1.5), pitch=0.5)
 SCANNER = Scanner(n_beams=721, fan_deg=180.0, n_lines=90)
@@ -68,6 +69,24 @@ def test_pipes_that_run_on_posts_tins_pots_boxes_and_closed_ends_are_none_to_act
         box((0.7, -0.05, 0.8), (0.9, 0.1, 1.1)),
     ]
     assert all(one.confidence < CONFIDENT for one in detect_hose(view_of(*pipes, *board, *things)))
+
+
+@pytest.mark.parametrize(
+    ("variant", "seed"), [("dense", 1), ("solid", 3)], ids=["a table's corner", "plates in a rack"]
+)
+def test_what_shows_a_wall_on_some_sides_of_a_gap_is_no_opening(variant: str, seed: int) -> None:
+    view = make_view(make_scene("empty_rounds", seed).scan(variant))
+    assert all(one.confidence < CONFIDENT for one in detect_hose(view))
+
+
+def test_a_wall_is_seen_in_the_directions_in_which_more_rays_end_on_it_than_pass() -> None:
+    tube = Tube(np.array([0.8, 0.0, 1.1]), np.array([-0.8, 0.6, 0.0]), 0.04)
+    rays, mine = hollow_rays(tube)
+    assert weigh_tube(rays, tube).round > 0.9
+    # One in four still ends on the upper half: a few strays make no wall.
+    gone = mine & (rays.ends[:, 2] > 1.1) & (np.arange(len(mine)) % 4 > 0)
+    holed = Sightlines(rays.start, rays.direction, np.where(gone, 3.0, rays.length))
+    assert weigh_tube(holed, tube).round < 0.7
 
 
 def test_rays_meet_a_tube_on_its_wall_in_its_mouth_or_not_at_all() -> None:

@@ -39,6 +39,10 @@ _ROUNDS = 2
 _SAME = 0.15
 _HIGHEST = 2.1
 _MOST_POINTS = 200
+# Of the directions about the axis, in how many its wall shows: looked into, all about it, as far as its returns are
+# enough to show that; else on the side in sight.
+_ALL_ABOUT, _HALF_ABOUT = (0.6, 0.85), (0.35, 0.6)
+_TO_SHOW_ALL = 24.0
 # A vessel: how upright it opens, how tall it is, and where what it stands on is seen [m].
 _UPRIGHT = 0.85
 _TALLEST = 0.35
@@ -186,11 +190,12 @@ def _confidence(tube: Tube, misfit: float, evidence: Evidence, is_hinted: bool) 
     unseen = 0.8 if is_hinted else 0.4
     sure = rising(float(evidence.n_open), 6.0, 16.0) * rising(evidence.entering, 0.15, 0.35)
     is_open = 0.0 if np.isnan(evidence.open) else rising(evidence.open, 0.5, 0.75)
-    is_open *= rising(-evidence.stopped, -0.4, -0.2)
+    would_show = 1.0 - np.exp(-max(evidence.n_hits, 1) / _TO_SHOW_ALL)
+    is_open *= rising(-evidence.stopped, -0.4, -0.2) * rising(evidence.round / would_show, *_ALL_ABOUT)
     value = (
         rising(evidence.solid, 0.6, 0.85)
         * (sure * is_open + (1.0 - sure) * unseen)
-        * rising(evidence.round, 0.35, 0.6)
+        * rising(evidence.round, *_HALF_ABOUT)
         * rising(-evidence.stray, -0.12, -0.05)
         * rising(-misfit, -5.5, -3.0)
         * rising(evidence.air, 0.5, 0.85)

@@ -29,7 +29,7 @@ class Evidence:
         solid: share of them among the rays that should.
         open: share of rays at the middle of the mouth that went on behind it; NaN when there are none.
         n_open: how many rays that rests on.
-        round: share of the directions about the axis in which its wall was seen.
+        round: share of the directions about the axis in which its wall was seen: more rays ended on it than passed.
         entering: share of the rays that go into the mouth among those that meet the end.
         stopped: share of the rays that go into the mouth which ended before they could have met a tube's inside.
         stray: share of what ended about the end that lies off the wall.
@@ -70,13 +70,13 @@ def weigh_tube(rays: Sightlines, tube: Tube) -> Evidence:
     sector = _sectors(rays, tube, met.depth[0])
     free, full = (np.bincount(sector[beside & one], minlength=_N_SECTORS) for one in (gap > NEAR_WALL, gap < NEAR_WALL))
     known = free + full > 0
-    seen = np.bincount(sector[hits], minlength=_N_SECTORS) > 0
+    there, missing = (np.bincount(sector[one], minlength=_N_SECTORS) for one in (hits, clear & ~hits))
     return Evidence(
         int(hits.sum()),
         float(hits[clear].mean()) if clear.any() else 0.0,
         float(deeper[core].mean()) if core.any() else float("nan"),
         int(core.sum()),
-        float(seen.mean()),
+        float((there > missing).mean()),
         float(inward.sum() / max(1, (inward | should).sum())),
         float((gap < -_STOPPED)[inward].mean()) if inward.any() else 1.0,
         _stray_share(rays, tube),
