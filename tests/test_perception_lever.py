@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, View, detect, make_view
+from perception.detect.faces import Face, FaceRays
+from perception.detect.lever_pivot import face_behind
+from perception.detect.sightlines import Sightlines
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
 from perception.simulate.mesh import Mesh, bent_bar
 from perception.simulate.objects.fixtures import BoxLever, Panel
@@ -68,6 +71,25 @@ def test_no_lever_is_believed_where_there_is_none(meshes: list[Mesh]) -> None:
 def test_a_shelfs_edge_that_goes_on_unseen_is_no_lever() -> None:
     view = make_view(make_scene("drill_shelf", 51).scan("sparse"))
     assert all(found.confidence < CONFIDENT for found in detect("lever", view))
+
+
+def test_the_rim_of_a_level_wheel_over_a_small_face_is_no_lever() -> None:
+    view = make_view(make_scene("valve_upright").scan("sparse"))
+    assert all(found.confidence < CONFIDENT for found in detect("lever", view))
+
+
+def test_a_face_goes_on_behind_a_place_within_its_region_where_rays_end_on_it() -> None:
+    rng = np.random.default_rng(0)
+    at = rng.uniform(-0.4, 0.4, (4000, 2))
+    face = Face(np.eye(3), np.zeros(3), np.full(2, -0.2), np.full(2, 0.2), 0.005)
+    start = np.array([0.0, 0.0, 2.0])
+    ends = np.column_stack([at, np.where(at[:, 0] > 0.0, -1.0, 0.0)])
+    way = np.column_stack([at, np.zeros(len(at))]) - start
+    length = np.linalg.norm(way, axis=1)
+    rays = FaceRays(Sightlines(np.tile(start, (len(at), 1)), way / length[:, None], length), at, ends)
+    assert face_behind(face, rays, np.array([-0.1, 0.0, 0.05])) == 1.0
+    assert face_behind(face, rays, np.array([0.1, 0.0, 0.05])) == 0.0
+    assert face_behind(face, rays, np.array([-0.32, 0.0, 0.05])) == 0.0
 
 
 def test_a_hint_keeps_the_search_near_it() -> None:

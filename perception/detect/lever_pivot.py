@@ -25,6 +25,10 @@ _UNSEEN_END = 0.45
 _UNSEEN_PIVOT = 0.75
 _HUB_OVER_BAR = 1.5
 _GAP_OVER_NOISE = (2.0, 3.0)
+_ABOUT = 0.08
+_ON_FACE = 3.0
+_OUTSIDE = (-0.1, -0.05)
+_FACE_SHARE = (0.3, 0.6)
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,19 @@ def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
     # A gap hardly deeper than the noise tells ends apart by chance.
     told = rising(bottom / face.sigma, *_GAP_OVER_NOISE)
     return Pivot(float(pivot), far_end, stand_off, float(max(scores)) * told)
+
+
+def face_behind(face: Face, seen: FaceRays, place: Float[np.ndarray, "3"]) -> float:
+    """How surely the face goes on behind a place before it: nothing is held by a face beyond its edge.
+
+    It does within its region, where the rays about the place that get as far as the face end on it.
+    """
+    flat = face.local(place[None])[0, :2]
+    outside = float(np.linalg.norm(np.maximum(np.maximum(face.low - flat, flat - face.high), 0.0)))
+    height = seen.ends[np.linalg.norm(seen.at - flat, axis=1) < _ABOUT, 2]
+    height = height[height < _ON_FACE * face.sigma]
+    share = float((height > -_ON_FACE * face.sigma).mean()) if len(height) >= _FEWEST else 1.0
+    return rising(-outside, *_OUTSIDE) * rising(share, *_FACE_SHARE)
 
 
 def _in_bar(
