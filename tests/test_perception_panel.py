@@ -73,6 +73,11 @@ def test_a_plane_through_parts_with_air_between_them_is_no_panel() -> None:
     assert all(found.confidence < CONFIDENT for found in detect("panel", view))
 
 
+def test_a_grazed_side_of_a_box_with_a_lever_before_its_edge_is_no_panel() -> None:
+    view = make_view(make_scene("lever_box_oblique", 3).scan("dense"))
+    assert all(found.confidence < CONFIDENT for found in detect("panel", view))
+
+
 def test_buttons_that_do_not_stand_out_are_not_claimed() -> None:
     panel = Panel((0.72, 0.05, 1.25), buttons=BUTTONS, proud=0.0015)
     assert all(found.confidence < CONFIDENT for found in detect("panel", seen(list(panel.placed().meshes))))

@@ -24,7 +24,7 @@ _LEAST_CLEAR = 0.6
 _CLEAR_OF_NOISE = (0.7, 1.1)
 _HEIGHTS = (0.005, 0.06)
 _BESIDE = 0.08
-_BEHIND = 0.025
+_BEHIND, _ONWARD = 0.025, 0.05
 _WITHIN = 0.008
 _CLOSED = (0.85, 0.95)
 _REPORTED = 0.05
@@ -116,8 +116,14 @@ def _closed_share(face: Face, edges: _Edges, seen: FaceRays) -> float:
     """Of the rays that cross the face well within its edges, how many went no further: a panel has no gaps, while a
     plane through a few parts of something else has air between them."""
     within = ((seen.at > edges.low + _WITHIN) & (seen.at < edges.high - _WITHIN)).all(axis=1)
-    past = seen.ends[within, 2] < -max(3.0 * face.sigma, _BEHIND)
+    past = _went_past(face, seen)[within]
     return float(1.0 - past.mean()) if len(past) else 0.0
+
+
+def _went_past(face: Face, seen: FaceRays) -> Bool[np.ndarray, "N"]:
+    """Which rays went on behind the face: those that graze it get far behind its edge without getting deep."""
+    slope = -(seen.rays.direction @ face.frame[2])
+    return np.asarray(seen.ends[:, 2] < -np.maximum(3.0 * face.sigma, np.minimum(_BEHIND, _ONWARD * slope)))
 
 
 def _discs(face: Face, edges: _Edges, ends: Float[np.ndarray, "K 3"]) -> list[Disc]:
@@ -174,7 +180,7 @@ def _edges(face: Face, seen: FaceRays) -> _Edges:
     """Each side moved to where rays that ended on the face give way to rays that went past it."""
     low, high, known = face.low.copy(), face.high.copy(), []
     on = np.abs(seen.ends[:, 2]) < max(3.0 * face.sigma, 0.02)
-    past = seen.ends[:, 2] < -max(3.0 * face.sigma, _BEHIND)
+    past = _went_past(face, seen)
     for i in (0, 1):
         across = 1 - i
         middle = (seen.at[:, across] > 0.85 * low[across] + 0.15 * high[across]) & (
