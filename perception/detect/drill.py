@@ -13,7 +13,7 @@ from perception.clean import voxel_downsample
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.drill_shape import BODY_RADIUS, FOOT, Shape, about_up, meet, notch_open
-from perception.detect.footing import is_held
+from perception.detect.footing import support_share
 from perception.detect.sightlines import SightIndex, Sightlines, sight_index
 from perception.detect.supports import StandingCluster, dense_parts, standing_clusters
 from perception.view import View
@@ -33,7 +33,7 @@ _MOST_RAYS, _FEW_RAYS = 2000, 400
 _MOST_CLUSTERS, _MOST_FITS = 24, 6
 _OVER_SUPPORT = (0.015, 0.03)
 # What a drill stands on goes on beside its foot, on most sides.
-_BESIDE_FOOT, _FEWEST_BESIDE, _SUPPORTED = (0.02, 0.07), 5, (0.6, 0.85)
+_SUPPORTED = (0.6, 0.85)
 _MOST_POINTS = 200
 
 
@@ -52,8 +52,8 @@ def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     clusters = [part for one in standing_clusters(view) for part in _of_a_size(one)]
     if hint is not None:
         clusters = [one for one in clusters if np.linalg.norm(one.points.mean(axis=0) - hint) < _HINT_RADIUS]
-    clusters = [one for one in clusters if is_held(index, one)]
-    begun = sorted((_begin(index, one) for one in clusters[:_MOST_CLUSTERS]), key=lambda one: one.least_cost)
+    held = [(one, share) for one in clusters if (share := support_share(index, one)) > _SUPPORTED[0]]
+    begun = sorted((_begin(index, *one) for one in held[:_MOST_CLUSTERS]), key=lambda one: one.least_cost)
     found = [_finish(one, hint is not None) for one in begun[:_MOST_FITS]]
     return sorted((one for one in found if one.confidence > _REPORTED), key=lambda one: -one.confidence)
 
@@ -81,6 +81,7 @@ class _Begun:
 
     Attributes:
         cluster: what stands there.
+        supported: share of what was seen about its foot in which its support goes on.
         least: height over which a ray may have ended on it: what ended on its support passed beside it [m].
         rays: that pass it; ``few`` of them suffice to fit.
         starts: drills that look different ways, best first.
@@ -88,6 +89,7 @@ class _Begun:
     """
 
     cluster: StandingCluster
+    supported: float
     least: float
     rays: Sightlines
     few: Sightlines
@@ -95,7 +97,7 @@ class _Begun:
     least_cost: float
 
 
-def _begin(index: SightIndex, cluster: StandingCluster) -> _Begun:
+def _begin(index: SightIndex, cluster: StandingCluster, supported: float) -> _Begun:
     """Rays and starts of a fit."""
     places, _ = voxel_downsample(cluster.points, 0.05)
     rays = index.passing(places, 0.1).thinned(_MOST_RAYS)
@@ -105,7 +107,8 @@ def _begin(index: SightIndex, cluster: StandingCluster) -> _Begun:
     grip = float(np.clip(tall - 2.0 * FOOT[2] - 0.03 - BODY_RADIUS, 0.08, 0.17))
     costs = [(_cost(few, least, cluster.level, shape), shape) for shape in _starts(cluster, grip)]
     costs.sort(key=lambda one: one[0])
-    return _Begun(cluster, least, rays, few, tuple(_distinct([shape for _, shape in costs])[:3]), costs[0][0])
+    starts = tuple(_distinct([shape for _, shape in costs])[:3])
+    return _Begun(cluster, supported, least, rays, few, starts, costs[0][0])
 
 
 def _finish(begun: _Begun, is_hinted: bool) -> Detection:
@@ -159,18 +162,6 @@ def _over_support(rays: Sightlines, level: float) -> float:
     return float(np.clip(2.5 * noise, *_OVER_SUPPORT))
 
 
-def _supported(begun: _Begun, shape: Shape) -> float:
-    """Of the rays that reach the height of the support right beside the foot, the share that went no deeper."""
-    rays, level = begun.rays, begun.cluster.level
-    slope = np.minimum(rays.direction[:, 2], -1e-6)
-    crossing = rays.start + ((level - rays.start[:, 2]) / slope)[:, None] * rays.direction
-    beside = np.abs((crossing - (shape.x, shape.y, level)) @ about_up(-shape.yaw).T)[:, :2] - (FOOT[0], FOOT[1])
-    near = (beside.max(axis=1) > _BESIDE_FOOT[0]) & (beside.max(axis=1) < _BESIDE_FOOT[1])
-    height = rays.ends[:, 2] - level
-    reached = near & (rays.direction[:, 2] < -0.05) & (height < _OVER_SUPPORT[1])
-    return float((height > -_OVER_SUPPORT[1])[reached].mean()) if reached.sum() >= _FEWEST_BESIDE else 1.0
-
-
 def _may_end(rays: Sightlines, least: float) -> Bool[np.ndarray, "N"]:
     return np.asarray(rays.start[:, 2] + rays.length * rays.direction[:, 2] > least)
 
@@ -199,7 +190,6 @@ def _judged(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
     notch_open_share, notch_seen = notch_open(rays, shape, cluster.level)
     hit = ended & inside & (np.abs(gap) < _NEAR)
     rms = float(np.sqrt(np.mean(gap[hit] ** 2))) if hit.any() else float("inf")
-    supported = _supported(begun, shape)
     known = rising(float(notch_seen), 3.0, 12.0)
     value = (
         rising(solid, 0.7, 0.9)
@@ -209,7 +199,7 @@ def _judged(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
             + (1.0 - known) * (_UNSEEN_HINTED if is_hinted else _UNSEEN_NOTCH)
         )
         * rising(-rms, -0.02, -0.014)
-        * rising(supported, *_SUPPORTED)
+        * rising(begun.supported, *_SUPPORTED)
         * rising(float(hit.sum()), 15.0, 60.0)
     )
     foot = 2.0 * FOOT[2]
@@ -223,7 +213,7 @@ def _judged(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
         "explained_share": explained,
         "notch_open_share": notch_open_share,
         "n_notch_rays": float(notch_seen),
-        "supported_share": supported,
+        "supported_share": begun.supported,
     }
     points = rays.ends[hit]
     confidence = float(value**0.7 if is_hinted else value)

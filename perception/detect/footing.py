@@ -12,22 +12,18 @@ _FOOT_HEIGHT = 0.05
 _BESIDE = (0.015, 0.06)
 _OVER, _UNDER = 0.018, 0.03
 _LEAST_FALL = 0.05
-_LEAST_HELD, _FEWEST = 0.3, 4
+_FEWEST = 4
 
 
-def is_held(index: SightIndex, cluster: StandingCluster) -> bool:
-    """Whether the surface is about its foot as far as that was seen: rays beside a leg or a post go on below.
+def support_share(index: SightIndex, cluster: StandingCluster) -> float:
+    """Of the rays that come down to its level right beside its foot, the share that ended there; 1 where few did.
+
+    Rays beside a leg or a post go on below.
 
     Args:
         index: all rays of the scan.
         cluster: with the level it seems to stand on.
     """
-    share, n_rays = support_share(index, cluster)
-    return n_rays < _FEWEST or share > _LEAST_HELD
-
-
-def support_share(index: SightIndex, cluster: StandingCluster) -> tuple[float, int]:
-    """Of the rays that come down to its level right beside its foot, how many ended there, and how many there were."""
     foot = cluster.points[cluster.points[:, 2] < cluster.level + _FOOT_HEIGHT, :2]
     centre = foot.mean(axis=0)
     reach = float(np.linalg.norm(foot - centre, axis=1).max()) + _BESIDE[1]
@@ -36,8 +32,8 @@ def support_share(index: SightIndex, cluster: StandingCluster) -> tuple[float, i
     height = rays.ends[:, 2] - cluster.level
     rays, height = rays.selected(height < _OVER), height[height < _OVER]
     if not len(rays):
-        return 0.0, 0
+        return 1.0
     crossing = (cluster.level - rays.start[:, 2]) / rays.direction[:, 2]
     beside, _ = cKDTree(foot).query(rays.start[:, :2] + crossing[:, None] * rays.direction[:, :2])
     height = height[(beside > _BESIDE[0]) & (beside < _BESIDE[1])]
-    return float((height > -_UNDER).mean()) if len(height) else 0.0, len(height)
+    return float((height > -_UNDER).mean()) if len(height) >= _FEWEST else 1.0
