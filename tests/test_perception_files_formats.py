@@ -6,6 +6,7 @@ import struct
 from collections.abc import Sequence
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 from cloud_files import CLOUD, cloud_message, las_bytes, write_bag, write_e57
@@ -44,6 +45,39 @@ def test_what_las_marks_as_withheld_or_noise_is_left_out(is_compressed: bool) ->
     scan = read_las(las_bytes(POINTS, is_compressed=is_compressed, withheld=withheld, classification=classes), "a.las")
     np.testing.assert_allclose(scan.points, POINTS[10:280], atol=2e-9)
     assert scan.notes == ("left out 30 points marked as withheld or noise",)
+
+
+FEET = 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925199433]],UNIT["US survey foot",0.304800609601219]]'
+METRES = 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925199433]],UNIT["metre",1,AUTHORITY["EPSG","9001"]]]'
+
+
+@pytest.mark.parametrize(
+    ("words", "unit"),
+    [
+        (FEET, "ft"),
+        (METRES, "m"),
+        ('GEOGCS["b",UNIT["degree",0.0174532925199433]]', ""),
+        (f'COMPD_CS["c",{METRES},VERT_CS["d",UNIT["foot",0.3048]]]', ""),
+        ('LOCAL_CS["mine",UNIT["fathom",1.8288]]', ""),
+        ('LOCAL_CS["mine",UNIT["lie",1e-e]]', ""),
+    ],
+)
+def test_the_unit_of_a_las_is_that_of_its_coordinate_system(words: str, unit: str) -> None:
+    assert read_las(las_bytes(POINTS, crs=laspy.vlrs.known.WktCoordinateSystemVlr(words)), "a.las").unit == unit
+
+
+@pytest.mark.parametrize(("code", "unit"), [(9001, "m"), (9002, "ft"), (9003, "ft"), (9036, "")])
+def test_the_unit_of_a_las_may_be_a_key(code: int, unit: str) -> None:
+    keys = laspy.vlrs.known.GeoKeyDirectoryVlr()
+    keys.parse_record_data(struct.pack("<8H", 1, 1, 0, 1, 3076, 0, 1, code))
+    assert read_las(las_bytes(POINTS, crs=keys), "a.las").unit == unit
+
+
+def test_a_las_in_feet_that_is_read_as_metres_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    path.write_bytes(las_bytes(POINTS, crs=laspy.vlrs.known.WktCoordinateSystemVlr(FEET)))
+    assert read_cloud(path).notes[0] == "its header says ft, but it was read as m: give the unit ft"
+    assert not any("its header says" in note for note in read_cloud(path, unit="ft").notes)
 
 
 def patched(content: bytes, at: int, kind: str, value: int) -> bytes:
@@ -185,6 +219,45 @@ def test_a_bag_without_clouds_lists_what_it_has(tmp_path: Path) -> None:
     write_bag(tmp_path / "quiet", {"/points": []})
     with pytest.raises(CloudError, match="has no message 0; it has 0"):
         parse_file(tmp_path / "quiet")
+
+
+def test_a_message_without_points_is_told_or_merged(tmp_path: Path) -> None:
+    path = bag(tmp_path, (POINTS[:0], "lidar"), (POINTS, "lidar"))
+    with pytest.raises(CloudError, match="message 0 of 2 holds no points; another one, or all, would do"):
+        read_cloud(path)
+    np.testing.assert_allclose(read_cloud(path, message="all").points, POINTS, atol=1e-6)
+    (tmp_path / "none").mkdir()
+    with pytest.raises(CloudError, match="its 1 messages hold no points; at least one is needed"):
+        read_cloud(bag(tmp_path / "none", (POINTS[:0], "lidar")))
+
+
+def test_a_bag_without_its_metadata_names_the_files_in_it(tmp_path: Path) -> None:
+    path = bag(tmp_path, (POINTS, "lidar"))
+    (path / "metadata.yaml").unlink()
+    with pytest.raises(CloudError, match=r"is a folder without metadata.yaml; a file in it would do: bag.mcap"):
+        read_cloud(path)
+
+
+def test_a_recording_that_was_cut_off_is_told_with_what_mends_it(tmp_path: Path) -> None:
+    path = next(bag(tmp_path, (POINTS, "lidar")).glob("*.mcap"))
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(CloudError, match="its recording was cut off, it seems; 'mcap recover' makes it whole again"):
+        read_cloud(path)
+    ros1_bag(tmp_path / "old.bag", [POINTS, POINTS])
+    whole = (tmp_path / "old.bag").read_bytes()
+    (tmp_path / "old.bag").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CloudError, match="its recording was cut off, it seems; 'rosbag reindex' makes it whole again"):
+        read_cloud(tmp_path / "old.bag")
+
+
+def test_packed_messages_outside_of_their_bag_are_told(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import CompressionMode
+
+    write_bag(tmp_path / "bag", {"/points": [(POINTS, "lidar")]}, "sqlite3", CompressionMode.MESSAGE)
+    np.testing.assert_allclose(read_cloud(tmp_path / "bag").points, POINTS, atol=1e-6)
+    with pytest.raises(CloudError, match=r"its messages are compressed, .* give the bag's folder"):
+        read_cloud(next((tmp_path / "bag").glob("*.db3")))
 
 
 def test_topic_and_message_go_with_bags_alone(tmp_path: Path) -> None:

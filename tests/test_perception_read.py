@@ -193,7 +193,7 @@ def test_ply_lists_may_stand_before_the_vertices_and_in_them(form: str) -> None:
         rows["x"], rows["n"], rows["yz"] = points[:, 0], 2, points[:, 1:]
         body = faces.tobytes() + rows.tobytes()
         rows["n"][1] = 1
-        with pytest.raises(CloudError, match="element vertex has lists of differing lengths; put vertices first"):
+        with pytest.raises(CloudError, match="element vertex has lists of differing lengths; leave out seen"):
             read_ply(header + faces.tobytes() + rows.tobytes(), "a.ply")
     np.testing.assert_array_equal(read_ply(header + body, "a.ply").points, points)
 
@@ -203,6 +203,24 @@ def test_lines_may_end_in_carriage_returns_alone() -> None:
     pcd = pcd_header(DATA="ascii") + b"1 2 3\n4 5 6\n"
     for read, content in ((read_ply, ply), (read_pcd, pcd), (read_text, b"x,y,z\n1,2,3\n4,5,6\n")):
         np.testing.assert_array_equal(read(content.replace(b"\n", b"\r"), "a").points, [[1, 2, 3], [4, 5, 6]])
+
+
+def test_a_binary_ply_may_have_a_header_with_carriage_returns_alone() -> None:
+    header = PLY.format(form="binary_little_endian", n=2, kind="float z")
+    rows = np.array([[1, 2, 3], [4, 5, 6]], "<f4")
+    for end in ("\r", "\r\n"):
+        scan = read_ply(header.replace("\n", end).encode() + rows.tobytes(), "a.ply")
+        np.testing.assert_array_equal(scan.points, rows)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
+def test_a_mesh_that_is_read_as_a_cloud_is_told(form: str) -> None:
+    header = PLY.format(form=form, n=1, kind="float z").replace(
+        "end_header", "element face 12\nproperty list uchar int vertex_indices\nend_header"
+    )
+    row = b"1 2 3\n" if form == "ascii" else np.array([1, 2, 3], ">f4").tobytes()
+    notes = read_ply(header.encode() + row, "a.ply").notes
+    assert notes == ("holds a mesh, of whose 12 faces only the corners are read; give a known object as a mesh",)
 
 
 PLY = "ply\nformat {form} 1.0\nelement vertex {n}\nproperty float x\nproperty float y\nproperty {kind}\nend_header\n"
@@ -275,6 +293,8 @@ def test_text_round_trip_with_any_separator_and_header(points, mark, header) -> 
         ("1,2,3,4,5,6.5\n1,2,3,4,5,6\n", [[1, 2, 3], [1, 2, 3]]),
         ("1,2,3\n4,,6\n7,8,9\n", [[1, 2, 3], [4, np.nan, 6], [7, 8, 9]]),
         ("x;y;z;what\n1,5;2;3;car\n", [[1.5, 2, 3]]),
+        ("//X Y Z Original cloud index\n1 2 3 0\n", [[1, 2, 3]]),
+        ("x;y;z;;\n1;2;3;;;\n4;5;6;;;\n", [[1, 2, 3], [4, 5, 6]]),
         ("X [m],Y [m],Z (m)\r\n1,2,3\r\n", [[1, 2, 3]]),
         ("\ufeff1\t2\t3\n", [[1, 2, 3]]),
         ("1 2 3\r4 5 6\r", [[1, 2, 3], [4, 5, 6]]),
@@ -326,6 +346,9 @@ def test_a_table_may_begin_with_a_byte_order_mark(encoding: str) -> None:
         ("5\n6\n", "line 2 has 1 columns; at least 3"),
         ("1,2,\ufffd\x07\ufffd\ufffd\n", "line 1: '.' is not a number"),
         ("# viewpoint a b\n1 2 3\n", "viewpoint 'a b'"),
+        ("x y z\n1 0.1 0.2 0.3\n", "line 2 has 4 columns, the header names 3; one name for each"),
+        ('x,y,z\n"1,017.5","2.5","3.5"\n', "line 2 has 4 columns, the header names 3"),
+        ("GPS time X Y Z I\n0 1 2 3 4\n", "line 2 has 5 columns, the header names 6"),
     ],
 )
 def test_a_wrong_table_is_refused_naming_the_line(text: str, says: str, tmp_path: Path) -> None:
@@ -439,10 +462,15 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.pcd").touch()
     (tmp_path / "folder.ply").mkdir()
     (tmp_path / "cloud.obj").write_bytes(b"v 1 2 3")
+    (tmp_path / "cloud.bin").write_bytes(b"1 2 3")
+    (tmp_path / "cloud").write_bytes(b"1 2 3")
     for name, says in [
         ("empty.pcd", "is empty"),
         ("folder.ply", "is a folder"),
-        ("cloud.obj", "suffix '.obj' is unknown; one of .pcd, .ply"),
+        ("cloud.obj", "suffix '.obj' is that of a mesh, no cloud; one of .pcd, .ply"),
+        ("cloud.bin", "suffix '.bin' is unknown; one of .pcd, .ply"),
+        ("cloud", "has no suffix; one of .pcd, .ply"),
+        ("absent.dat", "No such file"),
         ("absent.pcd", "No such file"),
     ]:
         with pytest.raises(CloudError, match=says):
@@ -461,12 +489,15 @@ def test_a_file_is_read_as_what_it_holds_whatever_its_name_says(tmp_path: Path) 
         (las_bytes(points), ".xyz", "LAS", 3),
         (npz(points=points), ".npy", "NPZ", 3),
         (npz(points=points), ".txt", "NPZ", 3),
+        (pcd, ".dat", "PCD", 3),
     ]:
         path = tmp_path / f"named{suffix}"
         path.write_bytes(content)
         scan = parse_file(path)
         assert len(scan.points) == n_points
-        assert scan.notes == (f"holds a {kind} file, and is read as one though its name ends in {suffix}",)
+        assert scan.notes == (
+            f"holds {'an' if kind == 'NPZ' else 'a'} {kind} file, and is read as one though its name ends in {suffix}",
+        )
     assert parse_file(tmp_path / "a.pcd").notes == ()
     (tmp_path / "a.laz").write_bytes(las_bytes(points))
     assert parse_file(tmp_path / "a.laz").notes == ()
@@ -479,7 +510,11 @@ def test_a_file_is_read_as_what_it_holds_whatever_its_name_says(tmp_path: Path) 
         (b"\x89PNG\r\n\x1a\n\0", ".pcd", "is a PNG picture; one of .pcd"),
         (b"\x1f\x8b\x08\0", ".xyz", "is a gzip archive; unpack it; one of"),
         (b"\x89MCAP0\r\n\0", ".csv", "holds a bag; a name that ends in .mcap would do"),
-        (b"\x89MCAP0\r\n\0", ".bag", "holds a MCAP file; a name that ends in .mcap would do"),
+        (b"\x1f\x8b\x08\0", ".gz", "is a gzip archive; unpack it; one of"),
+        (b"\x1f\x8b\x08\0", ".mcap", "is a gzip archive; unpack it; one of .mcap"),
+        (b"\x28\xb5\x2f\xfd", ".zstd", "is a zstd archive; unpack it; one of"),
+        (b"#ROSBAG V2.0\n", ".active", "holds a bag; a name that ends in .bag would do"),
+        (b"\x89MCAP0\r\n\0", ".bag", "holds an MCAP file; a name that ends in .mcap would do"),
         (b"#ROSBAG V2.0\n", ".db3", "holds a BAG file; a name that ends in .bag would do"),
         (b"\x07\0\x01\x02\x03", ".txt", "begins with the bytes 07 00 01 02 and is no text"),
     ],
@@ -489,6 +524,13 @@ def test_what_holds_no_cloud_is_named(tmp_path: Path, content: bytes, suffix: st
     path.write_bytes(content)
     with pytest.raises(CloudError, match=says):
         parse_file(path)
+
+
+@pytest.mark.parametrize("suffix", ["asc", "pts", "xyzn", "xyzi", "xyzrgb"])
+def test_text_of_other_names_is_read(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"cloud.{suffix}"
+    path.write_text("2\n1 2 3 0 0 1\n4 5 6 0 0 1\n")
+    np.testing.assert_array_equal(parse_file(path).points, [[1, 2, 3], [4, 5, 6]])
 
 
 def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:

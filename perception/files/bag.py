@@ -20,6 +20,13 @@ if TYPE_CHECKING:
 Message = int | Literal["all"]
 
 _TYPE = "sensor_msgs/msg/PointCloud2"
+_PACKED = b"\x28\xb5\x2f\xfd"  # as a zstd frame begins; no message does
+# What the reader says of a file without its end, and what mends that.
+_CUT_OFF = {
+    "File end magic is invalid": "mcap recover",
+    "Bag is not indexed": "rosbag reindex",
+    "Bag index looks damaged": "rosbag reindex",
+}
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
@@ -29,6 +36,18 @@ def read_bag(path: Path, name: str, topic: str | None, message: Message) -> Scan
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
+    try:
+        return _read(path, name, topic, message)
+    except CloudError:
+        raise
+    except Exception as error:  # of the reader's several kinds
+        remedy = next((tool for words, tool in _CUT_OFF.items() if words in str(error)), "")
+        if not remedy:
+            raise
+        raise CloudError(f"{name}: its recording was cut off, it seems; '{remedy}' makes it whole again") from None
+
+
+def _read(path: Path, name: str, topic: str | None, message: Message) -> Scan:
     from rosbags.rosbag1 import Reader as Reader1  # optional
     from rosbags.rosbag2 import Reader as Reader2
     from rosbags.typesys import Stores, get_typestore
@@ -40,7 +59,7 @@ def read_bag(path: Path, name: str, topic: str | None, message: Message) -> Scan
         connections = _of_topic(reader.connections, topic, name)
         where = f"{name}: topic {shown(connections[0].topic)}"
         n_messages = sum(int(connection.msgcount) for connection in connections)
-        raw = (bytes(data) for _, _, data in reader.messages(connections=connections))
+        raw = (_plain(bytes(data), where) for _, _, data in reader.messages(connections=connections))
         clouds = (read(data, _TYPE) for data in _wanted(raw, message, n_messages, where))
         return _merged(clouds, message, n_messages, where)
 
@@ -71,6 +90,17 @@ def _wanted(raw: Iterator[bytes], message: Message, n_messages: int, where: str)
     yield chosen
 
 
+def _plain(data: bytes, where: str) -> bytes:
+    """The message, which a reader has unpacked where the bag says that its messages are packed.
+
+    Raises:
+        CloudError: it is packed still.
+    """
+    if data.startswith(_PACKED):
+        raise CloudError(f"{where}: its messages are compressed, as only metadata.yaml can say; give the bag's folder")
+    return data
+
+
 def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str) -> Scan:
     scans, frames = [], set()
     for cloud in clouds:
@@ -85,6 +115,10 @@ def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str
             )
     if not scans:
         raise CloudError(f"{where}: holds no message; at least one is needed")
+    if not any(len(scan.points) + len(scan.misses) for scan in scans):
+        if message == "all" or n_messages == 1:
+            raise CloudError(f"{where}: its {len(scans)} messages hold no points; at least one is needed")
+        raise CloudError(f"{where}: message {message} of {n_messages} holds no points; another one, or all, would do")
     notes = [
         f"the points are in the frame '{frames.pop()}' with the sensor at its origin; transforms recorded in the "
         "bag are not read, only one that is given with it"
@@ -105,10 +139,12 @@ def _scan(cloud: Any, where: str) -> Scan:
     """Rows of one PointCloud2."""
     width, height, stride, row = (int(n) for n in (cloud.width, cloud.height, cloud.point_step, cloud.row_step))
     n_points, there = width * height, int(cloud.data.nbytes)
+    if not n_points:
+        return Scan(np.zeros((0, 3)))
     if n_points > MAX_POINTS:
         raise CloudError(f"{where}: a message announces {n_points} points; at most {MAX_POINTS} are read")
     row = max(row, width * stride)
-    if height and (height - 1) * row + width * stride > there:
+    if (height - 1) * row + width * stride > there:
         raise CloudError(f"{where}: {n_points} points of {stride} bytes are announced, {there} bytes are there")
     found = places([str(field.name) for field in cloud.fields])
     if missing := missing_coordinate(found):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,12 @@ _NOISE_CLASSES = (7, 18)
 # Variable length records: where the header says how many there are, and how long each is at least.
 _N_RECORDS_AT = 100
 _RECORD_BYTES = 54
+# Lengths in a coordinate system: a key of GeoTIFF, or words of OGC 01-009, where degrees stand beside them.
+_LINEAR_UNITS = 3076
+_UNIT_BY_CODE = {9001: "m", 9002: "ft", 9003: "ft"}
+_UNIT_BY_METRES = {1.0: "m", 0.3048: "ft"}
+_UNIT_IN_WORDS = re.compile(r'UNIT\s*\[\s*"[^"]*"\s*,\s*([0-9.eE+-]+)')
+_DEGREE = 0.0174533
 
 
 def read_las(data: Content, name: str) -> Scan:
@@ -47,6 +54,7 @@ def read_las(data: Content, name: str) -> Scan:
     )
     with source as reader:
         n_points = _checked_count(reader.header, len(data), name)
+        unit = _unit(reader.header)
         step, n_read, chunks = step_of(n_points), 0, []
         for chunk in reader.chunk_iterator(_CHUNK):
             chunks.append(_valid_points(chunk, taken(len(chunk), step, n_read)))
@@ -56,7 +64,33 @@ def read_las(data: Content, name: str) -> Scan:
     if n_read < n_points:
         raise CloudError(f"{name}: {n_points} points are announced, {n_read} are there")
     notes = (f"left out {n_dropped} points marked as withheld or noise",) if n_dropped else ()
-    return Scan(points, notes=(*thinning_note(n_points, step), *notes))
+    return Scan(points, notes=(*thinning_note(n_points, step), *notes), unit=unit)
+
+
+def _unit(header: Any) -> str:
+    """Of lengths, where the coordinate system says one that is known; feet of the survey differ by 2e-6."""
+    units: set[str] = set()
+    for record in header.vlrs:
+        words = getattr(record, "string", None)
+        if isinstance(words, str):
+            units.update(_unit_of(number) for number in _UNIT_IN_WORDS.findall(words))
+        units.update(
+            _UNIT_BY_CODE.get(k.value_offset, "?") for k in getattr(record, "geo_keys", ()) if k.id == _LINEAR_UNITS
+        )
+    units.discard("")
+    unit = units.pop() if len(units) == 1 else ""
+    return unit.removesuffix("?")
+
+
+def _unit_of(number: str) -> str:
+    """The unit of so many metres; empty where it is that of angles, ``?`` where none that is known."""
+    try:
+        metres = float(number)
+    except ValueError:
+        return "?"
+    if abs(metres - _DEGREE) < 1e-4:
+        return ""
+    return next((unit for known, unit in _UNIT_BY_METRES.items() if abs(metres - known) < 1e-5), "?")
 
 
 def _checked_count(header: Any, n_bytes: int, name: str) -> int:

@@ -18,7 +18,7 @@ from perception.files.npz import read_npy, read_npz
 from perception.files.pcd import read_pcd
 from perception.files.ply import read_ply
 from perception.files.scan import Scan
-from perception.files.sniffing import HEAD_BYTES, binary_start, kind_of, other_kind_of
+from perception.files.sniffing import HEAD_BYTES, a_file, binary_start, kind_of, other_kind_of
 from perception.files.table import read_text
 from perception.files.thinning import bounded
 from perception.limits import MAX_FILE_BYTES
@@ -26,9 +26,7 @@ from perception.limits import MAX_FILE_BYTES
 _READERS: dict[str, Callable[[Content, str], Scan]] = {
     ".pcd": read_pcd,
     ".ply": read_ply,
-    ".xyz": read_text,
-    ".txt": read_text,
-    ".csv": read_text,
+    **dict.fromkeys((".xyz", ".txt", ".csv", ".asc", ".pts", ".xyzn", ".xyzi", ".xyzrgb"), read_text),
     ".npz": read_npz,
     ".npy": read_npy,
     ".las": read_las,
@@ -36,6 +34,7 @@ _READERS: dict[str, Callable[[Content, str], Scan]] = {
 }
 _BAGS = (".mcap", ".db3", ".bag")
 _BAG_FOLDER_HAS = "metadata.yaml"
+_MESHES = (".stl", ".obj", ".dae", ".off", ".glb", ".gltf")
 SUFFIXES = (*_READERS, ".e57", *_BAGS)
 
 # Where the optional library of a kind is missing: what to install.
@@ -58,9 +57,6 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
     is_bag = suffix in _BAGS or (path / _BAG_FOLDER_HAS).is_file()
     if not is_bag and (topic is not None or message != 0):
         raise CloudError(f"{path}: is no bag, so it has no topic and message; leave them out")
-    if not is_bag and suffix not in SUFFIXES:
-        kind = f"suffix '{path.suffix}' is unknown" if not path.is_dir() else "is a folder"
-        raise CloudError(f"{path}: {kind}; one of {', '.join(SUFFIXES)} or the folder of a ROS 2 bag is needed")
     try:
         with np.errstate(all="ignore"):  # damaged numbers overflow; what is too large to be a place is dropped later
             if is_bag:
@@ -68,6 +64,8 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
                 if path.is_file():
                     _check_bag(path, suffix)
                 return read_bag(path, str(path), topic, message)
+            if path.is_dir():
+                raise CloudError(f"{path}: {_of_folder(path)}")
             _check_file(path, MAX_FILE_BYTES)
             kind, notes = _kind(path, suffix)
             scan = read_e57(path, str(path)) if kind == ".e57" else _READERS[kind](content_of(path), str(path))
@@ -84,34 +82,58 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
         raise CloudError(f"{path}: is damaged, or no {suffix.removeprefix('.') or 'bag'} file ({words})") from None
 
 
+def _of_folder(path: Path) -> str:
+    """What is wrong with a folder that is no bag, and what would do."""
+    try:
+        recorded = sorted(one.name for one in path.iterdir() if one.suffix.lower() in _BAGS)
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    if recorded:
+        return f"is a folder without {_BAG_FOLDER_HAS}; a file in it would do: {shown(', '.join(recorded))}"
+    return f"is a folder; one of {', '.join(SUFFIXES)} or the folder of a ROS 2 bag is needed"
+
+
 def _check_bag(path: Path, suffix: str) -> None:
     """Raises: CloudError: what a bag's name promises is not what the file holds."""
     with path.open("rb") as file:
-        held = kind_of(file.read(HEAD_BYTES))
+        head = file.read(HEAD_BYTES)
+    held = kind_of(head)
     if held and held != suffix:
-        raise CloudError(f"{path}: holds a {held.removeprefix('.').upper()} file; a name that ends in {held} would do")
+        raise CloudError(f"{path}: holds {a_file(held)}; a name that ends in {held} would do")
+    if other := other_kind_of(head):
+        raise CloudError(f"{path}: is {other}; one of {', '.join(_BAGS)} is needed")
 
 
 def _kind(path: Path, suffix: str) -> tuple[str, tuple[str, ...]]:
     """The kind of file this is by what it holds, and what to tell when its name says something else.
 
     Raises:
-        CloudError: it is a bag of another name, or no text though it is named so.
+        CloudError: it is a bag of another name, no text though it is named so, or of a kind that is not read.
     """
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     held = kind_of(head)
     if held and _READERS.get(held, held) != _READERS.get(suffix, suffix):
-        what = held.removeprefix(".").upper()
         if held in _BAGS:
             raise CloudError(f"{path}: holds a bag; a name that ends in {held} would do")
-        return held, (f"holds a {what} file, and is read as one though its name ends in {path.suffix}",)
+        named = f"ends in {path.suffix}" if path.suffix else "has no ending"
+        return held, (f"holds {a_file(held)}, and is read as one though its name {named}",)
     reader = _READERS.get(suffix)
     if reader is not read_npz and (other := other_kind_of(head)):
         raise CloudError(f"{path}: is {other}; one of {', '.join(SUFFIXES)} is needed")
     if reader is read_text and (start := binary_start(head)):
         raise CloudError(f"{path}: begins with the bytes {start} and is no text; a table of numbers is needed")
+    if suffix not in SUFFIXES:
+        raise CloudError(
+            f"{path}: {_of_suffix(path)}; one of {', '.join(SUFFIXES)} or the folder of a ROS 2 bag is needed"
+        )
     return suffix, ()
+
+
+def _of_suffix(path: Path) -> str:
+    if path.suffix.lower() in _MESHES:
+        return f"suffix '{path.suffix}' is that of a mesh, no cloud"
+    return f"suffix '{path.suffix}' is unknown" if path.suffix else "has no suffix"
 
 
 def _check_file(path: Path, max_bytes: int | None) -> None:

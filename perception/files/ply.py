@@ -55,28 +55,40 @@ def read_ply(data: Content, name: str) -> Scan:
     data = with_line_feeds(data, b"format ascii")
     lines, start = _header_lines(data, name)
     order = _byte_order(lines, name)
-    before, vertex = _split_at_vertex(_parse_elements(lines, name), name)
+    elements = _parse_elements(lines, name)
+    before, vertex = _split_at_vertex(elements, name)
     found = places([field for field, _ in vertex.properties])
     if missing := missing_coordinate(found):
         raise CloudError(f"{name}: element vertex has no property '{missing}'; x, y and z are needed")
     viewpoint = _viewpoint(lines, name)
     if order is None:
         rows = _ascii_rows(data, start, sum(e.count for e in before), vertex, found, name)
-        return scan_of({key: rows.values[:, i] for i, key in enumerate(found)}, viewpoint, rows.notes)
+        notes = (*_mesh_note(elements), *rows.notes)
+        return scan_of({key: rows.values[:, i] for i, key in enumerate(found)}, viewpoint, notes)
     for element in before:
         start += _table(data, start, element, order, name).nbytes
     table = _table(data, start, vertex, order, name)
     step = step_of(vertex.count)
     taken_rows = taken(vertex.count, step)
     columns = {key: table[str(i)][taken_rows] for key, i in found.items()}
-    return scan_of(columns, viewpoint, thinning_note(vertex.count, step))
+    return scan_of(columns, viewpoint, (*_mesh_note(elements), *thinning_note(vertex.count, step)))
+
+
+def _mesh_note(elements: list[_Element]) -> tuple[str, ...]:
+    """What to tell of a mesh, whose corners are no scan of its faces."""
+    n_faces = sum(element.count for element in elements if element.name in ("face", "tristrips"))
+    if not n_faces:
+        return ()
+    return (f"holds a mesh, of whose {n_faces} faces only the corners are read; give a known object as a mesh",)
 
 
 def _header_lines(data: Content, name: str) -> tuple[list[list[str]], int]:
     if data[:3] != b"ply":
         raise CloudError(f"{name}: does not begin with 'ply'")
     end = data.find(b"end_header", 0, _HEADER_LIMIT)
-    newline = data.find(b"\n", end)
+    # Lines end as the first one does: in a line feed, perhaps after a carriage return, or in the latter alone.
+    mark = b"\r" if data[3:4] == b"\r" and data[4:5] != b"\n" else b"\n"
+    newline = data.find(mark, end)
     if end < 0 or newline < 0:
         raise CloudError(f"{name}: no end_header in the first {_HEADER_LIMIT} bytes")
     return [line.split() for line in data[:end].decode("latin-1").splitlines()[1:] if line.split()], newline + 1
@@ -160,9 +172,16 @@ def _table(data: Content, start: int, element: _Element, order: str, name: str) 
     for field in dtype.names or ():
         if field.endswith("length") and (table[field] != table[field][:1]).any():
             raise CloudError(
-                f"{name}: element {shown(element.name)} has lists of differing lengths; put vertices first"
+                f"{name}: element {shown(element.name)} has lists of differing lengths; {_remedy(element)}"
             )
     return table
+
+
+def _remedy(element: _Element) -> str:
+    """What would do where the lists of an element differ in length."""
+    if element.name != "vertex":
+        return "put vertices first"
+    return f"leave out {shown(', '.join(name for name, kind in element.properties if ' ' in kind))}"
 
 
 def _viewpoint(lines: list[list[str]], name: str) -> tuple[float, ...] | None:

@@ -29,6 +29,12 @@ def kind_of(head: bytes) -> str:
     return kind
 
 
+def a_file(suffix: str) -> str:
+    """``a PLY file``, ``an E57 file``: a kind of file as a sentence names it."""
+    name = suffix.removeprefix(".").upper()
+    return f"{'an' if name[0] in 'EMN' else 'a'} {name} file"
+
+
 def other_kind_of(head: bytes) -> str:
     """What a file is that begins so, if that is a known kind of file without a cloud; else empty."""
     return next((words for magic, words in _OTHERS if head.startswith(magic)), "")

@@ -67,12 +67,31 @@ def read_text(data: Content, name: str) -> Scan:
         start=at,
         separator=separator,
         has_decimal_commas=has_decimal_commas,
-        width=header.width if header and fits(cells, header.width) else None,
+        width=_width(header, cells, name, n_lines + 1) if header else None,
         first_line=n_lines + 1,
     )
     columns = {key: rows.values[:, i] for i, key in enumerate(header.columns if header else COORDINATES)}
     notes = ("commas are read as decimal points", *rows.notes) if has_decimal_commas else rows.notes
     return replace(scan_of(columns, viewpoint, notes), unit=header.unit if header else "")
+
+
+def _width(header: Header, cells: Sequence[str], name: str, number: int) -> int | None:
+    """How many columns the rows have, where the header says it; None where names with blanks in them hide it.
+
+    Raises:
+        CloudError: which columns the names stand for cannot be told.
+    """
+    if fits(cells, header.width):
+        return header.width
+    if not any(cells[header.width :]) and len(cells) > header.width:  # a sheet's empty columns
+        return None
+    is_first = sorted(header.columns.values()) == list(range(len(header.columns)))
+    if len(cells) < header.width and is_first:  # only names after those that are read can be of several words
+        return None
+    raise CloudError(
+        f"{name}: line {number} has {len(cells)} columns, the header names {header.width}; one name for each, without "
+        "blanks, would do"
+    )
 
 
 def _separation(line: str) -> tuple[str | None, bool]:

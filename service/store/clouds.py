@@ -21,7 +21,8 @@ from service.store.folder import PARTIAL, HeldFolder
 
 # Kinds of one file each (perception.files reads folders too), spelt out: the front of a server loads no readers.
 CLOUD_SUFFIXES = (
-    ".pcd", ".ply", ".xyz", ".txt", ".csv", ".npz", ".npy", ".las", ".laz", ".e57", ".mcap", ".db3", ".bag",
+    ".pcd", ".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".xyzn", ".xyzi", ".xyzrgb", ".npz", ".npy", ".las", ".laz",
+    ".e57", ".mcap", ".db3", ".bag",
 )  # fmt: skip
 UPLOAD_SUFFIXES = (*CLOUD_SUFFIXES, ".json")  # a cloud, or a scene that was made of one
 CLOUD_ID = re.compile(rf"sha256:[0-9a-f]{{64}}({'|'.join(re.escape(suffix) for suffix in UPLOAD_SUFFIXES)})")

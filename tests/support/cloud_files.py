@@ -12,13 +12,20 @@ import numpy as np
 CLOUD = "sensor_msgs/msg/PointCloud2"
 
 
-def las_bytes(points: np.ndarray, *, is_compressed: bool = False, scale: float = 0.001, **columns: np.ndarray) -> bytes:
-    """A LAS 1.2 file with the points rounded to ``scale``; ``columns`` such as ``withheld`` or ``classification``."""
+def las_bytes(
+    points: np.ndarray, *, is_compressed: bool = False, scale: float = 0.001, crs: Any = None, **columns: np.ndarray
+) -> bytes:
+    """A LAS 1.2 file with the points rounded to ``scale``, and the record ``crs`` of its coordinate system.
+
+    ``columns`` are such as ``withheld`` or ``classification``.
+    """
     import laspy
 
     header = laspy.LasHeader(point_format=3, version="1.2")
     header.scales = np.full(3, scale)
     header.offsets = np.floor(points.min(axis=0))
+    if crs is not None:
+        header.vlrs.append(crs)
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
     for name, values in columns.items():
