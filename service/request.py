@@ -28,6 +28,7 @@ from service.request_fields import (
     Point,
     Quaternion,
     Section,
+    at_most,
     exactly_one,
     repeated,
 )
@@ -46,7 +47,7 @@ class RobotRequest(Section):
     name: Label | None = None
     urdf: FilePath | None = None
     srdf: FilePath | None = None
-    package_dirs: Annotated[tuple[FilePath, ...], Field(max_length=20)] = ()
+    package_dirs: Annotated[tuple[FilePath, ...], at_most(20)] = ()
     root: Literal["floating", "fixed"] | None = None
     tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
 
@@ -75,8 +76,8 @@ class StartRequest(Section):
 
     posture: Label | None = None
     joints: Joints = field(default_factory=dict)
-    joint_names: Annotated[tuple[Name, ...], Field(max_length=MAX_JOINTS)] = ()
-    positions: Annotated[tuple[Number, ...], Field(max_length=MAX_JOINTS)] = ()
+    joint_names: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
+    positions: Annotated[tuple[Number, ...], at_most(MAX_JOINTS)] = ()
     base: PoseRequest | None = None
 
     def __post_init__(self) -> None:
@@ -117,7 +118,7 @@ class GoalRequest(Section):
     """Where the motion ends: joint positions, poses of links, or a named posture."""
 
     joints: Joints = field(default_factory=dict)
-    poses: Annotated[tuple[PoseGoalRequest, ...], Field(max_length=20)] = ()
+    poses: Annotated[tuple[PoseGoalRequest, ...], at_most(20)] = ()
     posture: Label | None = None
 
     def __post_init__(self) -> None:
@@ -219,7 +220,7 @@ class Options(Section):
     margin_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.02
     seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
     balance_margin_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.02
-    feet: Annotated[tuple[Name, ...], Field(max_length=8)] | None = None
+    feet: Annotated[tuple[Name, ...], at_most(8)] | None = None
     starts: Annotated[StrictInt, Field(ge=1, le=64)] = 16
     qp: Literal["piqp", "clarabel", "cvxpy"] = "piqp"
     velocity_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.5
@@ -241,8 +242,8 @@ class PlanRequest(Section):
     scene: SceneRequest = field(default_factory=SceneRequest)
     goal: GoalRequest | None = None
     task: TaskRequest | None = None
-    keep: Annotated[tuple[KeepRequest, ...], Field(max_length=8)] = ()
-    attached: Annotated[tuple[AttachedRequest, ...], Field(max_length=20)] = ()
+    keep: Annotated[tuple[KeepRequest, ...], at_most(8)] = ()
+    attached: Annotated[tuple[AttachedRequest, ...], at_most(20)] = ()
     options: Options = field(default_factory=Options)
     folder: Annotated[Path, Field(exclude=True)] = field(default=Path(), compare=False)
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from service.request_fields import SECTION, Name, Number, Section
+from service.request_fields import SECTION, Name, Number, Section, at_most
 from service.request_scene import BoxRequest, CylinderRequest, SphereRequest
 
 
@@ -22,7 +22,7 @@ class _Carried(Section):
     """
 
     link: Name
-    touches: Annotated[tuple[Name, ...], Field(max_length=20)] = ()
+    touches: Annotated[tuple[Name, ...], at_most(20)] = ()
     mass_kg: Annotated[Number, Field(ge=0.0, le=1000.0)] = 0.0
 
 

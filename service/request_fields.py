@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sized
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, StrictStr, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from service.errors import shown, would_do
 
@@ -22,10 +22,21 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Coordinate = Annotated[Number, Field(ge=-WORKSPACE_M, le=WORKSPACE_M)]
 Length = Annotated[Number, Field(gt=0.0, le=WORKSPACE_M)]
 Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
-Joints = Annotated[dict[Name, Number], Field(max_length=MAX_JOINTS)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 _MapCoordinate = Annotated[Number, Field(ge=-MAP_M, le=MAP_M)]
 MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
+
+
+def at_most(most: int) -> BeforeValidator:
+    """Refuse a list or mapping of more than ``most`` entries before any of them is looked at."""
+
+    def check(value: object) -> object:
+        if isinstance(value, Sized) and not isinstance(value, str) and len(value) > most:
+            context = {"field_type": "Tuple", "max_length": most, "actual_length": len(value)}
+            raise PydanticKnownError("too_long", context)
+        return value
+
+    return BeforeValidator(check)
 
 
 def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
@@ -61,6 +72,7 @@ def _single_line(name: str) -> str:
     return name
 
 
+Joints = Annotated[dict[Name, Number], at_most(MAX_JOINTS)]
 Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
 Floor = Annotated[bool | float, BeforeValidator(_flag_or_height)]
 Message = Annotated[int | Literal["all"], BeforeValidator(_number_or_all)]

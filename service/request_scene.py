@@ -20,6 +20,7 @@ from service.request_fields import (
     Point,
     Quaternion,
     Section,
+    at_most,
     repeated,
 )
 from service.scan_choices import Method, Unknown
@@ -71,7 +72,7 @@ class ConvexRequest(_Placed):
     """The convex hull of ``points``."""
 
     type: Literal["convex"]
-    points: Annotated[tuple[Point, ...], Field(min_length=4, max_length=10_000)]
+    points: Annotated[tuple[Point, ...], Field(min_length=4), at_most(10_000)]
 
 
 @dataclass(config=SECTION, kw_only=True)
@@ -116,7 +117,7 @@ def _path_or_list(value: object) -> str | None:
 
 
 CloudRequest = Annotated[
-    Annotated[FilePath, Tag("path")] | Annotated[tuple[CloudFileRequest, ...], Tag("list"), Field(max_length=64)],
+    Annotated[FilePath, Tag("path")] | Annotated[tuple[CloudFileRequest, ...], at_most(64), Tag("list")],
     Discriminator(
         _path_or_list,
         custom_error_type="cloud",
@@ -156,7 +157,7 @@ class SceneRequest(Section):
     method: Method = "planes"
     unknown: Unknown = "free"
     hint: Point | None = None
-    obstacles: Annotated[tuple[ObstacleRequest, ...], Field(max_length=1000)] = ()
+    obstacles: Annotated[tuple[ObstacleRequest, ...], at_most(1000)] = ()
     floor: Floor | None = None
 
     @property

@@ -44,6 +44,12 @@ def test_as_many_entries_as_may_be_are_taken_and_one_more_names_its_list(made: o
     assert crowding(made(51), 50).startswith(f"{field}: too many entries")  # type: ignore[operator]
 
 
+def test_entries_that_have_fields_are_fewer() -> None:
+    assert crowding(_poses(50), 100, 50) == ""
+    assert crowding(_poses(51), 100, 50).startswith("request.goal.poses: too many entries; all that have fields")
+    assert crowding(_numbers(51), 100, 50) == ""
+
+
 def test_entries_of_all_lists_count_together() -> None:
     message = wire.PlanRequest()
     for _ in range(10):

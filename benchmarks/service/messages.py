@@ -15,8 +15,10 @@ from google.protobuf.message_factory import GetMessageClass
 from google.rpc.error_details_pb2 import BadRequest
 from google.rpc.status_pb2 import Status
 
-from benchmarks.service.figures import Figure, Options, spread
+from benchmarks.service.figures import Figure, Options, percentile, spread
+from benchmarks.service.large import large
 from benchmarks.service.mutations import hostile, wire_type
+from benchmarks.service.pings import PING_S, pinging
 from benchmarks.service.servers import Server, started
 from service.client.errors import ANSWER_LOST
 from service.errors import RequestError, UnplannedTaskError
@@ -34,6 +36,7 @@ HOLDERS: Mapping[str, tuple[str, ...]] = {
     "clouds": (),
 }
 CRASHES = ("UNKNOWN", "INTERNAL", "UNAVAILABLE", "DATA_LOSS")
+LARGE_CODES = ("INVALID_ARGUMENT", "NOT_FOUND", "OK")  # a cloud that lies of its points is read when it is looked at
 DETAILS_KEY = "grpc-status-details-bin"
 
 
@@ -66,15 +69,17 @@ class Answer:
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Ten thousand of them."""
+    """Ten thousand of them, and some that are as large as they may be."""
     n = options.messages or options.count(10_000, 300)
     with started(folder, "--requests-per-s", "100000") as server:
         answers = asyncio.run(_ask(server, n, options.seed))
+        with pinging(server.address) as taken:
+            large_answers = asyncio.run(_ask_large(server, options.count(10, 1)))
         is_alive, incidents = server.is_alive(), server.incidents()
         for line in server.incident_lines()[:5]:
             print(f"  {line[-1500:]}")
         restarts = server.status().worker_restarts if is_alive else 0
-    return _figures(answers, is_alive, restarts, incidents)
+    return [*_figures(answers, is_alive, restarts, incidents), *_figures_of_large(large_answers, taken())]
 
 
 async def _ask(server: Server, n: int, seed: int) -> list[Answer]:
@@ -88,6 +93,21 @@ async def _ask(server: Server, n: int, seed: int) -> list[Answer]:
                 answers.append(await _call(channel, method, messages))
 
         await asyncio.gather(*(client() for _ in range(AT_A_TIME)))
+        return answers
+
+
+async def _ask_large(server: Server, rounds: int) -> dict[str, list[Answer]]:
+    """Answers to what is as large as it may be, by its name, two at a time."""
+    async with grpc.aio.insecure_channel(server.address) as channel:
+        calls = large(await _uploaded(channel))
+        answers: dict[str, list[Answer]] = {name: [] for name in calls}
+        left = iter([(name, *call) for _ in range(rounds) for name, call in calls.items()])
+
+        async def client() -> None:
+            for name, method, messages in left:
+                answers[name].append(await _call(channel, method, messages))
+
+        await asyncio.gather(client(), client())
         return answers
 
 
@@ -207,6 +227,31 @@ def _figures(answers: list[Answer], is_alive: bool, restarts: int, incidents: in
         ),
         Figure("  answers", "", codes),
         Figure("  time of an answer", "", spread([it.took for it in answers])),
+    ]
+
+
+def _figures_of_large(answers: dict[str, list[Answer]], pings: list[float]) -> list[Figure]:
+    every = [it for of_one in answers.values() for it in of_one]
+    wrong = [it for it in every if it.code not in LARGE_CODES or (it.code == LARGE_CODES[0] and not it.is_named)]
+    _show("of the large", wrong)
+    slowest = max(answers, key=lambda name: max(it.took for it in answers[name]))
+    codes = ", ".join(f"{code} {n}" for code, n in Counter(it.code for it in every).most_common())
+    return [
+        Figure(
+            f"{len(every)} messages that are as large as they may be, in {len(answers)} ways: other answers than "
+            "OK, NOT_FOUND and INVALID_ARGUMENT with the field named",
+            "0",
+            str(len(wrong)),
+            not wrong,
+        ),
+        Figure("  answers", "", codes),
+        Figure(f"  time of an answer (slowest: {slowest})", "", spread([it.took for it in every])),
+        Figure(
+            f"  ping of another client meanwhile ({len(pings)} pings)",
+            "p99 < 10 ms",
+            spread(pings),
+            percentile(pings, 99) < PING_S,
+        ),
     ]
 
 

@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import multiprocessing
 import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection
+from contextlib import suppress
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import grpc
-from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from benchmarks.service import asks, hostile_files
 from benchmarks.service.figures import Figure, Options, percentile, spread
 from benchmarks.service.messages import violations
+from benchmarks.service.pings import PING_S, pinging
 from benchmarks.service.servers import Server, started
 from service.proto.planner.v1 import planner_pb2 as wire
 
-PING_S = 10e-3
-PING_EVERY_S = 10e-3
 CONNECTIONS = 500
 GARBAGE_BYTES = 4096
 CHUNK_BYTES = 2**19
@@ -51,7 +47,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
             "garbage on the port": lambda: _garbage(server, seconds, options.seed),
         }
         for name, attack in attacks.items():
-            with _pinging(server.address) as taken:
+            with pinging(server.address) as taken:
                 attack()
             pings[name] = taken()
         good = asyncio.run(_good(server))
@@ -80,41 +76,6 @@ def measure(options: Options, folder: Path) -> list[Figure]:
             for name, took in pings.items()
         ),
     ]
-
-
-@contextmanager
-def _pinging(address: str) -> Iterator[Callable[[], list[float]]]:
-    """Ask for the server's health from another process while the body runs; what is yielded then tells the times."""
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(target=_ping, args=(address, theirs))
-    process.start()
-    found: list[float] = []
-    try:
-        ours.recv()  # it has begun
-        yield lambda: found
-        ours.send("enough")
-        found.extend(ours.recv())
-    finally:
-        process.kill()
-        process.join()
-
-
-def _ping(address: str, pipe: Connection) -> None:
-    async def ask() -> None:
-        took = []
-        async with grpc.aio.insecure_channel(address) as channel:
-            stub = health_pb2_grpc.HealthStub(channel)  # type: ignore[no-untyped-call]
-            await stub.Check(health_pb2.HealthCheckRequest())
-            pipe.send("begun")
-            while not pipe.poll():
-                began = time.perf_counter()
-                await stub.Check(health_pb2.HealthCheckRequest())
-                took.append(time.perf_counter() - began)
-                await asyncio.sleep(PING_EVERY_S)
-        pipe.send(took)
-
-    asyncio.run(ask())
 
 
 def _hostile_files(

@@ -41,6 +41,7 @@ _STATES = {
 }
 _DECISIONS = {Decision.ACCEPTED: wire.DECISION_ACCEPTED, Decision.REJECTED: wire.DECISION_REJECTED}
 UNWRITTEN = "how it ended could not be written down"  # on a full disk, say
+MAX_PATH = 1000  # characters; each slash is a folder that is looked for
 MAX_FILES = 1000  # to verify: a result's own and its robot's, a few dozen
 
 
@@ -221,6 +222,8 @@ def _joined(parts: Iterable[FileChunk]) -> dict[str, bytes]:
     """
     pieces: dict[str, list[bytes]] = {}
     for part in parts:
+        if len(part.path) > MAX_PATH:
+            raise invalid([f"files: a path of at most {MAX_PATH} characters would do, got one of {len(part.path)}"])
         pieces.setdefault(part.path, []).append(part.data)
         if len(pieces) > MAX_FILES:
             raise invalid(

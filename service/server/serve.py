@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import signal
+import sys
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
@@ -39,6 +40,7 @@ from service.trust import Limits as ClientLimiter
 _LOG = structlog.get_logger("scopt.server")
 PRELOAD = ("service.work.plan", "service.work.look", "perception", "service.tasks.valve_task", "service.trajopt")
 OVERTIME_EVERY_S = 0.5
+SWITCH_S = 1e-3  # after which a thread that reads a large message lets the event loop go on, who answers everybody
 LAST_WORDS_S = 5.0  # for files on their way to a client when the work has ended
 SAID_S = 1.0  # for calls to hear that they are ended
 CLOUDS_FOLDER, STORE_FOLDER = "clouds", "plans"
@@ -113,6 +115,7 @@ async def serve(
         # With nothing to read anew, the terminal it was started in has gone.
         loop.add_signal_handler(signal.SIGHUP, partial(_reload, known) if known else ask)
         gc.collect()
+        sys.setswitchinterval(SWITCH_S)
         gc.freeze()  # what is loaded by now is no garbage: nobody waits while it is looked through
         on_ready(server.address)
         await stop.wait()
