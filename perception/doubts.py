@@ -14,6 +14,7 @@ _FAR = 50.0
 # A scene of this size is one a robot stands in.
 _SCENE = (0.8, 60.0)
 _SMALL_UNITS = {"mm": 0.001, "cm": 0.01, "in": 0.0254, "ft": 0.3048}
+_IN_WORDS = {"in": "inches, "}  # a word of its own else
 # A crop that leaves less than this has hardly met the scene, and one from which most is gone deserves a word.
 _LEFT_OVER = 0.02
 _MOST = 0.5
@@ -21,6 +22,9 @@ _MOST = 0.5
 _WIDE, _TOO_WIDE = 1.5, 10.0
 _FEWEST_POINTS = 50
 _LAYER = 0.04
+# A sensor is that much higher than what it stands on, at least.
+_SENSOR_ABOVE_FLOOR = 0.05
+_FEW = 0.01
 
 
 def doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> tuple[str, ...]:
@@ -66,6 +70,26 @@ def crop_doubt(points: Float[np.ndarray, "N 3"], n_left: int, reach: Reach, miss
     return (f"{share}{missing and f', and {missing} among them'}: {_why_so_few(points, reach)}",)
 
 
+def low_sensor_doubt(
+    starts: Float[np.ndarray, "N 3"], lowest: Float[np.ndarray, "N"], minimum: float = _SENSOR_ABOVE_FLOOR
+) -> tuple[str, ...]:
+    """What to tell when rays start on the floor or under it, where no sensor is: where they started was not known.
+
+    Args:
+        starts: (N, 3) of each point's ray [m].
+        lowest: (N,) height of the lowest floor there [m].
+        minimum: height over it from which on a start is believed [m].
+    """
+    is_low = starts[:, 2] - lowest < minimum
+    if np.mean(is_low) < _FEW:
+        return ()
+    where = ", ".join(f"{value:g}" for value in np.round(np.median(starts[is_low], axis=0), 2) + 0.0)
+    return (
+        f"rays start at ({where}), no higher than the floor, where hardly a sensor was; what counts as free, and what "
+        "is found, depends on it: give the sensor's position",
+    )
+
+
 def nothing_left(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
     """What to tell when a crop took all of a cloud, beside what ``doubts`` says of it."""
     low, high = np.percentile(points, [1, 99], axis=0)
@@ -99,21 +123,27 @@ def _why_so_few(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
     span = float((high - low).max())
     question = ""
     if span > _WIDE * reach.radius:
-        question = f"they span {span:.3g} m: {_unit_question(span, 2.0 * _WIDE * reach.radius)} Else "
+        likely = _likely_units(span, 0.5 * reach.radius, 2.0 * _WIDE * reach.radius)
+        question = f"they span {span:.3g} m: is its unit {likely}? Else " if likely else ""
     needed = f"{question}metres in the robot's start frame (z up, floor at 0) are needed"
     if span > _TOO_WIDE * reach.radius:  # the middle of so much is nobody's place
         return needed
     return f"{needed}; the transform {shift_to_zero(points, reach.x, reach.y)} would bring their middle into reach"
 
 
-def _unit_question(span: float, most: float = _SCENE[1]) -> str:
-    """Which units would make a scene of so many metres one that a robot stands in."""
+def _unit_question(span: float) -> str:
+    likely = _likely_units(span, *_SCENE)
+    return f"is its unit {likely}?" if likely else "is its unit right?"
+
+
+def _likely_units(span: float, least: float, most: float) -> str:
+    """Which units would make a scene of so many metres one that is so wide; empty when none would."""
     likely = [
-        f"{unit} (it would be {metres * span:.1f} m)"
+        f"{unit} ({_IN_WORDS.get(unit, '')}it would be {metres * span:.1f} m)"
         for unit, metres in _SMALL_UNITS.items()
-        if _SCENE[0] <= metres * span <= most
+        if least <= metres * span <= most
     ]
-    return f"is its unit {' or '.join(likely)}?" if likely else "is its unit right?"
+    return " or ".join(likely)
 
 
 def _sensor_frame_hint(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"], lowest: float) -> str:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from perception.clean import Reach, first_of_equals, inside_hulls
 from perception.cloud import Cloud
-from perception.doubts import crop_doubt, nothing_left
+from perception.doubts import crop_doubt, low_sensor_doubt, nothing_left
 from perception.errors import CloudError
 from perception.floor import FloorPlane, on_floors
 from perception.levels import find_floors
@@ -99,6 +99,9 @@ def make_view(
         notes = (*notes, "no floor was found; nothing stands for it in the scene")
     elif len(floors) > 1:
         notes = (*notes, f"the floor has {len(floors)} levels; the robot is taken to stand on 'floor'")
+    if floors:
+        lowest = np.min([level.height(near.starts[:, :2]) for level in floors], axis=0)
+        notes = (*notes, *low_sensor_doubt(near.starts, lowest))
     above = ~on_floors(near.points, floors, soles)
     kept = surface_points(near.points, near.starts, above)
     missing = "no floor is" if not floors else "no obstacle is" if not kept.any() else ""

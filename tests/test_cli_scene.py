@@ -163,7 +163,10 @@ def test_a_cloud_out_of_reach_is_told_what_would_help(
 
 @pytest.mark.parametrize(
     ("scale", "told"),
-    [(100.0, "is its unit cm (it would be 2.5 m)"), (1 / 0.0254, "is its unit cm (it would be 1.0 m) or in (it would")],
+    [
+        (100.0, "is its unit cm (it would be 2.5 m)"),
+        (1 / 0.0254, "they span 97 m: is its unit in (inches, it would be 2.5 m)?"),
+    ],
 )
 def test_a_wrong_unit_is_told_when_hardly_anything_is_in_reach(tmp_path: Path, scale: float, told: str) -> None:
     path = _scaled(tmp_path / "small.npz", scale)
@@ -173,6 +176,13 @@ def test_a_wrong_unit_is_told_when_hardly_anything_is_in_reach(tmp_path: Path, s
     assert scale < 50.0 or data["figures"]["covered_points"] is None
     (note,) = [note for note in data["notes"] if note.startswith("only ")]
     assert told in note
+
+
+def test_a_wide_place_is_not_taken_for_one_in_another_unit(tmp_path: Path) -> None:
+    path = _scaled(tmp_path / "wide.npz", 54.0 / 2.5)
+    (note,) = [note for note in json.loads(scopt("detect", "hose", path, "--json").stdout)["notes"] if "only" in note]
+    assert "unit" not in note
+    assert "metres in the robot's start frame (z up, floor at 0) are needed" in note
 
 
 def test_what_became_of_all_points_is_told(tmp_path: Path) -> None:

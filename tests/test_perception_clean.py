@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from little_scan import little_scan
 
 from perception import (
     Cloud,
@@ -107,6 +108,14 @@ def test_zero_and_minus_zero_are_one_place() -> None:
     assert len(make_view(Cloud(np.array([[1.0, 0.0, 0.5], [1.0, -0.0, 0.5]]), np.zeros(3))).cloud.points) == 1
 
 
+@pytest.mark.parametrize(("height", "is_told"), [(1.6, False), (0.15, False), (0.0, True), (-0.4, True)])
+def test_rays_that_start_on_the_floor_or_under_it_are_doubted(height: float, is_told: bool) -> None:
+    view = make_view(Cloud(little_scan().points, np.array([0.25, 0.0, height])))
+    told = f"rays start at (0.25, 0, {height:g}), no higher than the floor"
+    assert len(view.floors) == 1
+    assert any(note.startswith(told) and "give the sensor's position" in note for note in view.notes) is is_told
+
+
 def beside_the_sensor(aside: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Lines of a lidar at the origin, a degree apart: a board along the rays, so far aside, and a wall behind."""
     turn, lift = np.radians(np.arange(-12.0, 20.0, 0.25)), np.radians(np.arange(-12.0, 12.0, 1.0))
@@ -133,6 +142,19 @@ def test_what_lies_in_a_plane_with_the_sensor_is_no_surface_that_rays_graze() ->
         far = np.full(len(asked), 0.1)
         assert on_grazed_surface(asked, asked, surface, far).tolist() == [is_kept] * 2
         assert not on_grazed_surface(asked + np.array([0.0, 0.01, 0.0]), asked, surface, far).any()
+
+
+def test_a_surface_that_rays_graze_is_followed_to_its_far_end() -> None:
+    rng = np.random.default_rng(0)
+    surface = np.column_stack([rng.uniform(0.6, 0.9, 500), np.full(500, 0.05), rng.uniform(-0.3, 0.3, 500)])
+    x, z = (one.ravel() for one in np.meshgrid(np.arange(0.95, 1.9, 0.08), np.arange(-0.3, 0.31, 0.08)))
+    row = np.column_stack([x, np.full(len(x), 0.05), z])
+    beyond = row[-1:] + np.array([[0.5, 0.0, 0.0]])
+    asked = np.concatenate([row, beyond])
+    found = on_grazed_surface(asked, asked, surface, np.full(len(asked), 0.12))
+    assert found[:-1].mean() > 0.9
+    assert found[:-1][row[:, 0] > 1.8].any()
+    assert not found[-1]
 
 
 def depth_picture(meshes: list[Mesh], rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
