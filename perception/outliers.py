@@ -16,7 +16,6 @@ _DEEP = 3.0
 _MOST_STEEP = 4.0
 _THIN_SUPPORT = 4
 _LEAST_SUPPORT = 3
-_GRAZED_ROUNDS = 3
 
 
 def inliers(
@@ -50,6 +49,7 @@ def surface_points(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "N 3"],
     candidates: Bool[np.ndarray, "N"] | None = None,
+    known: Bool[np.ndarray, "N"] | None = None,
 ) -> Bool[np.ndarray, "N"]:
     """Points that a surface stands for, thin things such as pipes and wires included.
 
@@ -61,6 +61,7 @@ def surface_points(
         points: (N, 3) all points that were seen [m].
         starts: (N, 3) where their rays started [m].
         candidates: which to judge; the others (the floor's) only bear witness and come out False.
+        known: which of them are known to be of surfaces.
     """
     chosen = np.flatnonzero(np.ones(len(points), dtype=bool) if candidates is None else candidates)
     kept = np.zeros(len(points), dtype=bool)
@@ -69,30 +70,18 @@ def surface_points(
     mine, behind = points[chosen], starts[chosen]
     crowded = inliers(mine, behind)
     doubtful = ~crowded | ~_on_smooth_depth(mine, behind)
+    if known is not None:
+        doubtful &= ~known[chosen]
     kept[chosen[~doubtful]] = True
     asked, is_thin = chosen[doubtful], ~crowded[doubtful]
     # A row of the floor's own noise is no wire: thin things are held up by their like.
     like = np.ones(len(points), dtype=bool) if candidates is None else candidates
     kept[asked] = support(points, starts, asked, like, is_thin) >= np.where(is_thin, _THIN_SUPPORT, _LEAST_SUPPORT)
-    _keep_grazed(points, starts, asked[~kept[asked]], kept)
+    left = asked[~kept[asked]]
+    rays = points[left] - starts[left]
+    apart = 2.0 * spacing_radius(np.linalg.norm(rays, axis=1))
+    kept[left[on_grazed_surface(points[left], rays, points[kept], apart)]] = True
     return kept
-
-
-def _keep_grazed(
-    points: Float[np.ndarray, "N 3"],
-    starts: Float[np.ndarray, "N 3"],
-    left: Int[np.ndarray, "K"],
-    kept: Bool[np.ndarray, "N"],
-) -> None:
-    """Keep those left that go on with a surface of what is kept and that rays graze, so far as it leads on."""
-    rays = points - starts
-    for _ in range(_GRAZED_ROUNDS):
-        apart = 2.0 * spacing_radius(np.linalg.norm(rays[left], axis=1))
-        is_grazed = on_grazed_surface(points[left], rays[left], points[kept], apart)
-        if not is_grazed.any():
-            break
-        kept[left[is_grazed]] = True
-        left = left[~is_grazed]
 
 
 def _tree(points: Float[np.ndarray, "N 3"]) -> cKDTree:
