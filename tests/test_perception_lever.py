@@ -73,8 +73,9 @@ def test_a_shelfs_edge_that_goes_on_unseen_is_no_lever() -> None:
     assert all(found.confidence < CONFIDENT for found in detect("lever", view))
 
 
-def test_the_rim_of_a_level_wheel_over_a_small_face_is_no_lever() -> None:
-    view = make_view(make_scene("valve_upright").scan("sparse"))
+@pytest.mark.parametrize(("seed", "variant"), [(0, "sparse"), (3, "solid_sparse")], ids=["over a face", "before one"])
+def test_the_rim_of_a_level_wheel_is_no_lever(seed: int, variant: str) -> None:
+    view = make_view(make_scene("valve_upright", seed).scan(variant))
     assert all(found.confidence < CONFIDENT for found in detect("lever", view))
 
 

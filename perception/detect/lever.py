@@ -16,7 +16,7 @@ from perception.detect.bars import Bar, SurroundingRays
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.faces import Face, FaceRays, FacesInSight, face_rays
-from perception.detect.lever_pivot import Pivot, face_behind, find_pivot
+from perception.detect.lever_pivot import Pivot, face_behind, find_pivot, free_end
 from perception.view import View
 
 _STAND_OFF = (0.028, 0.13)
@@ -145,6 +145,7 @@ def _examined(face: Face, seen: FaceRays, run: Run) -> _Found | None:
         * rising(-bar.half[0], -0.03, -0.024)
         * rising(pivot.stand_off - bar.half[0], 0.008, 0.02)
         * (1.0 if all(ends.seen) else _GOES_ON)
+        * free_end(face, seen, bar, pivot)
         * face_behind(face, seen, bar.centre + pivot.along * bar.axis)
     )
     return _Found(face, ends, evidence, pivot, float(confidence))

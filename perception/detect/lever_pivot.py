@@ -29,6 +29,8 @@ _ABOUT = 0.08
 _ON_FACE = 3.0
 _OUTSIDE = (-0.1, -0.05)
 _FACE_SHARE = (0.3, 0.6)
+_BEYOND_END, _ASIDE = (0.012, 0.06), 0.05
+_GOES_ON = (0.2, 0.45)
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,21 @@ def face_behind(face: Face, seen: FaceRays, place: Float[np.ndarray, "3"]) -> fl
     height = height[height < _ON_FACE * face.sigma]
     share = float((height > -_ON_FACE * face.sigma).mean()) if len(height) >= _FEWEST else 1.0
     return rising(-outside, *_OUTSIDE) * rising(share, *_FACE_SHARE)
+
+
+def free_end(face: Face, seen: FaceRays, bar: Bar, pivot: Pivot) -> float:
+    """How surely nothing goes on at the bar's free end, straight on or in a bend: a rim or a rail does.
+
+    What lies just beyond the end, off the face, is held against what lies on the bar just before it.
+    """
+    centre, axis = face.local(bar.centre[None])[0], face.frame @ bar.axis
+    flat = axis[:2] / max(float(np.hypot(axis[0], axis[1])), 1e-6)
+    along, side, height = _in_bar(seen.ends, centre, flat)
+    past = np.sign(pivot.far - pivot.along) * (along - pivot.far)
+    off_face = (height > max(_ON_FACE * face.sigma, _HUB)) & (height < pivot.stand_off + 2.0 * bar.half[0] + _HUB)
+    n_beyond = (off_face & (past > _BEYOND_END[0]) & (past < _BEYOND_END[1]) & (np.abs(side) < _ASIDE)).sum()
+    n_before = (off_face & (past > -_ZONE) & (past < 0.0) & (np.abs(side) < bar.half[0] + 2.0 * _BESIDE)).sum()
+    return 1.0 - rising(float(n_beyond) / max(float(n_before), 1.0), *_GOES_ON)
 
 
 def _in_bar(
