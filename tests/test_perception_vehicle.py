@@ -136,6 +136,15 @@ def test_stacks_of_cartons_hold_no_seat(sensor: str) -> None:
     assert not any(one.confidence >= 0.5 for kind in ("seat", "opening") for one in detect(kind, view))
 
 
+def test_a_hood_before_its_windscreens_foot_is_no_seat() -> None:
+    scene = make_scene("car_outside_left", 2)
+    found = [one for one in detect("seat", make_view(scene.scan("solid_sparse"))) if one.confidence >= 0.5]
+    seats = [one for one in scene.truth if one.kind == "seat"]
+    assert len(found) == len(seats)
+    for seat in seats:
+        _near(found, seat, 0.05)
+
+
 def _rays_onto(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.tile([-0.8, 0.0, 1.0], (len(places), 1)), places
 

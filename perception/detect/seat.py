@@ -24,6 +24,7 @@ _UNSEEN_SAT_ON, _UNSEEN = 0.7, 0.3
 _HEAD, _HEAD_ABOUT = (0.5, 1.0), 0.35
 _NOT_GROUND = 0.12
 _MAYBE_CHAIR = 0.45
+_UNSEEN_FLOOR = 0.45  # any ledge before something upright may be a cushion as long as nobody saw where feet go
 _HINT_REACH = 0.5
 _HINT_TRUST = 0.7
 _GUESSED = 0.95  # for each edge that was not seen
@@ -68,7 +69,8 @@ def detect_seat(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     The frame of a hit: origin in the middle of the cushion's top, x forward, z up.  Sizes: ``width``, ``depth`` of the
     cushion, and ``height`` of its top over the vehicle's floor where that was seen [m].  Edges in a shadow or out of
     sight are where they usually are.  The seat under the sensor, in a row with one that was seen, comes with a low
-    confidence and no points.  A chair on the ground is none.
+    confidence and no points.  A chair on the ground is none; without a hint, a cushion before which no floor was seen
+    is none to act on.
 
     Args:
         view: the scan, made ready.
@@ -203,7 +205,7 @@ def _floor_share(floor: float, ground: float, top: float) -> float:
     """How much the floor before it speaks for a vehicle: a cushion at seat height over a floor over the ground."""
     maybe_chair = _MAYBE_CHAIR * rising(top - ground, SEAT_HEIGHT[0], 0.3) * rising(ground - top, -SEAT_HEIGHT[1], -0.6)
     if np.isnan(floor):
-        return max(0.7 * rising(top - ground, 0.6, 0.7), maybe_chair)
+        return max(_UNSEEN_FLOOR * rising(top - ground, 0.6, 0.7), maybe_chair)
     over_ground = rising(floor - ground, _NOT_GROUND - 0.05, _NOT_GROUND + 0.03)
     # The floor that was found may be the vehicle's own; at a chair's height over it, it may as well be a chair.
     return max(over_ground * rising(top - floor, SEAT_HEIGHT[0], 0.3), maybe_chair)
