@@ -1,7 +1,8 @@
 """What the pool of workers costs and how fast it stops and heals: ``python -m benchmarks.executor``.
 
 Wall times in milliseconds, on this machine and with whatever else it does, first with empty workers, then with those of
-the planning service (imports shared, robot loaded).
+the planning service (imports shared, robot loaded).  At the end, what an idle worker that tries further starts of a
+plan is worth (``benchmarks.spread``).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from benchmarks import executor_jobs as jobs
+from benchmarks import spread
 from benchmarks.tables import print_table
 from service.executor import Job, LocalPool, WorkerState
 
@@ -28,6 +30,7 @@ def main() -> None:
     columns = {"empty workers": _measure((), None), "planning workers": _measure(PRELOAD, warm_up)}
     rows = [(name, *(column[name] for column in columns.values())) for name in columns["empty workers"]]
     print_table("executor, two workers: median / p99 [ms]", ("", *columns), rows)
+    spread.main()
 
 
 def _measure(preload: tuple[str, ...], warm_up: Callable[[], object] | None) -> dict[str, str]:
