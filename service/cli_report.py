@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 SEEN_TOUCH_M = 1e-4  # feet that rest on a floor are that near to it
-HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "residuals")
+HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
 _COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
 
@@ -157,12 +157,13 @@ def _slowest(timings: Mapping[str, float]) -> str:
 
 
 def hit_row(hit: Mapping[str, Any]) -> tuple[str, ...]:
-    """A detection in one line of a table."""
+    """A detection in one line of a table; of its residuals, which the files hold, the first: how far points lie off."""
     return (
         str(hit["kind"]),
         f"{hit['confidence']:.2f}",
         _position(hit["pose_world_object"]),
-        *(_listed(hit[key]) for key in ("sizes", "residuals")),
+        _listed(hit["sizes"]),
+        _listed(dict(list(hit["residuals"].items())[:1])),
     )
 
 

@@ -144,18 +144,18 @@ def ended_by_sigterm() -> Iterator[None]:
 
 
 @contextmanager
-def progress(err: Console, first_step: str) -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on stderr; yields ``report(step, fraction done)``.
+def progress(err: Console, first_step: str) -> Iterator[Callable[[str, float | None], None]]:
+    """A progress bar on stderr; yields ``report(step, fraction done)``, None where nobody can tell how much is done.
 
     Where stderr is no terminal, each new step is one line.
     """
     if not err.is_terminal:
         seen: set[str] = set()
 
-        def say(step: str, fraction: float) -> None:
+        def say(step: str, fraction: float | None) -> None:
             if step not in seen:
                 seen.add(step)
-                err.print(f"{100.0 * fraction:3.0f} % {step}", markup=False)
+                err.print(step if fraction is None else f"{100.0 * fraction:3.0f} % {step}", markup=False)
 
         yield say
         return
@@ -164,4 +164,9 @@ def progress(err: Console, first_step: str) -> Iterator[Callable[[str, float], N
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=err, transient=True) as bar:
         task = bar.add_task(first_step, total=1.0)
-        yield lambda step, fraction: bar.update(task, description=step, completed=fraction)
+
+        def show(step: str, fraction: float | None) -> None:
+            total = None if fraction is None else 1.0
+            bar.update(task, description=step, total=total, completed=fraction or 0.0)
+
+        yield show

@@ -119,8 +119,8 @@ def _scene(
         check_out(out, [*clouds.inputs, *(one.file for one in known), *([] if update is None else [update])])
         if update is not None:
             asked = _on_top_of(update, asked, given)
-        seen = see_files(asked, lambda step: report(step, 0.3))
-        report("write pieces", 0.9)
+        seen = see_files(asked, lambda step: report(step, None))
+        report("write pieces", None)
         page = write_scene(seen, out)
     shown = {key: value for key, value in seen.data.items() if key != "pieces"}
     if as_json:
@@ -180,7 +180,7 @@ def _detect(
         from service.time_limit import OutOfTimeError
 
         try:
-            found = detect_file(cloud_asked(clouds.asked()), kind, hint, lambda step: report(step, 0.3), time_limit)
+            found = detect_file(cloud_asked(clouds.asked()), kind, hint, lambda step: report(step, None), time_limit)
         except OutOfTimeError as error:
             raise EndedError("TIME_LIMIT", (str(error),), EXIT_CODES["TIME_LIMIT"]) from None
     late = ", ".join(found["unfinished"])
@@ -192,7 +192,8 @@ def _detect(
         print_table(screen, HIT_COLUMNS, [hit_row(hit) for hit in found["hits"]])
     elif found["searched"]:
         what = f"no {kind}" if kind != EVERY_KIND else f"nothing ({', '.join(found['searched'])})"
-        screen.print(f"{what} was found", markup=False)
+        where = "" if hint is None else f" near ({', '.join(f'{value:g}' for value in hint)})"
+        screen.print(f"{what} was found{where}", markup=False)
     for note in found["notes"]:
         screen.print(f"note: {note}", markup=False, soft_wrap=True)
     if late:

@@ -25,6 +25,9 @@ from service.request_fields import (
 )
 from service.scan_choices import Method, Unknown
 
+MESH_SUFFIXES = (".stl", ".obj", ".ply")
+"""Mesh files that are whole by themselves, so that they can be uploaded; a URDF may name others."""
+
 
 @dataclass(config=SECTION)
 class _Placed(Section):

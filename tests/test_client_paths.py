@@ -13,12 +13,14 @@ from planner_clients import CLIENTS
 from planner_stand_in import PlannerStandIn, accepted, refuse, refused, serving, written_cloud
 
 from service.client import PlannerClient, PlannerError
+from service.client.clouds import local_files, with_ids
 from service.client.local import askable
 from service.client.names import MOST, CloudNames
 from service.errors import RequestError, UnplannedTaskError
 from service.proto.planner.v1 import planner_pb2 as pb
 from service.request import PlanRequest
 from service.request_file import load_request, parse_request
+from service.request_scene import MeshRequest
 
 Code = grpc.StatusCode
 REQUESTS = Path(__file__).parents[1] / "examples" / "requests"
@@ -120,24 +122,39 @@ def test_names_of_clouds_are_not_kept_for_ever() -> None:
     assert names.in_words_of_here(told).text == f"sha256:{9:064x}.pcd and {MOST}.pcd are damaged"
 
 
-def test_paths_of_a_request_are_told_from_the_root_to_a_server_on_this_machine() -> None:
+def test_paths_of_a_request_are_told_from_the_root_to_a_server_on_this_machine(tmp_path: Path) -> None:
     request = load_request(REQUESTS / "mesh.yaml")
     asked = askable(request, is_this_machine=True)
-    (mesh,) = (one.file for one in asked.scene.obstacles if hasattr(one, "file"))
-    assert mesh == str((REQUESTS.parent / "data" / "window_frame.obj").resolve())
     assert asked.folder == request.folder
+    (tmp_path / "crate.urdf").touch()
+    obstacle = {"name": "crate", "type": "mesh", "file": "crate.urdf"}
+    (crate,) = askable(_request(tmp_path, scene={"obstacles": [obstacle]}), is_this_machine=True).scene.obstacles
+    assert isinstance(crate, MeshRequest)
+    assert crate.file == str(tmp_path / "crate.urdf")
+
+
+@pytest.mark.parametrize("is_this_machine", [True, False])
+def test_meshes_that_are_files_here_are_uploaded_and_named_by_their_id(is_this_machine: bool) -> None:
+    request = askable(load_request(REQUESTS / "mesh.yaml"), is_this_machine)
+    ((name, path),) = local_files(request).items()
+    assert path.name == "window_frame.obj"
+    (frame,) = with_ids(request, {name: "sha256:1.obj"}).scene.obstacles
+    assert isinstance(frame, MeshRequest)
+    assert frame.file == "sha256:1.obj"
 
 
 def test_paths_of_this_machine_are_not_asked_of_another(tmp_path: Path) -> None:
-    for name in ("robot.urdf", "table.obj"):
+    for name in ("robot.urdf", "table.urdf", "sent.obj"):
         (tmp_path / name).touch()
-    obstacles = [{"name": name, "type": "mesh", "file": name} for name in ("table.obj", "gone.obj", "/there/b.obj")]
+    obstacles = [
+        {"name": name, "type": "mesh", "file": name} for name in ("table.urdf", "gone.obj", "/there/b.obj", "sent.obj")
+    ]
     request = _request(tmp_path, robot={"urdf": "robot.urdf"}, scene={"obstacles": obstacles})
     with pytest.raises(RequestError) as caught:
         askable(request, is_this_machine=False)
     robot, table, gone = caught.value.problems
     assert robot.startswith("robot.urdf: 'robot.urdf' is a path of this machine; it is not uploaded")
-    assert table.startswith("scene.obstacles[0].file: 'table.obj' is a path of this machine")
+    assert table.startswith("scene.obstacles[0].file: 'table.urdf' is a path of this machine")
     assert "scopt serve --allow FOLDER" in table
     assert gone == "scene.obstacles[1].file: 'gone.obj' is not there; name a file that is"
     with pytest.raises(RequestError, match=r"^scene\.obstacles\[1\]\.file: 'gone\.obj' is not there"):

@@ -62,6 +62,22 @@ def test_valve_of_an_uploaded_scan_is_found_and_turned(stub: PlannerServiceStub)
         assert len(done.result.trajectory.phases) > 1
 
 
+def test_uploaded_mesh_is_an_obstacle_and_one_that_is_none_is_told_by_its_name(stub: PlannerServiceStub) -> None:
+    frame = (EXAMPLES / "data" / "window_frame.obj").read_bytes()
+    mesh_id = stub.UploadCloud(uploaded(frame, format="obj"), timeout=30).cloud_id
+    request = yaml.safe_load((EXAMPLES / "requests" / "mesh.yaml").read_text())
+    request["scene"]["obstacles"][0]["file"] = mesh_id
+    assert finished(stub.Plan(plan_request(request), timeout=60)).result.verdict == VERDICT_CERTIFIED
+    empty_id = stub.UploadCloud(uploaded(b"solid nothing\nendsolid\n", format="stl"), timeout=30).cloud_id
+    cloud_id = stub.UploadCloud(uploaded(b"1 2 3\n4 5 6\n", format="xyz"), timeout=30).cloud_id
+    for name, words in ((empty_id, "0 triangles"), (cloud_id, "format '.xyz' is not read"), ("/etc/hostname", "an")):
+        request["scene"]["obstacles"][0]["file"] = name
+        code, text, fields = refusal(lambda: list(stub.Plan(plan_request(request), timeout=60)))
+        assert (code, list(fields)) == ("INVALID_ARGUMENT", ["request.scene.obstacles[0].file"])
+        assert words in text
+        assert "/data/" not in text
+
+
 def test_what_was_uploaded_and_is_no_scene_is_told_by_its_name(stub: PlannerServiceStub) -> None:
     no_scene = stub.UploadCloud(uploaded(b'{"format": "other"}', format="json"), timeout=30).cloud_id
     code, _, fields = refusal(lambda: stub.Plan(plan_request(QUICK | {"scene": {"file": no_scene}}), timeout=30))

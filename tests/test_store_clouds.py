@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from perception.files.parse import SUFFIXES
+from perception.solids import read as meshes
+from service.request_scene import MESH_SUFFIXES
 from service.store import (
     UPLOAD_SUFFIXES,
     CloudLimits,
@@ -35,7 +37,8 @@ def _path(store: CloudStore, cloud_id: str) -> Path:
 
 
 def test_every_kind_of_cloud_file_that_is_read_can_be_uploaded() -> None:
-    assert (*SUFFIXES, ".json") == UPLOAD_SUFFIXES  # a scene besides
+    assert (*SUFFIXES, ".json", ".stl", ".obj") == UPLOAD_SUFFIXES  # a scene and meshes besides
+    assert set(MESH_SUFFIXES) == set(meshes.SUFFIXES) <= set(UPLOAD_SUFFIXES)
 
 
 def test_a_cloud_is_found_under_the_hash_of_what_was_sent_and_its_suffix(tmp_path: Path) -> None:

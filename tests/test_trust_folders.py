@@ -108,7 +108,9 @@ def test_every_field_that_holds_a_path_is_checked(folders: AllowedFolders) -> No
     assert _path_fields(PlanRequest) == {"urdf", "srdf", "package_dirs", "cloud", "file"}
 
 
-def test_an_uploaded_cloud_is_no_robot_and_no_mesh(folders: AllowedFolders) -> None:
+def test_an_uploaded_file_is_no_robot_and_may_be_a_mesh(folders: AllowedFolders) -> None:
+    mesh = {"name": "crate", "type": "mesh", "file": CLOUD}
+    assert folders.problems(_request(scene={"obstacles": [mesh]})) == []
     ((field, words),) = folders.problems(_request(robot={"urdf": CLOUD}))
     assert field == "robot.urdf"
     assert "what was uploaded is no file of this kind" in words

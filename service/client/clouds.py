@@ -1,4 +1,4 @@
-"""Clouds and scenes that are files of this machine, on their way to the server."""
+"""Clouds, meshes and scenes that are files of this machine, on their way to the server."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
 from service.request import PlanRequest
+from service.request_scene import MESH_SUFFIXES, MeshRequest
 
 CHUNK_BYTES = 512 * 2**10
 
@@ -68,13 +69,14 @@ def cloud_to_send(path: str | Path) -> CloudToSend:
 def local_files(request: PlanRequest) -> dict[str, Path]:
     """What a request's scene names and is a file here, by the name it gives it."""
     names = [cloud.file for cloud in request.scene.cloud_files]
+    names += [one.file for one in request.scene.obstacles if isinstance(one, MeshRequest) and is_sent(one.file)]
     names += [] if request.scene.file is None else [request.scene.file]
     found = {name: request.resolve(name) for name in names}
     return {name: path for name, path in found.items() if path.is_file()}
 
 
 def with_ids(request: PlanRequest, ids: Mapping[str, str]) -> PlanRequest:
-    """The request with clouds and scenes named by id, where there is one for the name it gives them."""
+    """The request with clouds, meshes and scenes named by id, where there is one for the name it gives them."""
     scene, cloud = request.scene, request.scene.cloud
     if not ids:
         return request
@@ -83,7 +85,17 @@ def with_ids(request: PlanRequest, ids: Mapping[str, str]) -> PlanRequest:
     else:
         renamed = tuple(dataclasses.replace(one, file=ids.get(one.file, one.file)) for one in cloud)
     file = None if scene.file is None else ids.get(scene.file, scene.file)
-    return dataclasses.replace(request, scene=dataclasses.replace(scene, cloud=renamed, file=file))  # type: ignore[arg-type]
+    obstacles = tuple(
+        dataclasses.replace(one, file=ids.get(one.file, one.file)) if isinstance(one, MeshRequest) else one
+        for one in scene.obstacles
+    )
+    scene = dataclasses.replace(scene, cloud=renamed, file=file, obstacles=obstacles)  # type: ignore[arg-type]
+    return dataclasses.replace(request, scene=scene)
+
+
+def is_sent(mesh: str) -> bool:
+    """Whether a mesh file can be uploaded: all but a URDF, which may name others."""
+    return Path(mesh).suffix.lower() in MESH_SUFFIXES
 
 
 def _chunks(path: Path) -> Iterator[bytes]:

@@ -6,6 +6,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+from service.client.clouds import is_sent
 from service.errors import RequestError, shown
 from service.planned import check_planned
 from service.request import PlanRequest, RobotRequest
@@ -18,7 +19,7 @@ NOT_UPLOADED = (
 
 
 def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
-    """The request as a server can understand it, clouds and scenes aside: it does not know where paths start.
+    """The request as a server can understand it, uploads aside: it does not know where paths start.
 
     Args:
         is_this_machine: whether the server runs here, where a path that starts here can be told from the root.
@@ -28,8 +29,10 @@ def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
     """
     check_planned(request)
     problems = []
-    for field, path, kind in sorted(paths_of(request), key=lambda one: one[2] == "file"):  # what is uploaded first
-        if kind != "file":
+    for field, path, kind in sorted(
+        paths_of(request), key=lambda one: one[2] in ("file", "mesh")
+    ):  # what is uploaded first
+        if kind in ("cloud", "scene") or (kind == "mesh" and is_sent(path)):
             problem = cloud_problem(field, path, request.resolve(path))
             problems += [] if problem is None else [problem]
         elif os.path.isabs(path):
@@ -71,7 +74,9 @@ def _robot(request: PlanRequest) -> RobotRequest:
 
 def _scene(request: PlanRequest) -> SceneRequest:
     obstacles = tuple(
-        replace(one, file=_absolute(request, one.file)) if isinstance(one, MeshRequest) else one
+        replace(one, file=_absolute(request, one.file))
+        if isinstance(one, MeshRequest) and not is_sent(one.file)
+        else one
         for one in request.scene.obstacles
     )
     return replace(request.scene, obstacles=obstacles)

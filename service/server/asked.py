@@ -11,7 +11,7 @@ from service.errors import RequestError
 from service.planned import check_planned
 from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request import PlanRequest
-from service.request_scene import SceneRequest
+from service.request_scene import MeshRequest, SceneRequest
 from service.server.refusal import invalid, refusal_of
 from service.server.robots import RobotFolder
 from service.server.settings import ServerSettings
@@ -90,8 +90,9 @@ def kind_of(request: PlanRequest) -> str:
 
 
 def named_files(scene: SceneRequest) -> tuple[str, ...]:
-    """The clouds of a scene, and the file of one that was made already, as they are named."""
-    return (*(one.file for one in scene.cloud_files), *(() if scene.file is None else (scene.file,)))
+    """The clouds and meshes of a scene, and the file of one that was made already, as they are named."""
+    meshes = (one.file for one in scene.obstacles if isinstance(one, MeshRequest))
+    return (*(one.file for one in scene.cloud_files), *meshes, *(() if scene.file is None else (scene.file,)))
 
 
 def uploaded(names: Iterable[str]) -> tuple[str, ...]:
@@ -104,6 +105,10 @@ def _placed(scene: SceneRequest, files: Mapping[str, Path]) -> SceneRequest:
         return str(files.get(name, name))
 
     file = None if scene.file is None else place(scene.file)
+    obstacles = tuple(
+        replace(one, file=place(one.file)) if isinstance(one, MeshRequest) else one for one in scene.obstacles
+    )
+    scene = replace(scene, obstacles=obstacles)
     if scene.cloud is None or isinstance(scene.cloud, str):
         return replace(scene, cloud=None if scene.cloud is None else place(scene.cloud), file=file)
     return replace(scene, cloud=tuple(replace(one, file=place(one.file)) for one in scene.cloud), file=file)

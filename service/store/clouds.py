@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Self
 
 from service.errors import shown
+from service.request_scene import MESH_SUFFIXES
 from service.store.errors import NotStoredError, StoreError, StoreFullError, TooLargeError, UploadRefusedError
 from service.store.folder import PARTIAL, HeldFolder
 
@@ -24,7 +25,8 @@ CLOUD_SUFFIXES = (
     ".pcd", ".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".xyzn", ".xyzi", ".xyzrgb", ".npz", ".npy", ".las", ".laz",
     ".e57", ".mcap", ".db3", ".bag",
 )  # fmt: skip
-UPLOAD_SUFFIXES = (*CLOUD_SUFFIXES, ".json")  # a cloud, or a scene that was made of one
+# A cloud, a scene that was made of one, or a mesh; .ply may be either of the last.
+UPLOAD_SUFFIXES = (*CLOUD_SUFFIXES, ".json", *(suffix for suffix in MESH_SUFFIXES if suffix not in CLOUD_SUFFIXES))
 CLOUD_ID = re.compile(rf"sha256:[0-9a-f]{{64}}({'|'.join(re.escape(suffix) for suffix in UPLOAD_SUFFIXES)})")
 
 

@@ -14,10 +14,11 @@ from service.request_scene import MeshRequest, SceneRequest
 from service.trust.errors import TrustError
 
 UPLOADED, BUILT = "sha256:", "scene:"
-Kind = Literal["cloud", "scene", "file"]
+Kind = Literal["cloud", "scene", "mesh", "file"]
 _IDS: dict[Kind, str] = {
     "cloud": "the cloud_id of an uploaded cloud",
     "scene": "the scene_id of a scene that was built, the cloud_id of an uploaded one",
+    "mesh": "the cloud_id of an uploaded STL, OBJ or PLY file",
     "file": "",
 }
 NO_FOLDERS = "this server reads no files of its own (`scopt serve --allow FOLDER` has it read those of a folder)"
@@ -116,4 +117,4 @@ def _scene_paths(scene: SceneRequest) -> Iterator[tuple[str, str, Kind]]:
         yield ("scene.cloud" if isinstance(scene.cloud, str) else f"scene.cloud[{index}].file"), cloud.file, "cloud"
     for index, obstacle in enumerate(scene.obstacles):
         if isinstance(obstacle, MeshRequest):
-            yield f"scene.obstacles[{index}].file", obstacle.file, "file"
+            yield f"scene.obstacles[{index}].file", obstacle.file, "mesh"

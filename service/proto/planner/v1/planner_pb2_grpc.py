@@ -107,7 +107,7 @@ class PlannerServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def UploadCloud(self, request_iterator, context):
-        """Bring a point cloud, or the file of a scene (format json); the same bytes are kept once.
+        """Bring a point cloud, a mesh (stl, obj, ply), or the file of a scene (json); the same bytes are kept once.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

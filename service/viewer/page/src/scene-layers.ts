@@ -1,7 +1,7 @@
 // What a scan shows: points coloured by piece, pieces as glass, detections with their frames, free space in slices.
 import {
-  Box3, BufferAttribute, BufferGeometry, Color, DataTexture, DoubleSide, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments,
-  Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, NearestFilter, PlaneGeometry, Points, RGBAFormat, ShaderMaterial,
+  AxesHelper, Box3, BufferAttribute, BufferGeometry, Color, DataTexture, DoubleSide, Float32BufferAttribute, Group, LineBasicMaterial,
+  LineSegments, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, NearestFilter, PlaneGeometry, Points, RGBAFormat, ShaderMaterial,
   SphereGeometry, Vector3,
 } from "three";
 import { words } from "./dom";
@@ -356,4 +356,18 @@ export class Sensors implements Layer {
   }
 
   recolour(colours: Colours): void { this.material.color.set(colours.zmp); }
+}
+
+// The world's origin, where the robot stands: x ahead in red, y to its left in green, z up in blue, half a metre each.
+export class Origin implements Layer {
+  readonly name = "origin";
+  readonly label = "Origin, x y z";
+  readonly key = "a";
+  readonly group = new Group();
+  readonly count = 1;
+  readonly labels: Label[] = [{ at: new Vector3(), text: "origin", kind: "spot", isOn: true }];
+
+  constructor() { this.group.add(new AxesHelper(0.5)); }
+
+  recolour(): void { /* axes have colours of their own */ }
 }

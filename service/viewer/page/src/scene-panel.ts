@@ -15,15 +15,19 @@ export interface Acts {
 }
 
 // Residuals and sizes are lengths unless their name says otherwise (docs/scene-format.md).
-const UNITLESS = /^n_|_share$|_score$|_ratio$|^side$|^lever_direction$/;
+const UNITLESS = /^n_|_score$|_ratio$|^side$|^lever_direction$/;
 const ANGLES = /_rad$|^ajar$/;
+const SHARES = /_share$/;
 
 function inUnits(name: string, value: number): string {
-  return figure(value, ANGLES.test(name) ? "rad" : UNITLESS.test(name) ? null : "m");
+  return figure(value, ANGLES.test(name) ? "rad" : SHARES.test(name) ? "1" : UNITLESS.test(name) ? null : "m");
 }
 
+// What the unit or the number says need not stand in the name.
+const called = (name: string): string => words(name.replace(/^n_/, "").replace(/_(rad|share)$/, ""));
+
 const listed = (values: Record<string, number>): string =>
-  Object.entries(values).map(([name, value]) => `${words(name)} ${inUnits(name, value)}`).join(" · ");
+  Object.entries(values).map(([name, value]) => `${called(name)} ${inUnits(name, value)}`).join(" · ");
 
 function hitRow(hit: Hit, index: number, acts: Acts): HTMLElement {
   const isSure = hit.confidence >= CONFIDENT;

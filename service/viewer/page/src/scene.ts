@@ -4,7 +4,7 @@ import { button, el } from "./dom";
 import { Labels } from "./labels";
 import { Layer } from "./layer";
 import { Piece, Scan, readScan } from "./scene-data";
-import { COLOURINGS, Colouring, Hits, OwnedPoints, PieceGlass, Sensors, Sight, Slice } from "./scene-layers";
+import { COLOURINGS, Colouring, Hits, Origin, OwnedPoints, PieceGlass, Sensors, Sight, Slice } from "./scene-layers";
 import { ScenePanel } from "./scene-panel";
 import { Stage } from "./stage";
 import { THEMES } from "./theme";
@@ -31,7 +31,7 @@ function start(): void {
   const subject = middleOf(scan);
 
   const tools = el("div", "tools");
-  const head = el("header", "top", el("div", "what", el("h1", "", scan.title), el("span", "says", says(scan.figures))), tools);
+  const head = el("header", "top", el("div", "what", el("h1", "", scan.title), el("span", "says", says(scan))), tools);
   document.body.append(head, viewport);
   document.body.classList.add("still", "scan");
   // A robot's operator stands behind it and looks ahead.
@@ -49,15 +49,16 @@ function start(): void {
   const hits = new Hits(scan);
   const slice = new Slice(scan.space);
   const sensors = new Sensors(scan);
+  const origin = new Origin();
   unknown.group.visible = false;  // a fog that hides what there is
-  const layers: Layer[] = [cloud, pieces, floor, unknown, hits, slice, sensors];
+  const layers: Layer[] = [cloud, pieces, floor, unknown, hits, slice, sensors, origin];
   for (const layer of layers) stage.scene.add(layer.group);
-  for (const label of [...hits.labels, ...sensors.labels]) labels.add(label);
+  for (const label of [...hits.labels, ...sensors.labels, ...origin.labels]) labels.add(label);
   let theme: "dark" | "light" = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
 
   const set = (layer: Layer, on: boolean): void => {
     layer.group.visible = on;
-    for (const label of layer === hits ? hits.labels : layer === sensors ? sensors.labels : []) label.isOn = on;
+    for (const one of [hits, sensors, origin]) if (layer === one) for (const label of one.labels) label.isOn = on;
     panel.refresh();
     stage.draw();
   };
@@ -247,10 +248,14 @@ function following(colouring: Colouring, scan: Scan): Colouring {
   return names[(names.indexOf(colouring) + 1) % names.length];
 }
 
-function says(figures: Record<string, number>): string {
+function says({ figures, pieces }: Scan): string {
   const levels = figures.floor_levels === 0 ? "no floor" : figures.floor_levels === 1 ? "one floor" : `${figures.floor_levels} floor levels`;
-  return `${figures.points} points · ${figures.pieces} pieces · ${levels} · ${figures.time_s} s`;
+  const unseen = pieces.filter((piece) => piece.kind === "unknown").length;
+  const seen = many(pieces.length - unseen, "piece") + (unseen ? ` and ${unseen} of unseen space` : "");
+  return `${many(figures.points, "point")} · ${seen} · ${levels} · ${figures.time_s} s`;
 }
+
+const many = (n: number, what: string): string => `${n} ${what}${n === 1 ? "" : "s"}`;
 
 try {
   start();
