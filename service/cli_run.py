@@ -163,10 +163,9 @@ def progress(err: Console, first_step: str) -> Iterator[Callable[[str, float | N
 
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=err, transient=True) as bar:
-        task = bar.add_task(first_step, total=1.0)
+        task = bar.add_task(first_step, total=None)
 
         def show(step: str, fraction: float | None) -> None:
-            total = None if fraction is None else 1.0
-            bar.update(task, description=step, total=total, completed=fraction or 0.0)
+            bar.update(task, description=step, total=None if fraction is None else 1.0, completed=fraction)
 
         yield show

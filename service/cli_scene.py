@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -110,7 +109,8 @@ def _scene(
     update, given = before
     with progress(err, "read cloud") as report:
         from service.cloud_asked import cloud_asked
-        from service.scene_file import SceneAsked, see_files
+        from service.scene_before import read_before
+        from service.scene_file import SceneAsked, on_top_of, see_files
         from service.scene_meshes import mesh_asked
         from service.scene_output import check_out, write_scene
 
@@ -118,7 +118,8 @@ def _scene(
         asked = SceneAsked(cloud_asked(clouds.asked()), **chosen, meshes=known)
         check_out(out, [*clouds.inputs, *(one.file for one in known), *([] if update is None else [update])])
         if update is not None:
-            asked = _on_top_of(update, asked, given)
+            said = {name: option for name, option in _OF_BEFORE.items() if name in given}
+            asked = on_top_of(read_before(update), asked, said, "--update")
         seen = see_files(asked, lambda step: report(step, None))
         report("write pieces", None)
         page = write_scene(seen, out)
@@ -142,28 +143,6 @@ def _is_given(context: typer.Context, name: str) -> bool:
     """Whether an option stands on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
-
-
-def _on_top_of(path: Path, asked: Any, given: set[str]) -> Any:
-    """What was asked, with the settings of the scene before.
-
-    Raises:
-        RequestError: that scene cannot be used, or an option says otherwise.
-    """
-    from service.errors import RequestError
-    from service.scene_before import read_before
-
-    before = read_before(path)
-    for name in sorted(given):
-        was, wanted = getattr(before.settings, name), getattr(asked.settings, name)
-        if was != wanted:
-            raise RequestError(
-                f"{_OF_BEFORE[name]}: {path} was made with {was}, and an update keeps to that; leave it out, "
-                "or leave out --update"
-            )
-    of = before.settings
-    clouds = replace(asked.clouds, reach_m=of.reach_m, top_m=of.top_m, bottom_m=of.bottom_m, seed=of.seed)
-    return replace(asked, clouds=clouds, unknown=of.unknown, method=of.method, before=before)
 
 
 def _detect(

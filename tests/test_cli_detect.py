@@ -7,15 +7,19 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from little_scan import little_scan, scopt
+from rich.console import Console
 
 import perception
 from perception import Detection, write_npz
 from service import detect_file
+from service.cli_report import hit_row
+from service.cli_run import progress
 from service.scan_choices import KINDS
 from service.time_limit import TimeOver, at_most
 
@@ -117,3 +121,23 @@ def test_other_threads_are_not_interrupted() -> None:
     thread.start()
     thread.join()
     assert ended == [True]
+
+
+def test_a_step_is_told_without_a_share_that_nobody_knows() -> None:
+    for is_terminal in (False, True):
+        err = Console(file=StringIO(), force_terminal=is_terminal)
+        with progress(err, "begin") as report:
+            report("read", None)
+            report("plan", 0.25)
+        assert isinstance(err.file, StringIO)
+        told = err.file.getvalue()
+        assert "plan" in told
+        assert is_terminal or told.splitlines() == ["read", " 25 % plan"]
+
+
+def test_of_residuals_a_table_shows_how_far_points_lie_off() -> None:
+    hit = {
+        "kind": "beam", "confidence": 0.5, "pose_world_object": np.eye(4).tolist(), "sizes": {"length": 1.5},
+        "residuals": {"rms": 0.01, "air_share": 0.5},
+    }  # fmt: skip
+    assert hit_row(hit) == ("beam", "0.50", "0.000 0.000 0.000", "length 1.5", "rms 0.01")

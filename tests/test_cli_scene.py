@@ -15,6 +15,11 @@ from cloud_files import write_bag
 from little_scan import crate_scan, little_scan, scopt
 
 from perception import Cloud, write_npz, write_pcd
+from service.cloud_asked import CloudAsked
+from service.scene_file import SceneAsked, see_files
+from service.scene_view import payload_of
+from service.viewer.frames import quantized
+from service.viewer.html import render_page
 
 SCAN = Path(__file__).parents[1] / "examples" / "data" / "valve_scan.pcd"
 
@@ -213,6 +218,7 @@ def test_a_hint_where_nothing_was_seen_is_told(scan: Path) -> None:
     assert any(
         note.startswith("no points within 0.5 m of the hint (0, 0, 2.5)") for note in json.loads(result.stdout)["notes"]
     )
+    assert "no hose was found near (0, 0, 2.5)\n" in scopt("detect", "hose", scan, "--hint", 0, 0, 2.5).stdout
     result = scopt("detect", "hose", scan, "--hint", 1.4, 0, 1, "--json")
     assert not any("hint" in note for note in json.loads(result.stdout)["notes"])
 
@@ -315,6 +321,28 @@ def test_the_page_draws_everything_and_talks_to_nobody(browser: Browser, written
     text = browser.run("document.querySelector('.check').innerText")
     assert "valve" in text
     assert "residuals: " in text
+
+
+def test_the_page_tells_residuals_in_their_units_and_where_the_origin_is(browser: Browser, tmp_path: Path) -> None:
+    write_npz(tmp_path / "a.npz", little_scan())
+    seen = see_files(SceneAsked(CloudAsked((tmp_path / "a.npz",)), unknown="occupied"), lambda _: None)
+    residuals = {"rms": 0.002, "axis_spread_rad": 0.01, "air_share": 0.5, "n_ends_seen": 2.0, "rival_ratio": 0.25}
+    hit = {"kind": "beam", "confidence": 1.0, "pose_world_object": np.eye(4).tolist(), "sizes": {"length": 1.5}}
+    payload = payload_of(seen, "a") | {
+        "detections": [{**hit, "residuals": residuals, "points": quantized(np.zeros((1, 3)))}]
+    }
+    (tmp_path / "a.html").write_text(render_page(payload, "a", "scene"))
+    browser.open((tmp_path / "a.html").as_uri())
+    browser.settle()
+    text = browser.run("document.querySelector('.check .residuals').innerText")
+    assert text == "residuals: rms 2 mm · axis spread 0.573° · air 50 % · ends seen 2 · rival ratio 0.25"
+    n_unseen = sum(piece["kind"] == "unknown" for piece in seen.data["pieces"])
+    n_seen = len(seen.data["pieces"]) - n_unseen
+    assert n_unseen > 0
+    says = browser.run("document.querySelector('.says').innerText")
+    assert f"points · {n_seen} pieces and {n_unseen} of unseen space · one floor" in says
+    assert browser.run("window.__viewer.counts.origin") == 1
+    assert browser.complaints() == []
 
 
 def test_a_click_on_a_hit_looks_at_it(browser: Browser, written: tuple[Path, dict[str, Any]]) -> None:
