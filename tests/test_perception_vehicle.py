@@ -12,6 +12,7 @@ from perception import Detection, View, detect, make_view, read_cloud
 from perception.detect.cushion import Surround, as_cushion, squared_up
 from perception.detect.footwell import footwell_of
 from perception.detect.level import find_patches, split_at_gap
+from perception.detect.opening_side import edges_of, side_of
 from perception.simulate import Mesh, Pose, Scanner, box, scan
 from perception.simulate.objects.car import Car
 from perception.simulate.objects.placed import Truth
@@ -82,6 +83,63 @@ def test_the_opening_beside_the_nearer_seat_is_found(inside: bool) -> None:
     assert _angle_deg(hit, nearer) < 6.0
     for name, within in (("width", 0.1), ("height", 0.06), ("sill", 0.03)):
         assert abs(hit.sizes[name] - nearer.sizes[name]) < within, name
+
+
+@pytest.mark.parametrize(
+    ("scene", "seed", "sensor"), [("car_inside_narrow", 1, "solid"), ("car_outside_left", 1, "camera")]
+)
+def test_a_few_strays_in_an_opening_are_no_post(scene: str, seed: int, sensor: str) -> None:
+    """Seen through with rays at most heights, they were taken for the opening's front edge, 9 and 16 cm off."""
+    made = make_scene(scene, seed)
+    found = [one for one in detect("opening", make_view(made.scan(sensor))) if one.confidence >= 0.5]
+    assert found
+    for one in found:
+        apart = [one.pose_world_object[:3, 3] - true.pose_world_object[:3, 3] for true in made.truth]
+        assert min(float(np.linalg.norm(each)) for each in apart) < 0.06
+
+
+def test_the_far_opening_of_a_vehicle_whose_far_seat_is_hidden_is_not_sought_between_its_seats() -> None:
+    scene = make_scene("car_outside_oblique", 2)
+    found = [one for one in detect("opening", make_view(scene.scan("dense"))) if one.confidence >= 0.5]
+    nearer = min(
+        (one for one in scene.truth if one.kind == "opening"),
+        key=lambda one: float(np.linalg.norm(one.pose_world_object[:2, 3])),
+    )
+    assert len(found) == 1
+    _near(found, nearer, 0.05)
+
+
+def _upright(x: float, low: float, high: float) -> np.ndarray:
+    """Points of a post at the side y = 0.4 of a seat's frame."""
+    height = np.arange(low, high, 0.02)
+    return np.column_stack([np.full(len(height), x), np.full(len(height), 0.4), height])
+
+
+def test_an_opening_ends_at_posts_up_to_which_rays_went_through() -> None:
+    x, z = (grid.ravel() for grid in np.meshgrid(np.arange(-0.3, 0.6, 0.02), np.arange(-0.3, 0.3, 0.03)))
+    through = np.column_stack([x, z])
+    posts = np.concatenate([_upright(place, -0.3, 0.3) for place in (-0.35, 0.61)])
+    strays = np.array([[0.2, 0.4, -0.2], [0.21, 0.4, 0.0]])
+    rear, front, n_seen = edges_of(np.concatenate([posts, strays]), through, 0.4, -0.42, 0.46)
+    assert abs(rear + 0.34) < 0.02
+    assert abs(front - 0.6) < 0.02
+    assert n_seen == 2
+    # Behind the seat nothing is known up to a post further back.
+    rear, front, n_seen = edges_of(
+        np.concatenate([_upright(-0.7, -0.3, 0.3), posts[posts[:, 0] > 0.0]]), through, 0.4, -0.42, 0.46
+    )
+    assert rear == pytest.approx(-0.33)
+    assert n_seen == 1
+
+
+def test_a_vehicles_side_is_where_its_floor_ends_and_nowhere_while_it_goes_on() -> None:
+    rng = np.random.default_rng(0)
+    flat = rng.uniform((-0.2, 0.0), (0.7, 1.2), (6000, 2))
+    floor = np.column_stack([flat, np.full(len(flat), -0.42)])
+    side = side_of(0.5, floor[flat[:, 1] < 0.4], -0.42)
+    assert side is not None
+    assert abs(side - 0.39) < 0.02
+    assert side_of(0.5, floor, -0.42) is None
 
 
 def test_a_panel_in_the_opening_closes_it() -> None:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy import ndimage
 
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.level import is_inside
+from perception.detect.opening_side import POST, crossings, edges_of, openness, side_of, top_of
 from perception.detect.seat import Seat, find_seats, ground_of
 from perception.view import View
 
@@ -19,20 +19,8 @@ _LEAST_SEAT = 0.25
 # A sill with an opening over it speaks for the vehicle as well: what is doubtful about a seat is mostly its back.
 _SEAT_TRUST = 0.6
 _HINT_TRUST = 0.7
-_BESIDE = 0.55  # how far beside the cushion's edge the vehicle may end
-_AHEAD = 1.2
-_BEHIND = 0.8
-_CELL = 0.05
-_SIDE_BIN = 0.02
-_POST = 0.1  # how far from the vehicle's side its roof's edge may be
-_PANEL = 0.045  # and its panels and posts; what stands further in is furniture
-_OVER_WHEELS = 0.24
-_BEFORE_WHEELS = 0.7
 _LEAST_WIDTH = 0.35
 _MOST_WIDTH = 1.6
-_HEADROOM = (0.9, 1.9)
-_WAIST = (0.08, 0.75)
-_TALL = 0.1
 _SHOWN = 2000
 
 
@@ -107,14 +95,15 @@ def _beside(
     mirror = np.array([1.0, side, 1.0])
     local, starts, ends = local * mirror, starts * mirror, ends * mirror
     floor = seat.floor - seat.pose[2, 3]
-    at = _side_of(seat, local, floor)
+    at = side_of(seat.width, local, floor)
     if at is None:
         return None
-    rear, front, ends_seen = _ends(local, at, floor, seat.depth)
+    through = crossings(starts, ends, at)
+    rear, front, ends_seen = edges_of(local, through, at, floor, seat.depth)
     if not _LEAST_WIDTH < front - rear < _MOST_WIDTH:
         return None
-    top, roof_is_seen = _top(local, at, rear, front, floor)
-    open_share, seen_share, highest = _openness(starts, ends, at, rear, front, floor, top)
+    top, roof_is_seen = top_of(local, at, rear, front, floor)
+    open_share, seen_share, highest = openness(ends, through, at, (rear, front), floor, top)
     if not roof_is_seen:
         top = highest
     sill = seat.floor - ground_of(view)
@@ -127,103 +116,10 @@ def _beside(
         * rising(sill, 0.05, 0.15)
     )
     edge = is_inside(
-        local, np.array([rear - 0.15, at - _POST, floor - 0.1]), np.array([front + 0.15, at + _POST, top + 0.15])
+        local, np.array([rear - 0.15, at - POST, floor - 0.1]), np.array([front + 0.15, at + POST, top + 0.15])
     )
     world = seat.pose[:3, 3] + (local[edge] * mirror) @ seat.pose[:3, :3].T
     return _Side(seat, side, at, rear, front, top, floor, sill, open_share, float(confidence), world)
-
-
-def _side_of(seat: Seat, local: Float[np.ndarray, "N 3"], floor: float) -> float | None:
-    """How far beside the seat's middle the vehicle ends: the outermost distance at which much of it stands [m]."""
-    near, far = 0.5 * seat.width - 0.06, 0.5 * seat.width + _BESIDE
-    pan = is_inside(local, np.array([0.0, near, floor - 0.03]), np.array([_BEFORE_WHEELS, far, floor + 0.03]))
-    body = is_inside(local, np.array([-0.5, near, floor + _OVER_WHEELS]), np.array([_BEFORE_WHEELS, far, floor + 1.0]))
-    found = [_outermost(local[pan], near, far, 3.0), _outermost(local[body], near, far, 6.0)]
-    return max((one for one in found if one is not None), default=None)
-
-
-def _outermost(mine: Float[np.ndarray, "K 3"], near: float, far: float, least: float) -> float | None:
-    """The outermost distance at which points fill several places."""
-    if len(mine) < 10:
-        return None
-    place = np.floor(mine[:, [0, 2]] / _CELL).astype(int)
-    layer = np.floor((mine[:, 1] - near) / _SIDE_BIN).astype(int)
-    cells = np.unique(np.column_stack([layer, place]), axis=0)[:, 0]
-    votes = np.convolve(np.bincount(cells, minlength=int((far - near) / _SIDE_BIN) + 2), [1.0, 1.0, 1.0], mode="same")
-    strong = np.flatnonzero(votes >= max(0.3 * votes.max(), least))
-    if not len(strong):
-        return None
-    outer = near + (strong[-1] + 1) * _SIDE_BIN
-    return float(np.percentile(mine[(mine[:, 1] > outer - 0.08) & (mine[:, 1] < outer + 0.02), 1], 95.0))
-
-
-def _ends(local: Float[np.ndarray, "N 3"], at: float, floor: float, depth: float) -> tuple[float, float, int]:
-    """Where what stands at the vehicle's side ends behind the seat and begins before it [m], and how many were seen."""
-    waist = is_inside(
-        local, np.array([-_BEHIND, at - _PANEL, floor + _WAIST[0]]), np.array([_AHEAD, at + _PANEL, floor + _WAIST[1]])
-    )
-    along = local[waist, 0]
-    cell = np.floor((along + _BEHIND) / _SIDE_BIN).astype(int)
-    height = local[waist, 2] - floor
-    n_cells = round((_BEHIND + _AHEAD) / _SIDE_BIN)
-    valid = (cell >= 0) & (cell < n_cells)
-    low, high = np.full(n_cells, np.inf), np.full(n_cells, -np.inf)
-    np.minimum.at(low, cell[valid], height[valid])
-    np.maximum.at(high, cell[valid], height[valid])
-    # What is tall about a place is a post or a panel; less is a stray return or a seat's base.
-    tall = ndimage.maximum_filter1d(high, 5, mode="nearest") - ndimage.minimum_filter1d(low, 5, mode="nearest")
-    stands = np.flatnonzero((tall > _TALL) & (high >= low))
-    middle = round(_BEHIND / _SIDE_BIN)
-    behind, before = stands[stands < middle], stands[stands >= middle]
-    rear = -0.5 * depth - 0.1 if not len(behind) else -_BEHIND + (behind.max() + 1) * _SIDE_BIN
-    front = 0.5 * depth + 0.3 if not len(before) else -_BEHIND + before.min() * _SIDE_BIN
-    return float(rear), float(front), int(len(behind) > 0) + int(len(before) > 0)
-
-
-def _top(local: Float[np.ndarray, "N 3"], at: float, rear: float, front: float, floor: float) -> tuple[float, bool]:
-    """Where the roof begins over the sill, and whether one was seen [m]."""
-    over = local[
-        is_inside(
-            local,
-            np.array([rear + 0.05, at - 2.0 * _POST, floor + _HEADROOM[0]]),
-            np.array([0.5 * (rear + front), at + _POST, floor + _HEADROOM[1]]),
-        ),
-        2,
-    ]
-    if len(over) < 8:
-        return floor + _HEADROOM[0], False
-    return float(np.percentile(over, 10.0)), True
-
-
-def _openness(
-    starts: Float[np.ndarray, "R 3"],
-    ends: Float[np.ndarray, "R 3"],
-    at: float,
-    rear: float,
-    front: float,
-    floor: float,
-    top: float,
-) -> tuple[float, float, float]:
-    """Share of the opening's cells seen in which rays went through, share that was seen, and how high they went."""
-    low, high = np.array([rear + 0.04, floor + 0.06]), np.array([front - 0.04, max(top - 0.06, floor + 0.6)])
-    shape = np.maximum(np.ceil((high - low) / _CELL).astype(int), 1)
-    crosses = (starts[:, 1] - at) * (ends[:, 1] - at) < 0.0
-    share = (at - starts[crosses, 1]) / (ends[crosses, 1] - starts[crosses, 1])
-    through = starts[crosses] + share[:, None] * (ends[crosses] - starts[crosses])
-    opened = _filled(through[:, [0, 2]], low, shape)
-    met = _filled(ends[np.abs(ends[:, 1] - at) < 0.05][:, [0, 2]], low, shape)
-    seen = opened | met
-    rows = np.flatnonzero(opened.mean(axis=0) > 0.2)
-    highest = low[1] + (rows.max() + 1) * _CELL if len(rows) else floor + 0.6
-    return float(opened.sum() / max(seen.sum(), 1)), float(seen.mean()), float(highest)
-
-
-def _filled(places: Float[np.ndarray, "K 2"], low: Float[np.ndarray, "2"], shape: np.ndarray) -> np.ndarray:
-    grid = np.zeros(tuple(shape), dtype=bool)
-    cell = np.floor((places - low) / _CELL).astype(int)
-    cell = cell[((cell >= 0) & (cell < shape)).all(axis=1)]
-    grid[cell[:, 0], cell[:, 1]] = True
-    return grid
 
 
 def _detection(one: _Side, is_hinted: bool) -> Detection:
