@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float
 
 from perception.detect.bar_faces import in_line, runs_on
 from perception.detect.bars import Bar, SurroundingRays, cross_bar, sort_rays
-from perception.floor import FloorPlane
 
 _BIN = 0.02
 _MOST_UNSEEN = 12
@@ -20,9 +19,6 @@ _INSIDE = 0.003
 _BEYOND = 0.08
 _AIR = (0.008, 0.045)
 _COARSE_BIN = 0.04
-_MOST_HIDDEN = 0.1
-_STRAY = 0.1
-_DESCENDS = 0.05
 
 
 @dataclass(frozen=True)
@@ -93,36 +89,6 @@ def _end(
         edge = float(0.5 * (places[i] + behind.min())) if len(behind) else float(places[i])
     seen = int(((passes > edge - 0.5 * _BIN) & (passes < edge + _BEYOND)).sum()) >= 3
     return max(edge, _BIN), seen
-
-
-def hidden_length(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> float:
-    """How much longer the bar may be than what is seen of it, both ends together, up to 10 cm each [m].
-
-    It ends at the latest where two rays, or more where they are dense, went through where it would be, or where it
-    would reach into the floor.
-
-    Args:
-        rays: that pass near the bar and up to 10 cm beyond its ends.
-        bar: with its ends.
-        floor: below everything.
-    """
-    crossing = cross_bar(rays, bar)
-    told = sort_rays(rays, crossing)
-    inside = crossing.outside < -_INSIDE
-    through = inside & (told.passed | (rays.elsewhere & ~told.before))
-    # Of the rays that meet an edge some end between what is before and behind it.
-    needed = 2 + int(_STRAY * (inside & told.hit).sum() * _BIN / bar.length)
-    total = 0.0
-    for sign, end in ((-1.0, -bar.first), (1.0, bar.last)):
-        beyond = np.sort(sign * crossing.along[through] - end)
-        beyond = beyond[beyond > -_BIN]
-        longest = _MOST_HIDDEN if len(beyond) < needed else min(_MOST_HIDDEN, max(0.0, float(beyond[needed - 1])))
-        if floor is not None:
-            descent = -sign * float(bar.axis @ floor.normal)
-            height = max(0.0, float(floor.above(bar.corners).min()))
-            longest = min(longest, height / descent) if descent > _DESCENDS else longest
-        total += longest
-    return total
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ _FOR_STARTS = 200
 _N_FLUSH = 3
 _FOR_CHOICE = 900
 _UNDECIDED = 10.0
-_MOST_RAYS = 4000
+_MOST_RAYS = 10000
 
 
 @dataclass(frozen=True)

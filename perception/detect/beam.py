@@ -11,9 +11,10 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from perception.clean import voxel_downsample
-from perception.detect.bar_evidence import Ends, Evidence, find_ends, hidden_length, weigh_bar
+from perception.detect.bar_ends import LikelyEnds, likely_ends
+from perception.detect.bar_evidence import Evidence, weigh_bar
 from perception.detect.bar_fit import BarFit
-from perception.detect.bar_search import Rivalry, Stock, choose_bar, rays_about, rivalry
+from perception.detect.bar_search import Choice, Rivalry, Stock, choose_bar, rays_about, rivalry
 from perception.detect.bar_starts import Run, run_of
 from perception.detect.bars import Bar, SurroundingRays
 from perception.detect.confidence import rising
@@ -35,6 +36,7 @@ _HIDDEN_STRETCH = 0.6
 _LEAST_AIR, _LEAST_KNOWN = 0.1, 0.15
 _HALF_A_FACE = 0.06
 _SHORT = 0.7
+_MOST_FITS, _STAYS = 3, 0.04
 _NEAR_BAR = 0.02
 _SAME_PLACE = 0.03
 _STRIPS = (28, 14)  # in each round
@@ -51,9 +53,8 @@ class _Beam:
     """A cuboid and what speaks for it."""
 
     fit: BarFit
-    ends: Ends
+    ends: LikelyEnds
     doubt: float
-    hidden: float
     evidence: Evidence
     flatter: Rivalry
     confidence: float
@@ -63,6 +64,11 @@ class _Beam:
     def bar(self) -> Bar:
         """With its ends."""
         return self.ends.bar
+
+    @property
+    def hidden(self) -> float:
+        """By how much it may be longer, both ends together [m]."""
+        return sum(self.ends.hidden)
 
 
 def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
@@ -141,11 +147,11 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
     choice = choose_bar(rays, run, max(strip.half, 0.045) + 0.025, _TIMBER, floor, 6, 160)
     if choice is None:
         return None
-    ends = find_ends(rays, choice.fit.bar)
+    ends = likely_ends(rays, choice.fit.bar, floor)
     if not all(ends.seen):
         # What lies over a beam may hide a long stretch of it.
         rays = rays_about(index, run_of(ends.bar), _HIDDEN_STRETCH, floor, known)
-        ends = find_ends(rays, ends.bar)
+        ends = likely_ends(rays, ends.bar, floor)
     settled = [_settled(rays, ends.bar, choice.fit, floor)]
     if ends.bar.length < _SHORT * (run.last - run.first):
         # It may lie askew in what it was fitted to.
@@ -156,30 +162,51 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
 
 
 def _settled(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None) -> _Beam | None:
-    """Fit once more between the ends that were found, and weigh; None when it is hopeless."""
+    """Fit between the ends that were found until they stay, and weigh; None when it is hopeless."""
     early = weigh_bar(rays, bar)
     if bar.length < _LEAST_LENGTH or early.solid < 0.5 or early.air < _LEAST_AIR:
         return None
+    fitted = _fitted(rays, bar, fit, floor, _MOST_FITS)
+    if fitted is None:
+        return None
+    choice, ends = fitted
+    bar = ends.bar
+    evidence = weigh_bar(rays, bar)
+    confidence = _confidence(ends, choice.doubt, evidence)
+    if confidence <= _REPORTED:
+        return None
+    flatter = rivalry(rays, bar, _PIPES, "round")
+    points = rays.ends[evidence.hits]
+    return _Beam(
+        replace(choice.fit, bar=bar),
+        ends,
+        choice.doubt,
+        evidence,
+        flatter,
+        confidence * _flatness(flatter),
+        points[:: max(1, len(points) // _MOST_POINTS)],
+    )
+
+
+def _fitted(
+    rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None, n_fits: int
+) -> tuple[Choice, LikelyEnds] | None:
+    """The bar fitted between its ends, and these found anew; again when they moved."""
     choice = choose_bar(rays, run_of(bar), _TUBE, _TIMBER, floor, 3, 400, fit)
     if choice is None:
         return None
-    ends = find_ends(rays, choice.fit.bar)
+    ends = likely_ends(rays, choice.fit.bar, floor)
     if ends.bar.length < _LEAST_LENGTH:
         return None
-    evidence = weigh_bar(rays, ends.bar)
-    hidden = hidden_length(rays, ends.bar, floor)
-    flatter = rivalry(rays, ends.bar, _PIPES, "round")
-    points = rays.ends[evidence.hits]
-    return _Beam(
-        replace(choice.fit, bar=ends.bar),
-        ends,
-        choice.doubt,
-        hidden,
-        evidence,
-        flatter,
-        _confidence(ends, choice.doubt, hidden, evidence, flatter),
-        points[:: max(1, len(points) // _MOST_POINTS)],
-    )
+    if n_fits > 1 and _end_moves(bar, ends.bar) > _STAYS:
+        return _fitted(rays, ends.bar, choice.fit, floor, n_fits - 1)
+    return choice, ends
+
+
+def _end_moves(before: Bar, after: Bar) -> float:
+    """By how much the end moved that moved most [m]."""
+    shift = float((after.centre - before.centre) @ before.axis)
+    return max(abs(after.first + shift - before.first), abs(after.last + shift - before.last))
 
 
 def _spanning(bar: Bar, run: Run) -> Bar:
@@ -199,14 +226,13 @@ def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
     return any(look.air >= _LEAST_AIR or look.known <= _LEAST_KNOWN for look in looks)
 
 
-def _confidence(ends: Ends, doubt: float, hidden: float, evidence: Evidence, flatter: Rivalry) -> float:
+def _confidence(ends: LikelyEnds, doubt: float, evidence: Evidence) -> float:
     """Product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths that agree,
-    flat rather than round, little that it leaves unexplained, a centre that is sure, and ends that are seen or bound to
-    be near."""
+    a centre that is sure, and ends that are seen or bound to be near."""
     bar, ends_seen = ends.bar, sum(ends.seen)
     width, thickness = 2.0 * max(bar.half), 2.0 * min(bar.half)
     return float(
-        rising(evidence.solid, 0.88, 0.965)
+        rising(evidence.solid, 0.915, 0.965)
         * rising(evidence.air, 0.45, 0.75)
         * rising(evidence.known, 0.2, 0.5)
         * rising(evidence.visible, 0.25, 0.6)
@@ -216,13 +242,17 @@ def _confidence(ends: Ends, doubt: float, hidden: float, evidence: Evidence, fla
         * rising(thickness, 0.018, 0.028)
         * rising(-evidence.rms, -0.02, -0.015)
         * rising(evidence.n_hits, 20.0, 80.0)
-        * rising(flatter.better, -6.0, 10.0)
-        * rising(flatter.share, 0.05, 0.14)
-        * rising(-flatter.misfit, -3.8, -2.6)
         * rising(-_off_size(width, thickness), -0.025, -0.012)
         * (1.0 - 0.4 * rising(doubt, 0.01, 0.03))
-        * (1.0 - 0.6 * rising(hidden, 0.04, 0.1))
+        * (1.0 - 0.6 * rising(sum(ends.hidden), 0.04, 0.1))
         * (0.7 if ends_seen == 0 else 1.0)
+    )
+
+
+def _flatness(flatter: Rivalry) -> float:
+    """Product of: flat rather than round, and little that it leaves unexplained."""
+    return float(
+        rising(flatter.better, -6.0, 10.0) * rising(flatter.share, 0.05, 0.14) * rising(-flatter.misfit, -3.8, -2.6)
     )
 
 

@@ -1,0 +1,146 @@
+"""Where a bar ends: the place along it behind which what rays met and where they went through is best explained by
+nothing, and how far off that place may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from perception.detect.bars import NEAR_SURFACE, Bar, Crossing, Sorted, SurroundingRays, cross_bar, sort_rays
+from perception.floor import FloorPlane
+
+_INSIDE = 0.003
+_BIN = 0.02
+# Of the rays inside the outline that were not stopped before it: how many end near its surface where the bar is and
+# where it is not (other things lie about), how many go through where it is, and how depths scatter [m].
+_HIT_ON, _HIT_OFF, _PASS_ON, _SIGMA = 0.95, 0.15, 0.03, 0.014
+_ON, _OFF = _HIT_ON / (_SIGMA * np.sqrt(2.0 * np.pi)), _HIT_OFF / (2.0 * NEAR_SURFACE)
+_LOST = float(np.log(_PASS_ON / (1.0 - _HIT_OFF)))
+_MOST_IN_BIN = 4.0
+# Log likelihoods: what a metre out of sight costs, what ends the search, what leaves two places undecided.
+_UNSEEN_COST = 40.0
+_HOPELESS = 15.0
+_UNDECIDED = 4.0
+_MOST_UNSEEN, _MOST_COVERED = 0.24, 0.6
+_ON_FLOOR, _LEAST_SLOPE = 0.02, 0.05
+_MOST_HIDDEN = 0.1
+_NEAR, _BEYOND = 0.06, 0.08
+_DESCENDS = 0.05
+
+
+@dataclass(frozen=True)
+class LikelyEnds:
+    """Where a bar begins and ends.
+
+    Attributes:
+        bar: with these ends, the nearest that are likely.
+        seen: for the first and the last, whether rays went on just beyond it.
+        hidden: by how much it may be longer there, up to 10 cm each [m].
+    """
+
+    bar: Bar
+    seen: tuple[bool, bool]
+    hidden: tuple[float, float]
+
+
+def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> LikelyEnds:
+    """Follow the bar from its middle to both ends.
+
+    Args:
+        rays: that pass near the bar and beyond its ends.
+        bar: its ends are where to begin.
+        floor: below everything.
+    """
+    crossing = cross_bar(rays, bar)
+    told = sort_rays(rays, crossing)
+    inside = crossing.outside < -_INSIDE
+    gains = _gains(rays, crossing, told, floor)
+    speaks, stopped = inside & (gains != 0.0), crossing.along[inside & told.before]
+    hits = inside & told.hit
+    middle = 0.5 * (bar.first + bar.last)
+    places, seen, hidden = [], [], []
+    for sign in (-1.0, 1.0):
+        at = sign * (crossing.along - middle)
+        one = _end(at[speaks], gains[speaks], hits[speaks], sign * (stopped - middle))
+        places.append(max(0.25 * bar.length, _BIN) if one is None else one.place)
+        seen.append(one is not None and one.is_seen)
+        hidden.append(_MOST_HIDDEN if one is None else one.hidden)
+    found = replace(bar, first=middle - places[0], last=middle + places[1])
+    if floor is not None:
+        height = _ON_FLOOR + max(0.0, float(floor.above(found.corners).min()))
+        descents = [-sign * float(bar.axis @ floor.normal) for sign in (-1.0, 1.0)]
+        hidden = [min(h, height / d) if d > _DESCENDS else h for h, d in zip(hidden, descents, strict=True)]
+    return LikelyEnds(found, (seen[0], seen[1]), (hidden[0], hidden[1]))
+
+
+def _gains(rays: SurroundingRays, crossing: Crossing, told: Sorted, floor: FloorPlane | None) -> Float[np.ndarray, "N"]:
+    """How much more likely each ray's end is where the bar is than where it is not; 0: it says nothing."""
+    gap = rays.length - crossing.depth
+    gain = np.maximum(_LOST, np.log(_ON / _OFF) - 0.5 * (gap / _SIGMA) ** 2) * (told.hit | told.passed)
+    if floor is not None:
+        # What ended on the floor under a bar ended near the bar too: which of the two was nearer?
+        downwards = np.minimum(rays.direction @ floor.normal, -_LEAST_SLOPE)
+        beyond = floor.above(rays.start) / -downwards - crossing.depth
+        of_floor = np.clip(0.5 * ((gap - beyond) ** 2 - gap**2) / _SIGMA**2, _LOST, 0.0)
+        gain = np.where(rays.elsewhere & ~told.before, of_floor, gain)
+    return np.asarray(gain)
+
+
+@dataclass(frozen=True)
+class _End:
+    place: float
+    is_seen: bool
+    hidden: float
+
+
+def _end(
+    at: Float[np.ndarray, "K"],
+    gain: Float[np.ndarray, "K"],
+    hit: Bool[np.ndarray, "K"],
+    stopped: Float[np.ndarray, "S"],
+) -> _End | None:
+    """The nearest likely end in the positive direction, and how much further off one may be."""
+    keep = np.flatnonzero(at > -_BIN)
+    keep = keep[np.argsort(at[keep], kind="stable")]
+    at, gain, hit = at[keep], gain[keep], hit[keep]
+    if not hit.any():
+        return None
+    is_pass = gain < 0.5 * _LOST
+    # Neighbouring rays are no independent witnesses: what lies there lies there for all of them.
+    in_bin = np.floor(at / _BIN).astype(np.int64) + 1
+    gain = gain * np.minimum(1.0, _MOST_IN_BIN / np.bincount(in_bin)[in_bin])
+    total = np.cumsum(gain)
+    steps = np.maximum(np.diff(at, prepend=0.0) - _BIN, 0.0)
+    within = _followed(at, steps, total, np.sort(stopped))
+    worth = (total - _UNSEEN_COST * np.cumsum(steps))[:within]
+    best = int(np.argmax(worth))
+    nearest = int(np.flatnonzero(worth >= worth[best] - _UNDECIDED)[0])
+    if at[best] - at[nearest] < _NEAR:
+        nearest = best
+    place = float(at[nearest])
+    lost = np.flatnonzero(total[best + 1 :] < total[best] - _UNDECIDED)
+    furthest = float(at[best + 1 + lost[0]]) if len(lost) else np.inf
+    passes = at[is_pass]
+    behind = passes[passes > place]
+    if len(behind) and behind[0] < place + _NEAR:
+        place = 0.5 * (place + float(behind[0]))
+    is_seen = int(((passes > place - 0.5 * _BIN) & (passes < place + _BEYOND)).sum()) >= 3
+    return _End(max(place, _BIN), is_seen, min(_MOST_HIDDEN, max(0.0, furthest - place)))
+
+
+def _followed(
+    at: Float[np.ndarray, "K"],
+    steps: Float[np.ndarray, "K"],
+    total: Float[np.ndarray, "K"],
+    stopped: Float[np.ndarray, "S"],
+) -> int:
+    """How many of the rays along a bar to look at: up to a long stretch out of sight, or of air."""
+    unseen = steps > _MOST_UNSEEN
+    for i in np.flatnonzero(unseen):
+        between = stopped[(stopped > at[i] - steps[i]) & (stopped < at[i])]
+        covered = len(np.unique(np.floor(between / _BIN))) * _BIN
+        unseen[i] = steps[i] > _MOST_COVERED or steps[i] - covered > _MOST_UNSEEN
+    lost = unseen | (total < np.maximum.accumulate(total) - _HOPELESS)
+    return max(1, int(np.argmax(lost)) if lost.any() else len(at))
