@@ -17,6 +17,7 @@ from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
 from service.request import PlanRequest, RobotRequest, StartRequest
+from service.request_known import KnownRequest
 from service.request_scene import SceneRequest
 
 MAX_BYTES = 1_000_000
@@ -27,6 +28,7 @@ _ADAPTER = TypeAdapter(PlanRequest)
 _START_ADAPTER = TypeAdapter(StartRequest)
 _ROBOT_ADAPTER = TypeAdapter(RobotRequest)
 _SCENE_ADAPTER = TypeAdapter(SceneRequest)
+_KNOWN_ADAPTER = TypeAdapter(KnownRequest)
 # Our words for pydantic's error types, filled in from the error's context; the rest keep pydantic's own.
 _WORDS = {
     "float_type": "a number is needed",
@@ -132,6 +134,15 @@ def parse_scene(data: object) -> SceneRequest:
         RequestError: one line per problem.
     """
     return _validated(data, _SCENE_ADAPTER)
+
+
+def parse_known(data: object) -> KnownRequest:
+    """Check known meshes and the scene to update, given as ``parse_request`` takes them.
+
+    Raises:
+        RequestError: one line per problem.
+    """
+    return _validated(data, _KNOWN_ADAPTER)
 
 
 def with_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +63,28 @@ class SceneSeen:
     perceived: Perceived
     hits: tuple[Detection, ...]
     mesh_points: Mapping[str, Int[np.ndarray, "K"]]
+
+
+def on_top_of(before: SceneBefore, asked: SceneAsked, said: Mapping[str, str], option: str) -> SceneAsked:
+    """What was asked, with the settings of the scene before.
+
+    Args:
+        said: settings that the user has said, and what they are called there; they have to be those of the scene.
+        option: what the update is called there.
+
+    Raises:
+        RequestError: one of them is not.
+    """
+    of = before.settings
+    for name, called in sorted(said.items()):
+        was, wanted = getattr(of, name), getattr(asked.settings, name)
+        if was != wanted:
+            raise RequestError(
+                f"{called}: {before.path} was made with {was}, and an update keeps to that; leave it out, "
+                f"or leave out {option}"
+            )
+    clouds = replace(asked.clouds, reach_m=of.reach_m, top_m=of.top_m, bottom_m=of.bottom_m, seed=of.seed)
+    return replace(asked, clouds=clouds, unknown=of.unknown, method=of.method, before=before)
 
 
 def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,9 +20,12 @@ from perception.solids.match import MeshMatch
 from service.cloud_asked import numbers
 from service.errors import RequestError
 from service.mesh import FORMATS, convex_parts, read_solid
+from service.request_known import KnownMeshRequest
 from service.result_json import plain
+from service.trust.folders import UPLOADED
 
 KIND = "object"
+UPLOAD_NAME = "mesh"  # of one whose file is an upload, where it is given none
 # What no mesh may be called: pieces of these names are made of the scan.
 _TAKEN = ("floor", "plane", "wall", "clutter", "unknown", "coacd", "stem")
 _OPTION = "--mesh"
@@ -51,6 +54,8 @@ class MeshAsked:
         pose_world_mesh: (4, 4); None where it is to be found.
         hint: (3,) a point near it, where there is no pose [m].
         is_placed: whether it stands exactly at its pose; else it is matched to the scan about it.
+        name: of its pieces; empty for that of the file.
+        called: what the file is called where it is spoken of; empty for its path.
     """
 
     file: Path
@@ -58,6 +63,13 @@ class MeshAsked:
     pose_world_mesh: Float[np.ndarray, "4 4"] | None = None
     hint: Float[np.ndarray, "3"] | None = None
     is_placed: bool = False
+    name: str = ""
+    called: str = ""
+
+    @property
+    def words(self) -> str:
+        """The file, where it is spoken of."""
+        return self.called or str(self.file)
 
 
 @dataclass(frozen=True)
@@ -137,13 +149,25 @@ def mesh_asked(text: str, scale: float = 1.0) -> MeshAsked:
     return MeshAsked(file, scale, pose, is_placed=how == "at")
 
 
+def mesh_requested(request: KnownMeshRequest, file: Path) -> MeshAsked:
+    """What a request says of a mesh whose file is kept here."""
+    place, turn = request.position, request.quaternion_wxyz
+    name = request.name or (UPLOAD_NAME if request.file.startswith(UPLOADED) else "")
+    asked = MeshAsked(file, request.scale, is_placed=request.is_placed, name=name, called=request.file)
+    if place is None:
+        return asked
+    if turn is None and not request.is_placed:
+        return replace(asked, hint=np.array(place))
+    return replace(asked, pose_world_mesh=rigid_pose((*place, *(turn or (1.0, 0.0, 0.0, 0.0)))))
+
+
 def known_of(asked: Sequence[MeshAsked], taken: Collection[str] = ()) -> tuple[KnownMesh, ...]:
     """The meshes read, each named as its file, numbered where that name is taken.
 
     Raises:
         RequestError: a file that cannot be used, or a scale with which it would be no object of this world.
     """
-    names = _names([one.file.stem for one in asked], {*_TAKEN, *taken})
+    names = _names([one.name or one.file.stem for one in asked], {*_TAKEN, *taken})
     return tuple(
         KnownMesh(name, _solid(one), one.pose_world_mesh, one.hint, one.is_placed)
         for name, one in zip(names, asked, strict=True)
@@ -156,7 +180,7 @@ def _solid(asked: MeshAsked) -> Solid:
     span = float(np.ptp(vertices, axis=0).max())
     if not _SPANS[0] <= span <= _SPANS[1]:
         raise RequestError(
-            f"{_OPTION}: {asked.file} spans {span:.3g} m at --mesh-scale {asked.scale:g}; "
+            f"{_OPTION}: {asked.words} spans {span:.3g} m at --mesh-scale {asked.scale:g}; "
             f"{_SPANS[0]:g} to {_SPANS[1]:g} m would do"
         )
     return solid
@@ -180,7 +204,7 @@ def placed(
     Raises:
         RequestError: CoACD crashed or needs too much.
     """
-    return [_placed(one, str(mesh.file), matches[one.name]) for one, mesh in zip(known, asked, strict=True)]
+    return [_placed(one, mesh.words, matches[one.name]) for one, mesh in zip(known, asked, strict=True)]
 
 
 def _placed(known: KnownMesh, file: str, match: MeshMatch) -> MeshPlaced:

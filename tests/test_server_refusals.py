@@ -10,7 +10,7 @@ from google.rpc.status_pb2 import Status
 
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.rpc import MAX_TEXT_BYTES, Refusal, shortened
-from service.server.cloud_problems import as_sent
+from service.server.cloud_problems import Kept, as_sent
 from service.server.refusal import invalid
 from service.wire.unknown import unknown_fields
 from service.wire.violations import violation
@@ -84,20 +84,28 @@ def test_files_that_cannot_be_verified_are_named_as_the_client_named_them() -> N
 
 
 def test_what_is_wrong_with_a_cloud_is_told_of_the_field_that_names_it() -> None:
-    kept, asked = [Path("/data/a.pcd"), Path("/data/b.pcd")], ["sha256:a.pcd", "sha256:b.pcd"]
+    kept = [Kept(f"clouds.clouds[{k}].file", f"sha256:{n}.pcd", Path(f"/data/{n}.pcd")) for k, n in enumerate("ab")]
+    kept.append(Kept("meshes[0].file", "sha256:c.stl", Path("/data/sha256:c.stl")))
     said = (
         "/data/b.pcd: is empty",
         "KIND: unknown kind 'x'",
         "--robot: unknown robot 'y'",
         "start is odd",
         "no points",
+        "--mesh: sha256:c.stl: has 0 triangles",
+        "--mesh: sha256:c.stl spans 1e+04 m at --mesh-scale 1; 0.001 to 100 m would do",
+        "clouds.reach_m: scene:1 was made with 3.0, and an update keeps to that",
     )
-    told = [violation(problem) for problem in as_sent(said, kept, asked)]
+    told = [violation(problem) for problem in as_sent(said, kept)]
     assert [one.field for one in told] == [
         "clouds.clouds[1].file",
         "kind",
         "clouds.robot",
         "clouds.start",
         "clouds.clouds",
+        "meshes[0].file",
+        "meshes[0].file",
+        "clouds.reach_m",
     ]
+    assert "at scale 1" in told[6].description
     assert told[0].description == "clouds.clouds[1].file: sha256:b.pcd: is empty"

@@ -19,10 +19,12 @@ from service.client.errors import planner_error
 from service.client.local import askable
 from service.client.messages import (
     Clouds,
+    Meshes,
     check_size,
     clouds_message,
     detect_message,
     local_cloud_files,
+    local_known_files,
     plan_message,
     review_message,
     scene_message,
@@ -178,11 +180,19 @@ class PlannerClient(ClientSettings):
         hint: Sequence[float] | None = None,
         unknown: str | None = None,
         method: str | None = None,
+        meshes: Meshes = (),
+        update: str | Path | None = None,
         on_step: Callable[[str], None] | None = None,
         deadline_s: float | None = None,
     ) -> BuiltScene:
-        """Turn clouds into pieces, floor and objects; the options are those of ``scopt scene``."""
-        message = scene_message(self._clouds(clouds), detect, hint, unknown, method)
+        """Turn clouds into pieces, floor and objects; the options are those of ``scopt scene``.
+
+        Meshes are known objects; ``update`` is an earlier scene, a file here or its id. Files here are uploaded.
+        """
+        files = local_known_files(meshes, update)
+        ids = {name: self.upload_cloud(path) for name, path in files.items()}
+        given = self._clouds(clouds)
+        message = scene_message(given, detect, hint, unknown, method, meshes, update, ids)
         reader = SceneReader()
         with closing(self._stream("BuildScene", message, self._attempts(deadline_s))) as events:
             for event in events:

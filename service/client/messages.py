@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from os.path import isabs
 from pathlib import Path
+from types import MappingProxyType
 
 from google.protobuf.message import Message
 
+from service.client.clouds import is_sent
 from service.client.connection import MAX_SENT_BYTES
-from service.client.local import cloud_problem
-from service.errors import RequestError
+from service.client.local import NOT_UPLOADED, cloud_problem
+from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
     CloudsSpec,
     Decision,
     DetectRequest,
+    KnownMesh,
     PlanRecord,
     PlanState,
     ReviewPlanRequest,
@@ -31,6 +35,9 @@ from service.wire.requests import request_to_message
 
 Clouds = CloudsSpec | str | Path | Sequence[str | Path]
 """Clouds as the wire says them, or files here and ids of uploaded ones, in the world frame and metres."""
+
+Meshes = Sequence[KnownMesh | str | Path]
+"""Known objects as the wire says them, or files that are looked for everywhere in metres; those here are uploaded."""
 
 
 def plan_message(
@@ -49,13 +56,25 @@ def plan_message(
 
 
 def scene_message(
-    clouds: CloudsSpec, detect: Iterable[str], hint: Sequence[float] | None, unknown: str | None, method: str | None
+    clouds: CloudsSpec,
+    detect: Iterable[str],
+    hint: Sequence[float] | None,
+    unknown: str | None,
+    method: str | None,
+    meshes: Meshes = (),
+    update: str | Path | None = None,
+    ids: Mapping[str, str] = MappingProxyType({}),
 ) -> BuildSceneRequest:
     """
+    Args:
+        ids: of meshes and of the scene to update that were uploaded, by the name they are given.
+
     Raises:
         RequestError: an option has a value that it cannot have.
     """
-    message = BuildSceneRequest(clouds=clouds)
+    known = [_named(one, ids) for one in meshes]
+    before = None if update is None else ids.get(str(update), str(update))
+    message = BuildSceneRequest(clouds=clouds, meshes=known, update=before)
     asked = {"detect": list(detect), "hint": list(hint or ()), "unknown": unknown, "method": method}
     fill(message, asked)
     return message
@@ -80,6 +99,39 @@ def local_cloud_files(clouds: Clouds) -> dict[str, Path]:
     if problems:
         raise RequestError(problems)
     return {name: Path(name) for name in names if Path(name).is_file()}
+
+
+def local_known_files(meshes: Meshes, update: str | Path | None) -> dict[str, Path]:
+    """Meshes and the scene to update that are files here, by the name they are given.
+
+    Raises:
+        RequestError: one starts here and is not here, or cannot be uploaded.
+    """
+    named = {f"meshes[{k}].file": _as_mesh(one).file for k, one in enumerate(meshes)}
+    not_sent = {field: name for field, name in named.items() if Path(name).is_file() and not is_sent(name)}
+    sent = {field: name for field, name in named.items() if field not in not_sent}
+    sent |= {} if update is None else {"update": str(update)}
+    problems = [cloud_problem(field, name, Path(name)) for field, name in sent.items()]
+    problems += [f"{field}: {shown(name)}: {NOT_UPLOADED}" for field, name in not_sent.items() if not isabs(name)]
+    told = [problem for problem in problems if problem]
+    if told:
+        raise RequestError(told)
+    return {name: Path(name) for name in sent.values() if Path(name).is_file()}
+
+
+def _as_mesh(mesh: KnownMesh | str | Path) -> KnownMesh:
+    return mesh if isinstance(mesh, KnownMesh) else KnownMesh(file=str(mesh))
+
+
+def _named(mesh: KnownMesh | str | Path, ids: Mapping[str, str]) -> KnownMesh:
+    """The mesh by its id, if it was uploaded, and then with the name of its file."""
+    known = KnownMesh()
+    known.CopyFrom(_as_mesh(mesh))
+    if known.file in ids:
+        if not known.name:
+            known.name = Path(known.file).stem
+        known.file = ids[known.file]
+    return known
 
 
 def clouds_message(clouds: Clouds, ids: dict[str, str]) -> CloudsSpec:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from service.errors import RequestError
 from service.request_file import parse_robot, parse_start
 from service.wire.violations import violation
 
+MESH, UPDATE = "--mesh", "--update"
 # What perception says of its options, and the fields that stand for them.
 FIELDS: Mapping[str, str] = {
     "KIND": "kind",
@@ -17,17 +19,33 @@ FIELDS: Mapping[str, str] = {
     "--transform": "clouds.clouds",
     "--sensor": "clouds.sensor",
     "--unit": "clouds.unit",
+    MESH: "meshes",
+    UPDATE: "update",
 }
+# Settings that an earlier scene has decided, by the field that says otherwise.
+OF_BEFORE: Mapping[str, str] = {
+    "reach_m": "clouds.reach_m",
+    "top_m": "clouds.top_m",
+    "bottom_m": "clouds.bottom_m",
+    "seed": "clouds.seed",
+    "unknown": "unknown",
+    "method": "method",
+}
+BESIDE = frozenset(OF_BEFORE.values())
 
 
-def as_sent(problems: Iterable[str], files: Iterable[Path], names: Iterable[str]) -> tuple[str, ...]:
-    """Problems that begin with the field of the message they speak of.
+@dataclass(frozen=True)
+class Kept:
+    """A file that a client named: the field that says so, its name there, and where it is kept here."""
 
-    Args:
-        files: where the clouds lie here; names: as the client named them.
-    """
-    clouds = list(zip(map(str, files), names, strict=True))
-    return tuple(_as_sent(problem, clouds) for problem in problems)
+    field: str
+    name: str
+    path: Path
+
+
+def as_sent(problems: Iterable[str], files: Sequence[Kept]) -> tuple[str, ...]:
+    """Problems that begin with the field of the message they speak of."""
+    return tuple(_as_sent(problem, files) for problem in problems)
 
 
 def robot_problems(name: str | None) -> tuple[str, ...]:
@@ -49,11 +67,15 @@ def start_problems(data: object) -> tuple[str, ...]:
     return ()
 
 
-def _as_sent(problem: str, clouds: list[tuple[str, str]]) -> str:
-    for index, (path, name) in enumerate(clouds):
-        if path in problem:
-            return f"clouds.clouds[{index}].file: {problem.replace(path, name)}"
+def _as_sent(problem: str, files: Sequence[Kept]) -> str:
     option, colon, words = problem.partition(": ")
+    if colon and option in (MESH, UPDATE):
+        problem = words.replace("--mesh-scale", "scale")
+    about = [one for one in files if str(one.path) in problem] or [one for one in files if one.path.name in problem]
+    for one in about[:1]:
+        return f"{one.field}: {problem.replace(str(one.path), one.name)}"
     if colon and option in FIELDS:
         return f"{FIELDS[option]}: {words}"
+    if colon and option in BESIDE:
+        return problem
     return f"clouds.{violation(problem).field or 'clouds'}: {problem}"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,11 +24,12 @@ from service.proto.planner.v1.planner_pb2 import (
     UploadCloudResponse,
 )
 from service.request import RobotRequest
-from service.request_file import parse_scene, parse_start
+from service.request_file import parse_known, parse_scene, parse_start
+from service.request_known import KnownRequest
 from service.request_scene import SceneRequest
 from service.rpc import Context, deadline_of
 from service.server.asked import uploaded
-from service.server.cloud_problems import as_sent, robot_problems, start_problems
+from service.server.cloud_problems import OF_BEFORE, Kept, as_sent, robot_problems, start_problems
 from service.server.disk import Disk
 from service.server.refusal import invalid, overloaded
 from service.server.robots import RobotFolder
@@ -37,7 +38,7 @@ from service.server.workshop import Workshop, outcome
 from service.store import UPLOAD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
 from service.trust import AllowedFolders, current_caller
 from service.trust import Limits as ClientLimiter
-from service.trust.folders import UPLOADED
+from service.trust.folders import BUILT, UPLOADED
 from service.wire.perceived import detections_to_messages, scene_to_message
 from service.wire.plain import to_plain
 from service.wire.violations import violation
@@ -45,6 +46,7 @@ from service.work.look import SceneTask, build_scene, detect
 from service.work.plan import Refused
 
 T = TypeVar("T")
+M = TypeVar("M", BuildSceneRequest, BuildSceneRequest | DetectRequest)
 MAX_REACH_M = 50.0
 DEFAULT_REACH_M = 4.0
 BESIDE_CLOUDS = ("hint", "unknown", "method")  # fields of a message that a request's scene has, too
@@ -148,10 +150,20 @@ class Perceiving:
             Refusal: they cannot be had.
         """
         scene = await self._checked(message)
+        known = await _aside(message, self._known)
         self._disk.check()
         steps: asyncio.Queue[str | None] = asyncio.Queue()
-        with self._placed(message.clouds, scene) as clouds:
-            task = SceneTask(clouds, tuple(message.detect), scene.hint, scene.unknown, scene.method)
+        with self._placed(message.clouds, scene) as clouds, self._found(known) as found:
+            task = SceneTask(
+                clouds,
+                tuple(message.detect),
+                scene.hint,
+                scene.unknown,
+                scene.method,
+                tuple((one, found[one.file]) for one in known.meshes),
+                None if known.update is None else (found[known.update], known.update),
+                _said(message),
+            )
             piece = self._workshop.start(
                 "scene",
                 build_scene,
@@ -164,7 +176,7 @@ class Perceiving:
             try:
                 while (step := await steps.get()) is not None:
                     yield BuildSceneResponse(step=step)
-                text = self._seen(await outcome(piece), clouds, scene)
+                text = self._seen(await outcome(piece), clouds, scene, _kept_files(known, found))
             finally:
                 piece.cancel()
         scene_id = await asyncio.to_thread(self._store.scenes.put, current_caller().name, text)
@@ -202,9 +214,7 @@ class Perceiving:
         return DetectResponse(hits=detections_to_messages(found["hits"]), notes=found["notes"])
 
     async def _checked(self, message: BuildSceneRequest | DetectRequest) -> SceneRequest:
-        if message.ByteSize() <= SMALL_BYTES:
-            return self._scene(message)
-        return await asyncio.to_thread(self._scene, message)
+        return await _aside(message, self._scene)
 
     def _scene(self, message: BuildSceneRequest | DetectRequest) -> SceneRequest:
         """What is asked of clouds, held to the rules of a request's scene.
@@ -235,6 +245,38 @@ class Perceiving:
             raise invalid(map(_of_message, problems))
         return scene
 
+    def _known(self, message: BuildSceneRequest) -> KnownRequest:
+        """Known meshes and the scene to update.
+
+        Raises:
+            Refusal: INVALID_ARGUMENT, naming every field.
+        """
+        plain = to_plain(message)
+        try:
+            known = parse_known({key: plain[key] for key in ("meshes", "update") if key in plain})
+        except RequestError as error:
+            raise invalid(error.problems) from None
+        refused = {f"meshes[{k}].file": self._folders.refused(one.file, "mesh") for k, one in enumerate(known.meshes)}
+        refused["update"] = "" if known.update is None else self._folders.refused(known.update, "scene")
+        problems = [f"{field}: {words}" for field, words in refused.items() if words]
+        if problems:
+            raise invalid(problems)
+        return known
+
+    @contextmanager
+    def _found(self, known: KnownRequest) -> Iterator[dict[str, Path]]:
+        """Where the files of meshes and of the scene to update are, by their names, while the body runs.
+
+        Raises:
+            NotStoredError: one of them has gone meanwhile.
+        """
+        with ExitStack() as held:
+            files = {name: Path(name) for name in known.files}
+            files |= held.enter_context(self._clouds.using(uploaded(known.files)))
+            if known.update is not None and known.update.startswith(BUILT):
+                files[known.update] = held.enter_context(self._store.scenes.as_file(known.update))
+            yield files
+
     @contextmanager
     def _placed(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudAsked]:
         """The clouds where they are kept, which they are while the body runs."""
@@ -256,14 +298,16 @@ class Perceiving:
                 seed=given.seed,
             )
 
-    def _seen(self, answer: T | Refused, clouds: CloudAsked, scene: SceneRequest) -> T:
+    def _seen(self, answer: T | Refused, clouds: CloudAsked, scene: SceneRequest, more: Sequence[Kept] = ()) -> T:
         """A worker's answer about clouds.
 
         Raises:
             Refusal: it cannot be had of them.
         """
         if isinstance(answer, Refused):
-            problems = as_sent(answer.problems, clouds.files, [one.file for one in scene.cloud_files])
+            named = zip(scene.cloud_files, clouds.files, strict=True)
+            files = [Kept(f"clouds.clouds[{k}].file", one.file, path) for k, (one, path) in enumerate(named)]
+            problems = as_sent(answer.problems, [*files, *more])
             raise invalid(self._robots.as_named(problems))
         return answer
 
@@ -277,6 +321,24 @@ def _of_message(problem: str) -> str:
     if re.split(r"[.\[]", field, maxsplit=1)[0] in BESIDE_CLOUDS:
         return problem
     return f"clouds.{re.sub(r'^cloud(?=[:[])', 'clouds', problem)}" if field else f"clouds: {problem}"
+
+
+async def _aside(message: M, check: Callable[[M], T]) -> T:
+    """What a message says, read off the event loop where it is large."""
+    return check(message) if message.ByteSize() <= SMALL_BYTES else await asyncio.to_thread(check, message)
+
+
+def _said(message: BuildSceneRequest) -> dict[str, str]:
+    """Settings that a message says itself, and what they are called in it."""
+    given = message.clouds
+    is_said = {name: given.HasField(name) for name in ("reach_m", "top_m", "bottom_m")}
+    is_said |= {"seed": bool(given.seed), "unknown": bool(message.unknown), "method": bool(message.method)}
+    return {name: OF_BEFORE[name] for name, is_there in is_said.items() if is_there}
+
+
+def _kept_files(known: KnownRequest, found: Mapping[str, Path]) -> list[Kept]:
+    kept = [Kept(f"meshes[{k}].file", one.file, found[one.file]) for k, one in enumerate(known.meshes)]
+    return kept if known.update is None else [*kept, Kept("update", known.update, found[known.update])]
 
 
 def _heights(given: CloudsSpec) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from service.cloud_asked import CloudAsked
 from service.errors import RequestError, ResultError, shown
 from service.executor import Control
 from service.request import GoalRequest, PlanRequest, RobotRequest
+from service.request_known import KnownMeshRequest
 from service.work.plan import Refused, warm_robots
 
 # Of a server's own robot, for those who know the other.
@@ -29,6 +30,9 @@ class SceneTask:
         kinds: of objects to look for.
         hint: a point near the object that is looked for [m].
         unknown, method: of ``perception.perceive``.
+        meshes: known objects, and where their files are kept here.
+        update: the file of an earlier scene, and what it is called.
+        said: settings that have to be those of the earlier scene, and what they are called.
     """
 
     clouds: CloudAsked
@@ -36,14 +40,23 @@ class SceneTask:
     hint: tuple[float, float, float] | None = None
     unknown: str = "free"
     method: str = "planes"
+    meshes: tuple[tuple[KnownMeshRequest, Path], ...] = ()
+    update: tuple[Path, str] | None = None
+    said: Mapping[str, str] = field(default_factory=dict)
 
 
 def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
     """The scene's file (docs/scene-format.md); what it reports are the names of steps."""
-    from service.scene_file import SceneAsked, see_files
+    from service.scene_before import read_before
+    from service.scene_file import SceneAsked, on_top_of, see_files
+    from service.scene_meshes import mesh_requested
 
-    asked = SceneAsked(task.clouds, task.kinds, task.hint, task.unknown, task.method)  # type: ignore[arg-type]
+    meshes = tuple(mesh_requested(one, path) for one, path in task.meshes)
+    asked = SceneAsked(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
     try:
+        if task.update is not None:
+            before = replace(read_before(task.update[0]), path=Path(task.update[1]))
+            asked = on_top_of(before, asked, task.said, "update")
         return json.dumps(see_files(asked, control.report).data, allow_nan=False).encode()
     except RequestError as error:
         return Refused(error.problems)

@@ -181,18 +181,38 @@ class CloudsSpec(_message.Message):
     def __init__(self, clouds: _Optional[_Iterable[_Union[_request_pb2.CloudFile, _Mapping]]] = ..., unit: _Optional[_Union[_request_pb2.LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., reach_m: _Optional[float] = ..., robot: _Optional[str] = ..., start: _Optional[_Union[_request_pb2.Start, _Mapping]] = ..., seed: _Optional[int] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[_request_pb2.MessageNumber, _Mapping]] = ..., top_m: _Optional[float] = ..., bottom_m: _Optional[float] = ...) -> None: ...
 
 class BuildSceneRequest(_message.Message):
-    __slots__ = ("clouds", "detect", "hint", "unknown", "method")
+    __slots__ = ("clouds", "detect", "hint", "unknown", "method", "meshes", "update")
     CLOUDS_FIELD_NUMBER: _ClassVar[int]
     DETECT_FIELD_NUMBER: _ClassVar[int]
     HINT_FIELD_NUMBER: _ClassVar[int]
     UNKNOWN_FIELD_NUMBER: _ClassVar[int]
     METHOD_FIELD_NUMBER: _ClassVar[int]
+    MESHES_FIELD_NUMBER: _ClassVar[int]
+    UPDATE_FIELD_NUMBER: _ClassVar[int]
     clouds: CloudsSpec
     detect: _containers.RepeatedScalarFieldContainer[str]
     hint: _containers.RepeatedScalarFieldContainer[float]
     unknown: _request_pb2.UnknownSpace
     method: _request_pb2.PieceMethod
-    def __init__(self, clouds: _Optional[_Union[CloudsSpec, _Mapping]] = ..., detect: _Optional[_Iterable[str]] = ..., hint: _Optional[_Iterable[float]] = ..., unknown: _Optional[_Union[_request_pb2.UnknownSpace, str]] = ..., method: _Optional[_Union[_request_pb2.PieceMethod, str]] = ...) -> None: ...
+    meshes: _containers.RepeatedCompositeFieldContainer[KnownMesh]
+    update: str
+    def __init__(self, clouds: _Optional[_Union[CloudsSpec, _Mapping]] = ..., detect: _Optional[_Iterable[str]] = ..., hint: _Optional[_Iterable[float]] = ..., unknown: _Optional[_Union[_request_pb2.UnknownSpace, str]] = ..., method: _Optional[_Union[_request_pb2.PieceMethod, str]] = ..., meshes: _Optional[_Iterable[_Union[KnownMesh, _Mapping]]] = ..., update: _Optional[str] = ...) -> None: ...
+
+class KnownMesh(_message.Message):
+    __slots__ = ("file", "name", "scale", "position", "quaternion_wxyz", "is_placed")
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    IS_PLACED_FIELD_NUMBER: _ClassVar[int]
+    file: str
+    name: str
+    scale: float
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    is_placed: bool
+    def __init__(self, file: _Optional[str] = ..., name: _Optional[str] = ..., scale: _Optional[float] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., is_placed: bool = ...) -> None: ...
 
 class BuildSceneResponse(_message.Message):
     __slots__ = ("step", "scene")
