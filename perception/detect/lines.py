@@ -1,5 +1,6 @@
-"""Hypotheses of straight long things in a cloud: random pairs of neighbours, scored by how much the points about their
-line stand out from what is around them, grown along it as far as points go on."""
+"""Hypotheses of straight long things in a cloud: random pairs of neighbours and the ways in which slim surroundings
+spread, scored by how much the points about their line stand out from what is around them, grown along it as far as
+points go on."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 _BALL = 0.32
@@ -16,6 +17,7 @@ _BIN = 0.04
 _GAP = 5
 _MOST_NEAR = 400
 _SHARED, _RUNS_IN = 0.6, 0.6
+_SLIM, _SPREAD, _FEWEST = 0.3, 0.018, 5
 _MOST_BINS = 20
 # A line begun at a few points is off by this much at most where it ends.
 _CORRIDOR = 0.25
@@ -48,10 +50,10 @@ def find_lines(
     rng: np.random.Generator,
     radii: tuple[float, ...],
     least_length: float,
-    known: Sequence[Line] = (),
     n_seeds: int = 250,
     n_pairs: int = 14,
     most: int = 60,
+    slim_ball: float | None = None,
 ) -> list[Line]:
     """The best lines, best first; no two that run through much the same place.
 
@@ -60,26 +62,30 @@ def find_lines(
         rng: for the pairs.
         radii: of the tubes to try [m].
         least_length: [m].
-        known: lines that are not wanted again.
         n_seeds: places to look at.
         n_pairs: directions tried at each.
         most: how many to return.
+        slim_ball: what is sought is so slim that points in balls of this radius about it spread along it [m]: only
+            such places are looked at, and that direction is tried as well; None: it may be thick.
     """
     if len(points) < 12:
         return []
     tree = cKDTree(points)
     taken = np.zeros(len(points), dtype=bool)
-    for one in known:
-        taken |= _of_line(points, one)
-    untaken = np.flatnonzero(~taken)
-    if not len(untaken):
-        return []
-    seeds = np.sort(rng.choice(untaken, min(n_seeds, len(untaken)), replace=False))
+    slim, ways = np.arange(len(points)), None
+    if slim_ball is not None:
+        slim, ways = _slim(points, tree, slim_ball)
+        if not len(slim):
+            return []
+    chosen = np.sort(rng.choice(len(slim), min(n_seeds, len(slim)), replace=False))
+    seeds = slim[chosen]
     starts: list[tuple[float, Line]] = []
-    for seed, near in zip(seeds, tree.query_ball_point(points[seeds], _BALL, return_sorted=True), strict=True):
+    around = tree.query_ball_point(points[seeds], _BALL, return_sorted=True)
+    for i, seed, near in zip(chosen, seeds, around, strict=True):
         local = np.asarray(near, dtype=np.int64)
         if len(local) >= 10:
-            starts += _at_seed(points, int(seed), local, rng, radii, n_pairs)
+            way = None if ways is None else ways[i]
+            starts += _at_seed(points, int(seed), local, rng, radii, n_pairs, way)
     starts.sort(key=lambda start: -start[0])
     found: list[Line] = []
     for _, start in starts[: 6 * most]:
@@ -89,12 +95,33 @@ def find_lines(
         line = _grown(points, start)
         if line is None or line.last - line.first < least_length:
             continue
-        if not _runs_in_any(line, (*known, *found)):
+        if not _runs_in_any(line, found):
             found.append(line)
             taken[line.members] = True
             if len(found) == most:
                 break
     return sorted(found, key=lambda line: -line.score)
+
+
+def _slim(
+    points: Float[np.ndarray, "N 3"], tree: cKDTree, ball: float
+) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]]:
+    """Points about which others spread in one direction only: their indices, and that direction."""
+    pairs = tree.query_pairs(ball, output_type="ndarray")
+    n = len(points)
+    of, offset = pairs.T.reshape(-1), points[pairs[:, 1]] - points[pairs[:, 0]]
+    offset = np.concatenate([offset, -offset])
+    # With the point itself, whose offset is nought.
+    count = np.bincount(of, minlength=n) + 1.0
+    mean = np.stack([np.bincount(of, offset[:, i], n) for i in range(3)], axis=1) / count[:, None]
+    covariance = -mean[:, :, None] * mean[:, None, :]
+    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        second = np.bincount(of, offset[:, i] * offset[:, j], n) / count
+        covariance[:, i, j] += second
+        covariance[:, j, i] += second * (i != j)
+    variances, ways = np.linalg.eigh(covariance)
+    is_slim = (count >= _FEWEST) & (variances[:, 1] < _SLIM * variances[:, 2]) & (variances[:, 2] > _SPREAD**2)
+    return np.flatnonzero(is_slim), np.asarray(ways[is_slim, :, 2])
 
 
 def _at_seed(
@@ -104,6 +131,7 @@ def _at_seed(
     rng: np.random.Generator,
     radii: tuple[float, ...],
     n_pairs: int,
+    way: Float[np.ndarray, "3"] | None,
 ) -> list[tuple[float, Line]]:
     """The best line through a seed for each radius."""
     if len(local) > _MOST_NEAR:
@@ -115,6 +143,8 @@ def _at_seed(
         return []
     partners = rng.choice(partners, min(n_pairs, len(partners)), replace=False)
     axes = offset[partners] / distance[partners, None]
+    if way is not None:
+        axes = np.concatenate([way[None], axes])
     along = axes @ offset.T
     apart = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
     n_bins = int(2 * _BALL / _BIN)
@@ -187,11 +217,6 @@ def _run(along: Float[np.ndarray, "K"]) -> tuple[float, float]:
     distance = np.maximum(np.maximum(bins[begins], -1 - bins[ends]), 0)
     best = int(np.argmin(distance))
     return float(bins[begins[best]] * _BIN), float((bins[ends[best]] + 1) * _BIN)
-
-
-def _of_line(points: Float[np.ndarray, "N 3"], line: Line) -> Bool[np.ndarray, "N"]:
-    along, apart = _about(points, line.place, line.axis)
-    return np.asarray((apart < line.radius) & (along >= line.first) & (along <= line.last))
 
 
 def _runs_in_any(line: Line, others: Sequence[Line]) -> bool:
