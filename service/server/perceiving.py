@@ -1,17 +1,17 @@
-"""UploadCloud, BuildScene and Detect."""
+"""BuildScene, GetScene and Detect."""
 
 from __future__ import annotations
 
 import asyncio
 import math
 import re
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 from service.cloud_asked import CloudAsked
-from service.errors import RequestError, shown
+from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
     BuildSceneResponse,
@@ -20,25 +20,21 @@ from service.proto.planner.v1.planner_pb2 import (
     DetectResponse,
     GetSceneRequest,
     GetSceneResponse,
-    UploadCloudRequest,
-    UploadCloudResponse,
 )
 from service.request import RobotRequest
-from service.request_file import parse_known, parse_scene, parse_start
-from service.request_known import KnownRequest
+from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
 from service.rpc import Context, deadline_of
 from service.server.asked import uploaded
-from service.server.cloud_problems import OF_BEFORE, Kept, as_sent, robot_problems, start_problems
+from service.server.cloud_problems import Kept, as_sent, robot_problems, start_problems
 from service.server.disk import Disk
-from service.server.refusal import invalid, overloaded
+from service.server.known import KnownThings, kept_files, said_settings
+from service.server.refusal import invalid
 from service.server.robots import RobotFolder
 from service.server.settings import SMALL_BYTES, ServerSettings
 from service.server.workshop import Workshop, outcome
-from service.store import UPLOAD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
+from service.store import CloudStore, Store
 from service.trust import AllowedFolders, current_caller
-from service.trust import Limits as ClientLimiter
-from service.trust.folders import BUILT, UPLOADED
 from service.wire.perceived import detections_to_messages, scene_to_message
 from service.wire.plain import to_plain
 from service.wire.violations import violation
@@ -50,7 +46,6 @@ M = TypeVar("M", BuildSceneRequest, BuildSceneRequest | DetectRequest)
 MAX_REACH_M = 50.0
 DEFAULT_REACH_M = 4.0
 BESIDE_CLOUDS = ("hint", "unknown", "method")  # fields of a message that a request's scene has, too
-SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 class Perceiving:
@@ -62,8 +57,6 @@ class Perceiving:
         workshop: where clouds are looked at.
         store: where scenes are kept; clouds: where clouds are; disk: both are on.
         robots: that this server knows besides those of the package.
-        limiter: of how much a client may upload.
-        on_upload: told the bytes of every cloud that came.
     """
 
     def __init__(
@@ -75,8 +68,6 @@ class Perceiving:
         clouds: CloudStore,
         disk: Disk,
         robots: RobotFolder,
-        limiter: ClientLimiter,
-        on_upload: Callable[[int], None],
     ) -> None:
         self._settings = settings
         self._folders = folders
@@ -85,63 +76,7 @@ class Perceiving:
         self._clouds = clouds
         self._disk = disk
         self._robots = robots
-        self._limiter = limiter
-        self._on_upload = on_upload
-
-    async def upload(self, requests: AsyncIterator[UploadCloudRequest], context: Context) -> UploadCloudResponse:
-        """Take a cloud in; one that is known need not be sent.
-
-        Raises:
-            Refusal: it cannot be taken.
-        """
-        client = current_caller()
-        first = await anext(requests, None)
-        if first is None or first.WhichOneof("part") != "header":
-            raise invalid(["header: the first message of an upload needs one"])
-        suffix = "." + first.header.format.removeprefix(".").lower()
-        if suffix not in UPLOAD_SUFFIXES:
-            formats = ", ".join(one.removeprefix(".") for one in UPLOAD_SUFFIXES)
-            raise invalid([f"header.format: {formats} would do, got {shown(first.header.format)}"])
-        claimed = first.header.sha256.lower()
-        if claimed and not SHA256.fullmatch(claimed):
-            raise invalid([f"header.sha256: 64 hexadecimal digits or nothing would do, got {shown(claimed)}"])
-        announced, most = first.header.size_bytes, self._clouds.limits.max_cloud_bytes
-        if announced > most:
-            raise invalid([f"header.size_bytes: at most {most} would do, got {announced}; downsample the cloud first"])
-        known = self._clouds.size(f"{UPLOADED}{claimed}{suffix}") if claimed else None
-        if known is not None:
-            return UploadCloudResponse(cloud_id=f"{UPLOADED}{claimed}{suffix}", size_bytes=known, was_known=True)
-        self._disk.check()
-        with self._clouds.upload(client.name, suffix) as upload:
-            self._count(client.key, announced)
-            async for request in requests:
-                if request.WhichOneof("part") != "chunk":
-                    raise invalid(["chunk: every message after the first needs one"])
-                beyond = upload.n_bytes + len(request.chunk) - max(announced, upload.n_bytes)
-                self._count(client.key, beyond, upload.n_bytes)
-                try:
-                    await asyncio.to_thread(upload.write, request.chunk)
-                except TooLargeError as error:
-                    raise invalid([f"chunk: {error}"]) from None
-            size, sha256 = upload.n_bytes, upload.sha256
-            if announced and size != announced:
-                raise invalid([f"header.size_bytes: {announced} bytes were announced and {size} came"])
-            if claimed and sha256 != claimed:
-                raise invalid([f"header.sha256: {claimed} was announced, what came has {sha256}"])
-            was_known = self._clouds.has(f"{UPLOADED}{sha256}{suffix}")
-            cloud_id = await asyncio.to_thread(_kept, upload.finish)
-        self._on_upload(size)
-        return UploadCloudResponse(cloud_id=cloud_id, size_bytes=size, was_known=was_known)
-
-    def _count(self, client: str, n_bytes: int, begun: int = 0) -> None:
-        """Count bytes of a client's upload, what is announced before any of it is sent.
-
-        Raises:
-            Refusal: it brings too many, with the time after which all of it would do.
-        """
-        refusal = self._limiter.upload(client, n_bytes, begun) if n_bytes > 0 else None
-        if refusal is not None:
-            raise overloaded(refusal.text, refusal.retry_after_s or 0.0)
+        self._things = KnownThings(folders, clouds, store.scenes)
 
     async def build_scene(self, message: BuildSceneRequest, context: Context) -> AsyncIterator[BuildSceneResponse]:
         """Pieces, floor and objects of clouds.
@@ -150,10 +85,10 @@ class Perceiving:
             Refusal: they cannot be had.
         """
         scene = await self._checked(message)
-        known = await _aside(message, self._known)
+        known = await _aside(message, self._things.asked)
         self._disk.check()
         steps: asyncio.Queue[str | None] = asyncio.Queue()
-        with self._placed(message.clouds, scene) as clouds, self._found(known) as found:
+        with self._placed(message.clouds, scene) as clouds, self._things.found(known) as found:
             task = SceneTask(
                 clouds,
                 tuple(message.detect),
@@ -162,7 +97,7 @@ class Perceiving:
                 scene.method,
                 tuple((one, found[one.file]) for one in known.meshes),
                 None if known.update is None else (found[known.update], known.update),
-                _said(message),
+                said_settings(message),
             )
             piece = self._workshop.start(
                 "scene",
@@ -176,7 +111,7 @@ class Perceiving:
             try:
                 while (step := await steps.get()) is not None:
                     yield BuildSceneResponse(step=step)
-                text = self._seen(await outcome(piece), clouds, scene, _kept_files(known, found))
+                text = self._seen(await outcome(piece), clouds, scene, kept_files(known, found))
             finally:
                 piece.cancel()
         scene_id = await asyncio.to_thread(self._store.scenes.put, current_caller().name, text)
@@ -245,38 +180,6 @@ class Perceiving:
             raise invalid(map(_of_message, problems))
         return scene
 
-    def _known(self, message: BuildSceneRequest) -> KnownRequest:
-        """Known meshes and the scene to update.
-
-        Raises:
-            Refusal: INVALID_ARGUMENT, naming every field.
-        """
-        plain = to_plain(message)
-        try:
-            known = parse_known({key: plain[key] for key in ("meshes", "update") if key in plain})
-        except RequestError as error:
-            raise invalid(error.problems) from None
-        refused = {f"meshes[{k}].file": self._folders.refused(one.file, "mesh") for k, one in enumerate(known.meshes)}
-        refused["update"] = "" if known.update is None else self._folders.refused(known.update, "scene")
-        problems = [f"{field}: {words}" for field, words in refused.items() if words]
-        if problems:
-            raise invalid(problems)
-        return known
-
-    @contextmanager
-    def _found(self, known: KnownRequest) -> Iterator[dict[str, Path]]:
-        """Where the files of meshes and of the scene to update are, by their names, while the body runs.
-
-        Raises:
-            NotStoredError: one of them has gone meanwhile.
-        """
-        with ExitStack() as held:
-            files = {name: Path(name) for name in known.files}
-            files |= held.enter_context(self._clouds.using(uploaded(known.files)))
-            if known.update is not None and known.update.startswith(BUILT):
-                files[known.update] = held.enter_context(self._store.scenes.as_file(known.update))
-            yield files
-
     @contextmanager
     def _placed(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudAsked]:
         """The clouds where they are kept, which they are while the body runs."""
@@ -328,19 +231,6 @@ async def _aside(message: M, check: Callable[[M], T]) -> T:
     return check(message) if message.ByteSize() <= SMALL_BYTES else await asyncio.to_thread(check, message)
 
 
-def _said(message: BuildSceneRequest) -> dict[str, str]:
-    """Settings that a message says itself, and what they are called in it."""
-    given = message.clouds
-    is_said = {name: given.HasField(name) for name in ("reach_m", "top_m", "bottom_m")}
-    is_said |= {"seed": bool(given.seed), "unknown": bool(message.unknown), "method": bool(message.method)}
-    return {name: OF_BEFORE[name] for name, is_there in is_said.items() if is_there}
-
-
-def _kept_files(known: KnownRequest, found: Mapping[str, Path]) -> list[Kept]:
-    kept = [Kept(f"meshes[{k}].file", one.file, found[one.file]) for k, one in enumerate(known.meshes)]
-    return kept if known.update is None else [*kept, Kept("update", known.update, found[known.update])]
-
-
 def _heights(given: CloudsSpec) -> tuple[float, float]:
     """Between which points are kept [m]."""
     return (
@@ -358,13 +248,6 @@ def accepted(answer: T | Refused) -> T:
     if isinstance(answer, Refused):
         raise invalid(answer.problems)
     return answer
-
-
-def _kept(finish: Callable[[], str]) -> str:
-    try:
-        return finish()
-    except UploadRefusedError as error:
-        raise invalid([f"chunk: {error}"]) from None
 
 
 def _numbers(*groups: Sequence[float]) -> str:

@@ -32,6 +32,7 @@ from service.server.registration import SERVICE, method_handlers
 from service.server.robots import RobotFolder
 from service.server.servicer import Servicer
 from service.server.settings import MOST_STREAMS, ServerSettings
+from service.server.uploading import Uploading
 from service.server.workshop import Workshop
 from service.store import CloudStore, Store
 from service.trust import UNIX, Certificates, Gate, TlsFiles, Tokens, TrustError, allowed_folders, listen_problems
@@ -156,7 +157,8 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
         if robots.replaced:
             _LOG.warning("own robots in place of those that come with scopt", names=list(robots.replaced))
         planning = Planning(Door(settings, folders, clouds, store.scenes, robots), workshop, store, disk, count)
-        perceiving = Perceiving(settings, folders, workshop, store, clouds, disk, robots, limiter, metrics.uploaded)
+        perceiving = Perceiving(settings, folders, workshop, store, clouds, disk, robots)
+        uploading = Uploading(clouds, disk, limiter, metrics.uploaded)
         keeping = Keeping(settings, workshop, store, planning.running, robots, verdicts)
         server = grpc.aio.server(
             interceptors=[
@@ -166,7 +168,7 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
             ],
             options=_options(settings),
         )
-        server.add_generic_rpc_handlers((method_handlers(Servicer(planning, perceiving, keeping)),))
+        server.add_generic_rpc_handlers((method_handlers(Servicer(planning, uploading, perceiving, keeping)),))
         health_pb2_grpc.add_HealthServicer_to_server(state, server)
         names = (SERVICE.full_name, health.SERVICE_NAME, reflection.SERVICE_NAME)
         reflection.enable_server_reflection(names, server)

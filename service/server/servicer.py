@@ -10,6 +10,7 @@ from service.rpc import Context
 from service.server.keeping import Keeping
 from service.server.perceiving import Perceiving
 from service.server.planning import Planning
+from service.server.uploading import Uploading
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,7 @@ class Servicer:
     """Hands every method to the one that answers it."""
 
     planning: Planning
+    uploading: Uploading
     perceiving: Perceiving
     keeping: Keeping
 
@@ -26,7 +28,7 @@ class Servicer:
     async def UploadCloud(
         self, messages: AsyncIterator[wire.UploadCloudRequest], context: Context
     ) -> wire.UploadCloudResponse:
-        return await self.perceiving.upload(messages, context)
+        return await self.uploading.upload(messages, context)
 
     def BuildScene(self, message: wire.BuildSceneRequest, context: Context) -> AsyncIterator[wire.BuildSceneResponse]:
         return self.perceiving.build_scene(message, context)
