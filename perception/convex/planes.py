@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 _CELL = 0.04
+_AT_A_TIME = 16
 
 
 @dataclass(frozen=True)
@@ -72,10 +73,12 @@ class Plane:
     @property
     def basis(self) -> Float[np.ndarray, "2 3"]:
         """Two unit directions in the plane, the second as upright as can be."""
-        up = np.array([0.0, 0.0, 1.0]) if abs(self.normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-        first = np.cross(up, self.normal)
-        first /= np.linalg.norm(first)
-        return np.stack([first, np.cross(self.normal, first)])
+        x, y, z = map(float, self.normal)
+        # Across the normal and the vertical, or the x axis where the normal is upright; numpy's cross is slow on one.
+        a, b, c = (-y, x, 0.0) if abs(z) < 0.9 else (0.0, -z, y)
+        length = np.sqrt(a * a + b * b + c * c)
+        a, b, c = a / length, b / length, c / length
+        return np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]])
 
 
 def point_normals(
@@ -145,11 +148,9 @@ def _best_region(
     """The connected members of the plane that most of a sample agrees on; None when too few or too thin."""
     sample = left if len(left) <= 3000 else rng.choice(left, 3000, replace=False)
     seeds = rng.choice(left, min(settings.n_candidates, len(left)), replace=False)
-    offsets = (points[seeds] * normals[seeds]).sum(axis=1)
-    agree = np.abs(points[sample] @ normals[seeds].T - offsets) < settings.distance
-    agree &= normals[sample] @ normals[seeds].T > settings.normal_dot
-    best = np.argsort(-agree.sum(axis=0), kind="stable")[: settings.n_refined]
-    settled = [_settled(points, normals, starts, sample[agree[:, i]], sample, settings) for i in best]
+    agree = _agreeing(points, normals, sample, seeds, settings)
+    best = np.argsort(-np.count_nonzero(agree, axis=1), kind="stable")[: settings.n_refined]
+    settled = [_settled(points, normals, starts, sample[agree[i]], sample, settings) for i in best]
     region = _settled(points, normals, starts, max(settled, key=len), left, settings)
     if len(region) < 10:
         return None
@@ -163,6 +164,27 @@ def _best_region(
     if np.sqrt(12.0 * np.linalg.eigvalsh(np.cov(flat.T))[0]) < settings.min_size:
         return None
     return region
+
+
+def _agreeing(
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    sample: Int[np.ndarray, "K"],
+    seeds: Int[np.ndarray, "S"],
+    settings: PlaneSettings,
+) -> Bool[np.ndarray, "S K"]:
+    """Which of the sample lie on the plane through each seed, with a normal like its own."""
+    places, directions = np.ascontiguousarray(points[sample].T), np.ascontiguousarray(normals[sample].T)
+    through, offsets = normals[seeds], (points[seeds] * normals[seeds]).sum(axis=1)
+    agree = np.zeros((len(seeds), len(sample)), dtype=bool)
+    # A few at a time: what is worked on then stays in the cache of one core.
+    for first in range(0, len(seeds), _AT_A_TIME):
+        some = slice(first, first + _AT_A_TIME)
+        distance = through[some] @ places
+        distance -= offsets[some, None]
+        np.abs(distance, out=distance)
+        agree[some] = (distance < settings.distance) & (through[some] @ directions > settings.normal_dot)
+    return agree
 
 
 def _settled(
@@ -218,10 +240,11 @@ def _consistent(
 def _fit(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "3"], float]:
     """Least-squares plane; its normal points to where most of the rays came from."""
     centre = points.mean(axis=0)
-    normal = np.linalg.eigh(np.cov((points - centre).T))[1][:, 0]
-    if np.median((starts - centre) @ normal) < 0.0:
-        normal = -normal
-    return normal, float(normal @ centre)
+    relative = points - centre
+    normal = np.linalg.eigh(relative.T @ relative)[1][:, 0]
+    offset = float(normal @ centre)
+    is_behind = starts @ normal < offset
+    return (-normal, -offset) if 2 * np.count_nonzero(is_behind) > len(is_behind) else (normal, offset)
 
 
 def noise_of(

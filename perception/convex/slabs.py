@@ -21,6 +21,7 @@ _BACK = 0.017
 _WORTHWHILE = 0.05
 _NOISE = 0.001
 _MOST_CORNERS = 32
+_BESIDE = 0.06
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,7 @@ def _open_cells(
 
 def _area(corners: Float[np.ndarray, "K 2"]) -> float:
     x, y = corners.T
-    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    return 0.5 * abs(float(x[:-1] @ y[1:] - y[:-1] @ x[1:] + x[-1] * y[0] - y[-1] * x[0]))
 
 
 def _cut(
@@ -194,30 +195,48 @@ def _cut(
 
 def _merged(region: _Region, parts: list[Int[np.ndarray, "K"]]) -> list[Int[np.ndarray, "K"]]:
     """Parts joined, the smallest with the neighbour that adds least area, while the joint outline is closed."""
-    parts = sorted(parts, key=lambda part: (len(part), int(part[0])))
+    waiting = sorted((_Part.of(region, part) for part in parts), key=_Part.rank)
     kept: list[Int[np.ndarray, "K"]] = []
-    while parts:
-        part = parts.pop(0)
+    while waiting:
+        part = waiting.pop(0)
         options = []
-        for i, other in enumerate(parts):
-            if not _near(region.flat[part], region.flat[other]):
-                continue
-            joint = np.concatenate([part, other])
+        for i in map(int, part.beside(waiting)):
+            joint = np.concatenate([part.members, waiting[i].members])
             outline = _outline(region.flat[joint])
             if not len(_open_cells(region, outline)):
                 options.append((float(np.prod(np.ptp(outline[0], axis=0))), i, joint))
         if options:
             _, i, joint = min(options, key=lambda option: option[:2])
-            parts[i] = joint
-            parts.sort(key=lambda part: (len(part), int(part[0])))
+            waiting[i] = _Part.of(region, joint)
+            waiting.sort(key=_Part.rank)
         else:
-            kept.append(part)
+            kept.append(part.members)
     return kept
 
 
-def _near(a: Float[np.ndarray, "N 2"], b: Float[np.ndarray, "M 2"]) -> bool:
-    gap = 0.06
-    return bool((a.min(axis=0) <= b.max(axis=0) + gap).all() and (b.min(axis=0) <= a.max(axis=0) + gap).all())
+@dataclass(frozen=True)
+class _Part:
+    """Some members of a plane and the corners of the rectangle they fill [m]."""
+
+    members: Int[np.ndarray, "K"]
+    lower: Float[np.ndarray, "2"]
+    upper: Float[np.ndarray, "2"]
+
+    @classmethod
+    def of(cls, region: _Region, members: Int[np.ndarray, "K"]) -> _Part:
+        flat = region.flat[members]
+        return cls(members, flat.min(axis=0), flat.max(axis=0))
+
+    def rank(self) -> tuple[int, int]:
+        """The smallest first."""
+        return len(self.members), int(self.members[0])
+
+    def beside(self, others: list[_Part]) -> Int[np.ndarray, "J"]:
+        """Which of the others have rectangles at most 6 cm away."""
+        lower = np.array([other.lower for other in others]).reshape(-1, 2)
+        upper = np.array([other.upper for other in others]).reshape(-1, 2)
+        near = (lower <= self.upper + _BESIDE) & (upper >= self.lower - _BESIDE)
+        return np.flatnonzero(near.all(axis=1))
 
 
 def joined(plane: Plane, slab: Slab, flat: Float[np.ndarray, "K 2"]) -> Slab:

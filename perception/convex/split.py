@@ -181,4 +181,7 @@ def _is_open_between(one: Hull, other: Hull, free: FreeSpace) -> bool:
     # Drawn in a little, so that none lies on the surface of the joint hull.
     halfway = centre + 0.9 * (halfway - centre)
     hits = halfway[free.contains(halfway)]
-    return len(np.unique(np.floor(hits / free.size), axis=0)) > _MOST_FREE_CELLS
+    if len(hits) <= _MOST_FREE_CELLS:
+        return False
+    cells = np.floor((hits - free.lower) / free.size).astype(np.int64)
+    return len(np.unique(np.ravel_multi_index(tuple(cells.T), free.free.shape))) > _MOST_FREE_CELLS
