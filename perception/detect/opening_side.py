@@ -21,6 +21,7 @@ _BEHIND = 0.8
 _CELL = 0.05
 _SIDE_BIN = 0.02
 _PANEL = 0.045  # how far from it its panels and posts may be; what stands further in is furniture
+_THROUGH = 0.065
 _OVER_WHEELS = 0.24
 _BEFORE_WHEELS = 0.7
 _WAIST = (0.08, 0.75)
@@ -66,8 +67,8 @@ def _outermost(mine: Float[np.ndarray, "K 3"], near: float, far: float, least: f
 
 
 def crossings(starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], at: float) -> Float[np.ndarray, "K 2"]:
-    """x and z of where rays went through the vehicle's side, and further than its panels are thick [m]."""
-    crosses = ((starts[:, 1] - at) * (ends[:, 1] - at) < 0.0) & (np.abs(ends[:, 1] - at) > _PANEL)
+    """x and z of where rays went through the vehicle's side, further than a panel a little askew lies off it [m]."""
+    crosses = ((starts[:, 1] - at) * (ends[:, 1] - at) < 0.0) & (np.abs(ends[:, 1] - at) > _THROUGH)
     share = (at - starts[crosses, 1]) / (ends[crosses, 1] - starts[crosses, 1])
     return np.asarray((starts[crosses] + share[:, None] * (ends[crosses] - starts[crosses]))[:, [0, 2]])
 
