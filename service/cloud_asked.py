@@ -158,7 +158,7 @@ def point(text: str, option: str) -> tuple[float, float, float]:
     """
     values = numbers(text, option)
     if len(values) != 3 or not np.isfinite(values).all():
-        raise RequestError(f"{option}: three numbers X Y Z would do, got '{text}'")
+        raise RequestError(f"{option}: three numbers 'X Y Z' (in quotes) would do, got '{text}'")
     return values[0], values[1], values[2]
 
 

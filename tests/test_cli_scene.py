@@ -114,7 +114,7 @@ def test_units_and_poses_bring_several_clouds_together(scan: Path, tmp_path: Pat
         (("scene", "a.pcd", "--top", "-1", "--out", "s.json"), "--top: -1 m is not above --bottom -0.5 m"),
         (("scene", "a.pcd", "--message", "last", "--out", "s.json"), "--message: a whole number, -1 for the last, or"),
         (("detect", "valve", "a.pcd", "--hint", "nan", "0", "0"), "--hint: nan 0 0 is no place; three finite numbers"),
-        (("scene", "a.pcd", "--sensor", "1 2", "--out", "s.json"), "--sensor: three numbers X Y Z would do, got '1 2'"),
+        (("scene", "a.pcd", "--sensor", "1 2", "--out", "s.json"), "--sensor: three numbers 'X Y Z' (in quotes) would"),
         (("scene", "a.pcd", "--unit", "furlong", "--out", "s.json"), "--unit: unknown unit 'furlong'; m, cm"),
     ],
 )  # fmt: skip

@@ -12,7 +12,7 @@ import pytest
 from cloud_files import CLOUD, cloud_message, las_bytes, write_bag, write_e57
 from scipy.spatial.transform import Rotation
 
-from perception import CloudError, read_cloud
+from perception import CloudError, read_cloud, read_clouds
 from perception.files import read as reading
 from perception.files.bag import _scan as scan_of_message
 from perception.files.e57 import _cartesian
@@ -128,6 +128,14 @@ def test_a_single_e57_scan_has_one_origin(tmp_path: Path) -> None:
         read_cloud(path, apply_viewpoint=True)
 
 
+def test_a_sensor_may_be_given_for_an_e57_without_a_pose(tmp_path: Path) -> None:
+    pye57 = pytest.importorskip("pye57")
+    with pye57.E57(str(tmp_path / "a.e57"), mode="w") as file:
+        file.write_scan_raw({f"cartesian{axis}": POINTS[:, i].copy() for i, axis in enumerate("XYZ")})
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.e57", sensor=[0, 0, 1.6]).origin, [0, 0, 1.6])
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.e57").origin, np.zeros(3))
+
+
 def test_an_e57_direction_without_range_is_a_ray_that_met_nothing(tmp_path: Path) -> None:
     pytest.importorskip("pye57")
     path = tmp_path / "a.e57"
@@ -171,6 +179,14 @@ def test_a_bag_reads_as_folder_and_as_file(tmp_path: Path, storage: str, suffix:
         np.testing.assert_allclose(cloud.points, POINTS, atol=1e-6)
         np.testing.assert_array_equal(cloud.origin, np.zeros(3))
         assert "in the frame 'lidar'" in cloud.notes[0]
+
+
+def test_topic_and_message_are_those_of_the_bags_among_several_files(tmp_path: Path) -> None:
+    np.save(tmp_path / "beside.npy", POINTS + 9)
+    path = bag(tmp_path, (POINTS, "lidar"), (POINTS + 1, "lidar"))
+    cloud = read_clouds([(path, None), (tmp_path / "beside.npy", None)], topic="/points", message=1, sensor=[0, 0, 2])
+    np.testing.assert_allclose(cloud.points, [*(POINTS + 1), *(POINTS + 9)], atol=1e-6)
+    np.testing.assert_array_equal(cloud.starts, np.broadcast_to([0, 0, 2], cloud.points.shape))
 
 
 def test_a_message_is_chosen_or_all_are_merged(tmp_path: Path) -> None:

@@ -143,10 +143,26 @@ def test_rays_start_where_the_user_says_when_the_file_does_not(tmp_path: Path) -
     cloud = read_cloud(silent, transform=[1, 2, 0, 0, 0, 0])
     np.testing.assert_array_equal(cloud.origin, [1, 2, 0])
     assert "rays are taken to start at (1, 2, 0)" in cloud.notes[0]
-    np.testing.assert_array_equal(read_cloud(telling, sensor=[1, 2, 1.6]).origin, SENSOR)
+    cloud = read_cloud(telling, sensor=[1, 2, 1.6])
+    np.testing.assert_array_equal(cloud.origin, SENSOR)
+    assert cloud.notes == ("the file says where its rays started; the sensor's position that is given is not used",)
     for sensor in ([1, 2], [1, 2, np.nan]):
         with pytest.raises(CloudError, match="is no position; three finite numbers are needed"):
             read_cloud(silent, sensor=sensor)
+
+
+def test_an_identity_for_a_viewpoint_does_not_say_where_rays_started(tmp_path: Path) -> None:
+    path = tmp_path / "pcl.pcd"
+    write_pcd(path, ROOM)
+    pose = [1, 2, 0, 0, 0, 0]
+    np.testing.assert_array_equal(read_cloud(path, transform=pose, sensor=[1, 2, 1.6]).origin, [1, 2, 1.6])
+    np.testing.assert_array_equal(read_cloud(path, transform=pose).origin, [1, 2, 0])
+    cloud = read_cloud(path, transform=[5000.0, 0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(cloud.origin, [5000.0, 0, 0])
+    write_pcd(path, ROOM + np.array([5000.0, 0, 0]))
+    cloud = read_cloud(path, transform=[-5000.0, 0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(cloud.origin, np.zeros(3))
+    assert any("its zero lies 5000 m away" in note for note in cloud.notes)
 
 
 def test_no_ray_starts_at_the_zero_of_a_map(tmp_path: Path) -> None:

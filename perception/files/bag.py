@@ -120,8 +120,8 @@ def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str
             raise CloudError(f"{where}: its {len(scans)} messages hold no points; at least one is needed")
         raise CloudError(f"{where}: message {message} of {n_messages} holds no points; another one, or all, would do")
     notes = [
-        f"the points are in the frame '{frames.pop()}' with the sensor at its origin; transforms recorded in the "
-        "bag are not read, only one that is given with it"
+        f"the points are in the frame '{frames.pop()}'; transforms recorded in the bag are not read, only one that is "
+        "given with it"
     ]
     if len(scans) > 1:
         notes.append(f"merged {len(scans)} messages as they stand; that is right for a sensor that stood still")
@@ -130,7 +130,6 @@ def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str
     return Scan(
         np.concatenate([scan.points for scan in scans]),
         misses=np.concatenate([scan.misses for scan in scans]),
-        starts=np.zeros(3),
         notes=tuple(notes),
     )
 

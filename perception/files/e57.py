@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perception.errors import CloudError
+from perception.files.pcd import IDENTITY_VIEWPOINT
 from perception.files.scan import Scan
 from perception.files.thinning import step_of, taken, thinning_note
 from perception.limits import MAX_FILE_POINTS
@@ -43,7 +44,9 @@ def read_e57(path: Path, name: str) -> Scan:
                 f"{name}: its {len(headers)} scans announce {n_points} points; at most {MAX_FILE_POINTS} are read"
             )
         step = step_of(n_points)
-        stations = [_station(libe57, file, header, step, name) for header in headers if header.point_count]
+        headers = [header for header in headers if header.point_count]
+        stations = [_station(libe57, file, header, step, name) for header in headers]
+        is_placed = any(_is_placed(*_pose(header, name)) for header in headers)
     finally:
         file.close()
     points = np.concatenate([points for points, _, _ in stations])
@@ -51,6 +54,8 @@ def read_e57(path: Path, name: str) -> Scan:
     notes = thinning_note(n_points, step)
     if len(misses):
         notes = (*notes, f"{len(misses)} rays without a return count as free up to their scan's median range")
+    if not is_placed:
+        return Scan(points, IDENTITY_VIEWPOINT, misses=misses, notes=notes)
     if len(stations) == 1:
         return Scan(points, misses=misses, starts=stations[0][2], notes=notes)
     starts = np.concatenate([np.broadcast_to(start, points.shape) for points, _, start in stations])
@@ -102,6 +107,11 @@ def _columns(
     if system is _SPHERICAL:
         columns[valid == _DIRECTION_ONLY, 0] = 1.0  # a direction has no range
     return columns, valid
+
+
+def _is_placed(rotation: Float[np.ndarray, "3 3"], position: Float[np.ndarray, "3"]) -> bool:
+    """Whether a pose says anything; writers that know none leave it out or write the identity."""
+    return bool(position.any()) or not np.array_equal(rotation, np.eye(3))
 
 
 def _cartesian(spherical: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:

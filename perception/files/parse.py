@@ -54,12 +54,12 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
         MemoryError: the file needs more memory than there is.
     """
     suffix = path.suffix.lower()
-    is_bag = suffix in _BAGS or (path / _BAG_FOLDER_HAS).is_file()
-    if not is_bag and (topic is not None or message != 0):
+    is_one = is_bag(path)
+    if not is_one and (topic is not None or message != 0):
         raise CloudError(f"{path}: is no bag, so it has no topic and message; leave them out")
     try:
         with np.errstate(all="ignore"):  # damaged numbers overflow; what is too large to be a place is dropped later
-            if is_bag:
+            if is_one:
                 _check_file(path / _BAG_FOLDER_HAS if path.is_dir() else path, None)
                 if path.is_file():
                     _check_bag(path, suffix)
@@ -80,6 +80,11 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
     except BaseException as error:  # libraries raise of every kind on damaged files; a panic is not even an Exception
         words = shown(str(error).partition("****")[0]) or type(error).__name__
         raise CloudError(f"{path}: is damaged, or no {suffix.removeprefix('.') or 'bag'} file ({words})") from None
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is one of a bag: of its file, or of the folder of a ROS 2 bag."""
+    return path.suffix.lower() in _BAGS or (path / _BAG_FOLDER_HAS).is_file()
 
 
 def _of_folder(path: Path) -> str:

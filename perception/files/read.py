@@ -13,6 +13,7 @@ from perception.cloud import Cloud, make_cloud, merged
 from perception.errors import CloudError
 from perception.files.bag import Message
 from perception.files.oddities import rounding_note, without_empty_rows
+from perception.files.parse import is_bag
 from perception.files.placing import Pose, metres_per, moved, pose_of_viewpoint, rigid_pose
 from perception.files.scan import Scan
 from perception.files.thinning import taken
@@ -43,7 +44,8 @@ def read_cloud(
         unit: of the file's lengths: m, cm, mm, km, in, ft.
         transform: pose_world_cloud, as ``rigid_pose`` takes it [m, rad]; None: the points are in the world.
         apply_viewpoint: move the points by the viewpoint pose, for files whose points are in the sensor's frame.
-        sensor: where the rays of a file that does not say so started, in the world [m]; None: at the file's zero.
+        sensor: where the rays of a file that does not say so started, in the world [m]; None: at the file's zero.  A
+            viewpoint that is the identity does not say so, since it is what writers put that know none.
         topic: of a bag with several clouds, the one to read.
         message: of a bag, the number of the message to read, the first being 0 and the last -1, or ``all``, merged.
 
@@ -68,7 +70,8 @@ def read_clouds(
 
     Args:
         files: each file with its pose_world_cloud (None: its points are in the world already).
-        unit, apply_viewpoint, sensor, topic, message: of all files, as for ``read_cloud``.
+        unit, apply_viewpoint, sensor: of all files, as for ``read_cloud``.
+        topic, message: of all bags among them.
 
     Raises:
         CloudError: no file, or what ``read_cloud`` has to say of one of them.
@@ -77,8 +80,10 @@ def read_clouds(
         raise CloudError("no cloud file is given; at least one is needed")
     clouds: list[Cloud] = []
     step = 1
+    has_bag = any(is_bag(Path(path)) for path, _ in files)
     for path, transform in files:
-        scan = parse_in_worker(Path(path), topic, message)
+        of_bag = (topic, message) if is_bag(Path(path)) or not has_bag else (None, 0)
+        scan = parse_in_worker(Path(path), *of_bag)
         cloud = _placed(scan, str(path), unit, transform, apply_viewpoint, sensor)
         if len(files) > 1:
             cloud = replace(cloud, notes=tuple(f"{path}: {note}" for note in cloud.notes))
@@ -128,13 +133,18 @@ def _placed(
         notes = (*notes, *_frame_hint(scale * scan.points, viewpoint))
     pose_world_rows = pose @ viewpoint if apply_viewpoint else pose
     points = moved(pose_world_rows, scan.points, scale)
+    # Writers that know no sensor leave the identity for a viewpoint.
+    is_told = scan.starts is not None or not np.array_equal(viewpoint, np.eye(4))
+    if is_told and sensor is not None:
+        notes = (*notes, "the file says where its rays started; the sensor's position that is given is not used")
     if scan.starts is not None:
         origin = moved(pose_world_rows, scan.starts, scale)
-    elif scan.viewpoint is not None:
+    elif is_told:
         origin = moved(pose, viewpoint[:3, 3])
     else:
         origin, more = _unknown_sensor(points, pose[:3, 3], sensor)
-        notes = (*notes, *more)
+        if scan.viewpoint is None or not np.array_equal(origin, pose[:3, 3]):
+            notes = (*notes, *more)
     return make_cloud(
         points,
         origin,
