@@ -10,6 +10,8 @@ import laspy
 import numpy as np
 import pytest
 from cloud_files import CLOUD, cloud_message, las_bytes, write_bag, write_e57
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from perception import CloudError, read_cloud, read_clouds
@@ -304,6 +306,36 @@ def test_rows_of_an_organised_message_may_be_padded() -> None:
     data = rows.ravel()
     padded = message(data=data, fields=fields, height=2, width=3, point_step=24, row_step=80, is_bigendian=True)
     np.testing.assert_array_equal(scan_of_message(padded, "bag").points, POINTS[:6])
+
+
+KINDS_OF_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_any_layout_of_a_message_is_understood(data: st.DataObject) -> None:
+    pytest.importorskip("rosbags")
+    names = data.draw(st.permutations(["x", "y", "z", "intensity", "ring"]))
+    datatypes = data.draw(st.lists(st.sampled_from(list(KINDS_OF_FIELDS)), min_size=5, max_size=5))
+    gaps = data.draw(st.lists(st.integers(0, 5), min_size=6, max_size=6))
+    height, width, pad = (data.draw(st.integers(*limits)) for limits in ((1, 3), (1, 4), (0, 7)))
+    is_big = data.draw(st.booleans())
+    order = ">" if is_big else "<"
+    fields, formats, offsets, at = [], [], [], 0
+    for name, datatype, gap in zip(names, datatypes, gaps, strict=False):
+        formats.append(order + KINDS_OF_FIELDS[datatype])
+        offsets.append(at + gap)
+        fields.append(field(name, at + gap, datatype))
+        at += gap + np.dtype(formats[-1]).itemsize
+    dtype = np.dtype({"names": list(names), "formats": formats, "offsets": offsets, "itemsize": at + gaps[5]})
+    grid = np.zeros((height, width), dtype)
+    for i, axis in enumerate("xyz"):
+        grid[axis] = np.arange(i, i + height * width).reshape(height, width)
+    rows = [row.tobytes() + b"\xff" * pad for row in grid]
+    raw = np.frombuffer(b"".join(rows), np.uint8)
+    layout = {"point_step": dtype.itemsize, "row_step": len(rows[0]), "height": height, "width": width}
+    scan = scan_of_message(message(data=raw, fields=fields, is_bigendian=is_big, **layout), "bag")
+    np.testing.assert_array_equal(scan.points, np.arange(height * width)[:, None] + np.arange(3.0))
 
 
 @pytest.mark.parametrize(

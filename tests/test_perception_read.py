@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cloud_files import las_bytes
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -305,6 +305,28 @@ def test_text_round_trip_with_any_separator_and_header(points, mark, header) -> 
 )
 def test_text_of_the_field_is_understood(text: str, expected: list[list[float]]) -> None:
     np.testing.assert_array_equal(read_text(text.encode(), "cloud.csv").points, expected)
+
+
+@given(
+    st.permutations(["x", "y", "z", "gps time", "i", "cloud index"]),
+    st.integers(3, 6),
+    st.integers(0, 2),
+    st.sampled_from([",", ";", "\t", " "]),
+)
+def test_columns_are_those_that_the_header_names_or_the_table_is_refused(
+    names: list[str], n_named: int, n_more: int, mark: str
+) -> None:
+    named = names[:n_named]
+    # A name of two words and a column without a name make up for each other between blanks.
+    assume(mark != " " or not n_more or not any(" " in name for name in named))
+    rows = [[100 * row + column for column in range(n_named)] + [7] * n_more for row in (1, 2)]
+    text = "\n".join([mark.join(named), *(mark.join(map(str, row)) for row in rows)]) + "\n"
+    try:
+        points = read_text(text.encode(), "a.csv").points
+    except CloudError:
+        return
+    expected = [[row[named.index(axis)] for axis in "xyz"] for row in rows]
+    np.testing.assert_array_equal(points, expected)
 
 
 @pytest.mark.parametrize("header", ["X [mm],Y [mm],Z [mm]", "x_mm,y_mm,z_mm", "x (millimetres);y (millimetres);z (MM)"])
