@@ -70,12 +70,6 @@ def test_second_server_on_the_same_port_is_refused(server: ServerProcess, tmp_pa
     assert words.splitlines()[-1] == f"--listen {server.address}: cannot listen there; is another server at it?"
 
 
-@pytest.mark.parametrize("option", ["--drain", "--requests-per-s"])
-def test_number_that_is_none_is_refused(tmp_path: Path, option: str) -> None:
-    code, words = never_ready(tmp_path / "data", option, "nan")
-    assert (code, words.splitlines()[-1]) == (3, f"{option} nan: is no number; 30 would do")
-
-
 def test_killed_server_leaves_no_process_and_loses_nothing_that_it_told(
     server: ServerProcess, stub: PlannerServiceStub, data: Path
 ) -> None:

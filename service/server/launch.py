@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -58,7 +57,6 @@ async def launch(told: Launch, on_ready: Callable[[str], None]) -> None:
     """
     data = told.settings.get("data") or Path(platformdirs.user_data_dir("scopt")) / "service"
     settings = ServerSettings(**{**told.settings, "data": data, "budgets_s": _budgets(told.budgets)})
-    _check_numbers({"--drain": settings.drain_s, "--requests-per-s": told.requests_per_s})
     if settings.robots is not None and not settings.robots.is_dir():
         raise RequestError(f"--robots {settings.robots}: is no folder")
     tokens = None if told.tokens is None else Tokens(told.tokens)
@@ -70,16 +68,6 @@ async def launch(told: Launch, on_ready: Callable[[str], None]) -> None:
     spans = SentSpans() if os.environ.get(SPANS_VARIABLE) else None
     port = Port(told.listen, tls, tokens, _limiter(told.requests_per_s), told.metrics, spans)
     await serve(settings, port, _executor(told.executor, settings), on_ready)
-
-
-def _check_numbers(given: Mapping[str, float | None]) -> None:
-    """
-    Raises:
-        RequestError: one is none, which compares with nothing.
-    """
-    for option, number in given.items():
-        if number is not None and math.isnan(number):
-            raise RequestError(f"{option} nan: is no number; 30 would do")
 
 
 def _budgets(given: tuple[str, ...]) -> dict[str, float]:
