@@ -232,8 +232,8 @@ def doubt(match: MeshMatch) -> str:
     """Why a mesh's confidence is low, in words."""
     told = match.residuals
     shares = {
-        "seen_through": "of the rays that should have met it went on",
-        "hidden": "of the rays that should have met it ended before it",
+        "hidden": "of the rays towards it ended before it",
+        "seen_through": "of the rays that reached its place went on",
     }
     reasons = [f"{100.0 * told[name]:.0f} % {words}" for name, words in shares.items() if told.get(name, 0.0) > 0.1]
     if not reasons:

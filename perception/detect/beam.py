@@ -293,7 +293,7 @@ def _as_detection(one: _Beam) -> Detection:
         "air_share": evidence.air,
         "visible_share": evidence.visible,
         "misfit_ratio": one.flatter.misfit,
-        "flatter_share": one.flatter.share,
+        "flatter_ratio": one.flatter.share,
         "hidden_length": one.hidden,
         "n_ends_seen": float(sum(one.ends.seen)),
     }
