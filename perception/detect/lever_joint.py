@@ -16,6 +16,9 @@ from perception.detect.vectors import cross
 _APART = (0.04, 0.25)
 _PARALLEL_DEG = 20.0
 _PIVOT_FROM_END = 0.06
+# By the pipe's radius, where what holds a lever before it begins: the noise of the pipe itself is below that; a lever
+# across looks past it.
+_OVER_PIPE, _IN_PIPE = 1.15, 0.8
 _OVERHANG = 1.25  # of a lever beyond its pivot, by its radius
 # What is known at best of: directions of bar and pipe [rad], their places across, the pivot's place along [m].
 _SIGMA_WAY, _SIGMA_ACROSS, _SIGMA_ALONG = 0.004, 0.002, 0.012
@@ -72,7 +75,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
         return None
     if not pipe.first - 0.1 < along_pipe < pipe.last + 0.1:
         return None
-    pivot = _pivot(bar, axis, apart - 0.8 * pipe.half[0], index)
+    pivot = _pivot(bar, axis, apart - (_OVER_PIPE if is_parallel else _IN_PIPE) * pipe.half[0], index)
     if not is_parallel:
         ends = np.array([bar.first, bar.last])
         k = int(np.argmin(np.abs(ends - nearest)))
