@@ -60,6 +60,9 @@ def _check(found: Detection, truth: Truth, scale: float = 1.0) -> None:
     assert abs(found.sizes["height"] - truth.sizes["height"]) < 0.05 * scale
     assert abs(np.degrees(found.sizes["ajar"] - truth.sizes["ajar"])) < 1.0 * scale
     assert np.linalg.norm(_handle(pose, dict(found.sizes)) - _handle(true, dict(truth.sizes))) < 0.02 * scale
+    # The middle line of its bar, not the near side that rays from above meet.
+    assert abs(found.sizes["handle_z"] - truth.sizes["handle_z"]) < 0.01 * scale
+    assert abs(abs(found.sizes["handle_y"]) - abs(truth.sizes["handle_y"])) < 0.01 * scale
     assert found.sizes["lever_direction"] == truth.sizes["lever_direction"]
 
 

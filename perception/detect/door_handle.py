@@ -25,6 +25,8 @@ _WENT_ON = 0.06
 _LEAST = 6.0
 _MOST_SLACK = 0.12
 _PULL_END = 0.1
+_FRONT = 0.75  # of its radius, what is seen of a bar lies before its middle line on average
+_THIN, _BAR, _KNOB = 0.005, 0.012, 0.016  # least and largest radii [m]
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Handle:
 
     Attributes:
         low, high: (2,) corners along the plane and up [m].
-        out: how far its bar stands out of the face [m].
+        out: how far the middle line of its bar stands out of the face [m].
         is_lever: wider than high.
         is_pull: a bar much higher than wide.
         is_panic: a bar across most of the face.
@@ -70,8 +72,8 @@ class Handle:
             np.clip(self.evidence / 30.0, 0.0, 1.0)
             * np.clip((self.purity - 0.4) / 0.25, 0.0, 1.0)
             * np.clip((self.alone - 0.5) / 0.25, 0.0, 1.0)
-            * np.clip((self.out - 0.028) / 0.008, 0.0, 1.0)
-            * np.clip((0.1 - self.out) / 0.006, 0.0, 1.0)
+            * np.clip((self.out - 0.022) / 0.008, 0.0, 1.0)
+            * np.clip((0.094 - self.out) / 0.006, 0.0, 1.0)
         )
 
 
@@ -200,8 +202,8 @@ def _measured(
     vote = _votes(depth, out, sigma)
     near = ((at > corner - 0.02) & (at < far + 0.02)).all(axis=1)
     met = near & (vote > 0.0)
+    trim = 2.0 if met.sum() > 40 else 0.0
     if met.sum() >= 3:
-        trim = 2.0 if met.sum() > 40 else 0.0
         corner, far = np.percentile(at[met], [trim, 100.0 - trim], axis=0)
     inside = ((at >= corner) & (at <= far)).all(axis=1)
     ring = ((at > corner - _RING) & (at < far + _RING)).all(axis=1)
@@ -220,10 +222,17 @@ def _measured(
             for low_end in (corner[1] - 0.015 - _PULL_END, far[1] + 0.015)
         ]
         alone = min(alone, *(float(np.mean(on_face[end])) if end.any() else 0.0 for end in ends))
+    is_bar = is_panic or is_lever or is_pull
+    middle = out - _FRONT * float(np.clip(0.5 * size.min(), _THIN, _BAR if is_bar else _KNOB))
+    ends = [corner, far]
+    if met.sum() >= 3:
+        # Rays from above meet a bar's near side higher up than they would cross the plane of its middle line.
+        place = rays.crossing(plane, middle)[0][mine][met]
+        ends = list(np.percentile(place, [trim, 100.0 - trim], axis=0))
     return Handle(
-        corner,
-        far,
-        out,
+        ends[0],
+        ends[1],
+        middle,
         is_lever,
         is_pull,
         is_panic,
