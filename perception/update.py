@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece, Scene
 from perception.clean import Reach
 from perception.cloud import Cloud
+from perception.convex.hulls import hull_of
 from perception.convex.piece import Piece
-from perception.convex.pieces import updated_pieces
+from perception.convex.pieces import Updated, updated_pieces
+from perception.convex.standing import Ground
 from perception.convex.unknown import unknown_pieces
 from perception.detect.valve import ValveDetection
+from perception.floor import FloorPlane, on_floors
+from perception.levels_again import may_be_level
+from perception.locally import surface_among
 from perception.perceive import Clock, Perceived, floors_of, matched, unexplained, without_best
 from perception.solids.known import KnownMesh
 from perception.solids.match import MeshMatch
-from perception.view import make_view
+from perception.view import View, make_view
 
 _SAME = 0.01
 
@@ -33,6 +39,7 @@ class Earlier:
         reach, seed: of the scan before.
         valves: detections, best first.
         matches: by name where known meshes were found.
+        floors: levels of the floor; without any they are looked for anew, which takes longer.
     """
 
     scene: Scene
@@ -41,11 +48,13 @@ class Earlier:
     seed: int
     valves: tuple[ValveDetection, ...] = ()
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
+    floors: tuple[FloorPlane, ...] = ()
 
     @classmethod
     def of(cls, seen: Perceived) -> Earlier:
         """Of what a scan showed."""
-        return cls(seen.scene, seen.pieces, seen.view.reach, seen.view.seed, seen.valves, seen.matches)
+        view = seen.view
+        return cls(seen.scene, seen.pieces, view.reach, view.seed, seen.valves, seen.matches, view.floors)
 
 
 def update(
@@ -59,9 +68,9 @@ def update(
     """What a new scan of the same scene shows, in the same reach.
 
     Pieces that no ray of the new scan passes through stay in the scene as they are: the same objects, the same names.
-    What their surfaces do not explain becomes new pieces (slabs and hulls) with new names.  The floor stays while its
-    corners move by less than 1 cm.  A valve or known mesh that was found stays where it was, and is not looked for
-    again unless it is among ``known``; unknown space is made anew if it was asked for.
+    What their surfaces do not explain is cleaned and becomes new pieces (slabs and hulls) with new names.  The floor
+    stays while its corners move by less than 1 cm.  A valve or known mesh that was found stays where it was, and is not
+    looked for again unless it is among ``known``; unknown space is made anew if it was asked for.
 
     Args:
         before: what the scan before showed.
@@ -74,23 +83,92 @@ def update(
     """
     clock = Clock()
     earlier = before if isinstance(before, Earlier) else Earlier.of(before)
-    view = make_view(cloud, reach=earlier.reach, robot_hulls=robot_hulls, soles=soles, seed=earlier.seed)
-    kept, _ = without_best(earlier.valves, view)
-    clock.lap("view")
-    matches = {**earlier.matches, **matched(known, view, clock)}
-    kept = unexplained(view.obstacles, kept, matches)
-    made = updated_pieces(earlier.pieces, view.obstacles[kept], view.starts[kept], view.cloud.rays, earlier.seed)
-    pieces = tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces)
-    clock.lap("pieces")
+    seen = _held_against(earlier, cloud, robot_hulls, soles, known, earlier.floors, clock)
+    if seen.view.floors is earlier.floors and may_be_level(seen.new, earlier.floors):
+        seen = _held_against(earlier, cloud, robot_hulls, soles, known, (), clock)
+    view, pieces = seen.view, seen.pieces
     hidden: tuple[ConvexPiece, ...] = ()
     if any(piece.kind == "unknown" for piece in earlier.scene.pieces):
         hidden = unknown_pieces(view.cloud.rays, earlier.reach, view.floors, robot_hulls, soles)
         clock.lap("unknown")
-    floors = _steady(earlier.scene, floors_of(view))
     stem = [piece for piece in earlier.scene.pieces if piece.kind == "stem"]
-    timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
-    scene = Scene((*floors, *stem, *(piece.shape for piece in pieces), *hidden))
-    return Perceived(scene, pieces, view, view.floor, earlier.valves, timings, view.notes, matches)
+    timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in seen.timings.items()}
+    scene = Scene((*seen.floors, *stem, *(piece.shape for piece in pieces), *hidden))
+    return Perceived(scene, pieces, view, view.floor, earlier.valves, timings, view.notes, seen.matches)
+
+
+@dataclass(frozen=True)
+class _Held:
+    """A new scan held against what was known.
+
+    Attributes:
+        view: of the scan.
+        floors: pieces of the floor.
+        pieces: with indices of the view's obstacles.
+        matches: by name where known meshes are.
+        new: (K, 3) points that new pieces are made of [m].
+        timings: seconds by step of the making of pieces.
+    """
+
+    view: View
+    floors: list[ConvexPiece]
+    pieces: tuple[Piece, ...]
+    matches: Mapping[str, MeshMatch]
+    new: Float[np.ndarray, "K 3"]
+    timings: Mapping[str, float]
+
+
+def _held_against(
+    earlier: Earlier,
+    cloud: Cloud,
+    robot_hulls: Sequence[Float[np.ndarray, "V 3"]],
+    soles: Sequence[Float[np.ndarray, "S 3"]],
+    known: Sequence[KnownMesh],
+    levels: Sequence[FloorPlane],
+    clock: Clock,
+) -> _Held:
+    """The new scan, its floor of these levels if it shows them."""
+    # What kept pieces explain needs no cleaning; to find a mesh all points are asked for.
+    cleaned = len(known) > 0
+    view = make_view(
+        cloud,
+        reach=earlier.reach,
+        robot_hulls=robot_hulls,
+        soles=soles,
+        seed=earlier.seed,
+        cleaned=cleaned,
+        floors=levels,
+    )
+    floors = _steady(earlier.scene, floors_of(view))
+    kept, _ = without_best(earlier.valves, view)
+    clock.lap("view")
+    matches = {**earlier.matches, **matched(known, view, clock)}
+    kept = unexplained(view.obstacles, kept, matches)
+    is_floor = on_floors(view.near.points, view.floors, soles)
+    hulls = tuple(hull_of(piece.vertices, kept[:0]).simplified for piece in floors)
+    ground = Ground(hulls, view.near.points[is_floor], view.near.starts[is_floor])
+    judge = None if cleaned else partial(_of_surfaces, view.near, ~is_floor, np.flatnonzero(~is_floor)[kept])
+    points, starts = view.obstacles[kept], view.starts[kept]
+    made = updated_pieces(earlier.pieces, points, starts, view.cloud.rays, earlier.seed, ground, judge)
+    clock.lap("pieces")
+    view, pieces = _without_strays(view, made, kept)
+    return _Held(view, floors, pieces, matches, points[made.new], made.timings)
+
+
+def _of_surfaces(
+    near: Cloud, is_obstacle: Bool[np.ndarray, "N"], index: Int[np.ndarray, "M"], asked: Int[np.ndarray, "K"]
+) -> Bool[np.ndarray, "K"]:
+    """Which of the points asked about, told by their place in ``index``, a surface stands for."""
+    return surface_among(near.points, near.starts, is_obstacle, index[asked])
+
+
+def _without_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple[View, tuple[Piece, ...]]:
+    """The view without what was found to be strays, and the pieces with indices into its obstacles."""
+    is_obstacle = np.ones(len(view.obstacles), dtype=bool)
+    is_obstacle[kept[~made.is_surface]] = False
+    index = np.cumsum(is_obstacle) - 1
+    pieces = tuple(replace(piece, points=index[kept[piece.points]]) for piece in made.pieces)
+    return replace(view, obstacles=view.obstacles[is_obstacle], starts=view.starts[is_obstacle]), pieces
 
 
 def _steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:

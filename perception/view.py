@@ -14,6 +14,7 @@ from perception.doubts import crop_doubt, low_sensor_doubt, nothing_left
 from perception.errors import CloudError
 from perception.floor import FloorPlane, on_floors
 from perception.levels import find_floors
+from perception.levels_again import are_there
 from perception.outliers import surface_points
 
 _DEFAULT_REACH = Reach()
@@ -71,6 +72,8 @@ def make_view(
     robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
     seed: int = 0,
+    cleaned: bool = True,
+    floors: Sequence[FloorPlane] = (),
 ) -> View:
     """Drop exact copies, crop, drop the robot's own points, find the floor, drop strays and mixed pixels.
 
@@ -80,6 +83,8 @@ def make_view(
         robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
         soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
         seed: of all random choices.
+        cleaned: whether strays and mixed pixels are dropped; the obstacles of a view are all that is not floor if not.
+        floors: levels of an earlier scan, to be taken as they are if this one shows them.
 
     Raises:
         CloudError: nothing of the cloud lies in reach; with what its notes say.
@@ -94,7 +99,10 @@ def make_view(
         if own.all():
             raise CloudError("all points in reach lie on the robot itself; is the robot's posture the scan's?")
         near = near.selected(~own)
-    floors = find_floors(near.points, cloud.rays, stand=_stand(reach, soles), extent=reach.radius + _BEYOND, seed=seed)
+    floors = tuple(floors)
+    if not are_there(floors, near.points, cloud.rays, reach):
+        stand = _stand(reach, soles)
+        floors = find_floors(near.points, cloud.rays, stand=stand, extent=reach.radius + _BEYOND, seed=seed)
     if not floors:
         notes = (*notes, "no floor was found; nothing stands for it in the scene")
     elif len(floors) > 1:
@@ -103,7 +111,7 @@ def make_view(
         lowest = np.min([level.height(near.starts[:, :2]) for level in floors], axis=0)
         notes = (*notes, *low_sensor_doubt(near.starts, lowest))
     above = ~on_floors(near.points, floors, soles)
-    kept = surface_points(near.points, near.starts, above)
+    kept = surface_points(near.points, near.starts, above) if cleaned else above
     missing = "no floor is" if not floors else "no obstacle is" if not kept.any() else ""
     notes = (*notes, *crop_doubt(cloud.points, len(near.points) + int(own.sum()), reach, missing))
     obstacles, starts = near.points[kept], near.starts[kept]

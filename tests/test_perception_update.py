@@ -10,8 +10,11 @@ import pytest
 from costs.scene import ConvexPiece
 from perception import Cloud, Evidence, Perceived, Piece, Reach, perceive
 from perception.clean import half_spaces
+from perception.convex.freespace import Crossing
 from perception.convex.hulls import hull_of
 from perception.convex.pieces import updated_pieces
+from perception.locally import surface_among
+from perception.outliers import surface_points
 from perception.remembered import Memory, content_key
 from perception.simulate import Pose, Room, Scanner, Valve, scan
 from perception.update import update
@@ -247,3 +250,54 @@ def test_a_result_too_large_to_remember_is_still_given() -> None:
     memory = Memory(most_bytes=10)
     assert memory.perceive(small(), valve=False).pieces
     assert len(memory) == 0
+
+
+def test_the_floor_stays_the_very_same_planes(before: Perceived) -> None:
+    after = update(before, scanned(2))
+    assert before.view.floors
+    assert after.view.floors is before.view.floors
+
+
+def test_a_platform_put_there_becomes_a_level_of_the_floor() -> None:
+    seen = perceive(boxes_only(1, RIGHT), valve=False)
+    after = update(seen, boxes_only(2, RIGHT, ((0.8, -0.6, 0.0), (1.7, 0.6, 0.2))))
+    assert len(seen.view.floors) == 1
+    heights = [float(floor.height(np.array([[1.2, 0.0]]))[0]) for floor in after.view.floors]
+    assert any(abs(height - 0.2) < 0.01 for height in heights)
+
+
+def test_noise_above_the_floor_is_no_new_piece() -> None:
+    cloud = boxes_only(1, RIGHT)
+    seen = perceive(cloud, valve=False)
+    rng = np.random.default_rng(0)
+    low = boxes_only(2, RIGHT)
+    noisy = low.points.copy()
+    noisy[:, 2] += np.where(noisy[:, 2] < 0.03, rng.normal(0.0, 0.008, len(noisy)), 0.0)
+    after = update(seen, replace(low, points=noisy))
+    old = {id(piece) for piece in standing(seen)}
+    assert sum(id(piece) not in old for piece in standing(after)) <= 1
+
+
+def test_points_asked_about_are_judged_as_when_all_are() -> None:
+    cloud = scanned(3)
+    candidates = cloud.points[:, 2] > 0.03
+    whole = surface_points(cloud.points, cloud.starts, candidates)
+    strays = np.flatnonzero(candidates & ~whole)
+    chosen = np.random.default_rng(0).choice(np.flatnonzero(whole), 300, replace=False)
+    asked = np.sort(np.concatenate([strays, chosen]))
+    told = surface_among(cloud.points, cloud.starts, candidates, asked)
+    assert (told == whole[asked]).mean() > 0.95
+
+
+def test_cells_in_boxes_are_told_as_when_all_are() -> None:
+    cloud = scanned(3)
+    lower, upper = np.array([0.0, -1.5, 0.0]), np.array([1.5, 1.8, 2.0])
+    crossing = Crossing.of(cloud.starts, cloud.points, lower, upper, 0.02)
+    whole = crossing.seen_free(cloud.points)
+    box = np.array([[[0.6, -0.4, 0.5], [1.1, 0.4, 1.0]]])
+    some = crossing.seen_free(cloud.points, box)
+    first, last = np.rint((box[0] - lower) / 0.02).astype(int)
+    within = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
+    assert whole.free[within].any()
+    np.testing.assert_array_equal(some.free[within], whole.free[within])
+    assert some.free.sum() < whole.free.sum()

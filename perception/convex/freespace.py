@@ -19,6 +19,9 @@ _CHUNK = 400
 _FACES = 12
 # Rays that are taken along at a time: what is worked on then stays in the cache of one core.
 _MARCHING = 1024
+_MEETING = 16_384
+# Whether a ray comes near to where it matters is told in blocks of so many cells.
+_CELLS_OF_BLOCK = 4
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,12 @@ class FreeSpace:
         inside = np.zeros(len(points), dtype=bool)
         inside[known] = self.free[tuple(cells[known].T)]
         return inside
+
+    def beside(self, surface: Float[np.ndarray, "M 3"]) -> FreeSpace:
+        """The same, where cells that hold one of these points, and their six neighbours, are not free either."""
+        free = self.free.copy()
+        _clear_beside(surface, self.lower, self.size, free)
+        return FreeSpace(self.lower, self.size, free)
 
     def count_inside(
         self, faces: Float[np.ndarray, "F 4"], corners: Float[np.ndarray, "V 3"], margin: float, most: int | None = None
@@ -95,16 +104,60 @@ def carve(
         lower, upper: (3,) corners of the grid [m].
         size: edge of a cell [m].
     """
-    while np.prod(np.ceil((upper - lower) / size)) > _MAX_CELLS:
-        size *= 1.26
-    shape = np.maximum(np.ceil((upper - lower) / size).astype(int), 1)
-    free = np.zeros(int(np.prod(shape)), dtype=bool)
-    rays = _Rays.within(np.broadcast_to(starts, ends.shape), ends, lower, upper, size)
-    for near in np.arange(0.0, float(rays.leave.max(initial=0.0)), _BLOCK):
-        _march(rays, rays.under_way(near, near + _BLOCK, size), near, size, shape, free)
-    grid = free.reshape(shape)
-    _clear_beside(surface, lower, size, grid)
-    return FreeSpace(lower, size, grid)
+    return Crossing.of(starts, ends, lower, upper, size).seen_free(surface)
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Rays made ready to be marched through a grid, as ``carve`` does, or through some places of it.
+
+    Attributes:
+        rays: clipped to the grid.
+        lower: (3,) lower corner of the grid [m].
+        size: edge of a cell [m].
+        shape: (3,) how many cells.
+    """
+
+    rays: _Rays
+    lower: Float[np.ndarray, "3"]
+    size: float
+    shape: Int[np.ndarray, "3"]
+
+    @classmethod
+    def of(
+        cls,
+        starts: Float[np.ndarray, "*R 3"],
+        ends: Float[np.ndarray, "R 3"],
+        lower: Float[np.ndarray, "3"],
+        upper: Float[np.ndarray, "3"],
+        size: float,
+    ) -> Crossing:
+        """See ``carve``."""
+        while np.prod(np.ceil((upper - lower) / size)) > _MAX_CELLS:
+            size *= 1.26
+        shape = np.maximum(np.ceil((upper - lower) / size).astype(int), 1)
+        rays = _Rays.within(np.broadcast_to(starts, ends.shape), ends, lower, upper, size)
+        return cls(rays, lower, size, shape)
+
+    def seen_free(
+        self, surface: Float[np.ndarray, "M 3"], boxes: Float[np.ndarray, "B 2 3"] | None = None
+    ) -> FreeSpace:
+        """What the rays saw to be free.
+
+        Args:
+            surface: (M, 3) points whose cells and their six neighbours are never free.
+            boxes: (B, 2, 3) lower and upper corners of where it matters; of other places nothing need be told [m].
+        """
+        free = np.zeros(int(np.prod(self.shape)), dtype=bool)
+        blocks = None if boxes is None else _blocks(boxes, self.lower, self.size, self.shape)
+        for near in np.arange(0.0, float(self.rays.leave.max(initial=0.0)), _BLOCK):
+            chosen = self.rays.under_way(near, near + _BLOCK, self.size)
+            if blocks is not None:
+                chosen = chosen[_meet(self.rays, chosen, near, blocks)]
+            _march(self.rays, chosen, near, self.size, self.shape, free)
+        grid = free.reshape(self.shape)
+        _clear_beside(surface, self.lower, self.size, grid)
+        return FreeSpace(self.lower, self.size, grid)
 
 
 @dataclass(frozen=True)
@@ -211,6 +264,35 @@ def _on_cube(direction: Float[np.ndarray, "3 R"]) -> tuple[Int[np.ndarray, "R"],
     across /= np.abs(along)
     across += 1.0
     return 2 * axis + (along > 0.0), across
+
+
+def _blocks(
+    boxes: Float[np.ndarray, "B 2 3"], lower: Float[np.ndarray, "3"], size: float, shape: Int[np.ndarray, "3"]
+) -> Bool[np.ndarray, "X Y Z"]:
+    """Blocks of cells that lie no farther from any of the boxes than a ray goes before and behind where it is told."""
+    blocks = np.zeros(-(-shape // _CELLS_OF_BLOCK), dtype=bool)
+    cells = (boxes - lower) / size
+    reach = 0.5 * _BLOCK / size
+    first = ((cells[:, 0] - reach) / _CELLS_OF_BLOCK).astype(int).clip(0)
+    last = ((cells[:, 1] + reach) / _CELLS_OF_BLOCK).astype(int)
+    for low, high in zip(first, last, strict=True):
+        blocks[tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))] = True
+    return blocks
+
+
+def _meet(
+    rays: _Rays, chosen: Int[np.ndarray, "K"], near: float, blocks: Bool[np.ndarray, "X Y Z"]
+) -> Bool[np.ndarray, "K"]:
+    """Which of the chosen rays pass any of these blocks in one block of distances, told by its middle."""
+    is_there = np.zeros(len(chosen), dtype=bool)
+    middle = np.float32(near + _BLOCK / 2)
+    for first in range(0, len(chosen), _MEETING):
+        some = chosen[first : first + _MEETING]
+        start = rays.start if rays.start.shape[1] == 1 else rays.start[:, some]
+        at = np.minimum(np.maximum(rays.enter[some], middle), rays.leave[some])
+        x, y, z = ((rays.direction[axis, some] * at + start[axis]).astype(np.int32) for axis in range(3))
+        is_there[first : first + _MEETING] = blocks[x // _CELLS_OF_BLOCK, y // _CELLS_OF_BLOCK, z // _CELLS_OF_BLOCK]
+    return is_there
 
 
 def _march(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -15,7 +15,7 @@ from costs.scene import ConvexPiece
 from perception.convex.attach import attached
 from perception.convex.coarse import Coarse, coarsened
 from perception.convex.evidence import evidence_of
-from perception.convex.freespace import FreeSpace, carve
+from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.hulls import SKIN, Hull, hull_of, limited, thickened
 from perception.convex.piece import Piece
 from perception.convex.planes import Plane, PlaneSettings, find_planes
@@ -24,7 +24,7 @@ from perception.convex.slabs import FRONT, Slab, slabs_of
 from perception.convex.smooth import smoothed
 from perception.convex.spacing import spacing_of
 from perception.convex.split import clusters, merge, split
-from perception.convex.standing import still_standing, unexplained
+from perception.convex.standing import Ground, boxes_of, still_standing, unexplained
 
 VOXEL = 0.015
 _CELL = 0.02
@@ -74,12 +74,26 @@ def make_pieces(
     clock = _Clock()
     rays = _from_one_place(rays)
     coarse = coarsened(points, starts, VOXEL)
-    free = _seen_free(coarse, rays)
+    free = _crossing(coarse, rays).seen_free(coarse.points)
     clock.lap("free space")
     bodies = _bodies(coarse, np.arange(len(coarse.points)), rays, free, seed, plane_settings, clock)
-    pieces = _assembled([], bodies, {}, points, coarse, free)
+    kept = np.ones(len(points), dtype=bool)
+    pieces = _assembled([], bodies, {}, points, kept, _Groups.of(coarse), coarse, free)
     clock.lap("evidence")
     return Pieces(pieces, clock.timings)
+
+
+@dataclass(frozen=True)
+class Updated(Pieces):
+    """Convex pieces of a new scan.
+
+    Attributes:
+        is_surface: (N,) which points are no strays: explained by a piece, its noise, or part of a surface.
+        new: (K,) indices of those that new pieces are made of.
+    """
+
+    is_surface: Bool[np.ndarray, "N"]
+    new: Int[np.ndarray, "K"]
 
 
 def updated_pieces(
@@ -88,7 +102,9 @@ def updated_pieces(
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     seed: int = 0,
-) -> Pieces:
+    ground: Ground | None = None,
+    judge: Callable[[Int[np.ndarray, "K"]], Bool[np.ndarray, "K"]] | None = None,
+) -> Updated:
     """The pieces of a new scan, of which those that it does not contradict keep their very shape and name.
 
     A piece goes when rays of the new scan pass through it; where the new scan cannot see it, it stays.  New pieces are
@@ -96,24 +112,50 @@ def updated_pieces(
 
     Args:
         before: pieces of the scan before.
-        points, starts, rays, seed: see ``make_pieces``.
+        points, starts, rays, seed: see ``make_pieces``; the points need not be cleaned if there is a judge.
+        ground: what else explains points.
+        judge: tells which of the points of these indices surfaces stand for; it is asked only about those that no
+            piece explains.
     """
+    clock, kept = _Clock(), np.ones(len(points), dtype=bool)
     if not len(points) and not len(before):
-        return Pieces((), {})
-    clock = _Clock()
+        return Updated((), {}, kept, np.arange(0))
     rays = _from_one_place(rays)
     coarse = coarsened(points, starts, VOXEL)
-    free = _seen_free(coarse, rays, before)
+    groups = _Groups.of(coarse)
+    crossing = _crossing(coarse, rays, before)
+    free = crossing.seen_free(coarse.points[:0], _boxes(before))
     clock.lap("free space")
-    standing = still_standing(before, free, coarse)
+    standing = still_standing(before, free.beside(coarse.points), coarse)
     clock.lap("contradicted")
-    left = unexplained(standing, coarse)
+    if judge is not None:
+        # A mixed pixel in a piece that is gone hides that rays went through it.
+        hidden = standing.hidden(free)
+        asked = groups.members(standing.beside(hidden, free, coarse))
+        kept[asked] = judge(asked)
+        clock.lap("cleaning")
+        again = still_standing(
+            [standing.pieces[i] for i in hidden], free.beside(coarse.points[groups.hold(kept)]), coarse
+        )
+        standing = standing.without(hidden, again)
+        clock.lap("contradicted")
+    left = unexplained(standing, coarse, ground or Ground())
     clock.lap("unexplained")
-    bodies = _bodies(coarse, left, rays, free, seed, None, clock)
+    if judge is not None:
+        asked = groups.members(left.members)
+        kept[asked] = judge(asked)
+        left = left.among(groups.hold(kept))
+        clock.lap("cleaning")
+    new = left.new(coarse)
+    if len(new):
+        boxes = boxes_of(coarse.points[new], coarse.starts[new], _AROUND)
+        free = crossing.seen_free(coarse.points[groups.hold(kept)], boxes)
+        clock.lap("free space")
+    bodies = _bodies(coarse, new, rays, free, seed, None, clock)
     first = {kind: 1 + max(number for _, number in of_kind) for kind, of_kind in _numbers(before)}
-    pieces = _assembled(standing, bodies, first, points, coarse, free)
+    pieces = _assembled(standing.pieces, bodies, first, points, kept, groups, coarse, free)
     clock.lap("evidence")
-    return Pieces(pieces, clock.timings)
+    return Updated(pieces, clock.timings, kept, groups.members(new))
 
 
 def _numbers(pieces: Sequence[Piece]) -> Iterator[tuple[str, Iterator[tuple[str, int]]]]:
@@ -137,7 +179,7 @@ def _bodies(
     points, starts = coarse.points[left], coarse.starts[left]
     planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), plane_settings)
     clock.lap("planes")
-    apart = spacing_of(coarse.points, coarse.starts)[left]
+    apart = spacing_of(coarse.points, coarse.starts, left)
     slabs = [(plane, slab) for plane in planes for slab in slabs_of(plane, points, *rays, free, apart)]
     clock.lap("slabs")
     points = smoothed(coarse.points, coarse.counts, coarse.starts, left)
@@ -162,7 +204,7 @@ class _Clock:
 
     def lap(self, step: str) -> None:
         now = time.perf_counter()
-        self.timings[step] = now - self._since
+        self.timings[step] = self.timings.get(step, 0.0) + now - self._since
         self._since = now
 
 
@@ -174,15 +216,19 @@ def _from_one_place(
     return (starts[0] if starts.ndim == 2 and len(starts) and (starts == starts[0]).all() else starts), ends
 
 
-def _seen_free(
+def _crossing(
     coarse: Coarse,
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     before: Sequence[Piece] = (),
-) -> FreeSpace:
-    """What the rays saw to be free around points and pieces, in cells that are aligned with the world's origin."""
+) -> Crossing:
+    """The rays in a grid around points and pieces, whose cells are aligned with the world's origin."""
     held = np.concatenate([coarse.points, *(piece.shape.vertices for piece in before)])
     lower = _CELL * np.floor((held.min(axis=0) - _AROUND) / _CELL)
-    return carve(*rays, coarse.points, lower, held.max(axis=0) + _AROUND, _CELL)
+    return Crossing.of(*rays, lower, held.max(axis=0) + _AROUND, _CELL)
+
+
+def _boxes(pieces: Sequence[Piece]) -> Float[np.ndarray, "B 2 3"]:
+    return np.array([(piece.hull.lower, piece.hull.upper) for piece in pieces]).reshape(-1, 2, 3)
 
 
 def _clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], free: FreeSpace) -> list[Hull]:
@@ -252,10 +298,12 @@ def _assembled(
     bodies: Sequence[_Body],
     first: Mapping[str, int],
     points: Float[np.ndarray, "N 3"],
+    kept: Bool[np.ndarray, "N"],
+    groups: _Groups,
     coarse: Coarse,
     free: FreeSpace,
 ) -> tuple[Piece, ...]:
-    """The standing pieces with their points in this scan, and new ones, numbered from ``first`` of their kind."""
+    """The standing pieces with those points of this scan that are kept, and new ones, numbered from ``first``."""
     serial = Counter(first)
     pieces = list(standing)
     for body in bodies:
@@ -263,8 +311,7 @@ def _assembled(
         shape = ConvexPiece(f"{body.kind}/{serial[body.kind]}", body.vertices, kind=body.kind)
         serial[body.kind] += 1
         pieces.append(Piece(shape, coarse.voxel[:0], evidence_of(hull, free), hull.simplified, body.plane))
-    taken = np.zeros(len(points), dtype=bool)
-    groups = _Groups.of(coarse.voxel, len(coarse.points))
+    taken = ~kept
     assembled = []
     for piece in pieces:
         hull = piece.hull
@@ -284,9 +331,14 @@ class _Groups:
     first: Int[np.ndarray, "M+1"]
 
     @classmethod
-    def of(cls, voxel: Int[np.ndarray, "N"], n_voxels: int) -> _Groups:
-        order = np.argsort(voxel, kind="stable")
-        return cls(order, np.searchsorted(voxel[order], np.arange(n_voxels + 1)))
+    def of(cls, coarse: Coarse) -> _Groups:
+        order = np.argsort(coarse.voxel, kind="stable")
+        return cls(order, np.concatenate([[0], np.cumsum(coarse.counts)]))
+
+    def hold(self, kept: Bool[np.ndarray, "N"]) -> Bool[np.ndarray, "M"]:
+        """Which voxels hold any of the points that are kept."""
+        before = np.concatenate([[0], np.cumsum(kept[self.order])])
+        return np.asarray(before[self.first[1:]] > before[self.first[:-1]])
 
     def members(self, voxels: Int[np.ndarray, "K"]) -> Int[np.ndarray, "L"]:
         """Indices of all points in these voxels."""

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 _FOURTH = 4
 _MOST_OF_RANGE = 0.025
 
 
-def spacing_of(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
-    """Distance of each point to the fourth nearest other, at most 2.5 % of its range: what is farther is alone [m].
+def spacing_of(
+    points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"]
+) -> Float[np.ndarray, "C"]:
+    """Distance of each chosen point to its fourth nearest, at most 2.5 % of its range: what is farther is alone [m].
 
     Args:
         points: (N, 3) [m].
         starts: (N, 3) where their rays started [m].
+        chosen: which are asked about.
     """
     if len(points) <= _FOURTH:
-        return np.zeros(len(points))
-    fourth = np.asarray(cKDTree(points).query(points, k=[_FOURTH + 1], workers=-1)[0])[:, 0]
-    return np.asarray(np.minimum(fourth, _MOST_OF_RANGE * np.linalg.norm(points - starts, axis=1)))
+        return np.zeros(len(chosen))
+    mine = points[chosen]
+    fourth = np.asarray(cKDTree(points).query(mine, k=[_FOURTH + 1], workers=-1)[0])[:, 0]
+    return np.asarray(np.minimum(fourth, _MOST_OF_RANGE * np.linalg.norm(mine - starts[chosen], axis=1)))

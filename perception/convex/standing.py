@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy import ndimage
 
-from perception.convex.coarse import Coarse
+from perception.convex.coarse import Coarse, coarsened
 from perception.convex.freespace import FreeSpace
 from perception.convex.hulls import Hull
 from perception.convex.piece import Piece
-from perception.convex.planes import Plane, PlaneSettings, noise_of
 from perception.convex.smooth import smoothed
 from perception.convex.split import clusters
 
@@ -26,29 +27,123 @@ _DEEP_SHARE = 0.003
 _FREE_WITHIN = 0.5
 _AROUND = 0.02
 _NEAR = 0.1
+_LOW = 0.05
+_APART = 0.4
+_APART_OF_RANGE = 0.08
 _LEAST_POINTS = 4
+_CELLS_OF_POINT = 0.25
 
 
-def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> list[Piece]:
+@dataclass(frozen=True)
+class Ground:
+    """The floor, which explains what is noise about it.
+
+    Attributes:
+        hulls: of its pieces.
+        points: (F, 3) that belong to it [m].
+        starts: (F, 3) where their rays started [m].
+    """
+
+    hulls: tuple[Hull, ...] = ()
+    points: Float[np.ndarray, "F 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    starts: Float[np.ndarray, "F 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Pieces that stand.
+
+    Attributes:
+        pieces: as they were.
+        held: indices of the points in each or at most 1 cm before each of its faces.
+    """
+
+    pieces: list[Piece]
+    held: list[Int[np.ndarray, "K"]]
+
+    def hidden(self, passed: FreeSpace) -> list[int]:
+        """Which of them may stand only since points in them hide that rays went through: few points for many cells.
+
+        Args:
+            passed: what rays went through, whatever points lie there.
+        """
+        hidden = []
+        for i, (piece, held) in enumerate(zip(self.pieces, self.held, strict=True)):
+            most = max(_grazed(piece, passed), int(_CELLS_OF_POINT * len(held)))
+            if passed.count_inside(piece.hull.faces, piece.hull.vertices, 0.25 * passed.size, most) > most:
+                hidden.append(i)
+        return hidden
+
+    def beside(self, chosen: Sequence[int], passed: FreeSpace, coarse: Coarse) -> Int[np.ndarray, "K"]:
+        """Points in cells that rays went through, in or right beside some of the pieces."""
+        is_there = np.zeros(len(coarse.points), dtype=bool)
+        for hull in (self.pieces[i].hull for i in chosen):
+            is_there[coarse.within(hull.lower - 2.0 * passed.size, hull.upper + 2.0 * passed.size)] = True
+        there = np.flatnonzero(is_there)
+        return np.asarray(there[passed.contains(coarse.points[there])])
+
+    def without(self, chosen: Sequence[int], but: Standing) -> Standing:
+        """Those that stand, of the chosen ones only some."""
+        gone = {id(self.pieces[i]) for i in chosen} - {id(piece) for piece in but.pieces}
+        left = [(piece, held) for piece, held in zip(self.pieces, self.held, strict=True) if id(piece) not in gone]
+        return Standing([piece for piece, _ in left], [held for _, held in left])
+
+
+@dataclass(frozen=True)
+class Left:
+    """Points more than 1 cm before all pieces, their noise averaged out.
+
+    Attributes:
+        members: (K,) which they are.
+        is_far: (K,) which are farther from the pieces than noise explains.
+    """
+
+    members: Int[np.ndarray, "K"]
+    is_far: Bool[np.ndarray, "K"]
+
+    def among(self, kept: Bool[np.ndarray, "M"]) -> Left:
+        """Those that are kept."""
+        mine = kept[self.members]
+        return Left(self.members[mine], self.is_far[mine])
+
+    def new(self, coarse: Coarse) -> Int[np.ndarray, "L"]:
+        """Those of clusters of which part lies beyond the noise."""
+        left = self.members
+        if not self.is_far.any():
+            return left[:0]
+        groups = clusters(coarse.points[left], coarse.starts[left])
+        new = [left[group] for group in groups if _is_new(self.is_far[group], coarse, left[group])]
+        return np.sort(np.concatenate(new)) if new else left[:0]
+
+
+def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> Standing:
     """Pieces that the new rays do not pass through.
 
     Rays may graze a piece about as much as they did before, but hardly any may pass deep inside: of a thing that is
     gone, a sparse scan sees no more than some cells.  What is so small that it holds only some, as what noise had
     left, is gone when most of them are free and nothing of it is seen.
     """
-    standing = []
+    standing = Standing([], [])
     for piece in pieces:
         hull = piece.hull
         n_cells = hull.volume / free.size**3
-        grazed = piece.evidence.free_cells + max(1, min(_FREE_CELLS, int(0.4 * n_cells)), int(_FREE_SHARE * n_cells))
+        grazed = _grazed(piece, free)
         deep = max(_DEEP_CELLS, int(_DEEP_SHARE * n_cells))
         if (
             free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, grazed) <= grazed
             and free.count_inside(hull.faces, hull.vertices, _DEEP, deep) <= deep
-            and (len(_held(hull, coarse)) or not _is_passed(hull, free, grazed))
         ):
-            standing.append(piece)
+            held = _held(hull, coarse)
+            if len(held) or not _is_passed(hull, free, grazed):
+                standing.pieces.append(piece)
+                standing.held.append(held)
     return standing
+
+
+def _grazed(piece: Piece, free: FreeSpace) -> int:
+    """In how many of its cells rays may graze a piece that stands."""
+    n_cells = piece.hull.volume / free.size**3
+    return piece.evidence.free_cells + max(1, min(_FREE_CELLS, int(0.4 * n_cells)), int(_FREE_SHARE * n_cells))
 
 
 def _is_passed(hull: Hull, free: FreeSpace, grazed: int) -> bool:
@@ -72,43 +167,56 @@ def _within(hull: Hull) -> Float[np.ndarray, "V 3"]:
     return np.asarray(0.5 * (hull.vertices + hull.vertices.mean(axis=0)))
 
 
-def unexplained(standing: Sequence[Piece], coarse: Coarse) -> Int[np.ndarray, "K"]:
-    """Points of clusters that are more than noise about the pieces that stand.
+def unexplained(standing: Standing, coarse: Coarse, ground: Ground) -> Left:
+    """Points that lie neither in pieces that stand, nor on the floor, nor are noise about them.
 
     Pieces are made of points whose noise along their rays is averaged out, and are held against such points: what is
     as thin as the noise of single points would be missed otherwise.
     """
-    left = np.flatnonzero(~_explained(standing, coarse))
-    for piece in standing:
-        if piece.plane is not None and len(left):
-            left = left[~_noise_about(piece.plane, piece.hull, coarse, left)]
+    is_explained = np.zeros(len(coarse.points), dtype=bool)
+    for held in standing.held:
+        is_explained[held] = True
+    left = np.flatnonzero(~is_explained)
     if not len(left):
-        return left
-    distance = _distance(standing, smoothed(coarse.points, coarse.counts, coarse.starts, left))
+        return Left(left, left > 0)
+    hulls = [*(piece.hull for piece in standing.pieces), *ground.hulls]
+    distance = _distance(hulls, _smoothed_with(ground, coarse, left))
     is_far = distance > _FUZZ + _FUZZ_OF_RANGE * np.linalg.norm(coarse.points[left] - coarse.starts[left], axis=1)
-    left, is_far = left[distance > _WITHIN], is_far[distance > _WITHIN]
-    if not is_far.any():
-        return left[:0]
-    # A cluster counts when part of it lies beyond the noise.
-    groups = clusters(coarse.points[left], coarse.starts[left])
-    new = [left[group] for group in groups if _is_new(is_far[group], coarse, left[group])]
-    return np.sort(np.concatenate(new)) if new else left[:0]
+    is_left = distance > _WITHIN
+    return Left(left[is_left], is_far[is_left])
 
 
-def _explained(standing: Sequence[Piece], coarse: Coarse) -> Bool[np.ndarray, "M"]:
-    """Which points lie in a piece or at most 1 cm before it."""
-    explained = np.zeros(len(coarse.points), dtype=bool)
-    for hull in (piece.hull for piece in standing):
-        near = coarse.within(hull.lower - _AROUND, hull.upper + _AROUND)
-        near = near[~explained[near]]
-        explained[near[hull.is_within(coarse.points[near], _WITHIN)]] = True
-    return explained
+def _smoothed_with(ground: Ground, coarse: Coarse, left: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
+    """The points that are left with their noise averaged out, the floor's beside them being of those that count."""
+    points, counts, starts = coarse.points, coarse.counts, coarse.starts
+    low = np.zeros(len(left), dtype=bool)
+    for hull in ground.hulls:
+        low |= hull.is_within(points[left], _LOW)
+    if low.any():
+        beside = _beside(ground.points[:, :2], points[left[low], :2])
+        floor = coarsened(ground.points[beside], ground.starts[beside], coarse.size)
+        points, starts = np.concatenate([points, floor.points]), np.concatenate([starts, floor.starts])
+        counts = np.concatenate([counts, floor.counts])
+    return smoothed(points, counts, starts, left)
 
 
-def _distance(standing: Sequence[Piece], points: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K"]:
-    """How far before the nearest piece each point lies, negative inside, infinite where none is near [m]."""
+def _beside(places: Float[np.ndarray, "N 2"], others: Float[np.ndarray, "K 2"]) -> Bool[np.ndarray, "N"]:
+    """Which places lie in a cell that holds one of the others, or beside one."""
+    lower = np.floor(others.min(axis=0) / _LOW).astype(int) - 1
+    cells = np.floor(others / _LOW).astype(int) - lower
+    picture = np.zeros(cells.max(axis=0) + 2, dtype=bool)
+    picture[tuple(cells.T)] = True
+    picture = ndimage.binary_dilation(picture, structure=np.ones((3, 3), dtype=bool))
+    cells = np.floor(places / _LOW).astype(int) - lower
+    inside = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
+    inside[inside] = picture[tuple(cells[inside].T)]
+    return np.asarray(inside)
+
+
+def _distance(hulls: Sequence[Hull], points: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K"]:
+    """How far before the nearest hull each point lies, negative inside, infinite where none is near [m]."""
     distance = np.full(len(points), np.inf)
-    for hull in (piece.hull for piece in standing):
+    for hull in hulls:
         near = np.flatnonzero(((points >= hull.lower - _NEAR) & (points <= hull.upper + _NEAR)).all(axis=1))
         before = (hull.faces[:, :3] @ points[near].T + hull.faces[:, 3:]).max(axis=0, initial=-np.inf)
         distance[near] = np.minimum(distance[near], before)
@@ -119,13 +227,22 @@ def _is_new(is_far: Bool[np.ndarray, "K"], coarse: Coarse, group: Int[np.ndarray
     return bool(is_far.any() and coarse.counts[group].sum() >= _LEAST_POINTS)
 
 
-def _noise_about(
-    plane: Float[np.ndarray, "4"], hull: Hull, coarse: Coarse, left: Int[np.ndarray, "K"]
-) -> Bool[np.ndarray, "K"]:
-    """Which of the points left are the noise of a slab's plane."""
-    settings = PlaneSettings()
-    members = _held(hull, coarse)
-    if len(members) < settings.min_points:
-        return np.zeros(len(left), dtype=bool)
-    slab = Plane(plane[:3], float(plane[3]), members, members[:0])
-    return noise_of(slab, coarse.points, coarse.counts, left, settings)
+def boxes_of(
+    points: Float[np.ndarray, "K 3"], starts: Float[np.ndarray, "K 3"], around: float
+) -> Float[np.ndarray, "B 2 3"]:
+    """Boxes, lower and upper corners, about groups of points so far apart that no piece is made of two of them [m].
+
+    Args:
+        points: (K, 3) [m].
+        starts: (K, 3) where their rays started [m].
+        around: how far a box goes on beyond its points [m].
+    """
+    apart = max(_APART, _APART_OF_RANGE * float(np.linalg.norm(points - starts, axis=1).max(initial=0.0)))
+    cells = np.floor(points / apart).astype(int)
+    cells -= cells.min(axis=0)
+    picture = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    picture[tuple(cells.T)] = True
+    number, n_groups = ndimage.label(picture, structure=np.ones((3, 3, 3), dtype=bool))
+    group = number[tuple(cells.T)]
+    boxes = [(points[group == i + 1].min(axis=0), points[group == i + 1].max(axis=0)) for i in range(n_groups)]
+    return np.asarray(np.array(boxes) + np.array([[-around], [around]]))
