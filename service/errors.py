@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 MAX_PROBLEMS = 10  # a file of garbage need not be listed to its end
 MAX_VALUE_CHARACTERS = 60
@@ -37,8 +37,20 @@ class ResultError(ServiceError):
 
 def shown(value: object) -> str:
     """``value`` as a person would quote it, cut to one short line."""
-    text = " ".join(repr(value).split())
+    text = " ".join(repr(_beginning(value, iter(range(1, MAX_VALUE_CHARACTERS)))).split())
     return text if len(text) <= MAX_VALUE_CHARACTERS else text[: MAX_VALUE_CHARACTERS - 1] + "…"
+
+
+def _beginning(value: object, entries: Iterator[int]) -> object:
+    """As much of a value as is shown: all of a message's millions of bytes would be read for one line."""
+    if type(value) in (str, bytes):
+        return value[: 4 * MAX_VALUE_CHARACTERS]  # type: ignore[index]
+    if type(value) in (list, tuple):
+        some = [_beginning(one, entries) for one, _ in zip(value, entries, strict=False)]  # type: ignore[call-overload]
+        return some if type(value) is list else tuple(some)
+    if type(value) is dict:
+        return {key: _beginning(one, entries) for (key, one), _ in zip(value.items(), entries, strict=False)}
+    return value
 
 
 def would_do(name: object, known: Iterable[str], at_most: int = 6) -> str:
