@@ -26,6 +26,7 @@ _OVER_WHEELS = 0.24
 _BEFORE_WHEELS = 0.7
 _WAIST = (0.08, 0.75)
 _TALL = 0.1
+_MOSTLY = 0.5
 _NEXT, _SOME = 8, 0.2  # cells beside an edge, and the share of them in which rays went through
 
 
@@ -96,9 +97,10 @@ def edges_of(
     np.fmin.at(lowest, column, height)
     np.fmax.at(highest, column, height)
     # What is tall about a place is a post or a panel; less is a stray return or a seat's base, and so is what stands
-    # where rays went through at more heights.
+    # where rays went through at more heights than that, and at most.
     tall = ndimage.maximum_filter1d(highest, 5, mode="nearest") - ndimage.minimum_filter1d(lowest, 5, mode="nearest")
-    is_shut = ndimage.maximum_filter1d(met, 5, axis=0, mode="nearest").sum(axis=1) > passed.sum(axis=1)
+    n_met = ndimage.maximum_filter1d(met, 5, axis=0, mode="nearest").sum(axis=1)
+    is_shut = passed.sum(axis=1) < np.maximum(n_met, _MOSTLY * shape[1])
     stands = np.flatnonzero((tall > _TALL) & is_shut & met.any(axis=1))
     middle = round(_BEHIND / _SIDE_BIN)
     behind, before = stands[stands < middle], stands[stands >= middle]
