@@ -47,7 +47,7 @@ class Footwell:
     @property
     def evidence(self) -> float:
         """How much it speaks for a vehicle's floor, by where it ends."""
-        return (1.0 - 0.9 * rising(self.open_share, 0.15, 0.4)) * (1.0 - 0.9 * rising(self.drop_share, 0.25, 0.55))
+        return (1.0 - 0.9 * rising(self.open_share, 0.15, 0.4)) * (1.0 - 0.9 * rising(self.drop_share, 0.1, 0.35))
 
 
 def footwell_of(
