@@ -19,6 +19,15 @@ Hint = Annotated[
     tuple[float, float, float] | None,
     typer.Option("--hint", help="A point near the object.", metavar="X Y Z", show_default=False),
 ]
+TimeLimit = Annotated[
+    float | None,
+    typer.Option(
+        "--time-limit",
+        help="Seconds the command may take; kinds not looked for by then are named.",
+        min=0.1,
+        max=3600.0,
+    ),
+]
 # What an update takes from the scene before, and the options that say it otherwise.
 _OF_BEFORE = {
     "reach_m": "--reach",
@@ -64,6 +73,7 @@ def scene_command(
             metavar="SCENE",
         ),
     ] = None,
+    time_limit: TimeLimit = None,
     as_json: Json = False,
 ) -> None:
     """Turn point clouds into convex pieces, floor and objects, and show them."""
@@ -76,7 +86,7 @@ def scene_command(
     chosen = {"kinds": tuple(detect or ()), "hint": hint, "method": method, "unknown": unknown}
     meshes = [(text, mesh_scale) for text in mesh or ()]
     given = {name for name in _OF_BEFORE if _is_given(context, name)}
-    raise typer.Exit(run(lambda: _scene(clouds, out, chosen, meshes, (update, given), as_json), as_json))
+    raise typer.Exit(run(lambda: _scene(clouds, out, chosen, meshes, (update, given), time_limit, as_json), as_json))
 
 
 @with_cloud_options
@@ -84,10 +94,7 @@ def detect_command(
     kind: Annotated[str, typer.Argument(help=f"What to look for: {KIND_HELP}.", metavar="KIND")],
     clouds: CloudOptions,
     hint: Hint = None,
-    time_limit: Annotated[
-        float | None,
-        typer.Option(help="Seconds the command may take; kinds not looked for by then are named.", min=0.1, max=3600.0),
-    ] = None,
+    time_limit: TimeLimit = None,
     as_json: Json = False,
 ) -> None:
     """Find objects in point clouds, best first.
@@ -103,8 +110,9 @@ def _scene(
     chosen: Mapping[str, Any],
     meshes: list[tuple[str, float]],
     before: tuple[Path | None, set[str]],
+    time_limit: float | None,
     as_json: bool,
-) -> None:
+) -> str | None:
     screen, err = consoles()
     update, given = before
     with progress(err, "read cloud") as report:
@@ -113,6 +121,7 @@ def _scene(
         from service.scene_file import SceneAsked, on_top_of, see_files
         from service.scene_meshes import mesh_asked
         from service.scene_output import check_out, write_scene
+        from service.time_limit import OutOfTimeError
 
         known = tuple(mesh_asked(text, scale) for text, scale in meshes)
         asked = SceneAsked(cloud_asked(clouds.asked()), **chosen, meshes=known)
@@ -120,13 +129,18 @@ def _scene(
         if update is not None:
             said = {name: option for name, option in _OF_BEFORE.items() if name in given}
             asked = on_top_of(read_before(update), asked, said, "--update")
-        seen = see_files(asked, lambda step: report(step, None))
+        try:
+            seen = see_files(asked, lambda step: report(step, None), time_limit)
+        except OutOfTimeError as error:
+            raise EndedError("TIME_LIMIT", (str(error),), EXIT_CODES["TIME_LIMIT"]) from None
         report("write pieces", None)
         page = write_scene(seen, out)
     shown = {key: value for key, value in seen.data.items() if key != "pieces"}
+    late = ", ".join(shown["unfinished"])
+    ended = "TIME_LIMIT" if late else None
     if as_json:
         print_json({**shown, "scene": str(out), "viewer": str(page)})
-        return
+        return ended
     figures = [(name, "-" if value is None else str(value)) for name, value in shown["figures"].items()]
     print_table(screen, ("figure", "value"), figures)
     if shown["detections"]:
@@ -137,6 +151,10 @@ def _scene(
         screen.print(f"note: {note}", markup=False, soft_wrap=True)
     screen.print(f"viewer           {page}", markup=False, soft_wrap=True)
     screen.print(f"pieces           {out}", markup=False, soft_wrap=True)
+    if late:
+        line = f"TIME_LIMIT  {time_limit:g} s were over before these were looked for to the end: {late}"
+        screen.print(line, markup=False, soft_wrap=True)
+    return ended
 
 
 def _is_given(context: typer.Context, name: str) -> bool:

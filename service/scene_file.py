@@ -20,6 +20,7 @@ from service.scan_choices import Method, Unknown
 from service.scene_before import SceneBefore, SceneSettings
 from service.scene_given import FORMAT
 from service.scene_meshes import MeshAsked, MeshPlaced, known_of, placed
+from service.time_limit import OutOfTimeError, TimeOver, at_most
 
 
 @dataclass(frozen=True)
@@ -87,31 +88,40 @@ def on_top_of(before: SceneBefore, asked: SceneAsked, said: Mapping[str, str], o
     return replace(asked, clouds=clouds, unknown=of.unknown, method=of.method, before=before)
 
 
-def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
+def see_files(asked: SceneAsked, on_step: OnStep, time_limit_s: float | None = None) -> SceneSeen:
     """Pieces, floor, objects and figures of cloud files.
 
     Args:
         asked: files and what to make of them.
         on_step: told the name of each step before it begins.
+        time_limit_s: of all together; objects found until then are given, and what was not looked for is named.
 
     Raises:
         RequestError: one line for a file, name or value that cannot be used.
+        OutOfTimeError: the time was over before the pieces were made.
     """
     started = time.perf_counter()
     kinds = checked_kinds(asked.kinds, "--detect")
     check_hint(asked.hint)
-    known = known_of(asked.meshes)
-    read = read_asked(asked.clouds, on_step)
+    search = None
     try:
-        on_step("find pieces" if asked.before is None else "update pieces")
-        seen = _seen(asked, read, known)
+        with at_most(time_limit_s):
+            known = known_of(asked.meshes)
+            read = read_asked(asked.clouds, on_step)
+            on_step("find pieces" if asked.before is None else "update pieces")
+            seen = _seen(asked, read, known)
+            if known:
+                on_step("split meshes")
+            meshes = placed(known, asked.meshes, seen.matches)
+            search = Search([], [])
+            look_for(kinds, seen.view, asked.hint, on_step, search)
     except PerceptionError as error:
         raise RequestError(f"{asked.clouds.named}: {error}") from None
-    search = Search([], [])
-    look_for(kinds, seen.view, asked.hint, on_step, search)
-    if known:
-        on_step("split meshes")
-    meshes = placed(known, asked.meshes, seen.matches)
+    except TimeOver:
+        if search is None:
+            raise OutOfTimeError(
+                f"--time-limit: {time_limit_s:g} s were over before the pieces were made; more would do"
+            ) from None
     if asked.before is not None:
         meshes += [asked.before.placed(one, seen) for one in asked.before.without([one.name for one in known])]
     mesh_points = {mesh.pieces[0].name: mesh.explains(seen.view.obstacles) for mesh in meshes if mesh.pieces}
@@ -120,7 +130,8 @@ def see_files(asked: SceneAsked, on_step: OnStep) -> SceneSeen:
         "settings": asdict(asked.settings),
         **_pieces(asked, seen, meshes),
         "floor": [_level_json(level) for level in seen.view.floors],
-        "searched": list(kinds),
+        "searched": list(search.kinds),
+        "unfinished": [one for one in kinds if one not in search.kinds],
         "detections": [hit_json(hit) for hit in search.hits],
         "meshes": [one.to_json() for one in meshes],
         "timings": plain(dict(seen.timings)),

@@ -15,9 +15,11 @@ from cloud_files import write_bag
 from little_scan import crate_scan, little_scan, scopt
 
 from perception import Cloud, write_npz, write_pcd
+from service import scene_file
 from service.cloud_asked import CloudAsked
 from service.scene_file import SceneAsked, see_files
 from service.scene_view import payload_of
+from service.time_limit import TimeOver
 from service.viewer.frames import quantized
 from service.viewer.html import render_page
 
@@ -44,7 +46,19 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, A
 def test_a_scene_holds_pieces_floor_detections_and_figures(written: tuple[Path, dict[str, Any]]) -> None:
     out, printed = written
     data = json.loads(out.read_text())
-    keys = {"format", "settings", "pieces", "floor", "searched", "detections", "meshes", "figures", "timings", "notes"}
+    keys = {
+        "format",
+        "settings",
+        "pieces",
+        "floor",
+        "searched",
+        "unfinished",
+        "detections",
+        "meshes",
+        "figures",
+        "timings",
+        "notes",
+    }
     assert keys == data.keys()
     assert "pieces" not in printed
     assert printed["viewer"] == str(out.with_suffix(".html"))
@@ -419,3 +433,28 @@ def test_posture_of_the_robot_is_named_or_a_file(tmp_path: Path) -> None:
     assert "unknown posture 'nap'" in result.stderr
     result = scopt("scene", cloud, "--robot", tmp_path / "none.urdf", "--out", out)
     assert "none.urdf is not there" in result.stderr
+
+
+def _late(*_: object) -> None:
+    raise TimeOver
+
+
+def test_a_scene_is_written_when_the_time_ends_the_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_file, "look_for", _late)
+    cloud, out = crate_scan(tmp_path / "a.npz"), tmp_path / "scene.json"
+    result = scopt("scene", cloud, "--out", out, "--detect", "valve", "--detect", "door", "--time-limit", 60)
+    assert result.exit_code == 5
+    line = "TIME_LIMIT  60 s were over before these were looked for to the end: valve, door"
+    assert result.stdout.splitlines()[-1] == line
+    assert json.loads(out.read_text())["unfinished"] == ["valve", "door"]
+
+
+def test_a_time_that_is_over_before_there_are_pieces_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scene_file, "read_asked", _late)
+    cloud, out = crate_scan(tmp_path / "a.npz"), tmp_path / "scene.json"
+    result = scopt("scene", cloud, "--out", out, "--time-limit", 0.5)
+    assert result.exit_code == 5
+    assert result.stderr.splitlines()[-1] == "--time-limit: 0.5 s were over before the pieces were made; more would do"
+    assert not out.exists()
