@@ -43,7 +43,7 @@ from perception.simulate.scenes import make_scene
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
 # As dense as a whole turn of the fan, but only ahead: a test needs no more.
-SCANNER = Scanner(n_beams=541, fan_deg=135.0, n_lines=110)
+SCANNER = Scanner(n_beams=361, fan_deg=90.0, n_lines=110)
 ROOM = Room(pipes=((0.8, 0.6, 0.045),), boxes=(((0.5, -0.9, 0.0), (0.8, -0.5, 0.5)),))
 SHIPPED = Path(__file__).parents[1] / "examples" / "data"
 
