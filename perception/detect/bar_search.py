@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from perception.detect.bar_fit import SIGMA_USUAL, BarFit, fit_bars
-from perception.detect.bar_starts import Run, misfits, run_of, sample_about, starts_about, starts_flush_with
+from perception.detect.bar_starts import Run, Sample, misfits, run_of, sample_about, starts_about, starts_flush_with
 from perception.detect.bars import Bar, Section, SurroundingRays
 from perception.detect.sightlines import SightIndex
 from perception.floor import FloorPlane
@@ -24,6 +25,7 @@ _FOR_STARTS = 200
 _N_FLUSH = 3
 _FOR_CHOICE = 900
 _UNDECIDED = 10.0
+_HOPEFUL, _HOPEFUL_SHARE = 40.0, 0.4
 _MOST_RAYS = 10000
 
 
@@ -101,9 +103,12 @@ def choose_bar(
     if also is not None:
         bar = replace(also.bar, centre=run.place, first=run.first, last=run.last)
         starts += [(bar, also.usual), *starts_flush_with(few, bar, stock.halves, _N_FLUSH)]
-    fits = fit_bars(rays, starts, most_rays)
-    prior = [stock.rarity_of(fit.usual) + _unusual(fit) + _unsupported(fit.bar, floor) for fit in fits]
-    cost = misfits(many, [fit.bar for fit in fits]) + prior
+    fits = fit_bars(rays, starts, most_rays, n_rounds=1)
+    cost = _costs(many, fits, stock, floor)
+    promising = np.flatnonzero(cost <= cost.min() + max(_HOPEFUL, _HOPEFUL_SHARE * float(cost.min()))).tolist()
+    again = fit_bars(rays, [(fits[i].bar, fits[i].usual) for i in promising], most_rays, n_rounds=1)
+    for i, fit, one in zip(promising, again, _costs(many, again, stock, floor), strict=True):
+        fits[i], cost[i] = fit, one
     # Where nothing but noise tells sizes apart, it is the usual one.
     usual = [stock.rarity_of(fit.usual) for fit in fits]
     best = min(np.flatnonzero(cost <= cost.min() + _UNDECIDED).tolist(), key=lambda i: (usual[i], cost[i]))
@@ -113,6 +118,12 @@ def choose_bar(
         _apart(fit.bar, fits[best].bar) for fit, one in zip(fits, cost, strict=True) if one <= cost[best] + tolerance
     )
     return Choice(fits[best], doubt)
+
+
+def _costs(sample: Sample, fits: Sequence[BarFit], stock: Stock, floor: FloorPlane | None) -> Float[np.ndarray, "B"]:
+    """How badly each explains what is seen, and how unlikely it was before, in squared standard deviations."""
+    prior = [stock.rarity_of(fit.usual) + _unusual(fit) + _unsupported(fit.bar, floor) for fit in fits]
+    return np.asarray(misfits(sample, [fit.bar for fit in fits]) + prior)
 
 
 def _unusual(fit: BarFit) -> float:

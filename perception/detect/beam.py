@@ -20,6 +20,7 @@ from perception.detect.bars import Bar, SurroundingRays
 from perception.detect.confidence import rising
 from perception.detect.detection import Detection
 from perception.detect.sightlines import SightIndex, sight_index
+from perception.detect.strip_bends import straight_parts
 from perception.detect.strips import Strip, find_strips
 from perception.detect.vectors import cross
 from perception.floor import FloorPlane, on_floors
@@ -32,7 +33,7 @@ _VOXEL = 0.015
 _LEAST_LENGTH = 0.25
 _TUBE = 0.1
 _BEHIND, _BEYOND = 0.015, 0.15
-_HIDDEN_STRETCH = 0.6
+_HIDDEN_STRETCH, _MOST_LOOKS = 0.6, 3
 _LEAST_AIR, _LEAST_KNOWN = 0.1, 0.15
 _HALF_A_FACE = 0.06
 _SHORT = 0.7
@@ -97,7 +98,8 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
         tried: list[tuple[Strip, int]] = []
         for most in _STRIPS:
             n_known = len(known)
-            for strip in find_strips(points, view.cloud.starts.mean(axis=0), rng, most=most):
+            strips = find_strips(points, view.cloud.starts.mean(axis=0), rng, most=most)
+            for strip in (part for whole in strips for part in straight_parts(whole)):
                 if _is_explained(strip, known) or any(_is_again(strip, old, known[n:]) for old, n in tried):
                     continue
                 tried.append((strip, len(known)))
@@ -148,10 +150,15 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
     if choice is None:
         return None
     ends = likely_ends(rays, choice.fit.bar, floor)
-    if not all(ends.seen):
+    for _ in range(_MOST_LOOKS):
+        if all(ends.seen):
+            break
         # What lies over a beam may hide a long stretch of it.
-        rays = rays_about(index, run_of(ends.bar), _HIDDEN_STRETCH, floor, known)
-        ends = likely_ends(rays, ends.bar, floor)
+        before = ends.bar
+        rays = rays_about(index, run_of(before), _HIDDEN_STRETCH, floor, known)
+        ends = likely_ends(rays, before, floor)
+        if _end_moves(before, ends.bar) < _HIDDEN_STRETCH - _BEYOND:
+            break
     settled = [_settled(rays, ends.bar, choice.fit, floor)]
     if ends.bar.length < _SHORT * (run.last - run.first):
         # It may lie askew in what it was fitted to.
@@ -172,7 +179,7 @@ def _settled(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | N
     choice, ends = fitted
     bar = ends.bar
     evidence = weigh_bar(rays, bar)
-    confidence = _confidence(ends, choice.doubt, evidence)
+    confidence = _confidence(ends, choice, evidence)
     if confidence <= _REPORTED:
         return None
     flatter = rivalry(rays, bar, _PIPES, "round")
@@ -226,9 +233,9 @@ def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
     return any(look.air >= _LEAST_AIR or look.known <= _LEAST_KNOWN for look in looks)
 
 
-def _confidence(ends: LikelyEnds, doubt: float, evidence: Evidence) -> float:
+def _confidence(ends: LikelyEnds, choice: Choice, evidence: Evidence) -> float:
     """Product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths that agree,
-    a centre that is sure, and ends that are seen or bound to be near."""
+    an axis that its rays hold, a centre that is sure, and ends that are seen or bound to be near."""
     bar, ends_seen = ends.bar, sum(ends.seen)
     width, thickness = 2.0 * max(bar.half), 2.0 * min(bar.half)
     return float(
@@ -243,7 +250,8 @@ def _confidence(ends: LikelyEnds, doubt: float, evidence: Evidence) -> float:
         * rising(-evidence.rms, -0.02, -0.015)
         * rising(evidence.n_hits, 20.0, 80.0)
         * rising(-_off_size(width, thickness), -0.025, -0.012)
-        * (1.0 - 0.4 * rising(doubt, 0.01, 0.03))
+        * rising(-choice.fit.spread[0], -0.1, -0.03)
+        * (1.0 - 0.4 * rising(choice.doubt, 0.01, 0.03))
         * (1.0 - 0.6 * rising(sum(ends.hidden), 0.04, 0.1))
         * (0.7 if ends_seen == 0 else 1.0)
     )
