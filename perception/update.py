@@ -149,7 +149,9 @@ def _held_against(
     ground = Ground(hulls, view.near.points[is_floor], view.near.starts[is_floor])
     judge = None if cleaned else partial(_of_surfaces, view.near, ~is_floor, np.flatnonzero(~is_floor)[kept])
     points, starts = view.obstacles[kept], view.starts[kept]
-    made = updated_pieces(earlier.pieces, points, starts, view.cloud.rays, earlier.seed, ground, judge)
+    # Then the floor is looked for, and all is done anew.
+    is_floor_new = partial(may_be_level, floors=view.floors if view.floors is levels else ())
+    made = updated_pieces(earlier.pieces, points, starts, view.cloud.rays, earlier.seed, ground, judge, is_floor_new)
     clock.lap("pieces")
     view, pieces = _without_strays(view, made, kept)
     return _Held(view, floors, pieces, matches, points[made.new], made.timings)

@@ -104,6 +104,7 @@ def updated_pieces(
     seed: int = 0,
     ground: Ground | None = None,
     judge: Callable[[Int[np.ndarray, "K"]], Bool[np.ndarray, "K"]] | None = None,
+    is_enough: Callable[[Float[np.ndarray, "K 3"]], bool] = lambda _: False,
 ) -> Updated:
     """The pieces of a new scan, of which those that it does not contradict keep their very shape and name.
 
@@ -116,6 +117,7 @@ def updated_pieces(
         ground: what else explains points.
         judge: tells which of the points of these indices surfaces stand for; it is asked only about those that no
             piece explains.
+        is_enough: told the points that new pieces would be made of, says whether to leave off without any piece.
     """
     clock, kept = _Clock(), np.ones(len(points), dtype=bool)
     if not len(points) and not len(before):
@@ -147,6 +149,8 @@ def updated_pieces(
         left = left.among(groups.hold(kept))
         clock.lap("cleaning")
     new = left.new(coarse)
+    if is_enough(points[groups.members(new)]):
+        return Updated((), clock.timings, kept, groups.members(new))
     if len(new):
         boxes = boxes_of(coarse.points[new], coarse.starts[new], _AROUND)
         free = crossing.seen_free(coarse.points[groups.hold(kept)], boxes)
