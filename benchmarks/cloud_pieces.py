@@ -24,6 +24,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -39,6 +40,8 @@ _VARIANTS = ("dense", "sparse/solid/camera/solid_sparse")
 _WITHHELD = 0.2
 _SAMPLES = 8  # on each ray
 _FULL = 200_000  # points the time target is for
+
+Distance: TypeAlias = Callable[[Float[np.ndarray, "K 3"]], Float[np.ndarray, "K"]]  # from the true surfaces [m]
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,11 @@ class Union:
         """Which points are inside a piece or at most ``margin`` from one."""
         return np.asarray(self.holds(points) | (self._caster.distance(points) <= margin))
 
+    def false_share(self, samples: Float[np.ndarray, "N 3"], distance: Distance) -> float:
+        """How many samples along rays lie inside a piece and more than 2 cm from any true surface [%]."""
+        inside = samples[self.holds(samples)]
+        return 100.0 * float((distance(inside) > 0.02).sum()) / len(samples) if len(inside) else 0.0
+
 
 def true_points(surface: Caster, cloud: Cloud) -> Float[np.ndarray, "M 3"]:
     """Where the true surfaces stop the measured rays."""
@@ -141,7 +149,7 @@ def measured(case: Case, cloud: Cloud, folder: Path, method: str = "planes") -> 
     else:
         withheld = rng.random(len(cloud.points)) < _WITHHELD
         seen, judge = cloud.selected(~withheld), cloud.selected(withheld)
-    distance: Callable[[Float[np.ndarray, "K 3"]], Float[np.ndarray, "K"]]
+    distance: Distance
     if case.surface is None:
         surface = judge.points
         tree = cKDTree(cloud.points)
@@ -152,11 +160,7 @@ def measured(case: Case, cloud: Cloud, folder: Path, method: str = "planes") -> 
     made = made_of(seen, case.reach, folder, method)
     union = Union(made.pieces)
     surface = surface[(surface[:, 2] > 0.03) & case.reach.contains(surface)]
-    false = None
-    if case.has_rays:
-        samples = ray_samples(judge, case.reach.radius, rng)
-        inside = samples[union.holds(samples)]
-        false = 100.0 * float((distance(inside) > 0.02).sum()) / len(samples) if len(inside) else 0.0
+    false = union.false_share(ray_samples(judge, case.reach.radius, rng), distance) if case.has_rays else None
     within = [union.within(surface, margin) for margin in (0.01, 0.02)]
     covered = [100.0 * float(mask.mean()) for mask in within]
     others = cKDTree(seen.points).query(surface)[0] > 0.0

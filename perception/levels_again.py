@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from perception.clean import Reach
+from perception.convex.hulls import Hull
 from perception.extent import pierced_cells
 from perception.floor import FloorPlane, on_floor
 from perception.patches import PATCH, least_squares, patches_of
@@ -73,11 +74,47 @@ def _inside(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "
     return inside
 
 
-def may_be_level(points: Float[np.ndarray, "N 3"], floors: Sequence[FloorPlane]) -> bool:
-    """Whether points that are new show so much that is flat, and low enough, that it may be a level of the floor."""
+def may_be_level(
+    points: Float[np.ndarray, "N 3"],
+    floors: Sequence[FloorPlane],
+    ground: Float[np.ndarray, "F 3"],
+    known: Sequence[Hull] = (),
+) -> bool:
+    """Whether points that are new show so much that is flat, and low enough, that it may be a level of the floor.
+
+    What is flat over a place where more of the floor is seen is its noise: a level would hide what lies under it.
+
+    Args:
+        points: (N, 3) that no floor explains [m].
+        floors: levels that are known.
+        ground: (F, 3) points that belong to them [m].
+        known: bodies whose faces are no new levels.
+    """
     low = np.zeros(len(points), dtype=bool)
     for floor in floors:
         low |= floor.above(points) < _HIGHEST
     if not low.any():
         return False
-    return float(patches_of(points[low]).is_upright.sum() * PATCH**2) >= _STEPPED_ON
+    patches = patches_of(points[low])
+    centre, count = patches.centre[patches.is_upright], patches.count[patches.is_upright]
+    is_new = np.ones(len(centre), dtype=bool)
+    for hull in known:
+        if is_new.sum() * PATCH**2 < _STEPPED_ON:
+            return False
+        is_new &= ~hull.is_within(centre, _BAND)
+    is_new &= count > _seen_in_columns(centre, ground)
+    return float(is_new.sum() * PATCH**2) >= _STEPPED_ON
+
+
+def _seen_in_columns(places: Float[np.ndarray, "P 3"], ground: Float[np.ndarray, "F 3"]) -> Int[np.ndarray, "P"]:
+    """How many points of the ground lie in the column, as wide as a patch, of each place."""
+    if not len(places) or not len(ground):
+        return np.zeros(len(places), dtype=np.int64)
+    columns = np.floor(np.concatenate([places, ground])[:, :2] / PATCH).astype(np.int64)
+    columns -= columns.min(axis=0)
+    keys = columns[:, 0] * (columns[:, 1].max() + 1) + columns[:, 1]
+    # Far ground could make the count of all columns larger than memory: those of the places are enough.
+    asked, column = np.unique(keys[: len(places)], return_inverse=True)
+    at = np.searchsorted(asked, keys[len(places) :]).clip(max=len(asked) - 1)
+    counts = np.bincount(at[asked[at] == keys[len(places) :]], minlength=len(asked))
+    return np.asarray(counts[column])

@@ -84,7 +84,7 @@ def update(
     clock = Clock()
     earlier = before if isinstance(before, Earlier) else Earlier.of(before)
     seen = _held_against(earlier, cloud, robot_hulls, soles, known, earlier.floors, clock)
-    if seen.view.floors is earlier.floors and may_be_level(seen.new, earlier.floors):
+    if seen.is_left_off:
         seen = _held_against(earlier, cloud, robot_hulls, soles, known, (), clock)
     view, pieces = seen.view, seen.pieces
     hidden: tuple[ConvexPiece, ...] = ()
@@ -106,16 +106,16 @@ class _Held:
         floors: pieces of the floor.
         pieces: with indices of the view's obstacles.
         matches: by name where known meshes are.
-        new: (K, 3) points that new pieces are made of [m].
         timings: seconds by step of the making of pieces.
+        is_left_off: whether levels of the floor have to be looked for, and no pieces were made.
     """
 
     view: View
     floors: list[ConvexPiece]
     pieces: tuple[Piece, ...]
     matches: Mapping[str, MeshMatch]
-    new: Float[np.ndarray, "K 3"]
     timings: Mapping[str, float]
+    is_left_off: bool = False
 
 
 def _held_against(
@@ -127,7 +127,7 @@ def _held_against(
     levels: Sequence[FloorPlane],
     clock: Clock,
 ) -> _Held:
-    """The new scan, its floor of these levels if it shows them."""
+    """The new scan, its floor of these levels if it shows them; it is left off where it may show others as well."""
     # What kept pieces explain needs no cleaning; to find a mesh all points are asked for.
     cleaned = len(known) > 0
     view = make_view(
@@ -139,22 +139,33 @@ def _held_against(
         cleaned=cleaned,
         floors=levels,
     )
+    is_floor = on_floors(view.near.points, view.floors, soles)
+    ground = view.near.points[is_floor]
+    is_level = partial(may_be_level, floors=view.floors if view.floors is levels else (), ground=ground)
+    # Most new levels are told before anything else is asked; others, as on what was there, show when pieces are made.
+    if is_level(view.obstacles, known=[piece.hull for piece in earlier.pieces]):
+        clock.lap("view")
+        return _Held(view, [], (), {}, {}, is_left_off=True)
     floors = _steady(earlier.scene, floors_of(view))
     kept, _ = without_best(earlier.valves, view)
     clock.lap("view")
     matches = {**earlier.matches, **matched(known, view, clock)}
     kept = unexplained(view.obstacles, kept, matches)
-    is_floor = on_floors(view.near.points, view.floors, soles)
     hulls = tuple(hull_of(piece.vertices, kept[:0]).simplified for piece in floors)
-    ground = Ground(hulls, view.near.points[is_floor], view.near.starts[is_floor])
     judge = None if cleaned else partial(_of_surfaces, view.near, ~is_floor, np.flatnonzero(~is_floor)[kept])
-    points, starts = view.obstacles[kept], view.starts[kept]
-    # Then the floor is looked for, and all is done anew.
-    is_floor_new = partial(may_be_level, floors=view.floors if view.floors is levels else ())
-    made = updated_pieces(earlier.pieces, points, starts, view.cloud.rays, earlier.seed, ground, judge, is_floor_new)
+    made = updated_pieces(
+        earlier.pieces,
+        view.obstacles[kept],
+        view.starts[kept],
+        view.cloud.rays,
+        earlier.seed,
+        Ground(hulls, ground, view.near.starts[is_floor]),
+        judge,
+        is_level,
+    )
     clock.lap("pieces")
     view, pieces = _without_strays(view, made, kept)
-    return _Held(view, floors, pieces, matches, points[made.new], made.timings)
+    return _Held(view, floors, pieces, matches, made.timings, made.is_left_off)
 
 
 def _of_surfaces(

@@ -35,6 +35,12 @@ def test_within_measures_the_true_distance_to_the_union_also_at_corners() -> Non
     assert union.holds(places).tolist() == [False, False, True, False, False]
 
 
+def test_false_obstacles_are_samples_in_a_piece_and_two_centimetres_from_all_surfaces() -> None:
+    places = np.array([[0.5, 0.5, 0.5], [0.5, 0.5, 0.99], [0.5, 0.5, 1.5], [0.2, 0.2, 0.4]])
+    assert Union([CUBE]).false_share(places, lambda samples: 1.0 - samples[:, 2]) == 50.0
+    assert Union([CUBE]).false_share(places[2:3], lambda samples: 1.0 - samples[:, 2]) == 0.0
+
+
 def test_true_points_are_the_surface_the_rays_met_without_what_was_mixed_up() -> None:
     wall = Caster(box((2.0, -1.0, 0.0), (2.1, 1.0, 2.0)))
     cloud = Cloud(np.array([[2.03, 0.0, 1.0], [1.5, 0.1, 1.0], [2.0, 5.0, 1.0]]), np.array([0.0, 0.0, 1.0]))

@@ -13,6 +13,8 @@ from perception.clean import half_spaces
 from perception.convex.freespace import Crossing
 from perception.convex.hulls import hull_of
 from perception.convex.pieces import updated_pieces
+from perception.floor import FloorPlane
+from perception.levels_again import may_be_level
 from perception.locally import surface_among
 from perception.outliers import surface_points
 from perception.remembered import Memory, content_key
@@ -125,6 +127,33 @@ def test_a_plate_that_rays_go_through_is_gone_wherever_it_lies_between_cells(hei
     through = np.array([0.0, 0.0, 1.6]), ends
     assert not updated_pieces([plate], np.zeros((0, 3)), np.zeros((0, 3)), through).pieces
     assert updated_pieces([plate], np.zeros((0, 3)), np.zeros((0, 3)), (through[0], ends[:0])).pieces
+
+
+def test_a_piece_goes_when_only_mixed_pixels_hide_that_rays_went_through_it() -> None:
+    corners = np.array(list(np.ndindex(2, 2, 2))) * 0.3 + (0.8, -0.15, 0.5)
+    shape = ConvexPiece("clutter/0", corners, "clutter")
+    body = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), hull_of(corners, np.arange(0)).simplified)
+    ends = np.stack(np.meshgrid(np.arange(1.0, 2.4, 0.02), np.arange(-0.5, 0.5, 0.02), [0.0]), axis=-1).reshape(-1, 3)
+    start, inner = np.array([0.0, 0.0, 1.6]), np.stack(np.meshgrid(*[np.arange(0.01, 0.3, 0.02)] * 3), axis=-1)
+    pixels = inner.reshape(-1, 3) + corners[0]
+    starts = np.broadcast_to(start, pixels.shape)
+    for is_surface in (False, True):
+        judge = lambda asked, told=is_surface: np.full(len(asked), told)  # noqa: E731
+        made = updated_pieces([body], pixels, starts, (start, ends), judge=judge)
+        assert [piece.name for piece in made.pieces] == ["clutter/0"] * is_surface
+
+
+def test_it_is_left_off_where_what_is_new_asks_for_something_else_first() -> None:
+    points = flat(0.3, 0.03)
+    starts = np.broadcast_to(np.array([0.0, 0.0, 1.6]), points.shape)
+    asked = []
+    made = updated_pieces([], points, starts, (starts, points), is_enough=lambda new: not asked.append(len(new)))
+    assert asked == [len(points)]
+    assert made.is_left_off
+    assert not made.pieces
+    whole = updated_pieces([], points, starts, (starts, points))
+    assert whole.pieces
+    assert not whole.is_left_off
 
 
 def boxes_only(seed: int, *corners: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Cloud:
@@ -264,6 +293,35 @@ def test_a_platform_put_there_becomes_a_level_of_the_floor() -> None:
     assert len(seen.view.floors) == 1
     heights = [float(floor.height(np.array([[1.2, 0.0]]))[0]) for floor in after.view.floors]
     assert any(abs(height - 0.2) < 0.01 for height in heights)
+
+
+def test_a_platform_in_place_of_a_box_becomes_a_level_of_the_floor() -> None:
+    lower, upper = (0.8, -0.6, 0.0), (1.7, 0.6, 0.6)
+    seen = perceive(boxes_only(1, (lower, upper)), valve=False)
+    after = update(seen, boxes_only(2, (lower, (*upper[:2], 0.2))))
+    assert len(seen.view.floors) == 1
+    assert any(abs(floor.offset - 0.2) < 0.01 for floor in after.view.floors)
+
+
+def flat(height: float, step: float) -> np.ndarray:
+    """Points in rows on 0.8 m x 0.8 m."""
+    return np.stack(np.meshgrid(np.arange(1.0, 1.8, step), np.arange(0.0, 0.8, step), [height]), -1).reshape(-1, 3)
+
+
+def test_what_is_flat_and_low_may_be_a_level_unless_the_floor_is_seen_under_it() -> None:
+    floor = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.005, 4.0)
+    tail = flat(0.025, 0.03)
+    assert may_be_level(tail, [floor], tail[:0])
+    assert may_be_level(tail, [floor], flat(0.0, 0.02) + np.array([0.9, 0.0, 0.0]))
+    assert not may_be_level(tail, [floor], flat(0.0, 0.02))
+    assert not may_be_level(flat(0.6, 0.03), [floor], tail[:0])
+
+
+def test_what_an_earlier_piece_stands_for_is_no_new_level() -> None:
+    floor = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.005, 4.0)
+    low = hull_of(np.array(list(np.ndindex(2, 2, 2))) * (0.8, 0.8, 0.3) + (1.0, 0.0, 0.0), np.arange(0))
+    assert may_be_level(flat(0.3, 0.03), [floor], np.zeros((0, 3)))
+    assert not may_be_level(flat(0.3, 0.03), [floor], np.zeros((0, 3)), [low])
 
 
 def test_noise_above_the_floor_is_no_new_piece() -> None:

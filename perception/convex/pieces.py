@@ -89,11 +89,11 @@ class Updated(Pieces):
 
     Attributes:
         is_surface: (N,) which points are no strays: explained by a piece, its noise, or part of a surface.
-        new: (K,) indices of those that new pieces are made of.
+        is_left_off: whether it was left off without any piece.
     """
 
     is_surface: Bool[np.ndarray, "N"]
-    new: Int[np.ndarray, "K"]
+    is_left_off: bool = False
 
 
 def updated_pieces(
@@ -121,7 +121,7 @@ def updated_pieces(
     """
     clock, kept = _Clock(), np.ones(len(points), dtype=bool)
     if not len(points) and not len(before):
-        return Updated((), {}, kept, np.arange(0))
+        return Updated((), {}, kept)
     rays = _from_one_place(rays)
     coarse = coarsened(points, starts, VOXEL)
     groups = _Groups.of(coarse)
@@ -150,7 +150,7 @@ def updated_pieces(
         clock.lap("cleaning")
     new = left.new(coarse)
     if is_enough(points[groups.members(new)]):
-        return Updated((), clock.timings, kept, groups.members(new))
+        return Updated((), clock.timings, kept, is_left_off=True)
     if len(new):
         boxes = boxes_of(coarse.points[new], coarse.starts[new], _AROUND)
         free = crossing.seen_free(coarse.points[groups.hold(kept)], boxes)
@@ -159,7 +159,7 @@ def updated_pieces(
     first = {kind: 1 + max(number for _, number in of_kind) for kind, of_kind in _numbers(before)}
     pieces = _assembled(standing.pieces, bodies, first, points, kept, groups, coarse, free)
     clock.lap("evidence")
-    return Updated(pieces, clock.timings, kept, groups.members(new))
+    return Updated(pieces, clock.timings, kept)
 
 
 def _numbers(pieces: Sequence[Piece]) -> Iterator[tuple[str, Iterator[tuple[str, int]]]]:
