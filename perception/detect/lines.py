@@ -90,7 +90,7 @@ def find_lines(
     found: list[Line] = []
     for _, start in starts[: 6 * most]:
         # What one line explains is not begun at again.
-        if taken[start.members].mean() > _SHARED:
+        if len(start.members) and taken[start.members].mean() > _SHARED:
             continue
         line = _grown(points, start)
         if line is None or line.last - line.first < least_length:
@@ -171,6 +171,8 @@ def _contrast(share: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
 
 def _grown(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
     """The line refitted to its points and extended as far as they go on; None when too few are left."""
+    if not len(line.members):
+        return None
     _, apart = _about(points, line.place, line.axis)
     corridor = np.flatnonzero(apart < _CORRIDOR)
     local = points[corridor]
@@ -179,6 +181,8 @@ def _grown(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
     for _ in range(4):
         along, apart = _about(local, place, axis)
         inside = apart < line.radius
+        if not inside.any():
+            return None
         low, high = _run(along[inside])
         members = local[inside & (along >= low) & (along <= high)]
         if len(members) < 8:
