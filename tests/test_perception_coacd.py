@@ -21,7 +21,7 @@ from perception.solids import decompose, process
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, solid_of
 from perception.solids.decompose import CoacdSettings, Work
-from perception.solids.pieces import pieces_by_coacd
+from perception.solids.pieces import made_by_coacd, pieces_by_coacd
 from perception.solids.process import Limits, run_coacd
 from perception.solids.voxels import surface_of
 from perception.view import View
@@ -77,6 +77,15 @@ def test_every_piece_knows_its_points_and_its_evidence(view: View, made: Pieces)
     owned = np.concatenate([piece.points for piece in pieces])
     assert len(np.unique(owned)) == len(owned) > 0.99 * len(view.obstacles)
     assert max(piece.evidence.open_share for piece in pieces) > 0.2
+
+
+def test_the_noise_of_a_wall_is_no_part_of_it() -> None:
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([np.ones(15_000), rng.uniform(-0.5, 0.5, (15_000, 2))])
+    points = wall * (1.0 + rng.normal(0.0, 0.01, (15_000, 1)))
+    starts = np.zeros((15_000, 3))
+    made = made_by_coacd(points, starts, (starts, points), work=Work(cache=None))
+    assert min(piece.shape.vertices[:, 0].min() for piece in made.pieces) > 0.96
 
 
 def test_the_same_scan_gives_the_same_pieces(view: View, made: Pieces) -> None:

@@ -17,6 +17,7 @@ from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import hull_of, limited
 from perception.convex.piece import Piece
 from perception.convex.pieces import Pieces
+from perception.convex.smooth import smoothed
 from perception.convex.split import is_free_of
 from perception.mesh import Mesh
 from perception.solids.cache import Parts
@@ -30,6 +31,7 @@ _AROUND = 0.1
 _WITHIN = 0.01
 _NEIGHBOURS = 8
 _LINK = 0.05
+_ASIDE = 0.003  # [m] of a point, still of its surface: the one around a single cell cuts its corners
 _LINK_PER_RANGE = 0.045
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
 
@@ -126,6 +128,7 @@ def _grid(
     size: float,
 ) -> tuple[_Grid, FreeSpace]:
     """Cells that hold points or lie between neighbouring ones and were not seen free; and what was seen free."""
+    points = smoothed(points, np.ones(len(points), dtype=int), starts, np.arange(len(points)))
     coarse = coarsened(points, starts, size)
     lower = _FREE_CELL * np.floor((coarse.points.min(axis=0) - _AROUND) / _FREE_CELL)
     upper = coarse.points.max(axis=0) + _AROUND
@@ -133,7 +136,8 @@ def _grid(
     occupied = np.zeros(np.ceil((upper - lower) / size).astype(int) + 1, dtype=bool)
     between = _between(coarse.points, coarse.starts, size)
     _mark(occupied, between[~free.contains(between)], lower, size)
-    _mark(occupied, points, lower, size)
+    for aside in _ASIDE * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
+        _mark(occupied, points + aside, lower, size)
     return _Grid(occupied, lower, size), free
 
 
