@@ -37,6 +37,7 @@ _HIDDEN_STRETCH, _MOST_LOOKS = 0.6, 3
 _LEAST_AIR, _LEAST_KNOWN = 0.1, 0.15
 _HALF_A_FACE = 0.06
 _SHORT = 0.7
+_END_UNSEEN = 0.85  # each; a stub may go on where nothing shows it
 _MOST_FITS, _STAYS = 3, 0.04
 _NEAR_BAR = 0.02
 _SAME_PLACE = 0.03
@@ -253,7 +254,7 @@ def _confidence(ends: LikelyEnds, choice: Choice, evidence: Evidence) -> float:
         * rising(-choice.fit.spread[0], -0.1, -0.03)
         * (1.0 - 0.4 * rising(choice.doubt, 0.01, 0.03))
         * (1.0 - 0.6 * rising(sum(ends.hidden), 0.04, 0.1))
-        * (0.7 if ends_seen == 0 else 1.0)
+        * _END_UNSEEN ** (2 - ends_seen)
     )
 
 

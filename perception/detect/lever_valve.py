@@ -24,6 +24,7 @@ from perception.view import View
 _REPORTED, _HOPELESS = 0.05, 0.02
 _SLIM = (5.5, 8.5)  # length by radius; a hose's coupling on its standpipe is stouter
 _END_UNSEEN = 0.4
+_AIR_ABOUT_A_PIPE = (0.5, 0.7)  # the edge of a box has it on one of two sides
 _SPREADS = (np.radians(1.8), np.radians(3.2))  # of an axis that is sure, and of one that is not
 
 
@@ -80,7 +81,7 @@ def _joined(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPl
         * rising(-lever.evidence.rms, -0.02, -0.016)
         * rising(float(lever.evidence.n_hits), 12.0, 40.0)
         * rising(pipe.evidence.solid, 0.5, 0.75)
-        * rising(pipe.evidence.air, 0.3, 0.6)
+        * rising(pipe.evidence.air, *_AIR_ABOUT_A_PIPE)
     )
     if confidence * _as_a_lever(joint.pivot, lever.bar.half[0]) < _HOPELESS:
         return None
