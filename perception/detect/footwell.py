@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from perception.detect.confidence import rising
-from perception.detect.level import is_inside
+from perception.detect.level import filled_cells, is_inside
 
 # Of a cushion over the vehicle's floor.
 SEAT_HEIGHT = (0.22, 0.68)
@@ -70,10 +70,10 @@ def footwell_of(
     level = height if is_seen else -SEAT_HEIGHT[1]
     low, high = np.array([front - 0.1, -0.5 * width]), np.array([front + _REACH, 0.5 * width])
     shape = np.ceil((high - low) / _CELL).astype(int)
-    opened = _filled(_passing(starts, ends, level), low, shape)
+    opened = filled_cells(_passing(starts, ends, level), low, shape, _CELL)
     on = np.abs(local[:, 2] - level) < _THICK
     over = (local[:, 2] > level + _RISEN[0]) & (local[:, 2] < level + _RISEN[1])
-    solid, risen = _filled(local[on, :2], low, shape), _filled(local[over, :2], low, shape)
+    solid, risen = (filled_cells(local[some, :2], low, shape, _CELL) for some in (on, over))
     x = low[0] + (np.arange(shape[0]) + 0.5) * _CELL
     well = (x > front + _WELL[0]) & (x < front + _WELL[1])
     open_share = float((opened & ~solid)[well].mean())
@@ -111,17 +111,6 @@ def _passing(
     start, end = starts[down], ends[down]
     share = (at - start[:, 2]) / (end[:, 2] - start[:, 2])
     return np.asarray(start[:, :2] + share[:, None] * (end - start)[:, :2])
-
-
-def _filled(
-    places: Float[np.ndarray, "K 2"], low: Float[np.ndarray, "2"], shape: Int[np.ndarray, "2"]
-) -> Bool[np.ndarray, "A B"]:
-    """The cells that hold something."""
-    grid = np.zeros(tuple(shape), dtype=bool)
-    cell = np.floor((places - low) / _CELL).astype(int)
-    cell = cell[((cell >= 0) & (cell < shape)).all(axis=1)]
-    grid[cell[:, 0], cell[:, 1]] = True
-    return grid
 
 
 def _drops(solid: Bool[np.ndarray, "A B"], opened: Bool[np.ndarray, "A B"], risen: Bool[np.ndarray, "A B"]) -> float:

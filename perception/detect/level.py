@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 _CELL = 0.03
@@ -176,3 +176,24 @@ def is_inside(
 ) -> Bool[np.ndarray, "N"]:
     """Which points lie in a box of their own coordinates."""
     return np.asarray(((local > low) & (local < high)).all(axis=1))
+
+
+def filled_cells(
+    places: Float[np.ndarray, "K 2"],
+    low: Float[np.ndarray, "2"],
+    shape: Int[np.ndarray, "2"],
+    cell: float | Float[np.ndarray, "2"],
+) -> Bool[np.ndarray, "A B"]:
+    """The cells of a picture that hold any of the places; places outside of it do not count.
+
+    Args:
+        places: (K, 2) [m].
+        low: (2,) lower corner of the picture [m].
+        shape: (2,) how many cells.
+        cell: their edges [m].
+    """
+    grid = np.zeros(tuple(shape), dtype=bool)
+    index = np.floor((places - low) / cell).astype(int)
+    index = index[((index >= 0) & (index < shape)).all(axis=1)]
+    grid[index[:, 0], index[:, 1]] = True
+    return grid

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from perception.detect.level import is_inside
+from perception.detect.level import filled_cells, is_inside
 
 # How far from the vehicle's side its roof's edge may be.
 POST = 0.1
@@ -90,7 +90,7 @@ def edges_of(
     cell = np.array([_SIDE_BIN, _CELL])
     shape = np.round((high - low) / cell).astype(int)
     beside = local[np.abs(local[:, 1] - at) < _PANEL][:, [0, 2]]
-    met, passed = (_filled(places, low, shape, cell) for places in (beside, through))
+    met, passed = (filled_cells(places, low, shape, cell) for places in (beside, through))
     height = np.where(_inside(beside, low, high), beside[:, 1], np.nan)
     column = np.floor((beside[:, 0] - low[0]) / _SIDE_BIN).astype(int).clip(0, shape[0] - 1)
     lowest, highest = np.full(shape[0], np.inf), np.full(shape[0], -np.inf)
@@ -148,8 +148,8 @@ def openness(
     low, high = np.array([edges[0] + 0.04, floor + 0.06]), np.array([edges[1] - 0.04, max(top - 0.06, floor + 0.6)])
     cell = np.array([_CELL, _CELL])
     shape = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
-    opened = _filled(through, low, shape, cell)
-    met = _filled(ends[np.abs(ends[:, 1] - at) < 0.05][:, [0, 2]], low, shape, cell)
+    opened = filled_cells(through, low, shape, cell)
+    met = filled_cells(ends[np.abs(ends[:, 1] - at) < 0.05][:, [0, 2]], low, shape, cell)
     seen = opened | met
     rows = np.flatnonzero(opened.mean(axis=0) > 0.2)
     highest = low[1] + (rows.max() + 1) * _CELL if len(rows) else floor + 0.6
@@ -160,14 +160,3 @@ def _inside(
     places: Float[np.ndarray, "K 2"], low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]
 ) -> Bool[np.ndarray, "K"]:
     return np.asarray(((places > low) & (places < high)).all(axis=1))
-
-
-def _filled(
-    places: Float[np.ndarray, "K 2"], low: Float[np.ndarray, "2"], shape: np.ndarray, cell: Float[np.ndarray, "2"]
-) -> Bool[np.ndarray, "A B"]:
-    """The cells that hold something."""
-    grid = np.zeros(tuple(shape), dtype=bool)
-    index = np.floor((places - low) / cell).astype(int)
-    index = index[((index >= 0) & (index < shape)).all(axis=1)]
-    grid[index[:, 0], index[:, 1]] = True
-    return grid

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from perception.detect.strips import Strip
+from perception.detect.strips import Strip, middle_and_half
 from perception.detect.vectors import cross
 
 _BIN = 0.04
@@ -62,9 +62,8 @@ def _refitted(strip: Strip, members: Float[np.ndarray, "K 3"]) -> Strip:
     axis = vectors[:, 2] * np.sign(vectors[:, 2] @ strip.axis)
     normal = vectors[:, 0] * np.sign(vectors[:, 0] @ strip.normal)
     side = cross(normal, axis)
-    left, right = np.percentile((members - middle) @ side, [4.0, 96.0])
-    place = middle + 0.5 * (left + right) * side
+    off, half = middle_and_half((members - middle) @ side)
+    place = middle + off * side
     along = (members - place) @ axis
     share = len(members) / len(strip.members)
-    half = 0.5 * float(right - left) / 0.92
     return Strip(place, axis, normal, half, float(along.min()), float(along.max()), members, strip.score * share)

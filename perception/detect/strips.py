@@ -226,9 +226,8 @@ def _grown(
         axis, normal = vectors[:, 2] * np.sign(vectors[:, 2] @ axis), vectors[:, 0]
         side = cross(normal, axis)
         spread = (chosen - place) @ side
-        left, right = np.percentile(spread, [4.0, 96.0])
-        place = place + 0.5 * (left + right) * side
-        half = 0.5 * float(right - left) / 0.92
+        middle, half = middle_and_half(spread)
+        place = place + middle * side
         along = (chosen - place) @ axis
         low, high = float(along.min()), float(along.max())
     if not _NARROWEST < 2.0 * half < _WIDEST or high - low < _LEAST_BINS * _BIN:
@@ -242,6 +241,12 @@ def _grown(
     low, high = max(low, float(filled[0])), min(high, float(filled[-1]) + _BIN)
     normal = normal * np.sign((towards - place) @ normal)
     return Strip(place, axis, normal, half, low, high, points[members], score), corridor[members]
+
+
+def middle_and_half(spread: Float[np.ndarray, "K"]) -> tuple[float, float]:
+    """Where the middle of a strip is and half its width, by its points' places across, but the outermost ones [m]."""
+    left, right = np.percentile(spread, [4.0, 96.0])
+    return 0.5 * float(left + right), 0.5 * float(right - left) / 0.92
 
 
 def _clear(
