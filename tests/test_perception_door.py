@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
-from perception.detect.door_edge import side_edge
+from perception.detect.door_edge import side_edge, unevenness
 from perception.detect.door_handle import find_handle
 from perception.detect.profile import BIN, Profile, Rays, straight_stretches
 from perception.detect.upright import Upright, find_uprights
@@ -143,6 +143,33 @@ def test_a_bar_that_goes_on_above_and_below_is_no_handle() -> None:
         quality[name] = handle.quality
     assert quality["pull"] > 0.8
     assert quality["pipe"] == 0.0
+
+
+def test_what_stands_out_of_a_face_no_more_than_its_noise_dents_it_is_no_handle() -> None:
+    up, across = (grid.ravel() for grid in np.meshgrid(np.linspace(0.2, 1.9, 340), np.linspace(-0.5, 0.5, 200)))
+    plane = Upright(np.array([-1.0, 0.0, 0.0]), -1.0)
+    starts = np.column_stack([np.zeros_like(up), across, up])
+    bulge = (np.abs(across - 0.4) < 0.03) & (np.abs(up - 1.0) < 0.05)
+    dent = (np.abs(across + 0.4) < 0.03) & (np.abs(up - 1.0) < 0.05)
+    noisy, clear = (
+        find_handle(plane, -0.5, 0.5, 0.017, 0.0, Rays(starts, np.column_stack([at, across, up])))
+        for at in (1.0 - 0.05 * bulge + 0.05 * dent, 1.0 - 0.05 * bulge)
+    )
+    assert noisy is None
+    assert clear is not None
+    assert clear.quality > 0.8
+
+
+def test_a_step_no_larger_than_the_face_is_uneven_ends_no_face() -> None:
+    depth = np.concatenate([0.014 * np.sin(np.arange(40) / 2.0), [0.014, 0.02, 0.02, 0.014], np.zeros(16)])
+    counts = np.full(60, 15)
+    profile = Profile(0.0, depth, np.full(60, 0.001), counts, np.zeros(60, dtype=int))
+    uneven = unevenness(profile, 0, 40)
+    assert 0.008 < uneven < 0.016
+    assert side_edge(profile, 40, 1, np.zeros((0, 3)), 0.0).strength == 1.0
+    assert side_edge(profile, 40, 1, np.zeros((0, 3)), 0.0, uneven).strength == 0.0
+    noise = np.random.default_rng(0).normal(0.0, 0.01, 60)
+    assert unevenness(replace(profile, depth=noise, sigma=np.full(60, 0.012)), 0, 40) == 0.0
 
 
 @pytest.mark.parametrize(("sigma", "is_sure"), [(0.001, True), (0.02, False)])

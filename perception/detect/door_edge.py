@@ -14,6 +14,7 @@ _HIDDEN = 0.25
 _SHARP = 0.06
 _SURE_STOREYS = 6
 _SURE = 2.0  # standard errors
+_FEWEST = 5  # columns
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,19 @@ class Edge:
         return float(max(min(self.step / 0.012, 1.0), min(self.open_share / 0.5, 1.0)))
 
 
-def side_edge(profile: Profile, end: int, side: int, local: Float[np.ndarray, "N 3"], ground: float) -> Edge:
-    """The edge at column ``end``, with what is beside it; ``side`` is where it looks to, -1 or 1."""
+def side_edge(
+    profile: Profile, end: int, side: int, local: Float[np.ndarray, "N 3"], ground: float, uneven: float = 0.0
+) -> Edge:
+    """The edge of a face, with what is beside it.
+
+    Args:
+        profile: of the face's plane.
+        end: the column it is at.
+        side: where it looks to, -1 or 1.
+        local: (N, 3) points along the plane, up, and out of it [m].
+        ground: world z of the floor [m].
+        uneven: how far the face's own columns lie off its plane (:func:`unevenness`) [m].
+    """
     n_beside = round(_BESIDE / BIN)
     beside = np.arange(end, end + n_beside) if side > 0 else np.arange(end - n_beside, end)[::-1]
     beside = beside[(beside >= 0) & (beside < len(profile.depth))]
@@ -57,7 +69,7 @@ def side_edge(profile: Profile, end: int, side: int, local: Float[np.ndarray, "N
     if solid[1:].any():
         steps = profile.depth[beside[1:]][solid[1:]]
         jump = float(np.median(steps))
-    step = _sure_step(profile, beside[solid])
+    step = _sure_step(profile, beside[solid], uneven)
     band = (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
     near = local[band & (np.abs(local[:, 0] - at) < _SHARP)]
     wall = _wall_before(profile, end, side)
@@ -71,7 +83,19 @@ def side_edge(profile: Profile, end: int, side: int, local: Float[np.ndarray, "N
     return Edge(at, jump, step, open_share, bool(seen.sum() >= _SURE_STOREYS))
 
 
-def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"]) -> float:
+def unevenness(profile: Profile, first: int, last: int) -> float:
+    """How far columns of a face lie off its plane for more than the noise of their points, which is each one's own.
+
+    A stereo camera's noise is shared by neighbours, so that a flat face looks wavy [m].
+    """
+    mine = np.arange(first, last)[profile.is_solid[first:last]]
+    if len(mine) < _FEWEST:
+        return 0.0
+    off = 1.4826 * np.median(np.abs(profile.depth[mine]))
+    return float(np.sqrt(max(0.0, off**2 - np.median(profile.sigma[mine]) ** 2)))
+
+
+def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"], uneven: float) -> float:
     """How far two neighbouring columns lie out of the plane beyond doubt: a casing is hardly wider than that [m]."""
     pairs = columns[:-1][np.abs(np.diff(columns)) == 1]
     if not len(pairs):
@@ -80,7 +104,7 @@ def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"]) -> float:
     weight = profile.sigma**-2
     total = weight[pairs] + weight[pairs + order]
     mean = (weight[pairs] * profile.depth[pairs] + weight[pairs + order] * profile.depth[pairs + order]) / total
-    return float(np.max(np.abs(mean) - _SURE / np.sqrt(total)).clip(0.0))
+    return float(np.max(np.abs(mean) - _SURE * np.sqrt(1.0 / total + uneven**2)).clip(0.0))
 
 
 def _wall_before(profile: Profile, end: int, side: int) -> int | None:

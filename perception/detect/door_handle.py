@@ -7,22 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from perception.detect.door_bump import JAMB, Bump, Face, find_bumps, rays_towards
 from perception.detect.profile import Rays
 from perception.detect.upright import Upright
 
-_CELL = 0.01
-_STANDOFFS = (0.04, 0.055, 0.07)
-_HEIGHTS = (0.75, 1.3)
-_REACH = (0.4, 1.7)
-_DEEPEST = 0.12
-_MOST = 3.0  # what one ray may say, in natural logarithms of odds
-_BARS = ((0.05, 0.05), *((length, t) for length in (0.08, 0.11, 0.14, 0.18) for t in (0.02, 0.03, 0.05)))
-_PANICS = tuple((share, t) for share in (0.45, 0.6, 0.75) for t in (0.03, 0.05))
-_PULLS = tuple((t, length) for length in (0.16, 0.25, 0.35, 0.5) for t in (0.02, 0.03, 0.05))
+_ABOUT = 0.015
+_OUT = (0.025, 0.1)  # standoffs a handle can have [m]
+_FEWEST, _MANY = 3, 40  # rays
 _RING = 0.04
-_JAMB = 0.025
-_WENT_ON = 0.06
-_LEAST = 6.0
 _MOST_SLACK = 0.12
 _PULL_END = 0.1
 _FRONT = 0.75  # of its radius, what is seen of a bar lies before its middle line on average
@@ -39,7 +31,7 @@ class Handle:
         is_lever: wider than high.
         is_pull: a bar much higher than wide.
         is_panic: a bar across most of the face.
-        evidence: how much better rays are explained by it than by the bare face [log odds].
+        evidence: how much better rays are explained by it than by the bare face and its noise [log odds].
         purity: share of the rays towards it that met it.
         alone: share of the rays just beside it that met the face behind; of a pull, also above and below it.
         n_rays: how many met it.
@@ -90,193 +82,136 @@ def find_handle(
         rays: all of the scan.
         prefer: side on which it must be (-1 low, 1 high); 0 either.
     """
-    sigma = float(np.clip(rms, 0.006, 0.02))
-    width = high - low
-    boxes: dict[str, _Box] = {}
-    for out in _STANDOFFS:
-        at, depth, mine = _towards(rays, plane, out, low, high, ground)
-        grid_low = np.array([low, ground + _REACH[0]])
-        shape = np.ceil([width / _CELL, (_REACH[1] - _REACH[0]) / _CELL]).astype(int) + 1
-        cell = np.floor((at[mine] - grid_low) / _CELL).astype(int)
-        grid = np.bincount(
-            np.ravel_multi_index(tuple(cell.T), tuple(shape)), _votes(depth[mine], out, sigma), int(np.prod(shape))
-        ).reshape(shape)
-        for zone in _zones(prefer):
-            found = _best_box(grid, width, zone)
-            if found is not None and (zone not in boxes or found[0] > boxes[zone].evidence):
-                corner = grid_low + np.array(found[1]) * _CELL
-                far = corner + found[2]
-                if zone == "across":
-                    corner[0], far[0] = low + _JAMB, high - _JAMB
-                boxes[zone] = _Box(found[0], out, corner, far)
-    seen = [_measured(plane, low, high, sigma, ground, rays, box) for box in boxes.values() if box.evidence > _LEAST]
+    face = Face(plane, low, high, ground, float(np.clip(rms, 0.006, 0.02)))
+    seen = [_measured(face, rays, bump) for bump in find_bumps(face, rays, prefer)]
     return max(seen, key=lambda one: (one.quality, one.evidence), default=None)
 
 
 @dataclass(frozen=True)
-class _Box:
-    """Where a handle may be: how much speaks for it, its standoff, its corners along the plane and up."""
+class _Seen:
+    """The rays towards a bump that matter, and the corners of what they met there.
 
-    evidence: float
+    Attributes:
+        mine: (R,) which of all rays they are.
+        at: (K, 2) where they cross the plane of its near side [m].
+        depth: (K,) how far out of the face they ended [m].
+        vote: (K,) how much rather they met the bump than the face [log odds].
+        met: (K,) which ones met it.
+        out: its standoff [m].
+        low, high: (2,) its corners [m].
+    """
+
+    mine: Bool[np.ndarray, "R"]
+    at: Float[np.ndarray, "K 2"]
+    depth: Float[np.ndarray, "K"]
+    vote: Float[np.ndarray, "K"]
+    met: Bool[np.ndarray, "K"]
     out: float
     low: Float[np.ndarray, "2"]
     high: Float[np.ndarray, "2"]
 
+    @property
+    def size(self) -> Float[np.ndarray, "2"]:
+        """(2,) along the face and up [m]."""
+        return np.asarray(self.high - self.low)
 
-def _zones(prefer: int) -> tuple[str, ...]:
-    """Where on a face a handle may be."""
-    sides = {-1: ("low",), 1: ("high",), 0: ("low", "high")}[prefer]
-    return (*sides, "across")
-
-
-def _towards(
-    rays: Rays, plane: Upright, out: float, low: float, high: float, ground: float
-) -> tuple[Float[np.ndarray, "R 2"], Float[np.ndarray, "R"], Bool[np.ndarray, "R"]]:
-    """Crossings of the plane ``out`` before the face, how far out of the face rays ended, and which ones matter."""
-    at, end, heading = rays.crossing(plane, out)
-    depth = end + out
-    inside = heading & (at[:, 0] > low) & (at[:, 0] < high)
-    inside &= (at[:, 1] > ground + _REACH[0]) & (at[:, 1] < ground + _REACH[1])
-    # What stopped far before the face tells nothing of it, nor does a jamb that stands before its edges; what went on
-    # behind an open leaf tells that nothing stood out of it there.
-    end_along = rays.ends @ plane.along
-    inside &= ((end_along > low + _JAMB) & (end_along < high - _JAMB)) | (depth < -_WENT_ON)
-    return at, depth, inside & (depth < _DEEPEST)
+    def within(self, margin: float) -> Bool[np.ndarray, "K"]:
+        """Which of the rays pass inside its corners, or no further than the margin beside them."""
+        return np.asarray(((self.at >= self.low - margin) & (self.at <= self.high + margin)).all(axis=1))
 
 
-def _votes(depth: Float[np.ndarray, "K"], out: float, sigma: float) -> Float[np.ndarray, "K"]:
-    """How much rather each ray ended ``out`` before the face than on it [log odds]."""
-    return np.asarray(np.clip(out * (2.0 * np.minimum(depth, out + 0.01) - out) / (2.0 * sigma**2), -_MOST, _MOST))
-
-
-def _best_box(
-    grid: Float[np.ndarray, "U V"], width: float, zone: str
-) -> tuple[float, tuple[int, int], Float[np.ndarray, "2"]] | None:
-    """The box with the greatest sum among those where a handle can be: (sum, corner cell, size [m])."""
-    sums = np.pad(np.cumsum(np.cumsum(grid, 0), 1), ((1, 0), (1, 0)))
-    best: tuple[float, tuple[int, int], Float[np.ndarray, "2"]] | None = None
-    sizes = [(share * width, t) for share, t in _PANICS] if zone == "across" else [*_BARS, *_PULLS]
-    for size in sizes:
-        a, b = round(size[0] / _CELL), round(size[1] / _CELL)
-        if a >= grid.shape[0] or b >= grid.shape[1]:
-            continue
-        total = sums[a:, b:] - sums[:-a, b:] - sums[a:, :-b] + sums[:-a, :-b]
-        along = np.arange(total.shape[0]) * _CELL
-        middle = (np.arange(total.shape[1]) + 0.5 * b) * _CELL + _REACH[0]
-        slack = 0.15 if size[1] > 0.1 else 0.0
-        fits = (middle > _HEIGHTS[0] - slack) & (middle < _HEIGHTS[1] + slack)
-        # Its outer end lies 2 to 18 cm from a side edge.
-        from_low, from_high = along, width - along - size[0]
-        if zone == "across":
-            fits_along = (from_low > 0.03) & (from_high > 0.03)
-        else:
-            outer = from_low if zone == "low" else from_high
-            fits_along = (outer > 0.02) & (outer < 0.18)
-        total = np.where(fits_along[:, None] & fits[None, :], total, -np.inf)
-        cell = np.unravel_index(int(np.argmax(total)), total.shape)
-        value = float(total[cell])
-        if np.isfinite(value) and (best is None or value > best[0]):
-            best = (value, (int(cell[0]), int(cell[1])), np.array(size))
-    return best
-
-
-def _measured(
-    plane: Upright,
-    low: float,
-    high: float,
-    sigma: float,
-    ground: float,
-    rays: Rays,
-    box: _Box,
-) -> Handle:
-    """Extent, standoff and surroundings of a box's handle, from the rays towards it."""
-    out, corner, far = box.out, box.low, box.high
-    for _ in range(2):
-        at, depth, mine = _towards(rays, plane, out, low, high, ground)
-        core = mine & ((at > corner - 0.015) & (at < far + 0.015)).all(axis=1) & (depth > 0.6 * out)
-        if core.sum() < 3:
-            break
-        out = float(np.clip(np.median(depth[core]), 0.025, 0.1))
-    at, depth, mine = _towards(rays, plane, out, low, high, ground)
-    at, depth = at[mine], depth[mine]
-    vote = _votes(depth, out, sigma)
-    near = ((at > corner - 0.02) & (at < far + 0.02)).all(axis=1)
-    met = near & (vote > 0.0)
-    trim = 2.0 if met.sum() > 40 else 0.0
-    if met.sum() >= 3:
-        corner, far = np.percentile(at[met], [trim, 100.0 - trim], axis=0)
-    inside = ((at >= corner) & (at <= far)).all(axis=1)
-    ring = ((at > corner - _RING) & (at < far + _RING)).all(axis=1)
-    ring &= ~((at > corner - 0.015) & (at < far + 0.015)).all(axis=1)
-    size = far - corner
-    is_panic = bool(size[0] > 0.4 * (high - low))
-    is_lever = bool(not is_panic and size[0] > 0.065 and size[0] > 1.6 * size[1])
-    is_pull = bool(size[1] > 0.12 and size[1] > 2.0 * size[0])
-    on_face = np.abs(depth) < max(2.5 * sigma, 0.02)
-    alone = float(np.mean(on_face[ring])) if ring.any() else 0.0
-    if is_pull:
-        # A pipe or post before the face goes on above and below.
-        column = (at[:, 0] > corner[0]) & (at[:, 0] < far[0])
-        ends = [
-            column & (at[:, 1] > low_end) & (at[:, 1] < low_end + _PULL_END)
-            for low_end in (corner[1] - 0.015 - _PULL_END, far[1] + 0.015)
-        ]
-        alone = min(alone, *(float(np.mean(on_face[end])) if end.any() else 0.0 for end in ends))
-    is_bar = is_panic or is_lever or is_pull
-    middle = out - _FRONT * float(np.clip(0.5 * size.min(), _THIN, _BAR if is_bar else _KNOB))
-    ends = [corner, far]
-    if met.sum() >= 3:
-        # Rays from above meet a bar's near side higher up than they would cross the plane of its middle line.
-        place = rays.crossing(plane, middle)[0][mine][met]
-        ends = list(np.percentile(place, [trim, 100.0 - trim], axis=0))
+def _measured(face: Face, rays: Rays, bump: Bump) -> Handle:
+    """Extent, standoff and surroundings of a bump, from the rays towards it."""
+    seen = _seen(face, rays, bump)
+    width, height = seen.size
+    is_panic = bool(width > 0.4 * face.width)
+    is_lever = bool(not is_panic and width > 0.065 and width > 1.6 * height)
+    is_pull = bool(height > 0.12 and height > 2.0 * width)
+    radius = float(np.clip(0.5 * seen.size.min(), _THIN, _BAR if is_panic or is_lever or is_pull else _KNOB))
+    middle = seen.out - _FRONT * radius
+    low, high = _ends(seen, rays.crossing(face.plane, middle)[0])
+    inside = seen.within(0.0)
     return Handle(
-        ends[0],
-        ends[1],
+        low,
+        high,
         middle,
         is_lever,
         is_pull,
         is_panic,
-        box.evidence,
-        float(np.mean(vote[inside] > 0.0)) if inside.any() else 0.0,
-        alone,
-        int((inside & (vote > 0.0)).sum()),
-        _neck_side(at, depth, corner, far, out, sigma) if is_lever else 0,
-        _slack(at, vote, corner, far, low, high),
+        bump.evidence,
+        float(np.mean(seen.vote[inside] > 0.0)) if inside.any() else 0.0,
+        _alone(face, seen, is_pull),
+        int((inside & (seen.vote > 0.0)).sum()),
+        _neck_side(face, seen) if is_lever else 0,
+        _slack(face, seen),
     )
 
 
-def _slack(
-    at: Float[np.ndarray, "K 2"],
-    vote: Float[np.ndarray, "K"],
-    corner: Float[np.ndarray, "2"],
-    far: Float[np.ndarray, "2"],
-    low: float,
-    high: float,
-) -> tuple[float, float]:
+def _seen(face: Face, rays: Rays, bump: Bump) -> _Seen:
+    """What the rays towards a bump met: its standoff first, then where it ends."""
+    out = bump.out
+    for _ in range(2):
+        seen = rays_towards(rays, face, out)
+        core = seen.mine & ((seen.at > bump.low - _ABOUT) & (seen.at < bump.high + _ABOUT)).all(axis=1)
+        core &= seen.depth > 0.6 * out
+        if core.sum() < _FEWEST:
+            break
+        out = float(np.clip(np.median(seen.depth[core]), *_OUT))
+    seen = rays_towards(rays, face, out)
+    at, depth = seen.at[seen.mine], seen.depth[seen.mine]
+    vote = face.votes(depth, out)
+    met = ((at > bump.low - 0.02) & (at < bump.high + 0.02)).all(axis=1) & (vote > 0.0)
+    low, high = _corners(at[met]) if met.sum() >= _FEWEST else (bump.low, bump.high)
+    return _Seen(seen.mine, at, depth, vote, met, out, low, high)
+
+
+def _corners(places: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Of the rectangle about places, a few of many not counted [m]."""
+    trim = 2.0 if len(places) > _MANY else 0.0
+    low, high = np.percentile(places, [trim, 100.0 - trim], axis=0)
+    return low, high
+
+
+def _ends(seen: _Seen, at: Float[np.ndarray, "R 2"]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Corners on the plane of the bump's middle line, which all rays cross ``at``.
+
+    Rays from above meet a bar's near side higher up than they would cross that plane.
+    """
+    return _corners(at[seen.mine][seen.met]) if seen.met.sum() >= _FEWEST else (seen.low, seen.high)
+
+
+def _alone(face: Face, seen: _Seen, is_pull: bool) -> float:
+    """Share of the rays just beside it that met the face; a pipe or post before the face goes on above and below."""
+    on_face = np.abs(seen.depth) < max(2.5 * face.sigma, 0.02)
+    beside = [seen.within(_RING) & ~seen.within(_ABOUT)]
+    if is_pull:
+        column = (seen.at[:, 0] > seen.low[0]) & (seen.at[:, 0] < seen.high[0])
+        beside += [
+            column & (seen.at[:, 1] > end) & (seen.at[:, 1] < end + _PULL_END)
+            for end in (seen.low[1] - _ABOUT - _PULL_END, seen.high[1] + _ABOUT)
+        ]
+    return min(float(np.mean(on_face[one])) if one.any() else 0.0 for one in beside)
+
+
+def _slack(face: Face, seen: _Seen) -> tuple[float, float]:
     """From either end to the first ray that went past at the height of the bar, or to just before the edge [m]."""
-    middle, half = 0.5 * (corner[1] + far[1]), max(0.35 * (far[1] - corner[1]), 0.005)
-    past = at[(vote < 0.0) & (np.abs(at[:, 1] - middle) < half), 0]
-    below, above = corner[0] - past[past < corner[0]], past[past > far[0]] - far[0]
-    most = np.clip([corner[0] - low - _JAMB, high - far[0] - _JAMB], 0.0, _MOST_SLACK)
+    middle, half = 0.5 * (seen.low[1] + seen.high[1]), max(0.35 * seen.size[1], 0.005)
+    past = seen.at[(seen.vote < 0.0) & (np.abs(seen.at[:, 1] - middle) < half), 0]
+    below, above = seen.low[0] - past[past < seen.low[0]], past[past > seen.high[0]] - seen.high[0]
+    most = np.clip([seen.low[0] - face.low - JAMB, face.high - seen.high[0] - JAMB], 0.0, _MOST_SLACK)
     return (
         float(min(below.min(initial=_MOST_SLACK), most[0])),
         float(min(above.min(initial=_MOST_SLACK), most[1])),
     )
 
 
-def _neck_side(
-    at: Float[np.ndarray, "K 2"],
-    depth: Float[np.ndarray, "K"],
-    corner: Float[np.ndarray, "2"],
-    far: Float[np.ndarray, "2"],
-    out: float,
-    sigma: float,
-) -> int:
+def _neck_side(face: Face, seen: _Seen) -> int:
     """The end near which more rays ended between bar and face: there is the neck; 0 when that is not clear."""
-    middle = 0.5 * (corner + far)
-    about = (np.abs(at[:, 1] - middle[1]) < 0.035) & (at[:, 0] > corner[0] - 0.03) & (at[:, 0] < far[0] + 0.03)
-    between = about & (depth > 2.0 * sigma) & (depth < out - 1.5 * sigma)
-    side = np.sign(at[:, 0] - middle[0])
+    middle = 0.5 * (seen.low + seen.high)
+    along, up = seen.at.T
+    about = (np.abs(up - middle[1]) < 0.035) & (along > seen.low[0] - 0.03) & (along < seen.high[0] + 0.03)
+    between = about & (seen.depth > 2.0 * face.sigma) & (seen.depth < seen.out - 1.5 * face.sigma)
+    side = np.sign(along - middle[0])
     right, left = int((between & (side > 0)).sum()), int((between & (side < 0)).sum())
     if max(left, right) < 5 or max(left, right) < 2.5 * min(left, right):
         return 0

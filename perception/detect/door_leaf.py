@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detect.door_edge import Edge, side_edge
+from perception.detect.door_edge import Edge, side_edge, unevenness
 from perception.detect.door_rows import face_rows
 from perception.detect.profile import BAND, BIN, Profile, Rays, Stretch, straight_stretches, take_profile
 from perception.detect.upright import Upright, fit_upright
@@ -195,8 +195,9 @@ def _settled_leaf(
     if not _LEAST_SEEN <= (last - first) * BIN <= WIDTHS[1] + 0.1:
         return None
     local = plane.local(points)
-    low = side_edge(profile, first, -1, local, ground)
-    high = side_edge(profile, last, 1, local, ground)
+    uneven = unevenness(profile, first, last)
+    low = side_edge(profile, first, -1, local, ground, uneven)
+    high = side_edge(profile, last, 1, local, ground, uneven)
     inside = (local[:, 0] > low.at + 0.02) & (local[:, 0] < high.at - 0.02)
     inside &= (local[:, 1] > ground + 0.05) & (local[:, 1] < ground + 2.3)
     on = inside & (np.abs(local[:, 2]) < 0.035)
