@@ -17,6 +17,7 @@ from perception.files.las import read_las
 from perception.files.npz import read_npy, read_npz
 from perception.files.pcd import read_pcd
 from perception.files.ply import read_ply
+from perception.files.ptx import read_ptx
 from perception.files.scan import Scan
 from perception.files.sniffing import HEAD_BYTES, a_file, binary_start, kind_of, other_kind_of
 from perception.files.table import read_text
@@ -27,6 +28,7 @@ _READERS: dict[str, Callable[[Content, str], Scan]] = {
     ".pcd": read_pcd,
     ".ply": read_ply,
     **dict.fromkeys((".xyz", ".txt", ".csv", ".asc", ".pts", ".xyzn", ".xyzi", ".xyzrgb"), read_text),
+    ".ptx": read_ptx,
     ".npz": read_npz,
     ".npy": read_npy,
     ".las": read_las,

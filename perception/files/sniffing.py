@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 
 HEAD_BYTES = 4096
 # Beginnings of files, and the suffix of what begins so.
@@ -16,6 +17,8 @@ _OTHERS = (
     (b"\x28\xb5\x2f\xfd", "a zstd archive; unpack it"), (b"glTF", "a glTF model"),
     (b"{\\rtf", "an RTF document"), (b"<?xml", "XML"), (b"<!DOCTYPE", "a web page"), (b"<html", "a web page"),
 )  # fmt: skip
+# Ten lines of so many numbers each, with which every scan of a PTX file begins.
+_PTX = re.compile(rb"\s*\d+\s*\n\s*\d+\s*\n" + 4 * (rb"\s*" + rb"[^\s]+[ \t]+" * 2 + rb"[^\s]+\s*\n"))
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -26,6 +29,8 @@ def kind_of(head: bytes) -> str:
         return ".pcd"
     if not kind and head.startswith(b"PK\3\4") and b".npy" in head[30 : 64 + 30]:
         return ".npz"
+    if not kind and _PTX.match(head):
+        return ".ptx"
     return kind
 
 

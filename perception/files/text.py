@@ -24,6 +24,11 @@ _LONGEST_LINE = 2**16
 _BLOCK = 2**24
 COMMENTS = ("#", "//", "%")
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
+# How programs write that there is no number: empty cells, words of tables, NaN and infinity of Windows' C library.
+_NOTHING = {
+    "", "na", "n/a", "#n/a", "null", "none", "-", "nan(ind)", "-nan(ind)", "nan(snan)", "1.#qnan", "-1.#qnan",
+    "1.#ind", "-1.#ind", "1.#inf", "-1.#inf",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -80,11 +85,13 @@ def read_rows(
     name: str,
     *,
     start: int = 0,
+    stop: int | None = None,
     separator: str | None = None,
     has_decimal_commas: bool = False,
     width: int | None = None,
     n_rows: int | None = None,
     first_line: int = 1,
+    step: int | None = None,
 ) -> Rows:
     """The numbers in ``columns`` of each row; an empty cell is NaN.
 
@@ -92,53 +99,70 @@ def read_rows(
         content: lines; empty ones and comments are skipped.
         columns: which ones are wanted, counted from 0.
         name: of the file, for errors.
-        start: where the first row begins.
+        start, stop: where the first row begins and the last one ends; None: with the content.
         separator: of cells; None: blanks.
         has_decimal_commas: whether a comma is a decimal point, as it always is beside semicolons.
         width: how many columns there are; None: as many as in the first row.
         n_rows: how many rows are read; None: all.
         first_line: number of its line in the file.
+        step: one row of so many is taken; None: so that there are as many as are used.
 
     Raises:
         CloudError: naming the line that is short, long or no number, or when there are too many.
     """
-    first = content.find(b"\n", start)
-    if (len(content) if first < 0 else first) - start > _LONGEST_LINE:
+    stop = len(content) if stop is None else stop
+    first = content.find(b"\n", start, stop)
+    if (stop if first < 0 else first) - start > _LONGEST_LINE:
         raise CloudError(f"{name}: line {first_line} is longer than {_LONGEST_LINE} bytes; one row a line is needed")
-    n_lines = sum(block.count(b"\n") for block in _blocks(content, start)) + (content[-1:] != b"\n")
+    n_lines = sum(block.count(b"\n") for block in _blocks(content, start, stop)) + (content[stop - 1 : stop] != b"\n")
     if n_rows is None and n_lines > MAX_FILE_POINTS:
         raise CloudError(f"{name}: more than {MAX_FILE_POINTS} rows; downsample it first")
-    step = max(step_of(n_lines if n_rows is None else n_rows), -(-(len(content) - start) // MAX_WHOLE_BYTES))
+    if step is None:
+        step = max(step_of(n_lines if n_rows is None else n_rows), -(-(stop - start) // MAX_WHOLE_BYTES))
     n_there = None
     if step == 1:
-        body = content[start:]
+        body = content[start:stop]
     else:
-        body, n_there = _some_lines(content, start, step, n_rows)
+        body, n_there = _some_lines(content, start, stop, step, n_rows)
         n_rows = None
-    if separator == ";" or has_decimal_commas:
-        body = body.replace(b",", b".")
-    table = _plain_numbers(body, separator, n_rows)
+    has_decimal_commas |= separator == ";"
+    table = _plain_numbers(body.replace(b",", b".") if has_decimal_commas else body, separator, n_rows)
     if table is None or table.shape[1] <= max(columns) or table.shape[1] != (width or table.shape[1]):
-        table = _careful(body, columns, name, separator, width, n_rows, first_line, step)
+        table = _careful(body, columns, name, separator, has_decimal_commas, width, n_rows, first_line, step)
     else:
         table = np.ascontiguousarray(table[:, list(columns)])
     return Rows(table, len(table) if n_there is None else n_there, step)
 
 
-def _blocks(content: Content, start: int) -> Iterator[bytes]:
+def after_lines(content: Content, start: int, n_lines: int) -> int:
+    """Where the lines end that begin at ``start``, the last perhaps without its line feed; -1 where there are fewer."""
+    at = start
+    while n_lines:
+        block = content[at : at + (_BLOCK if n_lines > 1 else _LONGEST_LINE)]
+        n_here = block.count(b"\n")
+        if n_here >= n_lines:
+            ends = np.flatnonzero(np.frombuffer(block, np.uint8) == ord("\n"))
+            return at + int(ends[n_lines - 1]) + 1
+        at, n_lines = at + len(block), n_lines - n_here
+        if at >= len(content):
+            return at if n_lines == 1 and at > start and content[at - 1 : at] != b"\n" else -1
+    return at
+
+
+def _blocks(content: Content, start: int, stop: int) -> Iterator[bytes]:
     """Whole lines, some megabytes at a time."""
-    while start < len(content):
-        end = len(content)
+    while start < stop:
+        end = stop
         if end - start > _BLOCK:
-            end = content.rfind(b"\n", start, start + _BLOCK) + 1 or content.find(b"\n", start) + 1 or end
+            end = content.rfind(b"\n", start, start + _BLOCK) + 1 or content.find(b"\n", start, stop) + 1 or end
         yield content[start:end]
         start = end
 
 
-def _some_lines(content: Content, start: int, step: int, n_rows: int | None) -> tuple[bytes, int]:
+def _some_lines(content: Content, start: int, stop: int, step: int, n_rows: int | None) -> tuple[bytes, int]:
     """One of every ``step`` lines that are rows, and how many of those there are among the first ``n_rows``."""
     body, n_there = bytearray(), 0
-    for block in _blocks(content, start):
+    for block in _blocks(content, start, stop):
         lines = [line for line in block.split(b"\n") if line and not line.isspace()]
         if any(mark in block for mark in _MARKS):
             lines = [line for line in lines if not line.lstrip().startswith(_MARKS)]
@@ -172,6 +196,7 @@ def _careful(
     columns: Sequence[int],
     name: str,
     separator: str | None,
+    has_decimal_commas: bool,
     width: int | None,
     n_rows: int | None,
     first_line: int,
@@ -195,7 +220,7 @@ def _careful(
             needed = f"the first has {n_first - is_open}" if width is None else f"{width} are announced"
             raise CloudError(f"{name}: line {number} has {len(cells)} columns, {needed}")
         for column in columns:
-            numbers.append(_number(cells[column], name, number))
+            numbers.append(_number(cells[column], has_decimal_commas, name, number))
         n_read += 1
     if not numbers:
         return np.zeros((0, len(columns)))
@@ -207,13 +232,12 @@ def _lines(body: bytes) -> Iterator[str]:
         yield trimmed(line.decode("utf-8", errors="replace"))
 
 
-def _number(cell: str, name: str, line: int) -> float:
-    if not cell:
+def _number(cell: str, has_decimal_commas: bool, name: str, line: int) -> float:
+    if cell.lower() in _NOTHING:
         return float("nan")
     try:
-        return float(cell)
+        return float(cell.replace(",", ".") if has_decimal_commas else cell)
     except ValueError:
-        comma = (
-            "; is the comma a decimal point? a point, or semicolons between columns, would do" if "," in cell else ""
-        )
+        is_comma = "," in cell and not has_decimal_commas
+        comma = "; is the comma a decimal point? a point, or semicolons between columns, would do" if is_comma else ""
         raise CloudError(f"{name}: line {line}: '{shown(cell)}' is not a number{comma}") from None

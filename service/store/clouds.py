@@ -22,8 +22,8 @@ from service.store.folder import PARTIAL, HeldFolder
 
 # Kinds of one file each (perception.files reads folders too), spelt out: the front of a server loads no readers.
 CLOUD_SUFFIXES = (
-    ".pcd", ".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".xyzn", ".xyzi", ".xyzrgb", ".npz", ".npy", ".las", ".laz",
-    ".e57", ".mcap", ".db3", ".bag",
+    ".pcd", ".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".xyzn", ".xyzi", ".xyzrgb", ".ptx", ".npz", ".npy", ".las",
+    ".laz", ".e57", ".mcap", ".db3", ".bag",
 )  # fmt: skip
 # A cloud, a scene that was made of one, or a mesh; .ply may be either of the last.
 UPLOAD_SUFFIXES = (*CLOUD_SUFFIXES, ".json", *(suffix for suffix in MESH_SUFFIXES if suffix not in CLOUD_SUFFIXES))

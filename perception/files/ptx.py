@@ -1,0 +1,195 @@
+"""PTX files (Leica Cyclone, Faro Scene and others): scans as grids of cells in text, each placed by its pose."""
+
+from __future__ import annotations
+
+import codecs
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from perception.errors import CloudError
+from perception.files.columns import natural, shown
+from perception.files.content import Content
+from perception.files.grid import missed_directions
+from perception.files.pcd import IDENTITY_VIEWPOINT
+from perception.files.scan import Scan
+from perception.files.text import after_lines, read_rows, with_line_feeds
+from perception.files.thinning import step_of, taken, thinning_note
+from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+# Numbers in each line before the cells: columns, rows, the scanner's position and axes, the cells' transformation.
+HEADER_WIDTHS = (1, 1, 3, 3, 3, 3, 4, 4, 4, 4)
+_LARGEST = 1e9
+_RIGID_TOLERANCE = 1e-3  # of numbers that are written with few digits
+_APART_M = 0.01
+
+
+@dataclass(frozen=True)
+class _Station:
+    """One scan of the file.
+
+    Attributes:
+        number: counted from 1.
+        shape: columns and rows of its grid.
+        rotation, position: pose of its cells in the file's frame; the scanner is at their zero.
+        told: where the header says that the scanner stood, in the file's frame.
+        start, stop: bytes of its cells.
+        first_line: of them in the file.
+    """
+
+    number: int
+    shape: tuple[int, int]
+    rotation: Float[np.ndarray, "3 3"]
+    position: Float[np.ndarray, "3"]
+    told: Float[np.ndarray, "3"]
+    start: int
+    stop: int
+    first_line: int
+
+    @property
+    def n_cells(self) -> int:
+        return self.shape[0] * self.shape[1]
+
+
+def read_ptx(data: Content, name: str) -> Scan:
+    """Points of all scans in the file's frame, thinned to as many as are used.
+
+    A cell of zeros is a ray that met nothing.  Where it went follows from the other cells of its column and its row;
+    the file does not say how far it would have seen, so it counts up to the median range of its scan.
+
+    Raises:
+        CloudError: naming ``name``, the line and what is wrong.
+    """
+    data = with_line_feeds(data, b"")
+    stations = _stations(data, name)
+    n_cells = sum(station.n_cells for station in stations)
+    if not n_cells:
+        raise CloudError(f"{name}: its {len(stations)} scans have no cells; at least one is needed")
+    stations = [station for station in stations if station.n_cells]
+    step = max(step_of(n_cells), -(-len(data) // MAX_WHOLE_BYTES))
+    parts = [_cells(data, station, step, name) for station in stations]
+    points = np.concatenate([points for points, _, _ in parts])
+    misses = np.concatenate([misses for _, misses, _ in parts])
+    notes = (*thinning_note(n_cells, step), *(note for station in stations for note in _doubt(station)))
+    if len(misses):
+        notes = (*notes, f"{len(misses)} cells without a return count as free up to their scan's median range")
+    if n_silent := sum(silent for _, _, silent in parts):
+        notes = (*notes, f"{n_silent} cells have no return, and where their rays went does not follow from the grid")
+    if not any(station.position.any() or not np.array_equal(station.rotation, np.eye(3)) for station in stations):
+        return Scan(points, IDENTITY_VIEWPOINT, misses=misses, notes=notes)
+    if len(stations) == 1:
+        return Scan(points, misses=misses, starts=stations[0].position, notes=notes)
+    positions = np.stack([station.position for station in stations])
+    starts = np.repeat(positions, [len(points) for points, _, _ in parts], axis=0)
+    miss_starts = np.repeat(positions, [len(misses) for _, misses, _ in parts], axis=0)
+    return Scan(points, misses=misses, starts=starts, miss_starts=miss_starts, notes=notes)
+
+
+def _stations(data: Content, name: str) -> list[_Station]:
+    stations: list[_Station] = []
+    at, line = len(codecs.BOM_UTF8) if data[:3] == codecs.BOM_UTF8 else 0, 1
+    n_cells = 0
+    while True:
+        while at < len(data) and (end := after_lines(data, at, 1)) >= 0 and not data[at:end].strip():
+            at, line = end, line + 1
+        if at >= len(data):
+            break
+        numbers: list[list[float]] = []
+        for width in HEADER_WIDTHS:
+            end = after_lines(data, at, 1)
+            if end < 0:
+                raise CloudError(f"{name}: ends in the header of scan {len(stations) + 1}, which has 10 lines")
+            numbers.append(_numbers(data[at:end], width, f"{name}: line {line}", len(stations) + 1))
+            at, line = end, line + 1
+        shape = int(numbers[0][0]), int(numbers[1][0])
+        n_here = shape[0] * shape[1]
+        n_cells += n_here
+        if n_cells > MAX_FILE_POINTS:
+            raise CloudError(f"{name}: its scans announce {n_cells} cells; at most {MAX_FILE_POINTS} are read")
+        stop = after_lines(data, at, n_here)
+        if stop < 0:
+            there = data[at:].count(b"\n") + (data[-1:] != b"\n")
+            raise CloudError(
+                f"{name}: scan {len(stations) + 1} announces {shape[0]} columns of {shape[1]} cells, {there} lines "
+                "follow its header"
+            )
+        rotation, position = _pose(numbers[6:], name, line)
+        told = np.array(numbers[2])
+        stations.append(_Station(len(stations) + 1, shape, rotation, position, told, at, stop, line))
+        at, line = stop, line + n_here
+    if not stations:
+        raise CloudError(f"{name}: holds no scan; at least one is needed")
+    return stations
+
+
+def _numbers(content: bytes, width: int, where: str, scan: int) -> list[float]:
+    words = content.decode("latin-1").split()
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = []
+    is_right = len(values) == width and bool((np.abs(values) <= _LARGEST).all())
+    if not is_right or (width == 1 and natural(words[0]) is None):
+        wanted = "a number of columns or rows" if width == 1 else f"{width} numbers"
+        raise CloudError(f"{where}: '{shown(' '.join(words))}' is not {wanted}, as the header of scan {scan} has there")
+    return values
+
+
+def _pose(rows: list[list[float]], name: str, line: int) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Rotation and position of the transformation, which the file has as rows to multiply points with from the left."""
+    matrix = np.array(rows).T
+    rotation = matrix[:3, :3]
+    is_rigid = np.abs(rotation @ rotation.T - np.eye(3)).max() < _RIGID_TOLERANCE and np.linalg.det(rotation) > 0.0
+    if not is_rigid or not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+        raise CloudError(
+            f"{name}: lines {line - 4} to {line - 1} are no rigid transformation; three rows of a rotation and a 0, "
+            "then the position and a 1, are needed"
+        )
+    return rotation, matrix[:3, 3]
+
+
+def _cells(
+    data: Content, station: _Station, step: int, name: str
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "M 3"], int]:
+    """Points and misses of a scan in the file's frame, and how many cells say nothing."""
+    rows = read_rows(
+        data,
+        range(3),
+        name,
+        start=station.start,
+        stop=station.stop,
+        n_rows=station.n_cells,
+        first_line=station.first_line,
+        step=step,
+    )
+    if rows.n_there != station.n_cells:
+        raise CloudError(
+            f"{name}: scan {station.number} announces {station.n_cells} cells, {rows.n_there} of as many lines are some"
+        )
+    local = rows.values
+    is_point = np.isfinite(local).all(axis=1) & (np.abs(local) <= _LARGEST).all(axis=1) & local.any(axis=1)
+    cells = np.arange(station.n_cells)[taken(station.n_cells, step)]
+    points = local[is_point]
+    directions = missed_directions(points, cells[is_point], cells[~is_point], station.shape)
+    reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 0.0
+    misses = reach * directions
+    to_file = station.rotation.T
+    n_silent = len(local) - len(points) - len(misses)
+    return points @ to_file + station.position, misses @ to_file + station.position, n_silent
+
+
+def _doubt(station: _Station) -> tuple[str, ...]:
+    """What to tell when the header places the scanner elsewhere than at the zero of its cells."""
+    if np.abs(station.told - station.position).max() <= _APART_M:
+        return ()
+    told, zero = (
+        ", ".join(f"{value:g}" for value in np.round(one, 3) + 0.0) for one in (station.told, station.position)
+    )
+    return (
+        f"the header of scan {station.number} has its scanner at ({told}), its transformation at ({zero}), where rays "
+        "are taken to start",
+    )
