@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -13,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece, Scene
 from perception.clean import Reach, voxel_downsample
+from perception.clock import Clock
 from perception.cloud import Cloud
 from perception.convex.piece import Piece
 from perception.convex.pieces import Pieces, make_pieces
@@ -80,19 +80,6 @@ class Perceived:
 def best_valve(valves: Sequence[ValveDetection]) -> ValveDetection | None:
     """The first of the valves, which are sorted, if it is one to act on."""
     return valves[0] if valves and valves[0].confidence >= CONFIDENT else None
-
-
-class Clock:
-    """Seconds by step; a step ends when the next begins."""
-
-    def __init__(self) -> None:
-        self.timings: dict[str, float] = {}
-        self._since = time.perf_counter()
-
-    def lap(self, step: str) -> None:
-        now = time.perf_counter()
-        self.timings[step] = self.timings.get(step, 0.0) + now - self._since
-        self._since = now
 
 
 def perceive(

@@ -11,17 +11,18 @@ from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece, Scene
 from perception.clean import Reach
+from perception.clock import Clock
 from perception.cloud import Cloud
 from perception.convex.hulls import hull_of
 from perception.convex.piece import Piece
-from perception.convex.pieces import Updated, updated_pieces
 from perception.convex.standing import Ground
 from perception.convex.unknown import unknown_pieces
+from perception.convex.updated import Updated, updated_pieces
 from perception.detect.valve import ValveDetection
 from perception.floor import FloorPlane, on_floors
 from perception.levels_again import may_be_level
 from perception.locally import surface_among
-from perception.perceive import Clock, Perceived, floors_of, matched, unexplained, without_best
+from perception.perceive import Perceived, floors_of, matched, unexplained, without_best
 from perception.solids.known import KnownMesh
 from perception.solids.match import MeshMatch
 from perception.view import View, make_view

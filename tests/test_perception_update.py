@@ -12,7 +12,7 @@ from perception import Cloud, Evidence, Perceived, Piece, Reach, perceive
 from perception.clean import half_spaces
 from perception.convex.freespace import Crossing
 from perception.convex.hulls import hull_of
-from perception.convex.pieces import updated_pieces
+from perception.convex.updated import updated_pieces
 from perception.floor import FloorPlane
 from perception.levels_again import may_be_level
 from perception.locally import surface_among

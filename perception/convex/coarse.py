@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 _QUANTUM = 1e-6
 
@@ -78,3 +78,27 @@ def _nearest_starts(
     order = np.lexsort((*starts.T, distance, voxel))
     first = order[np.searchsorted(voxel[order], np.arange(n_voxels))]
     return np.asarray(starts[first])
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Which points went into each voxel."""
+
+    order: Int[np.ndarray, "N"]
+    first: Int[np.ndarray, "M+1"]
+
+    @classmethod
+    def of(cls, coarse: Coarse) -> Groups:
+        order = np.argsort(coarse.voxel, kind="stable")
+        return cls(order, np.concatenate([[0], np.cumsum(coarse.counts)]))
+
+    def hold(self, kept: Bool[np.ndarray, "N"]) -> Bool[np.ndarray, "M"]:
+        """Which voxels hold any of the points that are kept."""
+        before = np.concatenate([[0], np.cumsum(kept[self.order])])
+        return np.asarray(before[self.first[1:]] > before[self.first[:-1]])
+
+    def members(self, voxels: Int[np.ndarray, "K"]) -> Int[np.ndarray, "L"]:
+        """Indices of all points in these voxels."""
+        counts = self.first[voxels + 1] - self.first[voxels]
+        ahead = np.repeat(self.first[voxels] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
+        return np.asarray(self.order[ahead + np.arange(len(ahead))])

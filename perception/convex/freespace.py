@@ -150,7 +150,10 @@ class Crossing:
         """
         free = np.zeros(int(np.prod(self.shape)), dtype=bool)
         blocks = None if boxes is None else _blocks(boxes, self.lower, self.size, self.shape)
+        nearest = float(self.rays.enter.min(initial=np.inf))
         for near in np.arange(0.0, float(self.rays.leave.max(initial=0.0)), _BLOCK):
+            if nearest >= near + _BLOCK:
+                continue
             chosen = self.rays.under_way(near, near + _BLOCK, self.size)
             if blocks is not None:
                 chosen = chosen[_meet(self.rays, chosen, near, blocks)]
@@ -286,12 +289,16 @@ def _meet(
     """Which of the chosen rays pass any of these blocks in one block of distances, told by its middle."""
     is_there = np.zeros(len(chosen), dtype=bool)
     middle = np.float32(near + _BLOCK / 2)
+    _, ny, nz = blocks.shape
+    flat = blocks.ravel()
     for first in range(0, len(chosen), _MEETING):
         some = chosen[first : first + _MEETING]
         start = rays.start if rays.start.shape[1] == 1 else rays.start[:, some]
         at = np.minimum(np.maximum(rays.enter[some], middle), rays.leave[some])
-        x, y, z = ((rays.direction[axis, some] * at + start[axis]).astype(np.int32) for axis in range(3))
-        is_there[first : first + _MEETING] = blocks[x // _CELLS_OF_BLOCK, y // _CELLS_OF_BLOCK, z // _CELLS_OF_BLOCK]
+        x, y, z = (
+            (rays.direction[axis][some] * at + start[axis]).astype(np.int32) // _CELLS_OF_BLOCK for axis in range(3)
+        )
+        np.take(flat, (x * ny + y) * nz + z, out=is_there[first : first + _MEETING])
     return is_there
 
 
@@ -311,7 +318,7 @@ def _march(
         some = chosen[first : first + _MARCHING]
         start = rays.start if rays.start.shape[1] == 1 else rays.start[:, some]
         at = np.minimum(np.maximum(rays.enter[some], distances), rays.leave[some])
-        x, y, z = ((rays.direction[axis, some] * at + start[axis]).astype(np.int32) for axis in range(3))
+        x, y, z = ((rays.direction[axis][some] * at + start[axis]).astype(np.int32) for axis in range(3))
         free[((x * ny + y) * nz + z).astype(np.intp)] = True
 
 
@@ -319,11 +326,15 @@ def _clear_beside(
     surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], size: float, free: Bool[np.ndarray, "X Y Z"]
 ) -> None:
     """Cells that hold a surface point, and their six neighbours, are not free."""
-    cells = np.floor((surface - lower) / size).astype(int)
-    cells = cells[((cells >= 0) & (cells < free.shape)).all(axis=1)]
-    free[tuple(cells.T)] = False
-    for axis, last in enumerate(np.array(free.shape) - 1):
-        for shift in (-1, 1):
-            beside = cells.T.copy()
-            beside[axis] = (beside[axis] + shift).clip(0, last)
-            free[tuple(beside)] = False
+    cells = [np.floor((column - low) / size).astype(np.int64) for column, low in zip(surface.T, lower, strict=True)]
+    inside = np.ones(len(surface), dtype=bool)
+    for column, length in zip(cells, free.shape, strict=True):
+        inside &= (column >= 0) & (column < length)
+    cells = [column[inside] for column in cells]
+    strides = (free.shape[1] * free.shape[2], free.shape[2], 1)
+    at = sum(column * stride for column, stride in zip(cells, strides, strict=True))
+    flat = free.reshape(-1)
+    flat[at] = False
+    for column, length, stride in zip(cells, free.shape, strides, strict=True):
+        flat[at - stride * (column > 0)] = False
+        flat[at + stride * (column < length - 1)] = False

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece
+from perception.clock import Clock
 from perception.convex.attach import attached
-from perception.convex.coarse import Coarse, coarsened
+from perception.convex.coarse import Coarse, Groups, coarsened
 from perception.convex.evidence import evidence_of
 from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.hulls import SKIN, Hull, hull_of, limited, thickened
@@ -24,7 +23,6 @@ from perception.convex.slabs import FRONT, Slab, slabs_of
 from perception.convex.smooth import smoothed
 from perception.convex.spacing import spacing_of
 from perception.convex.split import clusters, merge, split
-from perception.convex.standing import Ground, boxes_of, still_standing, unexplained
 
 VOXEL = 0.015
 _CELL = 0.02
@@ -34,7 +32,7 @@ _GAP = 0.06
 _GAP_OF_RANGE = 0.06
 _SKIN_OF_SPACING = 0.4
 _MOST_SKIN = 0.02
-_AROUND = 0.1
+AROUND = 0.1
 _UPRIGHT = 0.17
 _WALL = (0.8, 1.2)
 
@@ -71,112 +69,27 @@ def make_pieces(
     """
     if not len(points):
         return Pieces((), {})
-    clock = _Clock()
-    rays = _from_one_place(rays)
+    clock = Clock()
+    rays = from_one_place(rays)
     coarse = coarsened(points, starts, VOXEL)
-    free = _crossing(coarse, rays).seen_free(coarse.points)
+    free = crossing_of(coarse.points, rays).seen_free(coarse.points)
     clock.lap("free space")
-    bodies = _bodies(coarse, np.arange(len(coarse.points)), rays, free, seed, plane_settings, clock)
+    bodies = bodies_of(coarse, np.arange(len(coarse.points)), rays, free, seed, plane_settings, clock)
     kept = np.ones(len(points), dtype=bool)
-    pieces = _assembled([], bodies, {}, points, kept, _Groups.of(coarse), coarse, free)
+    pieces = with_points(named(bodies, {}, free), points, kept, Groups.of(coarse), coarse)
     clock.lap("evidence")
     return Pieces(pieces, clock.timings)
 
 
-@dataclass(frozen=True)
-class Updated(Pieces):
-    """Convex pieces of a new scan.
-
-    Attributes:
-        is_surface: (N,) which points are no strays: explained by a piece, its noise, or part of a surface.
-        is_left_off: whether it was left off without any piece.
-    """
-
-    is_surface: Bool[np.ndarray, "N"]
-    is_left_off: bool = False
-
-
-def updated_pieces(
-    before: Sequence[Piece],
-    points: Float[np.ndarray, "N 3"],
-    starts: Float[np.ndarray, "*N 3"],
-    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-    seed: int = 0,
-    ground: Ground | None = None,
-    judge: Callable[[Int[np.ndarray, "K"]], Bool[np.ndarray, "K"]] | None = None,
-    is_enough: Callable[[Float[np.ndarray, "K 3"]], bool] = lambda _: False,
-) -> Updated:
-    """The pieces of a new scan, of which those that it does not contradict keep their very shape and name.
-
-    A piece goes when rays of the new scan pass through it; where the new scan cannot see it, it stays.  New pieces are
-    made of the points that none of those left explains, noise about their surfaces taken as explained.
-
-    Args:
-        before: pieces of the scan before.
-        points, starts, rays, seed: see ``make_pieces``; the points need not be cleaned if there is a judge.
-        ground: what else explains points.
-        judge: tells which of the points of these indices surfaces stand for; it is asked only about those that no
-            piece explains.
-        is_enough: told the points that new pieces would be made of, says whether to leave off without any piece.
-    """
-    clock, kept = _Clock(), np.ones(len(points), dtype=bool)
-    if not len(points) and not len(before):
-        return Updated((), {}, kept)
-    rays = _from_one_place(rays)
-    coarse = coarsened(points, starts, VOXEL)
-    groups = _Groups.of(coarse)
-    crossing = _crossing(coarse, rays, before)
-    free = crossing.seen_free(coarse.points[:0], _boxes(before))
-    clock.lap("free space")
-    standing = still_standing(before, free.beside(coarse.points), coarse)
-    clock.lap("contradicted")
-    if judge is not None:
-        # A mixed pixel in a piece that is gone hides that rays went through it.
-        hidden = standing.hidden(free)
-        asked = groups.members(standing.beside(hidden, free, coarse))
-        kept[asked] = judge(asked)
-        clock.lap("cleaning")
-        again = still_standing(
-            [standing.pieces[i] for i in hidden], free.beside(coarse.points[groups.hold(kept)]), coarse
-        )
-        standing = standing.without(hidden, again)
-        clock.lap("contradicted")
-    left = unexplained(standing, coarse, ground or Ground())
-    clock.lap("unexplained")
-    if judge is not None:
-        asked = groups.members(left.members)
-        kept[asked] = judge(asked)
-        left = left.among(groups.hold(kept))
-        clock.lap("cleaning")
-    new = left.new(coarse)
-    if is_enough(points[groups.members(new)]):
-        return Updated((), clock.timings, kept, is_left_off=True)
-    if len(new):
-        boxes = boxes_of(coarse.points[new], coarse.starts[new], _AROUND)
-        free = crossing.seen_free(coarse.points[groups.hold(kept)], boxes)
-        clock.lap("free space")
-    bodies = _bodies(coarse, new, rays, free, seed, None, clock)
-    first = {kind: 1 + max(number for _, number in of_kind) for kind, of_kind in _numbers(before)}
-    pieces = _assembled(standing.pieces, bodies, first, points, kept, groups, coarse, free)
-    clock.lap("evidence")
-    return Updated(pieces, clock.timings, kept)
-
-
-def _numbers(pieces: Sequence[Piece]) -> Iterator[tuple[str, Iterator[tuple[str, int]]]]:
-    """Kinds, and for each the kind and number in the names of its pieces."""
-    named = sorted((piece.kind, int(piece.name.rpartition("/")[2])) for piece in pieces)
-    return groupby(named, key=lambda name: name[0])
-
-
-def _bodies(
+def bodies_of(
     coarse: Coarse,
     left: Int[np.ndarray, "K"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     free: FreeSpace,
     seed: int,
     plane_settings: PlaneSettings | None,
-    clock: _Clock,
-) -> list[_Body]:
+    clock: Clock,
+) -> list[Body]:
     """Slabs and hulls for the points that are left."""
     if not len(left):
         return []
@@ -192,27 +105,14 @@ def _bodies(
     hulls = refined(hulls, points[rest], coarse.points, rays, _GAP)
     slabs, hulls = attached(slabs, hulls, free)
     bodies = [
-        _Body(_kind_of(plane, slab), slab.vertices, np.append(plane.normal, plane.offset)) for plane, slab in slabs
+        Body(_kind_of(plane, slab), slab.vertices, np.append(plane.normal, plane.offset)) for plane, slab in slabs
     ]
-    bodies += [_Body("clutter", _skinned(hull, apart[rest], free), None) for hull in hulls]
+    bodies += [Body("clutter", _skinned(hull, apart[rest], free), None) for hull in hulls]
     clock.lap("clutter")
     return bodies
 
 
-class _Clock:
-    """Seconds by step; a step ends when the next begins."""
-
-    def __init__(self) -> None:
-        self.timings: dict[str, float] = {}
-        self._since = time.perf_counter()
-
-    def lap(self, step: str) -> None:
-        now = time.perf_counter()
-        self.timings[step] = self.timings.get(step, 0.0) + now - self._since
-        self._since = now
-
-
-def _from_one_place(
+def from_one_place(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
 ) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]:
     """The rays with their start told once, (3,), where it is the same for all."""
@@ -220,19 +120,12 @@ def _from_one_place(
     return (starts[0] if starts.ndim == 2 and len(starts) and (starts == starts[0]).all() else starts), ends
 
 
-def _crossing(
-    coarse: Coarse,
-    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-    before: Sequence[Piece] = (),
+def crossing_of(
+    held: Float[np.ndarray, "H 3"], rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]
 ) -> Crossing:
-    """The rays in a grid around points and pieces, whose cells are aligned with the world's origin."""
-    held = np.concatenate([coarse.points, *(piece.shape.vertices for piece in before)])
-    lower = _CELL * np.floor((held.min(axis=0) - _AROUND) / _CELL)
-    return Crossing.of(*rays, lower, held.max(axis=0) + _AROUND, _CELL)
-
-
-def _boxes(pieces: Sequence[Piece]) -> Float[np.ndarray, "B 2 3"]:
-    return np.array([(piece.hull.lower, piece.hull.upper) for piece in pieces]).reshape(-1, 2, 3)
+    """The rays in a grid around places [m], whose cells are aligned with the world's origin."""
+    lower = _CELL * np.floor((held.min(axis=0) - AROUND) / _CELL)
+    return Crossing.of(*rays, lower, held.max(axis=0) + AROUND, _CELL)
 
 
 def _clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], free: FreeSpace) -> list[Hull]:
@@ -289,7 +182,7 @@ def _kind_of(plane: Plane, slab: Slab) -> str:
 
 
 @dataclass(frozen=True)
-class _Body:
+class Body:
     """A piece before it has a name."""
 
     kind: str
@@ -297,55 +190,33 @@ class _Body:
     plane: Float[np.ndarray, "4"] | None
 
 
-def _assembled(
-    standing: Sequence[Piece],
-    bodies: Sequence[_Body],
-    first: Mapping[str, int],
-    points: Float[np.ndarray, "N 3"],
-    kept: Bool[np.ndarray, "N"],
-    groups: _Groups,
-    coarse: Coarse,
-    free: FreeSpace,
-) -> tuple[Piece, ...]:
-    """The standing pieces with those points of this scan that are kept, and new ones, numbered from ``first``."""
-    serial = Counter(first)
-    pieces = list(standing)
+def named(bodies: Sequence[Body], first: Mapping[str, int], free: FreeSpace) -> list[Piece]:
+    """Pieces without points, numbered from ``first`` by kind."""
+    serial, nothing = Counter(first), np.zeros(0, dtype=np.int64)
+    pieces = []
     for body in bodies:
-        hull = hull_of(body.vertices, coarse.voxel[:0])
+        hull = hull_of(body.vertices, nothing)
         shape = ConvexPiece(f"{body.kind}/{serial[body.kind]}", body.vertices, kind=body.kind)
         serial[body.kind] += 1
-        pieces.append(Piece(shape, coarse.voxel[:0], evidence_of(hull, free), hull.simplified, body.plane))
+        pieces.append(Piece(shape, nothing, evidence_of(hull, free), hull.simplified, body.plane))
+    return pieces
+
+
+def with_points(
+    pieces: Sequence[Piece],
+    points: Float[np.ndarray, "N 3"],
+    kept: Bool[np.ndarray, "N"],
+    groups: Groups,
+    coarse: Coarse,
+) -> tuple[Piece, ...]:
+    """The pieces with those of the kept points that lie at most 1 cm from each and in none before it."""
     taken = ~kept
-    assembled = []
+    made = []
     for piece in pieces:
         hull = piece.hull
         mine = groups.members(coarse.within(hull.lower - (_WITHIN + VOXEL), hull.upper + (_WITHIN + VOXEL)))
         mine = mine[~taken[mine]]
         mine = np.sort(mine[hull.is_within(points[mine], _WITHIN)])
         taken[mine] = True
-        assembled.append(replace(piece, points=mine))
-    return tuple(assembled)
-
-
-@dataclass(frozen=True)
-class _Groups:
-    """Which points went into each voxel."""
-
-    order: Int[np.ndarray, "N"]
-    first: Int[np.ndarray, "M+1"]
-
-    @classmethod
-    def of(cls, coarse: Coarse) -> _Groups:
-        order = np.argsort(coarse.voxel, kind="stable")
-        return cls(order, np.concatenate([[0], np.cumsum(coarse.counts)]))
-
-    def hold(self, kept: Bool[np.ndarray, "N"]) -> Bool[np.ndarray, "M"]:
-        """Which voxels hold any of the points that are kept."""
-        before = np.concatenate([[0], np.cumsum(kept[self.order])])
-        return np.asarray(before[self.first[1:]] > before[self.first[:-1]])
-
-    def members(self, voxels: Int[np.ndarray, "K"]) -> Int[np.ndarray, "L"]:
-        """Indices of all points in these voxels."""
-        counts = self.first[voxels + 1] - self.first[voxels]
-        ahead = np.repeat(self.first[voxels] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
-        return np.asarray(self.order[ahead + np.arange(len(ahead))])
+        made.append(replace(piece, points=mine))
+    return tuple(made)

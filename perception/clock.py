@@ -1,0 +1,19 @@
+"""Seconds by step."""
+
+from __future__ import annotations
+
+import time
+
+
+class Clock:
+    """Seconds by step; a step ends when the next begins."""
+
+    def __init__(self) -> None:
+        self.timings: dict[str, float] = {}
+        self._since = time.perf_counter()
+
+    def lap(self, step: str) -> None:
+        """End a step."""
+        now = time.perf_counter()
+        self.timings[step] = self.timings.get(step, 0.0) + now - self._since
+        self._since = now

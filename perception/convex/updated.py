@@ -1,0 +1,176 @@
+"""The pieces of a new scan, of which those that it does not contradict keep their very shape and name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from perception.clock import Clock
+from perception.convex.coarse import Coarse, Groups, coarsened
+from perception.convex.freespace import Crossing
+from perception.convex.piece import Piece
+from perception.convex.pieces import AROUND, VOXEL, Pieces, bodies_of, crossing_of, from_one_place, named, with_points
+from perception.convex.standing import Ground, Standing, boxes_of, still_standing, unexplained
+from perception.convex.towards import Bearings
+
+Judge = Callable[[Int[np.ndarray, "K"]], Bool[np.ndarray, "K"]]
+
+
+@dataclass(frozen=True)
+class Updated(Pieces):
+    """Convex pieces of a new scan.
+
+    Attributes:
+        is_surface: (N,) which points are no strays: explained by a piece, its noise, or part of a surface.
+        is_left_off: whether it was left off without any piece.
+    """
+
+    is_surface: Bool[np.ndarray, "N"]
+    is_left_off: bool = False
+
+
+def updated_pieces(
+    before: Sequence[Piece],
+    points: Float[np.ndarray, "N 3"],
+    starts: Float[np.ndarray, "*N 3"],
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    seed: int = 0,
+    ground: Ground | None = None,
+    judge: Judge | None = None,
+    is_enough: Callable[[Float[np.ndarray, "K 3"]], bool] = lambda _: False,
+) -> Updated:
+    """The pieces of a new scan, of which those that it does not contradict keep their very shape and name.
+
+    A piece goes when rays of the new scan pass through it; where the new scan cannot see it, it stays.  New pieces are
+    made of the points that none of those left explains, noise about their surfaces taken as explained.
+
+    Args:
+        before: pieces of the scan before.
+        points, starts, rays, seed: see ``make_pieces``; the points need not be cleaned if there is a judge.
+        ground: what else explains points.
+        judge: tells which of the points of these indices surfaces stand for; it is asked only about those that no
+            piece explains.
+        is_enough: told the points that new pieces would be made of, says whether to leave off without any piece.
+    """
+    if not len(points) and not len(before):
+        return Updated((), {}, np.ones(0, dtype=bool))
+    clock = Clock()
+    scan = _Scan.of(points, starts, rays, before)
+    standing, kept = _standing(before, scan, judge, clock)
+    left = unexplained(standing, scan.coarse, ground or Ground())
+    clock.lap("unexplained")
+    if judge is not None:
+        kept = _judged(kept, judge, scan.groups.members(left.members))
+        left = left.among(scan.groups.hold(kept))
+        clock.lap("cleaning")
+    new = left.new(scan.coarse)
+    if is_enough(points[scan.groups.members(new)]):
+        return Updated((), clock.timings, kept, is_left_off=True)
+    pieces = [*standing.pieces, *_new_pieces(scan, new, kept, _first_numbers(before), seed, clock)]
+    made = with_points(pieces, points, kept, scan.groups, scan.coarse)
+    clock.lap("evidence")
+    return Updated(made, clock.timings, kept)
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """A new scan.
+
+    Attributes:
+        coarse: its points thinned.
+        groups: which points went into each of them.
+        rays: starts, (3,) or (R, 3), and ends (R, 3) [m].
+        bearings: where the rays go, if they start in one place.
+        held: places that the grid of what they saw has to hold [m].
+    """
+
+    coarse: Coarse
+    groups: Groups
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]
+    bearings: Bearings | None
+    held: Float[np.ndarray, "H 3"]
+
+    @classmethod
+    def of(
+        cls,
+        points: Float[np.ndarray, "N 3"],
+        starts: Float[np.ndarray, "*N 3"],
+        rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+        before: Sequence[Piece],
+    ) -> _Scan:
+        coarse = coarsened(points, starts, VOXEL)
+        rays = from_one_place(rays)
+        bearings = Bearings.of(*rays) if rays[0].ndim == 1 else None
+        held = np.concatenate([coarse.points, *(piece.shape.vertices for piece in before)])
+        return cls(coarse, Groups.of(coarse), rays, bearings, held)
+
+    def rays_towards(
+        self, boxes: Float[np.ndarray, "B 2 3"]
+    ) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "K 3"]]:
+        """Rays that may pass any of the boxes."""
+        if self.bearings is None:
+            return self.rays
+        return self.rays[0], self.rays[1][self.bearings.may_pass(boxes)]
+
+    def crossing(self, rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "K 3"]]) -> Crossing:
+        """Some rays in a grid about all points and pieces."""
+        return crossing_of(self.held, rays)
+
+
+def _standing(
+    before: Sequence[Piece], scan: _Scan, judge: Judge | None, clock: Clock
+) -> tuple[Standing, Bool[np.ndarray, "N"]]:
+    """Pieces that the scan leaves standing, and which points are kept once those were judged that may hide rays."""
+    coarse, kept = scan.coarse, np.ones(len(scan.coarse.voxel), dtype=bool)
+    boxes = np.array([(piece.hull.lower, piece.hull.upper) for piece in before]).reshape(-1, 2, 3)
+    passed = scan.crossing(scan.rays_towards(boxes)).seen_free(coarse.points[:0], boxes)
+    clock.lap("free space")
+    standing = still_standing(before, passed.beside(coarse.points), coarse)
+    clock.lap("contradicted")
+    if judge is None:
+        return standing, kept
+    # A mixed pixel in a piece that is gone hides that rays went through it.
+    hidden = standing.hidden(passed)
+    kept = _judged(kept, judge, scan.groups.members(standing.beside(hidden, passed, coarse)))
+    clock.lap("cleaning")
+    seen = coarse.points[scan.groups.hold(kept)]
+    again = still_standing([standing.pieces[i] for i in hidden], passed.beside(seen), coarse)
+    clock.lap("contradicted")
+    return standing.without(hidden, again), kept
+
+
+def _judged(kept: Bool[np.ndarray, "N"], judge: Judge, asked: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "N"]:
+    """The same, of the points asked about those that surfaces stand for."""
+    kept = kept.copy()
+    kept[asked] = judge(asked)
+    return kept
+
+
+def _new_pieces(
+    scan: _Scan,
+    new: Int[np.ndarray, "K"],
+    kept: Bool[np.ndarray, "N"],
+    first: Mapping[str, int],
+    seed: int,
+    clock: Clock,
+) -> list[Piece]:
+    """Pieces, without points, for what nothing explains."""
+    if not len(new):
+        return []
+    boxes = boxes_of(scan.coarse.points[new], scan.coarse.starts[new], AROUND)
+    rays = scan.rays_towards(boxes)
+    free = scan.crossing(rays).seen_free(scan.coarse.points[scan.groups.hold(kept)], boxes)
+    clock.lap("free space")
+    return named(bodies_of(scan.coarse, new, rays, free, seed, None, clock), first, free)
+
+
+def _first_numbers(before: Sequence[Piece]) -> dict[str, int]:
+    """For each kind of piece the number of the first new one."""
+    named = sorted((piece.kind, int(piece.name.rpartition("/")[2])) for piece in before)
+    return {
+        kind: 1 + max(number for _, number in of_kind) for kind, of_kind in groupby(named, key=lambda name: name[0])
+    }
