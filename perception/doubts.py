@@ -11,6 +11,11 @@ from perception.clean import Reach
 _LARGEST_SPAN = 400.0
 _SMALLEST_SPAN = 0.05
 _FAR = 50.0
+# No scan spans that much in any unit.
+_NOWHERE = 1e7
+# Times its height: narrower than that, a cloud stands on a point.
+_NARROW = 1e-3
+_LARGEST_ANGLE = 180.0  # [deg]
 # A scene of this size is one a robot stands in.
 _SCENE = (0.8, 60.0)
 _SMALL_UNITS = {"mm": 0.001, "cm": 0.01, "in": 0.0254, "ft": 0.3048}
@@ -41,16 +46,43 @@ def doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) 
         notes.append(f"the cloud spans {span:.0f} m, as metres are taken as read: {_unit_question(span)}")
     elif 0.0 < span < _SMALLEST_SPAN:
         notes.append(f"the cloud spans only {span:.2g} m: is its unit right?")
-    if span <= _LARGEST_SPAN and _is_far(low, high):
+    if span <= _LARGEST_SPAN and _are_degrees(low, high):
+        flat, height = float((high - low)[:2].max()), float((high - low)[2])
+        notes.append(f"x and y span only {flat:.2g} where z spans {height:.2g}: are they degrees? metres are needed")
+    elif span <= _LARGEST_SPAN and _is_far(low, high):
         distance = float(np.linalg.norm(np.median(points, axis=0)))
         unit = f", or millimetres (then it is {0.001 * distance:.1f} m)" if distance < 20_000.0 < 1000.0 * span else ""
         notes.append(
             f"the cloud lies {distance:.0f} m from the origin: map coordinates{unit}? give a transform to where the "
             f"robot stands; {shift_to_zero(points)} would bring the cloud's middle over the origin, its floor to zero"
         )
+    elif span <= _LARGEST_SPAN:
+        notes += _far_sensor(low, high, origin)
     if span <= _LARGEST_SPAN and (hint := _sensor_frame_hint(points, origin, float(low[2]))):
         notes.append(hint)
     return tuple(notes)
+
+
+def _far_sensor(
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], origin: Float[np.ndarray, "*N 3"]
+) -> tuple[str, ...]:
+    """What to tell when rays start farther from the cloud than any ray reaches."""
+    start = np.median(np.atleast_2d(origin), axis=0)
+    distance = float(np.linalg.norm(np.maximum(np.maximum(low - start, start - high), 0.0)))
+    if distance < _LARGEST_SPAN:
+        return ()
+    where = ", ".join(f"{value:g}" for value in np.round(start, 2) + 0.0)
+    return (
+        f"rays start at ({where}), {distance:.0f} m away from the points: is the sensor's position in their unit and "
+        "frame? what counts as free, and what is found, depends on it",
+    )
+
+
+def _are_degrees(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> bool:
+    """Whether a cloud is so narrow for its height that x and y look like longitude and latitude."""
+    flat, height = float((high - low)[:2].max()), float((high - low)[2])
+    largest = float(np.abs([low[:2], high[:2]]).max())
+    return 0.0 < flat < _NARROW * height and height > _SMALLEST_SPAN and largest <= _LARGEST_ANGLE
 
 
 def crop_doubt(points: Float[np.ndarray, "N 3"], n_left: int, reach: Reach, missing: str) -> tuple[str, ...]:
@@ -133,6 +165,8 @@ def _why_so_few(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
 
 def _unit_question(span: float) -> str:
     likely = _likely_units(span, *_SCENE)
+    if span > _NOWHERE:
+        return "is it damaged, or are its bytes in another order?"
     return f"is its unit {likely}?" if likely else "is its unit right?"
 
 

@@ -484,13 +484,13 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.pcd").touch()
     (tmp_path / "folder.ply").mkdir()
     (tmp_path / "cloud.obj").write_bytes(b"v 1 2 3")
-    (tmp_path / "cloud.bin").write_bytes(b"1 2 3")
+    (tmp_path / "cloud.dat").write_bytes(b"1 2 3")
     (tmp_path / "cloud").write_bytes(b"1 2 3")
     for name, says in [
         ("empty.pcd", "is empty"),
         ("folder.ply", "is a folder"),
         ("cloud.obj", "suffix '.obj' is that of a mesh, no cloud; one of .pcd, .ply"),
-        ("cloud.bin", "suffix '.bin' is unknown; one of .pcd, .ply"),
+        ("cloud.dat", "suffix '.dat' is unknown; one of .pcd, .ply"),
         ("cloud", "has no suffix; one of .pcd, .ply"),
         ("absent.dat", "No such file"),
         ("absent.pcd", "No such file"),
@@ -538,7 +538,7 @@ def test_a_file_is_read_as_what_it_holds_whatever_its_name_says(tmp_path: Path) 
         (b"#ROSBAG V2.0\n", ".active", "holds a bag; a name that ends in .bag would do"),
         (b"\x89MCAP0\r\n\0", ".bag", "holds an MCAP file; a name that ends in .mcap would do"),
         (b"#ROSBAG V2.0\n", ".db3", "holds a BAG file; a name that ends in .bag would do"),
-        (b"\x07\0\x01\x02\x03", ".txt", "begins with the bytes 07 00 01 02 and is no text"),
+        (b"\x07\0\x01\x02\x03", ".txt", "holds the byte 00 at 1, after 07 00 01 02 at its beginning, and is no text"),
     ],
 )
 def test_what_holds_no_cloud_is_named(tmp_path: Path, content: bytes, suffix: str, says: str) -> None:

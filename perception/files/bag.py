@@ -85,6 +85,8 @@ def _wanted(raw: Iterator[bytes], message: Message, n_messages: int, where: str)
         return
     index = message if message >= 0 else n_messages + message
     chosen = next(islice(raw, index, None), None) if index >= 0 else None
+    if not n_messages:
+        raise CloudError(f"{where}: holds no message; at least one is needed")
     if chosen is None:
         raise CloudError(f"{where}: has no message {message}; it has {n_messages}, 0 is the first and -1 the last")
     yield chosen

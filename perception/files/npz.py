@@ -117,6 +117,10 @@ def _scan(
     starts = viewpoint = None
     if origin is not None and origin.ndim == 2 and len(origin) == len(rows):
         starts = rows_of(origin, "origin", name)
+    elif origin is not None and origin.ndim == 2 and len(origin) > 1:
+        raise CloudError(
+            f"{name}: {len(rows)} points but {len(origin)} rows of origin; one each, or one x y z, is needed"
+        )
     elif origin is not None:
         viewpoint = parse_viewpoint([str(v) for v in origin.ravel()[:8]], name)
     if "no_return" in others:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from perception.errors import CloudError
 from perception.files.scan import Scan
+from perception.limits import MAX_INVALID_FRACTION
 
 # No coordinate is that large in any unit; drivers write such numbers, or infinity, where there was no return.
 _LARGEST = 1e9
@@ -23,9 +24,15 @@ def without_empty_rows(scan: Scan, name: str) -> Scan:
     A single one may be a point by chance; a scan never meets the same place twice to the last digit.
 
     Raises:
-        CloudError: all are 0 0 0.
+        CloudError: all are 0 0 0, or nearly all too large to be places.
     """
     points = _bounded(scan.points)
+    n_beyond = int((np.isfinite(scan.points).all(axis=1) & ~np.isfinite(points).all(axis=1)).sum())
+    if n_beyond > MAX_INVALID_FRACTION * len(points):
+        raise CloudError(
+            f"{name}: {n_beyond} of {len(points)} points lie beyond {_LARGEST:g}; are x, y, z other columns, "
+            "or its bytes in another order?"
+        )
     scan = replace(
         scan,
         points=points,

@@ -19,7 +19,7 @@ from perception.files.pcd import read_pcd
 from perception.files.ply import read_ply
 from perception.files.ptx import read_ptx
 from perception.files.scan import Scan
-from perception.files.sniffing import HEAD_BYTES, a_file, binary_start, kind_of, other_kind_of
+from perception.files.sniffing import HEAD_BYTES, a_file, kind_of, not_text, other_kind_of
 from perception.files.table import read_text
 from perception.files.thinning import bounded
 from perception.limits import MAX_FILE_BYTES
@@ -38,6 +38,14 @@ _BAGS = (".mcap", ".db3", ".bag")
 _BAG_FOLDER_HAS = "metadata.yaml"
 _MESHES = (".stl", ".obj", ".dae", ".off", ".glb", ".gltf")
 SUFFIXES = (*_READERS, ".e57", *_BAGS)
+_OF_MAKERS = "is a maker's own kind of file; an export of it as .e57 or .las would do"
+_REMEDIES = {
+    ".bin": "has no header, so nobody can tell what its numbers are; if they are KITTI's x y z and reflectance, the "
+    "file that np.save('cloud.npy', np.fromfile(FILE, 'f4').reshape(-1, 4)) writes would do",
+    ".pcap": "holds packets of a sensor, not points; a bag of its driver, or a cloud that its maker's tool exports, "
+    "would do",
+    **dict.fromkeys((".fls", ".fws", ".lsproj", ".rcp", ".rcs", ".zfs", ".rdbx", ".rxp", ".imp"), _OF_MAKERS),
+}
 
 # Where the optional library of a kind is missing: what to install.
 _EXTRAS = {"pye57": "scopt[e57]", "rosbags": "scopt[rosbag]"}
@@ -126,10 +134,12 @@ def _kind(path: Path, suffix: str) -> tuple[str, tuple[str, ...]]:
         named = f"ends in {path.suffix}" if path.suffix else "has no ending"
         return held, (f"holds {a_file(held)}, and is read as one though its name {named}",)
     reader = _READERS.get(suffix)
-    if reader is not read_npz and (other := other_kind_of(head)):
+    if not (reader is read_npz and head.startswith(b"PK")) and (other := other_kind_of(head)):
         raise CloudError(f"{path}: is {other}; one of {', '.join(SUFFIXES)} is needed")
-    if reader is read_text and (start := binary_start(head)):
-        raise CloudError(f"{path}: begins with the bytes {start} and is no text; a table of numbers is needed")
+    if reader is read_text and (sign := not_text(head)):
+        raise CloudError(f"{path}: {sign}, and is no text; a table of numbers is needed")
+    if suffix in _REMEDIES:
+        raise CloudError(f"{path}: {_REMEDIES[suffix]}")
     if suffix not in SUFFIXES:
         raise CloudError(
             f"{path}: {_of_suffix(path)}; one of {', '.join(SUFFIXES)} or the folder of a ROS 2 bag is needed"

@@ -85,10 +85,10 @@ def _mesh_note(elements: list[_Element]) -> tuple[str, ...]:
 def _header_lines(data: Content, name: str) -> tuple[list[list[str]], int]:
     if data[:3] != b"ply":
         raise CloudError(f"{name}: does not begin with 'ply'")
-    end = data.find(b"end_header", 0, _HEADER_LIMIT)
     # Lines end as the first one does: in a line feed, perhaps after a carriage return, or in the latter alone.
     mark = b"\r" if data[3:4] == b"\r" and data[4:5] != b"\n" else b"\n"
-    newline = data.find(mark, end)
+    end = data.find(mark + b"end_header", 0, _HEADER_LIMIT)
+    newline = data.find(mark, end + 1)
     if end < 0 or newline < 0:
         raise CloudError(f"{name}: no end_header in the first {_HEADER_LIMIT} bytes")
     return [line.split() for line in data[:end].decode("latin-1").splitlines()[1:] if line.split()], newline + 1
@@ -130,8 +130,14 @@ def _split_at_vertex(elements: list[_Element], name: str) -> tuple[list[_Element
     before, vertex = elements[:at], elements[at]
     if vertex.count == 0:
         raise CloudError(f"{name}: the header announces no vertices; at least one is needed")
-    if max(element.count for element in elements[: at + 1]) > MAX_FILE_POINTS:
+    if vertex.count > MAX_FILE_POINTS:
         raise CloudError(f"{name}: the header announces {vertex.count} vertices; at most {MAX_FILE_POINTS} are read")
+    for element in before:
+        if element.count > MAX_FILE_POINTS:
+            raise CloudError(
+                f"{name}: the header announces {element.count} rows of element {shown(element.name)} before the "
+                f"vertices; at most {MAX_FILE_POINTS} are read, put vertices first"
+            )
     return before, vertex
 
 

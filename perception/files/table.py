@@ -8,16 +8,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 
+import numpy as np
+
 from perception.errors import CloudError
 from perception.files.columns import COORDINATES, natural, parse_viewpoint, scan_of, shown
 from perception.files.content import Content
 from perception.files.header import Header, header_of, names_columns
 from perception.files.scan import Scan
-from perception.files.text import COMMENTS, cells_of, fits, read_rows, separator_of, trimmed
+from perception.files.text import COMMENTS, Rows, cells_of, fits, read_rows, separator_of, trimmed
 
 _WHOLE = re.compile(r"[+-]?\d+")
 _WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
 _JUDGED = 2**14
+_FEWEST_JUDGED = 10
 
 
 def read_text(data: Content, name: str) -> Scan:
@@ -25,7 +28,7 @@ def read_text(data: Content, name: str) -> Scan:
 
     A first line that is not numbers is a header and names the columns (x y z in any case, also with a unit, or
     ``Points:0`` ..., and those of ``columns.scan_of``); without one the first three columns are taken.  A lone number
-    before the rows is their count.  A comment ``# viewpoint x y z [qw qx qy qz]`` gives the sensor.
+    before the rows is how many there are at least.  A comment ``# viewpoint x y z [qw qx qy qz]`` gives the sensor.
 
     Raises:
         CloudError: naming ``name``, the line and what is wrong.
@@ -33,7 +36,7 @@ def read_text(data: Content, name: str) -> Scan:
     data, at = (_as_lines(data), 0) if isinstance(data, bytes) else (data, _start_of(data, name))
     viewpoint: tuple[float, ...] | None = None
     header: Header | None = None
-    has_count = False
+    n_announced: int | None = None
     n_lines = 0
     line = ""
     while at < len(data):
@@ -46,8 +49,8 @@ def read_text(data: Content, name: str) -> Scan:
         named = None if header else header_of(line.lstrip("#/% "))
         if named:
             header = named
-        elif not has_count and natural(line) is not None:
-            has_count = True
+        elif n_announced is None and natural(line) is not None:
+            n_announced = natural(line)
         elif line and not line.startswith(COMMENTS):
             break
         at, n_lines = end, n_lines + 1
@@ -70,8 +73,12 @@ def read_text(data: Content, name: str) -> Scan:
         width=_width(header, cells, name, n_lines + 1) if header else None,
         first_line=n_lines + 1,
     )
+    if rows.n_there < (n_announced or 0):
+        raise CloudError(f"{name}: {n_announced} points are announced, {rows.n_there} lines are there")
     columns = {key: rows.values[:, i] for i, key in enumerate(header.columns if header else COORDINATES)}
     notes = ("commas are read as decimal points", *rows.notes) if has_decimal_commas else rows.notes
+    if not header:
+        notes = (*notes, *_doubt(rows, cells, name))
     return replace(scan_of(columns, viewpoint, notes), unit=header.unit if header else "")
 
 
@@ -121,6 +128,26 @@ def _check_commas(body: bytes, separator: str | None, header: Header | None, nam
             f"{name}: line {first_line} has {width} whole numbers between commas; if commas are decimal points, "
             "separate columns by semicolons, else name all columns in a header"
         )
+
+
+def _doubt(rows: Rows, cells: Sequence[str], name: str) -> tuple[str, ...]:
+    """What to tell of a table without a header whose first three columns look like others than x, y, z.
+
+    Raises:
+        CloudError: the first of four or more columns counts the rows.
+    """
+    if len(rows.values) < _FEWEST_JUDGED or (rows.values != np.round(rows.values)).any(axis=0)[0]:
+        return ()
+    first = rows.values[:, 0]
+    if len(cells) > len(COORDINATES) and first[0] >= 0 and (np.diff(first) > 0).all() and first[-1] <= rows.n_there:
+        raise CloudError(f"{name}: its first column counts the rows; name all columns in a header")
+    is_colour = (rows.values == np.round(rows.values)) & (rows.values >= 0) & (rows.values <= 255)
+    if len(cells) >= 2 * len(COORDINATES) and is_colour.all() and not _are_whole(cells[3:6]):
+        return (
+            "its first three columns hold nothing but whole numbers from 0 to 255, as colours do; if x, y, z come "
+            "after them, name all columns in a header",
+        )
+    return ()
 
 
 def _are_whole(cells: Sequence[str]) -> bool:
