@@ -18,6 +18,8 @@ from service.start import FEET_GROUP, placed_bodies, sole, start_configuration
 
 OnStep = Callable[[str], None]
 
+_BETWEEN_NUMBERS = str.maketrans(dict.fromkeys(",;()[]", " "))
+
 
 @dataclass(frozen=True)
 class CloudAsked:
@@ -82,6 +84,9 @@ def cloud_asked(options: Mapping[str, Any]) -> CloudAsked:
         RequestError: the sensor is not three numbers, the message no number, or the file cannot be used.
     """
     given = dict(options)
+    for height in ("top", "bottom"):
+        if not np.isfinite(given[f"{height}_m"]):
+            raise RequestError(f"--{height}: {given[f'{height}_m']:g} m is no height; a finite number would do")
     if given["top_m"] <= given["bottom_m"]:
         raise RequestError(f"--top: {given['top_m']:g} m is not above --bottom {given['bottom_m']:g} m; more would do")
     sensor, posture, message = given.pop("sensor"), given.pop("posture"), given.pop("message")
@@ -139,13 +144,13 @@ def view_figures(read: CloudRead, view: View) -> dict[str, int]:
 
 
 def numbers(text: str, option: str) -> tuple[float, ...]:
-    """Numbers separated by spaces or commas.
+    """Numbers separated by spaces or commas, perhaps in the brackets in which programs print a matrix.
 
     Raises:
         RequestError: something in the text is no number.
     """
     try:
-        return tuple(float(word) for word in text.replace(",", " ").split())
+        return tuple(float(word) for word in text.translate(_BETWEEN_NUMBERS).split())
     except ValueError:
         raise RequestError(f"{option}: numbers separated by spaces or commas would do, got '{text}'") from None
 

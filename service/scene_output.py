@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import tempfile
@@ -9,27 +10,50 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.errors import RequestError, ResultError
+from service.errors import RequestError, ResultError, shown
 
 if TYPE_CHECKING:
     from service.scene_file import SceneSeen
 
+_SCRATCH = ".scopt-"
+
 
 def check_out(path: Path, inputs: Iterable[Path]) -> None:
-    """Refuse a place for the scene where it, or the page beside it, would overwrite what it is made from.
+    """Refuse a place for the scene that cannot be written, or where something is that it is made from.
 
     Raises:
-        RequestError: the name does not end in .json, or is, as the page's may be, a folder or one of the inputs.
+        RequestError: the name does not end in .json, or is, as the page's may be, a folder or one of the inputs, or
+            its folder takes no files.
     """
+    if path.name.lower() == ".json":
+        raise RequestError(f"--out: {path} has no name before its ending; one like scene.json would do")
     if path.suffix.lower() != ".json":
         raise RequestError(f"--out: {path} does not end in .json; a name that does, of a file for the pieces, would do")
-    for written in (path, _page_beside(path)):
-        if written.is_dir():
-            raise RequestError(f"--out: {written} is a folder; the name of a file would do")
+    try:
+        for written in (path, _page_beside(path)):
+            if os.path.lexists(written) and written.is_dir():
+                raise RequestError(f"--out: {written} is a folder; the name of a file would do")
+        _try_folder(path)
+    except OSError as error:
+        why = error.strerror or error
+        raise RequestError(f"--out: {shown(str(path))} cannot be written ({why}); another place would do") from None
     read = {one.resolve() for one in inputs}
     for written in (path, _page_beside(path)):
         if written.resolve() in read:
             raise RequestError(f"--out: {written} is read and would be overwritten; another name would do")
+
+
+def _try_folder(path: Path) -> None:
+    """Write a file, and take it away, in the innermost folder about the path that is there.
+
+    Raises:
+        OSError: that cannot be done, or no file can be called so.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        path.lstat()
+    folder = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=_SCRATCH):
+        pass
 
 
 def write_scene(seen: SceneSeen, path: Path) -> Path:
@@ -60,7 +84,7 @@ def _page_beside(path: Path) -> Path:
 def _replace(path: Path, text: str) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as scratch:
+        with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=path.parent) as scratch:
             fresh = Path(scratch) / path.name
             fresh.write_text(text, encoding="utf-8")
             os.replace(fresh, path)

@@ -14,9 +14,9 @@ from browser import Browser, find_chromium
 from cloud_files import write_bag
 from little_scan import crate_scan, little_scan, scopt
 
-from perception import Cloud, write_npz, write_pcd
+from perception import Cloud, rigid_pose, write_npz, write_pcd
 from service import scene_file
-from service.cloud_asked import CloudAsked
+from service.cloud_asked import CloudAsked, numbers
 from service.scene_file import SceneAsked, see_files
 from service.scene_view import payload_of
 from service.time_limit import TimeOver
@@ -126,6 +126,9 @@ def test_units_and_poses_bring_several_clouds_together(scan: Path, tmp_path: Pat
         (("scene", "a.pcd", "--transform", "nan 0 0 0 0 0", "--out", "s.json"), "--transform: transform holds NaN"),
         (("scene", "a.pcd", "--transform", "0 0 0 90 0 0", "--out", "s.json"), "--transform: transform turns by 90"),
         (("scene", "a.pcd", "--top", "-1", "--out", "s.json"), "--top: -1 m is not above --bottom -0.5 m"),
+        (("scene", "a.pcd", "--top", "nan", "--out", "s.json"), "--top: nan m is no height; a finite number would do"),
+        (("detect", "valve", "a.pcd", "--bottom", "-inf"), "--bottom: -inf m is no height; a finite number would do"),
+        (("scene", "a.pcd", "--out", ".json"), "--out: .json has no name before its ending; one like scene.json would"),
         (("scene", "a.pcd", "--message", "last", "--out", "s.json"), "--message: a whole number, -1 for the last, or"),
         (("detect", "valve", "a.pcd", "--hint", "nan", "0", "0"), "--hint: nan 0 0 is no place; three finite numbers"),
         (("scene", "a.pcd", "--sensor", "1 2", "--out", "s.json"), "--sensor: three numbers 'X Y Z' (in quotes) would"),
@@ -153,6 +156,41 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_3(arguments: tuple[str, .
 )
 def test_options_that_do_not_go_together_are_usage_errors(arguments: tuple[str, ...]) -> None:
     assert scopt("scene", "scan.pcd", "--out", "s.json", *arguments).exit_code == 2
+
+
+@pytest.mark.parametrize("text", ["[[1 0 0 2]\n [0 1 0 3]\n [0 0 1 4]\n [0 0 0 1]]", "(2, 3, 4); (0, 0, 0)"])
+def test_a_matrix_may_be_given_as_programs_print_it(text: str) -> None:
+    pose = rigid_pose(numbers(text, "--transform"))
+    np.testing.assert_array_equal(pose[:3, 3], [2, 3, 4])
+    np.testing.assert_array_equal(pose[:3, :3], np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("file/s.json", "Not a directory"),
+        ("file/deep/s.json", "Not a directory"),
+        ("lost/s.json", "No such file or directory"),
+        ("x" * 300 + ".json", "File name too long"),
+        ("/proc/s.json", "No such file or directory"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_told_before_anything_is_read(tmp_path: Path, name: str, why: str) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "lost").symlink_to(tmp_path / "gone")
+    result = scopt("scene", tmp_path / "missing.pcd", "--out", tmp_path / name)
+    assert result.exit_code == 3
+    line = result.stderr.splitlines()[-1]
+    assert line.startswith("--out: ")
+    assert line.endswith(f" cannot be written ({why}); another place would do")
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "lost"}
+
+
+def test_a_scene_is_written_into_folders_that_are_made(scan: Path, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "deep" / f"{'x' * 240}.json"
+    result = scopt("scene", scan, "--out", out)
+    assert result.exit_code == 0, result.stderr
+    assert {path.name for path in out.parent.iterdir()} == {out.name, out.with_suffix(".html").name}
 
 
 def _scaled(path: Path, scale: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Path:

@@ -22,6 +22,7 @@ from perception.limits import MAX_POINTS
 
 # No ray is that long.
 _MAP_DISTANCE = 1_000.0
+_LARGEST = 1e9
 
 
 def read_cloud(
@@ -167,8 +168,8 @@ def _unknown_sensor(
     """
     if sensor is not None:
         position = np.asarray(sensor, dtype=np.float64)
-        if position.shape != (3,) or not np.isfinite(position).all():
-            raise CloudError(f"sensor {list(sensor)} is no position; three finite numbers are needed")
+        if position.shape != (3,) or not (np.abs(position) <= _LARGEST).all():
+            raise CloudError(f"sensor {list(sensor)} is no position; three numbers, at most {_LARGEST:g} m, are needed")
         return position, ()
     valid = points[np.isfinite(points).all(axis=1)]
     distance = float(np.linalg.norm(np.median(valid, axis=0) - zero)) if len(valid) else 0.0
