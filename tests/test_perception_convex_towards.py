@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.convex.towards import Bearings
+from perception.convex.towards import Bearings, Sheaf
 
 
 @settings(max_examples=30, deadline=None)
@@ -40,3 +40,23 @@ def test_all_rays_are_told_of_a_box_that_holds_their_start() -> None:
     start = np.zeros(3)
     ends = np.random.default_rng(0).normal(size=(50, 3))
     assert Bearings.of(start, ends).may_pass(np.array([[[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]]])).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.01, 2.0), st.floats(0.0, 6.0))
+def test_every_ray_that_passes_a_ball_is_told(seed: int, radius: float, distance: float) -> None:
+    rng = np.random.default_rng(seed)
+    start, way = rng.uniform(-2.0, 2.0, 3), rng.normal(size=3)
+    centre = start + distance * way / np.linalg.norm(way)
+    ends = start + rng.normal(size=(400, 3)) * rng.uniform(0.1, 6.0, (400, 1))
+    along = (ends - start) / np.linalg.norm(ends - start, axis=1, keepdims=True)
+    nearest = start + along * (along @ (centre - start)).clip(0.0, np.linalg.norm(ends - start, axis=1))[:, None]
+    passes = np.flatnonzero(np.linalg.norm(nearest - centre, axis=1) <= radius)
+    told = Sheaf.of(start, ends).about(centre, radius)
+    assert set(passes) <= set(told)
+    assert (np.diff(told) > 0).all()
+
+
+def test_few_rays_are_told_of_a_small_ball() -> None:
+    ends = 3.0 * np.random.default_rng(0).normal(size=(2000, 3))
+    assert len(Sheaf.of(np.zeros(3), ends).about(np.array([2.0, 0.5, 0.3]), 0.1)) < 100

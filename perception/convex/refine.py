@@ -12,10 +12,12 @@ from scipy import ndimage
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import SKIN, Hull, hull_of, thickened
 from perception.convex.split import Allowance, is_free_of, merge, split
+from perception.convex.towards import Sheaf
 
 _CELL = 0.01
 _CLOSE = 2
 _AROUND = 0.03
+_FEW = 3
 # Smaller hulls are as small as noise and skin make them, and so much seen-free space is noise [m^3].
 _LEAST_VOLUME = 5e-5
 _ALLOWED = Allowance(volume=1.2e-5, share=0.02, skin=SKIN)
@@ -40,10 +42,11 @@ def refined(
         rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays [m].
         gap: parts whose boxes are farther apart are not joined again [m].
     """
-    passing = _Passing.of(np.broadcast_to(rays[0], rays[1].shape), rays[1])
+    is_large = [hull_of(thickened(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]
+    passing = _Passing.of(*rays, sum(is_large))
     done: list[Hull] = []
-    for hull in hulls:
-        if hull_of(thickened(hull.vertices, SKIN), hull.members).volume < _LEAST_VOLUME:
+    for hull, is_asked in zip(hulls, is_large, strict=True):
+        if not is_asked:
             done.append(hull)
             continue
         lower = _CELL * np.floor((hull.lower - _AROUND) / _CELL)
@@ -60,7 +63,9 @@ def _seen_free(
 ) -> FreeSpace:
     """Cells in a box that rays passed, more than about 2 cm from any surface."""
     near = passing.near(lower, upper)
-    inside = surface[((surface >= lower) & (surface <= upper)).all(axis=1)]
+    inside = surface
+    for axis in range(3):
+        inside = inside[(inside[:, axis] >= lower[axis]) & (inside[:, axis] <= upper[axis])]
     free = carve(passing.starts[near], passing.ends[near], inside, lower, upper, _CELL)
     held = np.zeros(free.free.shape, dtype=bool)
     cells = np.floor((inside - lower) / free.size).astype(int)
@@ -74,31 +79,27 @@ class _Passing:
 
     Attributes:
         starts, ends: (R, 3) [m].
-        along: (R, 3) unit.
-        length: (R,) [m].
-        offset: (R,) ``starts . along``.
-        squared: (R,) ``|starts|^2``.
+        sheaf: the same, if all start in one place and many are asked for.
     """
 
     starts: Float[np.ndarray, "R 3"]
     ends: Float[np.ndarray, "R 3"]
-    along: Float[np.ndarray, "R 3"]
-    length: Float[np.ndarray, "R"]
-    offset: Float[np.ndarray, "R"]
-    squared: Float[np.ndarray, "R"]
+    sheaf: Sheaf | None
 
     @classmethod
-    def of(cls, starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"]) -> _Passing:
-        along = ends - starts
-        length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
-        along /= length[:, None]
-        offset, squared = np.einsum("ij,ij->i", starts, along), np.einsum("ij,ij->i", starts, starts)
-        return cls(starts, ends, along, length, offset, squared)
+    def of(cls, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], n_asked: int) -> _Passing:
+        """To be asked so often."""
+        sheaf = Sheaf.of(starts, ends) if starts.ndim == 1 and n_asked > _FEW else None
+        return cls(np.broadcast_to(starts, ends.shape), ends, sheaf)
 
     def near(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
         """Rays that pass the ball about a box."""
-        centre = 0.5 * (lower + upper)
-        ahead = self.along @ centre - self.offset
-        t = ahead.clip(0.0, self.length)
-        distance = self.squared - 2.0 * (self.starts @ centre) + centre @ centre + t * (t - 2.0 * ahead)
-        return np.flatnonzero(distance <= 0.25 * float(((upper - lower) ** 2).sum()) + 1e-9)
+        centre, radius = 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
+        asked = slice(None) if self.sheaf is None else self.sheaf.about(centre, radius)
+        starts, along = self.starts[asked], self.ends[asked] - self.starts[asked]
+        length = np.maximum(np.sqrt(np.einsum("ij,ij->i", along, along)), 1e-9)
+        along /= length[:, None]
+        ahead = np.einsum("ij,ij->i", centre - starts, along).clip(0.0, length)
+        apart = starts + ahead[:, None] * along - centre
+        near = np.flatnonzero(np.einsum("ij,ij->i", apart, apart) <= radius**2 + 1e-9)
+        return near if isinstance(asked, slice) else asked[near]

@@ -92,3 +92,41 @@ def _blocks_in(boxes: Float[np.ndarray, "B 2 3"]) -> Float[np.ndarray, "K 3"]:
     for low, high in cells:
         picture[low[0] : high[0] + 1, low[1] : high[1] + 1, low[2] : high[2] + 1] = True
     return np.asarray((np.argwhere(picture) + lowest + 0.5) * _BLOCK)
+
+
+@dataclass(frozen=True)
+class Sheaf:
+    """Rays that start in one place, in order of where they go.
+
+    Attributes:
+        bearings: of the rays.
+        order: (R,) their indices by cell of directions.
+        first: (C + 1,) place in the order of the first ray of each cell.
+    """
+
+    bearings: Bearings
+    order: Int[np.ndarray, "R"]
+    first: Int[np.ndarray, "C"]
+
+    @classmethod
+    def of(cls, start: Float[np.ndarray, "3"], ends: Float[np.ndarray, "R 3"]) -> Sheaf:
+        """Of rays that end there [m]."""
+        bearings = Bearings.of(start, ends)
+        counts = np.bincount(bearings.cell, minlength=_N_CELLS**3)
+        return cls(bearings, np.argsort(bearings.cell), np.concatenate([[0], np.cumsum(counts)]))
+
+    def about(self, centre: Float[np.ndarray, "3"], radius: float) -> Int[np.ndarray, "K"]:
+        """Indices, ascending, of rays that may pass a ball; all that do are among them."""
+        ahead = centre - self.bearings.start
+        distance = float(np.linalg.norm(ahead))
+        if distance < 2.0 * radius:
+            return np.arange(len(self.order))
+        # Unit vectors whose angle has a sine of up to a half lie no farther apart than this times the sine.
+        around = 1.1 * radius / distance
+        lower, upper = (np.floor((ahead / distance + sign * around + 1.0) / _WIDTH).astype(int) for sign in (-1, 1))
+        lower, upper = lower.clip(0), upper.clip(max=_N_CELLS - 1)
+        x, y = np.ogrid[lower[0] : upper[0] + 1, lower[1] : upper[1] + 1]
+        row = ((x * _N_CELLS + y) * _N_CELLS).ravel()
+        begin, end = self.first[row + lower[2]], self.first[row + upper[2] + 1]
+        chosen = np.concatenate([self.order[a:b] for a, b in zip(begin, end, strict=True)])
+        return np.sort(chosen[self.bearings.length[chosen] >= distance - radius - 1e-3])
