@@ -15,8 +15,10 @@ from perception.patches import PATCH, least_squares, patches_of
 
 _BAND = 0.025
 _MOVED = 0.003
+_MOVED_FAR = 0.01
 _CELL = 0.1
 _LEAST_SEEN = 0.5
+_SHARE_UNDER = 0.05
 _BEYOND = 1.0
 _INWARDS = 0.1
 _FEWEST_HOLES = 12
@@ -31,36 +33,63 @@ def are_there(
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
     reach: Reach,
 ) -> bool:
-    """Whether all levels are seen within 3 mm of where they were, at least half of each, and no rays go through.
+    """Whether all levels are seen where they were, at least half of each, and no rays go through.
+
+    The level under the robot is there as well where less of it is seen but nothing under it: a sensor may look
+    elsewhere.  Where half is seen it may have moved by 3 mm, else by 1 cm, as levels may that are small and rough.
 
     Args:
-        floors: of the scan before.
+        floors: of the scan before, the level under the robot first.
         points: (N, 3) in reach, without the robot's own [m].
         rays: starts and ends (R, 3) of all rays [m].
         reach: what matters.
     """
     points = points[:: -(-len(points) // _MOST_POINTS)]
-    return len(floors) > 0 and all(_is_there(floor, points, rays, reach) for floor in floors)
+    return len(floors) > 0 and all(_is_there(floor, i == 0, points, rays, reach) for i, floor in enumerate(floors))
 
 
 def _is_there(
     floor: FloorPlane,
+    is_stood_on: bool,
     points: Float[np.ndarray, "N 3"],
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
     reach: Reach,
 ) -> bool:
     own = points[on_floor(points, floor, clearance=_BAND, depth=_BAND)]
-    fitted = least_squares(own, floor.normal, floor.offset, (_BAND, _BAND))
-    if fitted is None or np.abs(own @ (fitted[0] - floor.normal) - (fitted[1] - floor.offset)).max() > _MOVED:
+    is_seen = _area(own[:, :2]) >= _LEAST_SEEN * floor.area
+    if not is_seen and not (is_stood_on and _is_lowest(floor, own, points)):
         return False
-    cells = np.unique(np.floor(own[:, :2] / _CELL).astype(int), axis=0)
-    if len(cells) * _CELL**2 < _LEAST_SEEN * floor.area:
+    if _moved(floor, own) > (_MOVED if is_seen and is_stood_on else _MOVED_FAR):
         return False
     centre, extent = np.array([reach.x, reach.y]), reach.radius + _BEYOND
     holes = pierced_cells(floor.normal, floor.offset, rays, own[:, :2], centre, extent)
     if floor.outlines:
         holes = holes[_inside(holes, floor.outlines)]
     return len(holes) < _FEWEST_HOLES
+
+
+def _is_lowest(floor: FloorPlane, own: Float[np.ndarray, "M 3"], points: Float[np.ndarray, "N 3"]) -> bool:
+    """Whether hardly any points lie under the level."""
+    return int((floor.above(points) < -_BAND).sum()) <= _SHARE_UNDER * len(own)
+
+
+def _area(xy: Float[np.ndarray, "N 2"]) -> float:
+    """Of the cells that hold any of the places [m^2]."""
+    if not len(xy):
+        return 0.0
+    u, v = np.floor(xy / _CELL).astype(np.int64).T
+    u, v = u - u.min(), v - v.min()
+    picture = np.zeros((int(u.max()) + 1, int(v.max()) + 1), dtype=bool)
+    picture[u, v] = True
+    return float(picture.sum()) * _CELL**2
+
+
+def _moved(floor: FloorPlane, own: Float[np.ndarray, "N 3"]) -> float:
+    """How far a plane through the points lies off the level, at the worst of them; zero where there are too few [m]."""
+    fitted = least_squares(own, floor.normal, floor.offset, (_BAND, _BAND))
+    if fitted is None:
+        return 0.0
+    return float(np.abs(own @ (fitted[0] - floor.normal) - (fitted[1] - floor.offset)).max())
 
 
 def _inside(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "K 2"]]) -> Bool[np.ndarray, "N"]:

@@ -14,7 +14,7 @@ from perception.convex.freespace import Crossing
 from perception.convex.hulls import hull_of
 from perception.convex.updated import updated_pieces
 from perception.floor import FloorPlane
-from perception.levels_again import may_be_level
+from perception.levels_again import are_there, may_be_level
 from perception.locally import surface_among
 from perception.outliers import surface_points
 from perception.remembered import Memory, content_key
@@ -306,6 +306,41 @@ def test_a_platform_in_place_of_a_box_becomes_a_level_of_the_floor() -> None:
 def flat(height: float, step: float) -> np.ndarray:
     """Points in rows on 0.8 m x 0.8 m."""
     return np.stack(np.meshgrid(np.arange(1.0, 1.8, step), np.arange(0.0, 0.8, step), [height]), -1).reshape(-1, 3)
+
+
+def floor_seen(share: float, height: float, tilt: float = 0.0) -> bool:
+    """Whether a level of 4 m^2 at zero height is there where a scan saw a share of it so high and tilted."""
+    rng = np.random.default_rng(5)
+    points = np.column_stack([rng.uniform(0.0, 2.0 * share, 4000), rng.uniform(-1.0, 1.0, 4000), np.zeros(4000)])
+    points[:, 2] = height + tilt * points[:, 0] + rng.normal(0.0, 0.004, 4000)
+    level = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.004, 4.0)
+    return are_there((level,), points, (np.broadcast_to([0.0, 0.0, 1.6], points.shape), points), Reach())
+
+
+def test_the_floor_is_there_where_it_was_however_little_of_it_is_seen() -> None:
+    assert floor_seen(1.0, 0.0)
+    assert floor_seen(0.2, 0.0)
+
+
+def test_a_floor_that_sank_or_rose_is_not_where_it_was() -> None:
+    for share in (0.2, 1.0):
+        for height in (-0.2, -0.05, -0.02, 0.012):
+            assert not floor_seen(share, height), (share, height)
+    assert not floor_seen(1.0, 0.005)
+
+
+def test_a_small_level_that_noise_tilts_is_where_it_was() -> None:
+    rng = np.random.default_rng(6)
+    ground = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.004, 4.0)
+    corners = np.array([[1.0, 0.0], [1.4, 0.0], [1.4, 0.5], [1.0, 0.5]])
+    tread = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.2, 0.01, 0.2, (corners,))
+    low = np.column_stack([rng.uniform(-1.0, 1.0, (4000, 2)), rng.normal(0.0, 0.004, 4000)])
+    for tilt, is_there in ((0.02, True), (0.08, False)):
+        high = np.column_stack([rng.uniform(corners[0], corners[2], (400, 2)), rng.normal(0.2, 0.004, 400)])
+        high[:, 2] += tilt * (high[:, 0] - 1.2)
+        points = np.concatenate([low, high])
+        rays = np.broadcast_to([0.0, 0.0, 1.6], points.shape), points
+        assert are_there((ground, tread), points, rays, Reach()) is is_there
 
 
 def test_what_is_flat_and_low_may_be_a_level_unless_the_floor_is_seen_under_it() -> None:
