@@ -397,6 +397,36 @@ def test_the_page_tells_residuals_in_their_units_and_where_the_origin_is(browser
     assert browser.complaints() == []
 
 
+def test_the_page_outlines_what_is_there_to_be_gripped_and_pressed(browser: Browser, tmp_path: Path) -> None:
+    write_npz(tmp_path / "a.npz", little_scan())
+    seen = see_files(SceneAsked(CloudAsked((tmp_path / "a.npz",))), lambda _: None)
+    handle = {"handle_x": 0.8, "handle_y": 0.06, "handle_z": 1.0, "lever_direction": -1.0}
+    button = {"button_0_x": 0.05, "button_0_y": -0.02, "button_0_radius": 0.01}
+    sizes = {
+        "door": {"width": 0.9, "height": 2.0, "ajar": 0.1, "side": 1.0, **handle},
+        "panel": {"width": 0.2, "height": 0.3, "n_buttons": 1.0, **button},
+        "drill": {"grip_length": 0.12, "body_length": 0.21},
+    }
+    hit = {"confidence": 1.0, "pose_world_object": np.eye(4).tolist(), "residuals": {}}
+    hits = [{**hit, "kind": kind, "sizes": of, "points": quantized(np.zeros((1, 3)))} for kind, of in sizes.items()]
+    (tmp_path / "a.html").write_text(render_page(payload_of(seen, "a") | {"detections": hits}, "a", "scene"))
+    browser.open((tmp_path / "a.html").as_uri())
+    browser.settle()
+    door, panel, drill = (np.reshape(browser.run(f"window.__viewer.outlineOf({i})"), (-1, 2, 3)) for i in range(3))
+    for outline, line in [
+        (door, [[0.8, 0.06, 1.0], [0.68, 0.06, 1.0]]),
+        (door, [[0.8, 0.0, 1.0], [0.8, 0.06, 1.0]]),
+        (drill, [[0.0, 0.0, -0.06], [0.0, 0.0, 0.06]]),
+        (drill, [[-0.07, 0.0, 0.06], [0.14, 0.0, 0.06]]),
+    ]:
+        assert np.isclose(outline, line, atol=1e-6).all(axis=(1, 2)).any()
+    on_button = np.isclose(np.linalg.norm(panel[:, :, :2] - [0.05, -0.02], axis=2), 0.01, atol=1e-6).all(axis=1)
+    assert np.count_nonzero(on_button) == 64
+    text = browser.run("document.querySelector('.check .sizes').innerText")
+    assert "lever direction towards the hinge" in text
+    assert browser.complaints() == []
+
+
 def test_a_click_on_a_hit_looks_at_it(browser: Browser, written: tuple[Path, dict[str, Any]]) -> None:
     out, printed = written
     browser.open(out.with_suffix(".html").as_uri())
@@ -450,6 +480,15 @@ def test_pieces_can_be_coloured_by_what_rays_say_of_them(
     browser.run("window.dispatchEvent(new KeyboardEvent('keydown', { key: 'k' }))")
     browser.settle()
     assert browser.run("window.__viewer.colouring") == "kind"
+    legends = []
+    for _ in range(4):
+        legends.append(browser.run("document.querySelector('.colours').innerText").split("  "))
+        browser.run("window.dispatchEvent(new KeyboardEvent('keydown', { key: 'k' }))")
+    kinds, free, beside, own = ([entry.strip() for entry in legend if entry.strip()] for legend in legends)
+    assert set(kinds) <= {"plane", "wall", "clutter"}
+    assert free == ["none of it", "1 %", "2 % and more"]
+    assert beside == ["all of it", "half", "none"]
+    assert own == []
     assert np.count_nonzero(np.abs(browser.picture().astype(int) - before).max(axis=2)[60:, :650] > 20) > 1000
 
 

@@ -12,6 +12,7 @@ import { FLOORS, Hit, LEFT_OUT, NOBODYS, Piece, Scan, Space } from "./scene-data
 import { Colours } from "./theme";
 
 export const CONFIDENT = 0.5;
+const HANDLE = 0.12;  // [m] that a door's lever is drawn long, whose length nobody tells
 
 // Neighbours in number lie far apart in hue.
 export const pieceColour = (index: number): Color =>
@@ -83,14 +84,35 @@ export type Colouring = keyof typeof COLOURINGS;
 const KINDS: Record<string, string> = { plane: "#6ea8ff", wall: "#b48cff", clutter: "#ffb454", object: "#4ade80" };
 // Green where the rays agree with a piece, red where they do not.
 const [GOOD, BAD] = [new Color("#4ade80"), new Color("#ff5c5c")];
+const NEUTRAL = "#9aa7b8";
+const CHANGES: Record<string, string> = { stayed: "#7fa3d8", changed: "#facc15", new: "#f4633a" };
+const MUCH_FREE = 0.02;  // of a piece's inside, that rays passed
+
+// What the colours of a colouring mean, of those that these pieces have.
+export function legendOf(colouring: Colouring, pieces: Piece[]): [string, Color][] {
+  const blank: [string, Color][] = pieces.some((piece) => !piece.facts && !["floor", "unknown"].includes(piece.kind)) ? [["of no scan", new Color(NEUTRAL)]] : [];
+  const between = (share: number): Color => GOOD.clone().lerp(BAD, share);
+  switch (colouring) {
+    case "kind":
+      return Object.entries(KINDS).filter(([kind]) => pieces.some((piece) => piece.kind === kind)).map(([kind, colour]) => [kind, new Color(colour)]);
+    case "free":
+      return [["none of it", between(0)], [`${50 * MUCH_FREE} %`, between(0.5)], [`${100 * MUCH_FREE} % and more`, between(1)], ...blank];
+    case "open":
+      return [["all of it", between(0)], ["half", between(0.5)], ["none", between(1)], ...blank];
+    case "change":
+      return Object.entries(CHANGES).map(([change, colour]) => [change, new Color(colour)]);
+    default:
+      return [];
+  }
+}
 
 // A colour for a piece; what is asked of one that no scan stands behind has none.
 function colourOf(piece: Piece, index: number, colouring: Colouring): Color {
   if (colouring === "piece") return pieceColour(index);
-  if (colouring === "kind") return new Color(KINDS[piece.kind] ?? "#9aa7b8");
-  if (colouring === "change") return new Color(piece.change === "new" ? "#f4633a" : piece.change === "changed" ? "#facc15" : "#7fa3d8");
-  if (!piece.facts) return new Color("#9aa7b8");
-  const share = colouring === "free" ? Math.min(1, piece.facts.free_share / 0.02) : 1 - piece.facts.open_share;
+  if (colouring === "kind") return new Color(KINDS[piece.kind] ?? NEUTRAL);
+  if (colouring === "change") return new Color(CHANGES[piece.change ?? "stayed"]);
+  if (!piece.facts) return new Color(NEUTRAL);
+  const share = colouring === "free" ? Math.min(1, piece.facts.free_share / MUCH_FREE) : 1 - piece.facts.open_share;
   return GOOD.clone().lerp(BAD, share);
 }
 
@@ -156,6 +178,7 @@ export class Hits implements Layer {
   readonly labels: Label[] = [];
   private readonly marks: { points: Points; hit: Hit }[] = [];
   private readonly frames: Group[] = [];
+  private readonly outlines: (LineSegments | undefined)[] = [];
 
   constructor(scan: Scan) {
     this.count = scan.detections.length;
@@ -176,6 +199,7 @@ export class Hits implements Layer {
       });
       const outline = wire(hit);
       if (outline) group.add(outline);
+      this.outlines.push(outline);
       const points = pointCloud(hit.points, new Float32Array(hit.points.length), 16, 1);
       points.renderOrder = 4;
       this.marks.push({ points, hit });
@@ -198,6 +222,11 @@ export class Hits implements Layer {
     }
   }
 
+  // Both ends of each line of its outline, in the object's own frame.
+  outlineOf(index: number): number[] {
+    return [...(this.outlines[index]?.geometry.getAttribute("position").array ?? [])];
+  }
+
   // What is to be seen of one: its points, its outline, its frame.
   extent(index: number): Box3 {
     const box = new Box3().setFromObject(this.frames[index]);
@@ -208,12 +237,13 @@ export class Hits implements Layer {
   }
 }
 
-// The object's outline in its own frame, drawn from its sizes: rings of wheels and openings, leaves, boards, boxes.
+// The object's outline in its own frame, drawn from its sizes: rings of wheels, openings and buttons, leaves, boards, boxes,
+// handles as lines.
 function wire(hit: Hit): LineSegments | undefined {
   const s = hit.sizes;
   const path: Vector3[][] = [];
-  const ring = (radius: number): void => {
-    path.push(Array.from({ length: 65 }, (_, i) => new Vector3(Math.cos((i * Math.PI) / 32), Math.sin((i * Math.PI) / 32), 0).multiplyScalar(radius)));
+  const ring = (radius: number, x = 0, y = 0): void => {
+    path.push(Array.from({ length: 65 }, (_, i) => new Vector3(x + radius * Math.cos((i * Math.PI) / 32), y + radius * Math.sin((i * Math.PI) / 32), 0)));
   };
   const box = (low: number[], high: number[]): void => {
     for (let axis = 0; axis < 3; axis++) {
@@ -229,6 +259,15 @@ function wire(hit: Hit): LineSegments | undefined {
   if (hit.kind === "hose" && s.radius !== undefined) ring(s.radius);
   if (hit.kind === "beam") box([-s.length / 2, -s.width / 2, -s.thickness / 2], [s.length / 2, s.width / 2, s.thickness / 2]);
   if (hit.kind === "door") box([0, -0.01, 0], [s.width, 0.01, s.height]);
+  if (s.handle_x !== undefined) {
+    const pivot = new Vector3(s.handle_x, s.handle_y, s.handle_z);
+    path.push([pivot.clone().setY(0), pivot, pivot.clone().add(new Vector3((s.lever_direction ?? 0) * HANDLE, 0, 0))]);
+  }
+  for (let i = 0; s[`button_${i}_radius`] !== undefined; i++) ring(s[`button_${i}_radius`], s[`button_${i}_x`], s[`button_${i}_y`]);
+  if (hit.kind === "drill") {
+    const top = new Vector3(0, 0, s.grip_length / 2);
+    path.push([top.clone().negate(), top], [top.clone().setX(-s.body_length / 3), top.clone().setX((2 * s.body_length) / 3)]);
+  }
   if (hit.kind === "panel") box([-s.width / 2, -s.height / 2, -0.01], [s.width / 2, s.height / 2, 0.01]);
   if (hit.kind === "opening") box([-0.01, -s.width / 2, 0], [0.01, s.width / 2, s.height]);
   if (hit.kind === "seat") box([-s.depth / 2, -s.width / 2, -0.05], [s.depth / 2, s.width / 2, 0]);

@@ -2,7 +2,7 @@
 import { el, figure, words } from "./dom";
 import { Layer } from "./layer";
 import { Hit, KnownMesh, Piece, Scan } from "./scene-data";
-import { COLOURINGS, CONFIDENT, Colouring, Slice } from "./scene-layers";
+import { COLOURINGS, CONFIDENT, Colouring, Slice, legendOf } from "./scene-layers";
 
 export interface Acts {
   toggle(layer: Layer): void;
@@ -15,11 +15,15 @@ export interface Acts {
 }
 
 // Residuals and sizes are lengths unless their name says otherwise (docs/scene-format.md).
-const UNITLESS = /^n_|_score$|_ratio$|^side$|^lever_direction$/;
+const UNITLESS = /^n_|_score$|_ratio$|^side$/;
 const ANGLES = /_rad$|^ajar$/;
 const SHARES = /_share$/;
 
+// Which way a door's lever points.
+const WAYS: Record<string, string> = { "-1": "towards the hinge", "0": "none", "1": "away from the hinge" };
+
 function inUnits(name: string, value: number): string {
+  if (name === "lever_direction") return WAYS[String(value)] ?? String(value);
   return figure(value, ANGLES.test(name) ? "rad" : SHARES.test(name) ? "1" : UNITLESS.test(name) ? null : "m");
 }
 
@@ -68,12 +72,13 @@ export class ScenePanel {
   private readonly slider = el("input");
   private readonly cut = el("input");
   private readonly colouring = el("select");
+  private readonly colours = el("p", "legend colours");
   private readonly readout = el("output", "value");
   private readonly axes: HTMLButtonElement[];
   private readonly hits: HTMLElement[];
   private readonly about = el("dl", "figures");
 
-  constructor(scan: Scan, layers: Layer[], private readonly slice: Slice, private readonly acts: Acts) {
+  constructor(private readonly scan: Scan, layers: Layer[], private readonly slice: Slice, private readonly acts: Acts) {
     const scroll = el("div", "scroll");
     this.element.append(scroll);
     this.hits = scan.detections.map((hit, i) => hitRow(hit, i, acts));
@@ -84,7 +89,7 @@ export class ScenePanel {
     scroll.append(el("h2", "", "Space, as the rays saw it"), this.sliceControl());
     this.axes = [...this.element.querySelectorAll<HTMLButtonElement>(".axis")];
     scroll.append(el("h2", "", "Shown"), this.layerList(layers));
-    scroll.append(this.legend(), this.colourChoice(scan.pieces.some((piece) => piece.change !== null)));
+    scroll.append(this.legend(), this.colourChoice(scan.pieces.some((piece) => piece.change !== null)), this.colours);
     scroll.append(el("h2", "", "Piece"), this.about);
     this.showPiece(undefined);
     const figures = el("dl", "figures");
@@ -199,6 +204,11 @@ export class ScenePanel {
   tell(isCut: boolean, colouring: Colouring): void {
     this.cut.checked = isCut;
     this.colouring.value = colouring;
+    this.colours.replaceChildren(...legendOf(colouring, this.scan.pieces).flatMap(([text, colour]) => {
+      const swatch = el("i", "swatch");
+      swatch.style.background = colour.getStyle();
+      return [swatch, `${text}  `];
+    }));
   }
 
   refresh(): void {

@@ -202,6 +202,7 @@ function start(): void {
     get isCut(): boolean { return isCut; },
     get colouring(): Colouring { return colouring; },
     moveSlice, choosePiece,
+    outlineOf: (index: number): number[] => hits.outlineOf(index),
     sightAt(place: number[]): Sight {
       const [x, y, z] = place.map((value, i) => Math.floor((value - scan.space.lower[i]) / scan.space.size));
       return slice.sightOf(x, y, z);
@@ -252,7 +253,7 @@ function says({ figures, pieces }: Scan): string {
   const levels = figures.floor_levels === 0 ? "no floor" : figures.floor_levels === 1 ? "one floor" : `${figures.floor_levels} floor levels`;
   const unseen = pieces.filter((piece) => piece.kind === "unknown").length;
   const seen = many(pieces.length - unseen, "piece") + (unseen ? ` and ${unseen} of unseen space` : "");
-  return `${many(figures.points, "point")} · ${seen} · ${levels} · ${figures.time_s} s`;
+  return `${many(figures.points, "point")} · ${seen} · ${levels} · ${Number(figures.time_s).toFixed(1)} s`;
 }
 
 const many = (n: number, what: string): string => `${n} ${what}${n === 1 ? "" : "s"}`;
