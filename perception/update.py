@@ -17,11 +17,11 @@ from perception.convex.hulls import hull_of
 from perception.convex.piece import Piece
 from perception.convex.standing import Ground
 from perception.convex.unknown import unknown_pieces
-from perception.convex.updated import Updated, updated_pieces
+from perception.convex.updated import Judge, Updated, updated_pieces
 from perception.detect.valve import ValveDetection
 from perception.floor import FloorPlane, on_floors
 from perception.levels_again import may_be_level
-from perception.locally import surface_among
+from perception.locally import LocalJudge
 from perception.perceive import Perceived, floors_of, matched, unexplained, without_best
 from perception.solids.known import KnownMesh
 from perception.solids.match import MeshMatch
@@ -153,7 +153,7 @@ def _held_against(
     matches = {**earlier.matches, **matched(known, view, clock)}
     kept = unexplained(view.obstacles, kept, matches)
     hulls = tuple(hull_of(piece.vertices, kept[:0]).simplified for piece in floors)
-    judge = None if cleaned else partial(_of_surfaces, view.near, ~is_floor, np.flatnonzero(~is_floor)[kept])
+    judge = None if cleaned else _judge(view.near, ~is_floor, kept)
     made = updated_pieces(
         earlier.pieces,
         view.obstacles[kept],
@@ -169,11 +169,10 @@ def _held_against(
     return _Held(view, floors, pieces, matches, made.timings, made.is_left_off)
 
 
-def _of_surfaces(
-    near: Cloud, is_obstacle: Bool[np.ndarray, "N"], index: Int[np.ndarray, "M"], asked: Int[np.ndarray, "K"]
-) -> Bool[np.ndarray, "K"]:
-    """Which of the points asked about, told by their place in ``index``, a surface stands for."""
-    return surface_among(near.points, near.starts, is_obstacle, index[asked])
+def _judge(near: Cloud, is_obstacle: Bool[np.ndarray, "N"], kept: Int[np.ndarray, "K"]) -> Judge:
+    """Tells which of the obstacles that were kept surfaces stand for."""
+    scan, index = LocalJudge.of(near.points, near.starts, is_obstacle), np.flatnonzero(is_obstacle)[kept]
+    return lambda asked: scan.surface_among(index[asked])
 
 
 def _without_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple[View, tuple[Piece, ...]]:

@@ -15,7 +15,7 @@ from perception.convex.hulls import hull_of
 from perception.convex.updated import updated_pieces
 from perception.floor import FloorPlane
 from perception.levels_again import are_there, may_be_level
-from perception.locally import surface_among
+from perception.locally import LocalJudge
 from perception.outliers import surface_points
 from perception.remembered import Memory, content_key
 from perception.simulate import Pose, Room, Scanner, Valve, scan
@@ -378,7 +378,7 @@ def test_points_asked_about_are_judged_as_when_all_are() -> None:
     strays = np.flatnonzero(candidates & ~whole)
     chosen = np.random.default_rng(0).choice(np.flatnonzero(whole), 300, replace=False)
     asked = np.sort(np.concatenate([strays, chosen]))
-    told = surface_among(cloud.points, cloud.starts, candidates, asked)
+    told = LocalJudge.of(cloud.points, cloud.starts, candidates).surface_among(asked)
     assert (told == whole[asked]).mean() > 0.95
 
 

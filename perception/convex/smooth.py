@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from perception.beside import STARTS_APART, depth_noise
 from perception.clean import row_keys
+from perception.convex.nearby import nearby
 
 _NEIGHBOURS = 24
 # Neighbours are looked for in a body that is so many times as long along the ray as it is wide.
@@ -38,6 +39,8 @@ def smoothed(
     """
     if len(points) < 2 or not len(chosen):
         return np.asarray(points[chosen])
+    near = nearby(points, chosen, _reach(points[chosen] - starts[chosen]))
+    points, counts, starts, chosen = points[near], counts[near], starts[near], np.searchsorted(near, chosen)
     rays = points - starts
     ranges = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
     along = rays / ranges[:, None]
@@ -64,6 +67,12 @@ def smoothed(
     return np.asarray(mine + (depth - slope_u * mean_u - slope_v * mean_v)[:, None] * along)
 
 
+def _reach(rays: Float[np.ndarray, "C 3"]) -> float:
+    """How far from the ends of rays it matters what lies there: neither what counts nor what is nearer to them [m]."""
+    ahead = _AHEAD * depth_noise(np.linalg.norm(rays, axis=1)).max()
+    return float(_LENGTHWISE * np.hypot(_FAR_ASIDE, ahead / _LENGTHWISE)) + _FAR_ASIDE
+
+
 def _beside(
     along: Float[np.ndarray, "N 3"],
     ranges: Float[np.ndarray, "N"],
@@ -77,4 +86,8 @@ def _beside(
     if (sensors != sensors[0]).any():
         places[:, 0] += _APART * np.unique(sensors, return_inverse=True)[1]
     k = np.arange(1, min(_NEIGHBOURS, len(along)) + 1)
-    return np.asarray(cKDTree(places).query(places[chosen], k=k, distance_upper_bound=0.5 * _APART, workers=-1)[1])
+    return np.asarray(
+        cKDTree(places, balanced_tree=False, compact_nodes=False).query(
+            places[chosen], k=k, distance_upper_bound=0.5 * _APART, workers=-1
+        )[1]
+    )

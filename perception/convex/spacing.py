@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from perception.convex.nearby import nearby
+
 _FOURTH = 4
 _MOST_OF_RANGE = 0.025
 
@@ -23,5 +25,8 @@ def spacing_of(
     if len(points) <= _FOURTH:
         return np.zeros(len(chosen))
     mine = points[chosen]
-    fourth = np.asarray(cKDTree(points).query(mine, k=[_FOURTH + 1], workers=-1)[0])[:, 0]
-    return np.asarray(np.minimum(fourth, _MOST_OF_RANGE * np.linalg.norm(mine - starts[chosen], axis=1)))
+    most = _MOST_OF_RANGE * np.linalg.norm(mine - starts[chosen], axis=1)
+    near = points[nearby(points, chosen, float(most.max(initial=0.0)) + 1e-6)]
+    tree = cKDTree(near, balanced_tree=False, compact_nodes=False)
+    fourth = np.asarray(tree.query(mine, k=[_FOURTH + 1], workers=-1)[0])[:, 0]
+    return np.asarray(np.minimum(fourth, most))
