@@ -238,4 +238,5 @@ def doubt(match: MeshMatch) -> str:
     reasons = [f"{100.0 * told[name]:.0f} % {words}" for name, words in shares.items() if told.get(name, 0.0) > 0.1]
     if not reasons:
         reasons = [f"{int(told['n_points'])} points lie on it"]
-    return f"confidence {match.confidence:.2f}, {CONFIDENT} is needed ({', '.join(reasons)})"
+    # Rounded down: what is a little too little must not read as enough.
+    return f"confidence {np.floor(100.0 * match.confidence) / 100.0:.2f}, {CONFIDENT} is needed ({', '.join(reasons)})"

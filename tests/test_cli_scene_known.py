@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from little_scan import CRATE, box_obj, crate_scan, scopt
 
+from perception.solids.closed import Solid
+from perception.solids.match import MeshMatch
 from service.cloud_asked import CloudAsked
 from service.errors import RequestError
 from service.scene_before import read_before
 from service.scene_file import SceneAsked
-from service.scene_meshes import known_of, mesh_asked
+from service.scene_meshes import doubt, known_of, mesh_asked
 
 SIZE = tuple(np.subtract(CRATE[1], CRATE[0]).tolist())
 PLACE = "1 -0.3 0"
@@ -155,6 +157,11 @@ def test_a_mesh_that_cannot_be_asked_for_is_one_line(tmp_path: Path, text: str, 
     with pytest.raises(RequestError) as error:
         mesh_asked(f"{tmp_path}/{text}")
     assert str(error.value).startswith(problem.format(tmp_path))
+
+
+def test_a_confidence_that_is_a_little_too_low_does_not_read_as_enough() -> None:
+    match = MeshMatch(np.eye(4), 0.4991, {"n_points": 7.0}, Solid((), (), ()), 0.01)
+    assert doubt(match) == "confidence 0.49, 0.5 is needed (7 points lie on it)"
 
 
 def test_meshes_take_no_name_that_pieces_have(tmp_path: Path) -> None:

@@ -102,6 +102,22 @@ def test_cells_without_a_return_are_rays_that_met_nothing(
     assert any("without a return count as free" in note for note in scan.notes)
 
 
+@pytest.mark.parametrize("is_even", [True, False])
+def test_rows_of_sky_go_on_from_the_rows_below_where_these_are_even(is_even: bool) -> None:
+    is_missed = np.zeros((24, 13), dtype=bool)
+    is_missed[:, -4:] = is_missed[:2] = True
+    cells = scanned(is_missed)
+    if not is_even:
+        cells[:, :, 2] += 0.3 * np.sin(np.arange(13)) * np.linalg.norm(cells[:, :, :2], axis=2)
+    scan = read_ptx(ptx(cells), "cloud")
+    assert len(scan.points) == np.count_nonzero(~is_missed)
+    directions = scan.misses / np.linalg.norm(scan.misses, axis=1, keepdims=True)
+    if is_even:
+        np.testing.assert_allclose(directions, rays(24, 13)[is_missed], atol=1e-6)
+    else:  # the columns are even still
+        assert len(scan.misses) == 2 * 9
+
+
 def test_cells_say_nothing_where_no_grid_explains_the_points() -> None:
     rng = np.random.default_rng(0)
     cells = rng.normal(0, 2, (20, 20, 3))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 _NEARLY_ALL = 95.0
 _LARGEST_MISFIT = np.radians(1.0)
 _FEWEST_POINTS = 10
+_FEWEST_LINES = 5
 
 
 def missed_directions(
@@ -21,7 +22,7 @@ def missed_directions(
     """Directions of cells without a return, where the grid tells them.
 
     A column has one azimuth and a row one elevation; both are taken from the cells of that column or row that met
-    something, or lie between those of the columns or rows beside it.  Files differ in whether cells are listed column
+    something, or follow from those of the columns and rows beside it.  Files differ in whether cells are listed column
     by column or row by row: the order is the one that explains the points, and without one nothing is told.
 
     Args:
@@ -77,16 +78,26 @@ class _Grid:
         self.spacing = max(_step(self._azimuth), _step(self._elevation))
 
     def directions(self, columns: Int[np.ndarray, "K"], rows: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
-        """Unit vectors; NaN outside of the columns and rows that met something."""
+        """Unit vectors; NaN where the columns and rows that met something do not tell."""
         azimuth, elevation = self._azimuth[columns], self._elevation[rows]
-        flat = np.cos(elevation)
+        flat = np.where(np.abs(elevation) <= 0.5 * np.pi, np.cos(elevation), np.nan)
         return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
 
 
 def _between(known: Float[np.ndarray, "K"], is_known: Bool[np.ndarray, "L"]) -> Float[np.ndarray, "L"]:
-    """A value for each line: its own, or one between those of the known lines about it; NaN before and after them."""
-    lines = np.arange(len(is_known))
-    return np.asarray(np.interp(lines, np.flatnonzero(is_known), known, left=np.nan, right=np.nan))
+    """A value for each line: its own, or one between those of the known lines about it.
+
+    Before and after them it goes on in even steps where the known lines have such, else it is NaN.
+    """
+    lines, places = np.arange(len(is_known)), np.flatnonzero(is_known)
+    values = np.interp(lines, places, known, left=np.nan, right=np.nan)
+    if len(known) < _FEWEST_LINES:
+        return np.asarray(values)
+    step = (known[-1] - known[0]) / (places[-1] - places[0])
+    if np.abs(known - known[0] - step * (places - places[0])).max() < 0.5 * abs(step):
+        values[: places[0]] = known[0] + step * (lines[: places[0]] - places[0])
+        values[places[-1] + 1 :] = known[-1] + step * (lines[places[-1] + 1 :] - places[-1])
+    return np.asarray(values)
 
 
 def _step(angles: Float[np.ndarray, "L"]) -> float:
