@@ -25,6 +25,8 @@ _SMALL = 0.12
 _TRIES = 24
 _ALIKE = 0.7
 _MOST_BELOW = 0.05
+_NEAREST = 0.05
+_MOST_BEFORE = 0.2
 _HIGHEST = 0.4
 _STEP = 0.36
 _GAP = 0.35
@@ -223,6 +225,7 @@ def _under_robot(
         if level.plane.area >= _LARGE
         and float(level.plane.height(stand[None, :2])[0]) <= stand[2] + _HIGHEST
         and not _has_things_below(points, level)
+        and not _is_raised(points, level, stand)
     ]
     if not able:
         return None
@@ -241,6 +244,18 @@ def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
     valid = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
     here = np.flatnonzero(valid)[inner[tuple(cells[valid].T)]]
     return bool(len(here)) and float((level.plane.above(points[here]) < -2 * _BAND).mean()) > _MOST_BELOW
+
+
+def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.ndarray, "3"]) -> bool:
+    """Whether much lies under the plane between it and the robot, as before a shelf, and it is not known to be level
+    with the robot's feet.
+    """
+    if abs(float(level.plane.height(stand[None, :2])[0]) - stand[2]) <= 2 * _BAND:
+        return False
+    apart = np.linalg.norm(points[:, :2] - stand[:2], axis=1)
+    is_before = apart < np.quantile(apart[level.members], _NEAREST)
+    below = int((level.plane.above(points[is_before]) < -2 * _BAND).sum())
+    return below > _MOST_BEFORE * len(level.members)
 
 
 def _reached(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level]) -> Iterator[_Level]:

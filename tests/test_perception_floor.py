@@ -205,6 +205,17 @@ def test_a_table_alone_is_no_floor_whatever_its_size() -> None:
     assert find_floors(patch(np.random.default_rng(7), (0.5, 2.5), (-1.5, 1.5), 0.75)) == ()
 
 
+def test_a_board_with_the_ground_before_it_is_no_floor_unless_the_feet_are_at_its_height() -> None:
+    rng = np.random.default_rng(21)
+    board = patch(rng, (0.65, 1.05), (-0.5, 0.5), 0.1)
+    ground = patch(rng, (0.55, 0.64), (-0.5, 0.5), 0.0)  # too narrow a strip to be a level
+    seen = np.concatenate([board, np.repeat(ground, 4, axis=0) + rng.normal(0, 1e-3, (4 * len(ground), 3))])
+    assert find_floor(board) is not None
+    assert find_floor(seen) is None
+    standing = find_floors(seen, stand=np.array([0.0, 0.0, 0.1]))
+    assert abs(standing[0].height(np.zeros((1, 2)))[0] - 0.1) < 0.003
+
+
 def test_the_robot_stands_where_its_soles_are() -> None:
     rng = np.random.default_rng(8)
     low, high = patch(rng, (-2, 0.4), (-2, 2), 0.0), patch(rng, (0.4, 3), (-2, 2), 0.3)
