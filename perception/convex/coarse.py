@@ -35,10 +35,12 @@ class Coarse:
         # Whole numbers: a float would have numpy turn all columns into floats.
         first = int(np.searchsorted(self.column, int(np.floor((lower[0] - _QUANTUM) / self.size))))
         last = int(np.searchsorted(self.column, int(np.floor((upper[0] + _QUANTUM) / self.size)), side="right"))
-        inside = np.ones(last - first, dtype=bool)
-        for column, low, high in zip(self.points[first:last].T, lower, upper, strict=True):
-            inside &= (column >= low) & (column <= high)
-        return np.asarray(first + np.flatnonzero(inside))
+        columns = self.points[first:last].T
+        inside = np.flatnonzero((columns[1] >= lower[1]) & (columns[1] <= upper[1]))
+        for axis in (0, 2):
+            column = columns[axis][inside]
+            inside = inside[(column >= lower[axis]) & (column <= upper[axis])]
+        return np.asarray(first + inside)
 
 
 def coarsened(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], size: float) -> Coarse:

@@ -129,10 +129,9 @@ def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> 
         n_cells = hull.volume / free.size**3
         grazed = _grazed(piece, free)
         deep = max(_DEEP_CELLS, int(_DEEP_SHARE * n_cells))
-        if (
-            free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, grazed) <= grazed
-            and free.count_inside(hull.faces, hull.vertices, _DEEP, deep) <= deep
-        ):
+        count = free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, grazed)
+        # What is deep inside is among what was counted.
+        if count <= grazed and (count <= deep or free.count_inside(hull.faces, hull.vertices, _DEEP, deep) <= deep):
             held = _held(hull, coarse)
             if len(held) or not _is_passed(hull, free, grazed):
                 standing.pieces.append(piece)

@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-_WIDTH = 0.04  # of a cell of directions
+_WIDTH = 0.05  # of a cell of directions
 _N_CELLS = int(np.ceil(2.0 / _WIDTH)) + 1
 _BLOCK = 0.08
 # Of what is told of places, rays up to so far beside them have a say.
 _AROUND = 0.06
 _NEAREST = 0.3
-_SHELL = 1.4
+_SHELL = 1.6
 _AT_A_TIME = 16_384
 
 

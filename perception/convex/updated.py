@@ -11,11 +11,13 @@ from jaxtyping import Bool, Float, Int
 
 from perception.clock import Clock
 from perception.convex.coarse import Coarse, Groups, coarsened
-from perception.convex.freespace import Crossing
+from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.piece import Piece
 from perception.convex.pieces import AROUND, VOXEL, Pieces, bodies_of, crossing_of, from_one_place, named, with_points
 from perception.convex.standing import Ground, Standing, boxes_of, still_standing, unexplained
 from perception.convex.towards import Bearings
+
+_MOST = 0.7
 
 Judge = Callable[[Int[np.ndarray, "K"]], Bool[np.ndarray, "K"]]
 
@@ -60,7 +62,9 @@ def updated_pieces(
         return Updated((), {}, np.ones(0, dtype=bool))
     clock = Clock()
     scan = _Scan.of(points, starts, rays, before)
-    standing, kept = _standing(before, scan, judge, clock)
+    passed, crossing = scan.passed_by(before)
+    clock.lap("free space")
+    standing, kept = _standing(before, scan, passed, judge, clock)
     left = unexplained(standing, scan.coarse, ground or Ground())
     clock.lap("unexplained")
     if judge is not None:
@@ -70,7 +74,7 @@ def updated_pieces(
     new = left.new(scan.coarse)
     if is_enough(points[scan.groups.members(new)]):
         return Updated((), clock.timings, kept, is_left_off=True)
-    pieces = [*standing.pieces, *_new_pieces(scan, new, kept, _first_numbers(before), seed, clock)]
+    pieces = [*standing.pieces, *_new_pieces(scan, new, kept, crossing, _first_numbers(before), seed, clock)]
     made = with_points(pieces, points, kept, scan.groups, scan.coarse)
     clock.lap("evidence")
     return Updated(made, clock.timings, kept)
@@ -111,24 +115,26 @@ class _Scan:
     def rays_towards(
         self, boxes: Float[np.ndarray, "B 2 3"]
     ) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "K 3"]]:
-        """Rays that may pass any of the boxes."""
+        """Rays that may pass any of the boxes; all where most do."""
         if self.bearings is None:
             return self.rays
-        return self.rays[0], self.rays[1][self.bearings.may_pass(boxes)]
+        chosen = self.bearings.may_pass(boxes)
+        most = int(chosen.sum()) > _MOST * len(chosen)
+        return self.rays if most else (self.rays[0], self.rays[1][chosen])
 
-    def crossing(self, rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "K 3"]]) -> Crossing:
-        """Some rays in a grid about all points and pieces."""
-        return crossing_of(self.held, rays)
+    def passed_by(self, pieces: Sequence[Piece]) -> tuple[FreeSpace, Crossing | None]:
+        """What rays went through in and about the pieces, whatever points lie there; all rays, if they were asked."""
+        boxes = np.array([(piece.hull.lower, piece.hull.upper) for piece in pieces]).reshape(-1, 2, 3)
+        rays = self.rays_towards(boxes)
+        crossing = crossing_of(self.held, rays)
+        return crossing.seen_free(self.coarse.points[:0], boxes), crossing if rays is self.rays else None
 
 
 def _standing(
-    before: Sequence[Piece], scan: _Scan, judge: Judge | None, clock: Clock
+    before: Sequence[Piece], scan: _Scan, passed: FreeSpace, judge: Judge | None, clock: Clock
 ) -> tuple[Standing, Bool[np.ndarray, "N"]]:
     """Pieces that the scan leaves standing, and which points are kept once those were judged that may hide rays."""
     coarse, kept = scan.coarse, np.ones(len(scan.coarse.voxel), dtype=bool)
-    boxes = np.array([(piece.hull.lower, piece.hull.upper) for piece in before]).reshape(-1, 2, 3)
-    passed = scan.crossing(scan.rays_towards(boxes)).seen_free(coarse.points[:0], boxes)
-    clock.lap("free space")
     standing = still_standing(before, passed.beside(coarse.points), coarse)
     clock.lap("contradicted")
     if judge is None:
@@ -154,6 +160,7 @@ def _new_pieces(
     scan: _Scan,
     new: Int[np.ndarray, "K"],
     kept: Bool[np.ndarray, "N"],
+    whole: Crossing | None,
     first: Mapping[str, int],
     seed: int,
     clock: Clock,
@@ -163,7 +170,8 @@ def _new_pieces(
         return []
     boxes = boxes_of(scan.coarse.points[new], scan.coarse.starts[new], AROUND)
     rays = scan.rays_towards(boxes)
-    free = scan.crossing(rays).seen_free(scan.coarse.points[scan.groups.hold(kept)], boxes)
+    crossing = crossing_of(scan.held, rays) if whole is None else whole
+    free = crossing.seen_free(scan.coarse.points[scan.groups.hold(kept)], boxes)
     clock.lap("free space")
     return named(bodies_of(scan.coarse, new, rays, free, seed, None, clock), first, free)
 
