@@ -48,6 +48,49 @@ def test_a_table_that_would_be_read_from_wrong_columns_or_in_part_is_refused(con
     assert str(raised.value).startswith(f"cloud: {says}")
 
 
+@pytest.mark.parametrize("comment", ["# viewpoint 0 0 1.6", "# VIEWPOINT: 0 0 1.6", "// Viewpoint 0 0 1.6 1 0 0 0"])
+def test_a_viewpoint_may_be_told_in_capitals_and_with_a_colon(comment: str) -> None:
+    assert read_text(text([comment, *ROWS]), "cloud").viewpoint == (0, 0, 1.6, 1, 0, 0, 0)
+    content = PLY.format(more=comment.replace("#", "comment").replace("//", "comment") + "\n").encode()
+    assert read_ply(content, "cloud").viewpoint == (0, 0, 1.6, 1, 0, 0, 0)
+
+
+def test_a_table_of_a_spreadsheet_may_tell_its_separator() -> None:
+    np.testing.assert_array_equal(read_text(b"sep=;\r\nx;y;z\r\n1,5;2;3\r\n", "cloud").points, [[1.5, 2, 3]])
+
+
+def test_flags_may_be_words() -> None:
+    scan = read_text(b"x,y,z,no_return\n1,2,3,False\n4,5,6,True\n", "cloud")
+    np.testing.assert_array_equal(scan.points, [[1, 2, 3]])
+    np.testing.assert_array_equal(scan.misses, [[4, 5, 6]])
+
+
+def test_coordinates_in_different_units_are_refused() -> None:
+    with pytest.raises(CloudError, match="the header has x, y, z in m, mm, m; one unit of all three is needed"):
+        read_text(b"x [m],y [mm],z [m]\n1,2000,3\n", "cloud")
+    assert read_text(b"x [mm],y,z\n1,2,3\n", "cloud").unit == ""
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".mcap", ""])
+def test_a_name_that_no_file_can_have_is_told(suffix: str) -> None:
+    with pytest.raises(
+        CloudError, match=r"x: cannot be read \(File name too long\)|cannot be read \(File name too long"
+    ):
+        read_cloud("x" * 300 + suffix)
+
+
+def test_zeros_are_no_ptx(tmp_path: Path) -> None:
+    (tmp_path / "a.ptx").write_bytes(bytes(100))
+    with pytest.raises(CloudError, match="holds the byte 00 at 0, after 00 00 00 00 at its beginning, and is no text"):
+        parse_file(tmp_path / "a.ptx")
+
+
+def test_a_single_array_of_objects_is_named_without_a_key(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(CloudError, match="array holds pickled objects; plain numbers are needed"):
+        parse_file(tmp_path / "a.npy")
+
+
 def test_colours_before_coordinates_are_told() -> None:
     scan = read_text(text([f"255 {i} 0 {row}" for i, row in enumerate(ROWS)]), "cloud")
     (note,) = scan.notes

@@ -24,12 +24,12 @@ def rows_of(array: Shaped[np.ndarray, "..."], key: str, name: str) -> Float[np.n
     """
     if array.ndim == 2 and array.shape[0] == len(COORDINATES) < array.shape[1]:
         raise CloudError(
-            f"{name}: {_named(key)} has shape {array.shape}, which looks turned; save its transpose {array.shape[::-1]}"
+            f"{name}: {named(key)} has shape {array.shape}, which looks turned; save its transpose {array.shape[::-1]}"
         )
     most = MOST_OF_GRID if array.ndim == 3 else _MOST_COLUMNS
     if array.ndim not in (2, 3) or not 3 <= array.shape[-1] <= most or array.dtype.kind not in "fiu":
         raise CloudError(
-            f"{name}: {_named(key)} is {array.dtype} of shape {array.shape}; numbers (N, 3) or (H, W, 3) are needed"
+            f"{name}: {named(key)} is {array.dtype} of shape {array.shape}; numbers (N, 3) or (H, W, 3) are needed"
         )
     return array.reshape(-1, array.shape[-1])[:, :3].astype(np.float64)
 
@@ -47,7 +47,7 @@ def columns_of(
     found = places(array.dtype.names)
     if missing := missing_coordinate(found):
         held = shown(", ".join(array.dtype.names))
-        raise CloudError(f"{name}: {_named(key)} has columns {held}, and no '{missing}'; x, y and z are needed")
+        raise CloudError(f"{name}: {named(key)} has columns {held}, and no '{missing}'; x, y and z are needed")
     columns = {column: array[array.dtype.names[at]] for column, at in found.items()}
     more: dict[str, Shaped[np.ndarray, "..."]] = {}
     if NO_RETURN in columns:
@@ -70,5 +70,6 @@ def stacked(columns: list[Shaped[np.ndarray, "..."]], key: str, name: str) -> Fl
     return np.stack([column.ravel().astype(np.float64) for column in columns], axis=1)
 
 
-def _named(key: str) -> str:
+def named(key: str) -> str:
+    """An array as a sentence names it; ``key`` is empty for the only one of a file."""
     return f"array '{key}'" if key else "array"

@@ -28,12 +28,12 @@ class Header:
     Attributes:
         columns: where those stand that are read, by name.
         width: how many it names.
-        unit: of the coordinates; empty where it does not say.
+        units: of x, y and z; empty where it does not say.
     """
 
     columns: dict[str, int]
     width: int
-    unit: str = ""
+    units: tuple[str, str, str] = ("", "", "")
 
 
 def header_of(line: str) -> Header | None:
@@ -46,8 +46,8 @@ def header_of(line: str) -> Header | None:
     coordinates = _coordinates(names)
     if not coordinates:
         return None
-    units = {named[i][1] for i in coordinates.values()}
-    return Header(places(names) | coordinates, len(cells), units.pop() if len(units) == 1 else "")
+    x, y, z = (named[coordinates[axis]][1] for axis in COORDINATES)
+    return Header(places(names) | coordinates, len(cells), (x, y, z))
 
 
 def names_columns(line: str) -> bool:

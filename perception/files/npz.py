@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from perception.errors import CloudError
-from perception.files.arrays import MOST_OF_GRID, columns_of, rows_of, stacked
+from perception.files.arrays import MOST_OF_GRID, columns_of, named, rows_of, stacked
 from perception.files.columns import COORDINATES, missing_coordinate, parse_viewpoint, places, shown
 from perception.files.content import Content, stream_of
 from perception.files.scan import Scan
@@ -166,17 +166,17 @@ def _load(file: IO[bytes], n_bytes: int, key: str, name: str) -> tuple[int, Shap
     except Exception as error:  # the header is Python source: numpy's reader of it raises of every kind
         raise ValueError(f"header of '{key}': {error}") from None
     if dtype.hasobject:
-        raise CloudError(f"{name}: array '{key}' holds pickled objects; plain numbers are needed")
+        raise CloudError(f"{name}: {named(key)} holds pickled objects; plain numbers are needed")
     if min(shape, default=0) < 0:
         raise ValueError(f"shape {shape}")
     size = math.prod(shape) * dtype.itemsize
     if max(size, n_bytes) > MAX_FILE_BYTES:
-        raise CloudError(f"{name}: array '{key}' claims {max(size, n_bytes)} bytes; at most {MAX_FILE_BYTES}")
+        raise CloudError(f"{name}: {named(key)} claims {max(size, n_bytes)} bytes; at most {MAX_FILE_BYTES}")
     if len(shape) == 3 and not is_fortran and shape[2] <= MOST_OF_GRID:
         shape = (shape[0] * shape[1], shape[2])  # a grid's points are thinned one by one
     n_rows = shape[0] if shape else 1
     if n_rows > MAX_FILE_POINTS:
-        raise CloudError(f"{name}: array '{key}' has {n_rows} rows; at most {MAX_FILE_POINTS} are read")
+        raise CloudError(f"{name}: {named(key)} has {n_rows} rows; at most {MAX_FILE_POINTS} are read")
     if is_fortran and len(shape) > 1:
         columns = [_taken_rows(file, n_rows, dtype, (), key) for _ in range(math.prod(shape[1:]))]
         return n_rows, np.stack(columns, axis=-1).reshape((-1, *shape[1:]), order="F")
@@ -195,7 +195,7 @@ def _taken_rows(
         n_wanted = min(block, n_rows - first)
         content = file.read(n_wanted * stride)
         if len(content) < n_wanted * stride:
-            raise ValueError(f"array '{key}' has {first * stride + len(content)} of {n_rows * stride} bytes")
+            raise ValueError(f"{named(key)} has {first * stride + len(content)} of {n_rows * stride} bytes")
         rows = np.frombuffer(content, dtype=dtype).reshape((n_wanted, *shape))
         parts.append(rows[taken(n_wanted, step, first)])
     return np.concatenate(parts)

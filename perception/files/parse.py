@@ -70,11 +70,11 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
     try:
         with np.errstate(all="ignore"):  # damaged numbers overflow; what is too large to be a place is dropped later
             if is_one:
-                _check_file(path / _BAG_FOLDER_HAS if path.is_dir() else path, None)
+                _check_file(path / _BAG_FOLDER_HAS if _is_folder(path) else path, None)
                 if path.is_file():
                     _check_bag(path, suffix)
                 return read_bag(path, str(path), topic, message)
-            if path.is_dir():
+            if _is_folder(path):
                 raise CloudError(f"{path}: {_of_folder(path)}")
             _check_file(path, MAX_FILE_BYTES)
             kind, notes = _kind(path, suffix)
@@ -94,7 +94,15 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
 
 def is_bag(path: Path) -> bool:
     """Whether a path is one of a bag: of its file, or of the folder of a ROS 2 bag."""
-    return path.suffix.lower() in _BAGS or (path / _BAG_FOLDER_HAS).is_file()
+    return path.suffix.lower() in _BAGS or (_is_folder(path) and (path / _BAG_FOLDER_HAS).is_file())
+
+
+def _is_folder(path: Path) -> bool:
+    """Whether a path is one of a folder; one that nothing can be called is none."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
 
 def _of_folder(path: Path) -> str:
@@ -136,7 +144,7 @@ def _kind(path: Path, suffix: str) -> tuple[str, tuple[str, ...]]:
     reader = _READERS.get(suffix)
     if not (reader is read_npz and head.startswith(b"PK")) and (other := other_kind_of(head)):
         raise CloudError(f"{path}: is {other}; one of {', '.join(SUFFIXES)} is needed")
-    if reader is read_text and (sign := not_text(head)):
+    if reader in (read_text, read_ptx) and (sign := not_text(head)):
         raise CloudError(f"{path}: {sign}, and is no text; a table of numbers is needed")
     if suffix in _REMEDIES:
         raise CloudError(f"{path}: {_REMEDIES[suffix]}")

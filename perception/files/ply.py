@@ -192,7 +192,7 @@ def _remedy(element: _Element) -> str:
 
 def _viewpoint(lines: list[list[str]], name: str) -> tuple[float, ...] | None:
     for words in lines:
-        if words[:2] == ["comment", "viewpoint"]:
+        if words[0] == "comment" and words[1:] and words[1].lower().rstrip(":") == "viewpoint":
             return parse_viewpoint(words[2:], name)
     return None
 

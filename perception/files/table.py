@@ -19,6 +19,8 @@ from perception.files.text import COMMENTS, Rows, cells_of, fits, read_rows, sep
 
 _WHOLE = re.compile(r"[+-]?\d+")
 _WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
+# With which spreadsheets begin a table.
+_SEPARATOR_TOLD = re.compile(r"sep=.", re.IGNORECASE)
 _JUDGED = 2**14
 _FEWEST_JUDGED = 10
 
@@ -44,14 +46,14 @@ def read_text(data: Content, name: str) -> Scan:
         line = trimmed(data[at:end].decode("utf-8", errors="replace"))
         if line.startswith(COMMENTS):
             words = line.lstrip("#/% ").split()
-            if words[:1] == ["viewpoint"]:
+            if words and words[0].lower().rstrip(":") == "viewpoint":
                 viewpoint = parse_viewpoint(words[1:], name)
         named = None if header else header_of(line.lstrip("#/% "))
         if named:
             header = named
         elif n_announced is None and natural(line) is not None:
             n_announced = natural(line)
-        elif line and not line.startswith(COMMENTS):
+        elif line and not line.startswith(COMMENTS) and not _SEPARATOR_TOLD.fullmatch(line):
             break
         at, n_lines = end, n_lines + 1
     if at >= len(data):
@@ -79,7 +81,20 @@ def read_text(data: Content, name: str) -> Scan:
     notes = ("commas are read as decimal points", *rows.notes) if has_decimal_commas else rows.notes
     if not header:
         notes = (*notes, *_doubt(rows, cells, name))
-    return replace(scan_of(columns, viewpoint, notes), unit=header.unit if header else "")
+    return replace(scan_of(columns, viewpoint, notes), unit=_unit(header, name) if header else "")
+
+
+def _unit(header: Header, name: str) -> str:
+    """Of the coordinates, where the header says it of all three; else empty.
+
+    Raises:
+        CloudError: it says different ones.
+    """
+    if len(set(header.units) - {""}) > 1:
+        raise CloudError(
+            f"{name}: the header has x, y, z in {', '.join(header.units)}; one unit of all three is needed"
+        )
+    return header.units[0] if len(set(header.units)) == 1 else ""
 
 
 def _width(header: Header, cells: Sequence[str], name: str, number: int) -> int | None:

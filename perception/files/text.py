@@ -25,10 +25,11 @@ _BLOCK = 2**24
 COMMENTS = ("#", "//", "%")
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 # How programs write that there is no number: empty cells, words of tables, NaN and infinity of Windows' C library.
-_NOTHING = {
+_NOTHING = (
     "", "na", "n/a", "#n/a", "null", "none", "-", "nan(ind)", "-nan(ind)", "nan(snan)", "1.#qnan", "-1.#qnan",
     "1.#ind", "-1.#ind", "1.#inf", "-1.#inf",
-}  # fmt: skip
+)  # fmt: skip
+_WORDS = {**dict.fromkeys(_NOTHING, float("nan")), "true": 1.0, "false": 0.0}  # the latter of columns that are flags
 
 
 @dataclass(frozen=True)
@@ -233,8 +234,8 @@ def _lines(body: bytes) -> Iterator[str]:
 
 
 def _number(cell: str, has_decimal_commas: bool, name: str, line: int) -> float:
-    if cell.lower() in _NOTHING:
-        return float("nan")
+    if cell.lower() in _WORDS:
+        return _WORDS[cell.lower()]
     try:
         return float(cell.replace(",", ".") if has_decimal_commas else cell)
     except ValueError:
