@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -204,13 +205,13 @@ def _robot(text: str) -> RobotRequest:
             return parse_robot({"name": text})
         except RequestError as error:
             raise RequestError([f"--robot: {problem}" for problem in error.problems]) from None
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise RequestError(f"--robot: {path} is not there; a URDF that is, or a robot of `scopt robots` would do")
     return RobotRequest(urdf=str(path), package_dirs=(str(path.parent),))
 
 
 def _start(posture: Path) -> StartRequest:
-    if posture.suffix or posture.exists():
+    if posture.suffix or os.path.exists(posture):
         return load_start(posture)
     return parse_start({"posture": str(posture)})
 

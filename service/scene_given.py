@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -91,6 +92,8 @@ def scene_data(path: Path, field: str, scan_goes: str = "") -> Mapping[str, Any]
         RequestError: it is not there, or is no scene.
     """
     try:
+        if not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device would never end
+            raise RequestError(f"{field}: {path} is no regular file; the file that 'scopt scene' writes would do")
         if path.stat().st_size > MOST_BYTES:
             raise RequestError(f"{field}: {path} has more than {MOST_BYTES // 2**20} MB; a scene has less")
         data = json.loads(path.read_bytes())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -126,10 +127,10 @@ def mesh_asked(text: str, scale: float = 1.0) -> MeshAsked:
     """
     file, how, words = Path(text), "", ""
     said = re.fullmatch(r"(.+)\s+(at|near)(?:\s+(.*))?", text.strip(), re.DOTALL)
-    if said is not None and not file.is_file():
+    if said is not None and not os.path.isfile(file):
         file, how, words = Path(said[1]), said[2], said[3] or ""
-    if not file.is_file():
-        how = "is a folder" if file.is_dir() else "is not there"
+    if not os.path.isfile(file):
+        how = "is a folder" if os.path.isdir(file) else "is not there"
         raise RequestError(f"{_OPTION}: {file} {how}; {_FORMS} would do")
     if file.suffix.lower() not in FORMATS:
         known = ", ".join(FORMATS)

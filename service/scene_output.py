@@ -37,9 +37,9 @@ def check_out(path: Path, inputs: Iterable[Path]) -> None:
     except OSError as error:
         why = error.strerror or error
         raise RequestError(f"--out: {shown(str(path))} cannot be written ({why}); another place would do") from None
-    read = {one.resolve() for one in inputs}
+    read = {os.path.realpath(one) for one in inputs}
     for written in (path, _page_beside(path)):
-        if written.resolve() in read:
+        if os.path.realpath(written) in read:
             raise RequestError(f"--out: {written} is read and would be overwritten; another name would do")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -184,6 +185,30 @@ def test_a_place_that_cannot_be_written_is_told_before_anything_is_read(tmp_path
     assert line.startswith("--out: ")
     assert line.endswith(f" cannot be written ({why}); another place would do")
     assert {path.name for path in tmp_path.iterdir()} == {"file", "lost"}
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (("loop.pcd",), "loop.pcd: cannot be read (Too many levels of symbolic links)"),
+        (("scan.pcd", "--mesh", "x" * 300 + ".obj"), " is not there; FILE, 'FILE near X Y Z'"),
+        (("scan.pcd", "--mesh", "x" * 300 + ".obj at 1 2 3"), " is not there; FILE, 'FILE near X Y Z'"),
+        (("scan.pcd", "--robot", "x" * 300 + ".urdf"), " is not there; a URDF that is, or a robot of"),
+        (("scan.pcd", "--robot", "atlas", "--posture", "x" * 300), "at most 200 characters would do"),
+        (("scan.pcd", "--update", "pipe.json"), "pipe.json is no regular file; the file that 'scopt scene' writes"),
+        (("scan.pcd", "--update", "/dev/zero"), "/dev/zero is no regular file; the file that 'scopt scene' writes"),
+    ],
+)
+def test_names_of_what_is_no_file_are_one_line(
+    scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], problem: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scan.pcd").symlink_to(scan)
+    Path("loop.pcd").symlink_to("loop.pcd")
+    os.mkfifo("pipe.json")
+    result = scopt("scene", *options, "--out", "s.json")
+    assert result.exit_code == 3
+    assert problem in result.stderr.splitlines()[-1]
 
 
 def test_a_scene_is_written_into_folders_that_are_made(scan: Path, tmp_path: Path) -> None:
