@@ -5,14 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from perception.detect.circle_fit import Agreement, Circles, agreement, refitted, scores
+from perception.detect.slim import slim_places
 from perception.detect.vectors import cross
 
-# Radius [m], points and triples looked at: in a larger ball a rim has a smaller share.
-_BALLS = ((0.2, 200, 50), (0.36, 250, 80), (0.6, 400, 100), (0.85, 500, 120))
+# Radius [m], points and triples looked at, at every how many places: in a larger ball a rim has a smaller share, but
+# there are more places on a larger rim.
+_BALLS = ((0.2, 200, 50, 1), (0.36, 250, 80, 1), (0.6, 400, 100, 2), (0.85, 500, 120, 2))
 _REFITTED, _SAME_AXIS = 150, 0.9
+_SLIM_BALL = 0.045  # [m]
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ def find_circles(
     points: Float[np.ndarray, "N 3"],
     rng: np.random.Generator,
     radii: tuple[float, float] = (0.04, 0.42),
-    n_seeds: int = 140,
+    n_seeds: int = 200,
     most: int = 60,
 ) -> list[Circle]:
     """The best circles, best first, no two about the same place.
@@ -47,23 +51,34 @@ def find_circles(
         points: (N, 3) downsampled, without walls and floor [m].
         rng: for the triples.
         radii: smallest and largest [m].
-        n_seeds: places to look at, each with balls of several sizes.
+        n_seeds: places to look at, with balls of several sizes.
         most: how many to return.
     """
     if len(points) < 12:
         return []
     found: list[Circle] = []
-    for seed in rng.choice(len(points), min(n_seeds, len(points)), replace=False):
+    for i, seed in enumerate(_seeds(points, rng, n_seeds)):
         square = ((points - points[seed]) ** 2).sum(axis=1)
-        for ball, n_points, n_triples in _BALLS:
+        for ball, n_points, n_triples, every in _BALLS:
             near = np.flatnonzero(square <= ball**2)
-            if len(near) >= 12:
+            if i % every == 0 and len(near) >= 12:
                 local = points[rng.permutation(near)[:n_points]]
                 found += _best_in(local, points[seed], rng, (radii[0], min(radii[1], 0.6 * ball)), n_triples)
     found.sort(key=lambda circle: -circle.score)
     found = _sharpened(_distinct(found, _REFITTED, 0.15, _SAME_AXIS), points, radii)
     found.sort(key=lambda circle: -circle.score)
     return _distinct(found, most)
+
+
+def _seeds(points: Float[np.ndarray, "N 3"], rng: np.random.Generator, most: int) -> Int[np.ndarray, "S"]:
+    """Where to look: half of the places anywhere, half where points spread along one direction, as those of a rim do.
+
+    Among many other things a rim has few of all places, but a good part of the slim ones.
+    """
+    slim, _ = slim_places(points, cKDTree(points), _SLIM_BALL)
+    some = rng.choice(slim, min(most // 2, len(slim)), replace=False)
+    others = np.setdiff1d(np.arange(len(points)), some)
+    return np.concatenate([some, rng.choice(others, min(most - len(some), len(others)), replace=False)])
 
 
 def _best_in(

@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from perception.detect.slim import slim_places
+
 _BALL = 0.32
 _LEAST_PAIR = 0.1
 _BIN = 0.04
 _GAP = 5
 _MOST_NEAR = 400
 _SHARED, _RUNS_IN = 0.6, 0.6
-_SLIM, _SPREAD, _FEWEST = 0.3, 0.018, 5
 _MOST_BINS = 20
 # A line begun at a few points is off by this much at most where it ends.
 _CORRIDOR = 0.25
@@ -74,7 +75,7 @@ def find_lines(
     taken = np.zeros(len(points), dtype=bool)
     slim, ways = np.arange(len(points)), None
     if slim_ball is not None:
-        slim, ways = _slim(points, tree, slim_ball)
+        slim, ways = slim_places(points, tree, slim_ball)
         if not len(slim):
             return []
     chosen = np.sort(rng.choice(len(slim), min(n_seeds, len(slim)), replace=False))
@@ -101,27 +102,6 @@ def find_lines(
             if len(found) == most:
                 break
     return sorted(found, key=lambda line: -line.score)
-
-
-def _slim(
-    points: Float[np.ndarray, "N 3"], tree: cKDTree, ball: float
-) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]]:
-    """Points about which others spread in one direction only: their indices, and that direction."""
-    pairs = tree.query_pairs(ball, output_type="ndarray")
-    n = len(points)
-    of, offset = pairs.T.reshape(-1), points[pairs[:, 1]] - points[pairs[:, 0]]
-    offset = np.concatenate([offset, -offset])
-    # With the point itself, whose offset is nought.
-    count = np.bincount(of, minlength=n) + 1.0
-    mean = np.stack([np.bincount(of, offset[:, i], n) for i in range(3)], axis=1) / count[:, None]
-    covariance = -mean[:, :, None] * mean[:, None, :]
-    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        second = np.bincount(of, offset[:, i] * offset[:, j], n) / count
-        covariance[:, i, j] += second
-        covariance[:, j, i] += second * (i != j)
-    variances, ways = np.linalg.eigh(covariance)
-    is_slim = (count >= _FEWEST) & (variances[:, 1] < _SLIM * variances[:, 2]) & (variances[:, 2] > _SPREAD**2)
-    return np.flatnonzero(is_slim), np.asarray(ways[is_slim, :, 2])
 
 
 def _at_seed(

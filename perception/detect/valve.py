@@ -18,8 +18,9 @@ from perception.detect.seat import find_seats
 from perception.detect.sightlines import SightIndex, Sightlines, index_of
 from perception.detect.steering import could_steer, steers
 from perception.detect.wheel import CLOSE, Ring, pass_ring, rim_hits, rough_gate, wheel_basis
-from perception.detect.wheel_evidence import Evidence, depth_error, weigh_wheel
-from perception.detect.wheel_inside import look_inside
+from perception.detect.wheel_depths import depth_error
+from perception.detect.wheel_evidence import Evidence, weigh_wheel
+from perception.detect.wheel_inside import Inside, look_inside
 from perception.floor import FloorPlane
 from perception.view import View, make_view
 
@@ -185,15 +186,28 @@ def _apart(detections: list[ValveDetection]) -> list[ValveDetection]:
     return kept
 
 
+@dataclass(frozen=True)
+class _Weighed:
+    """A ring with what is inside it, how much speaks for it, and how well rays agree with it."""
+
+    ring: Ring
+    inside: Inside
+    evidence: Evidence
+    rms: float
+    n_hits: int
+
+
 def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
     """Fit the rim and weigh the evidence."""
     start = Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012)
     ring = fit_ring(_about(index, start), start, rough_gate(start), n_rounds=1)
-    first = _judged(index, ring, floor, is_hinted)
-    if first.confidence < _HOPELESS:
-        return first
+    first = _weighed(index, ring, floor)
+    # The openings of a small wheel show only when its rim is fitted closely.
+    if first.evidence.solid_confidence < _HOPELESS:
+        return _as_valve(first, is_hinted)
     # Without the air about it more rays of a small rim are left when they are thinned.
-    return _judged(index, fit_ring(_about(index, ring, _JUST_BESIDE), ring, CLOSE, n_rounds=2), floor, is_hinted)
+    ring = fit_ring(_about(index, ring, _JUST_BESIDE), ring, CLOSE, n_rounds=2)
+    return _as_valve(_weighed(index, ring, floor), is_hinted)
 
 
 def _about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
@@ -201,14 +215,18 @@ def _about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines
     return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thinned(_MOST_RAYS)
 
 
-def _judged(index: SightIndex, ring: Ring, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
-    """The ring as a detection, with what is inside it and how much speaks for it."""
+def _weighed(index: SightIndex, ring: Ring, floor: FloorPlane | None) -> _Weighed:
     near = _about(index, ring)
     ring = _towards(near, ring)
     passage = pass_ring(near, ring)
     hit = rim_hits(near, ring, passage)
     inside = look_inside(near, ring, passage)
     evidence = weigh_wheel(near, ring, passage, hit, inside, floor)
+    return _Weighed(ring, inside, evidence, depth_error(near, passage, hit), int(hit.sum()))
+
+
+def _as_valve(one: _Weighed, is_hinted: bool) -> ValveDetection:
+    ring, inside = one.ring, one.inside
     return ValveDetection(
         ring.centre,
         ring.axis,
@@ -219,9 +237,9 @@ def _judged(index: SightIndex, ring: Ring, floor: FloorPlane | None, is_hinted: 
         inside.spoke_angles,
         inside.hub_radius,
         inside.depth,
-        _hinted(evidence) if is_hinted else evidence.confidence,
-        depth_error(near, passage, hit),
-        int(hit.sum()),
+        _hinted(one.evidence) if is_hinted else one.evidence.confidence,
+        one.rms,
+        one.n_hits,
         inside.spoke_half_width,
         inside.spoke_share,
     )

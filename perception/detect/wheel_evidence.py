@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 
 from perception.detect.confidence import rising
 from perception.detect.sightlines import Sightlines
-from perception.detect.wheel import CLOSE, Passage, Ring, rim_hits
+from perception.detect.wheel import Passage, Ring
+from perception.detect.wheel_depths import axis_error, depth_error, unevenness
 from perception.detect.wheel_inside import MIDDLE, Inside
 from perception.floor import FloorPlane
 
@@ -18,6 +19,7 @@ _BEHIND = 0.05
 _UNKNOWN, _HUB_SEEN, _NO_HUB = 0.4, 0.2, 0.2
 # Half width by radius; flat rims have up to 0.3.
 _SLENDER = (-0.5, -0.35)
+_EVEN = (-0.008, -0.005)
 _MOST_SPOKES = 12
 _MANY_SPOKES = 0.7
 _HAND = 0.035
@@ -38,7 +40,7 @@ class Evidence:
     """What the rays say of a ring; each figure from 0 to 1.
 
     Attributes:
-        rim: seen all round, by enough rays whose depths agree.
+        rim: seen all round, by enough rays whose depths agree with it, each and all about one place.
         air: around it.
         open: there are openings between rim and hub.
         middle: a hub or spokes are in its middle, and not all of it behind the rim, as the far wall of a pipe is.
@@ -95,6 +97,7 @@ def weigh_wheel(
     # What is out of sight speaks neither for nor against the rim, but more than half must be seen.
     complete = float(np.mean(rim[seen] > 0.6) * min(1.0, np.sum(rim[seen] > 0.6) / (0.6 * _SECTORS)))
     airy = float(np.mean(air[~np.isnan(air)] > 0.7)) if (~np.isnan(air)).any() else 0.0
+    error = depth_error(rays, passage, hit)
     # The hub of a small wheel fills much of its middle.
     hub_share = min(0.4, (_LEAST_HUB / max(MIDDLE * (ring.radius - ring.half_width), _LEAST_HUB)) ** 2)
     return Evidence(
@@ -102,30 +105,19 @@ def weigh_wheel(
         * rising(-ring.half_width / ring.radius, *_SLENDER)
         # Much deeper along the axis than wide is the wall of a tube that is seen from its end.
         * rising(-ring.half_depth / ring.half_width, -4.0, -2.5)
-        * rising(-depth_error(rays, passage, hit), -0.03, -0.02)
+        * rising(-error, -0.03, -0.02)
+        * rising(-unevenness(rays, passage, hit & inside_rim), *_EVEN)
         * rising(float(hit.sum()), 15.0, 60.0),
         rising(airy, 0.45, 0.85),
-        _openings(inside, depth_error(rays, passage, hit) / outer),
+        _openings(inside, error / outer),
         rising(inside.middle_share, 0.05 + 0.5 * hub_share, 0.15 + hub_share)
         * rising(float(inside.n_middle), 1.0, 5.0)
         * rising(inside.depth[1], *_AT_RIM),
         _spoke_evidence(inside),
         _over_floor(ring, floor),
-        max(_BLURRED, rising(-_axis_error(rays, ring, passage), -_BLUNT, -_SHARP)),
+        max(_BLURRED, rising(-axis_error(rays, ring, passage), -_BLUNT, -_SHARP)),
         _free_aside(rays, ring),
     )
-
-
-def depth_error(rays: Sightlines, passage: Passage, hit: Bool[np.ndarray, "N"]) -> float:
-    """How far before or behind the rim the rays that ended on it did so, root of the mean square [m]; infinite where
-    none did."""
-    return float(np.sqrt(np.mean((rays.length - passage.depth)[hit] ** 2))) if hit.any() else np.inf
-
-
-def _axis_error(rays: Sightlines, ring: Ring, passage: Passage) -> float:
-    """Standard deviation of the axis that follows from the depths it was fitted to [rad]."""
-    close = rim_hits(rays, ring, passage, CLOSE)
-    return depth_error(rays, passage, close) / ring.radius * float(np.sqrt(2.0 / max(int(close.sum()), 1)))
 
 
 def _openings(inside: Inside, blur: float) -> float:

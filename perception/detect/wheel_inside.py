@@ -12,6 +12,7 @@ from perception.detect.wheel import Passage, Ring
 
 _DEPTH = 0.06
 _SPOKE_DEPTH = 0.04
+_IN_PLANE = 0.012
 _CORRIDOR = 0.005
 _STEP_DEG = 2.0
 _MOST_APART, _BETWEEN = 3, 0.25
@@ -28,7 +29,7 @@ class Inside:
         spoke_half_width: [m].
         spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
         spokes_known: whether rays are dense enough there to tell spokes from openings.
-        widest_spoke: angle of the widest [rad].
+        widest_spoke: angle of the widest solid part in the rim's plane [rad].
         hub_radius: inside it nothing was seen through [m].
         depth: lowest and highest place along the axis of what was seen inside the rim [m].
         open_share: of the rays inside the rim, how many went on.
@@ -75,11 +76,10 @@ def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
     middle = known & (distance < MIDDLE * inner)
     band = known & (distance > max(1.1 * hub, 0.45 * inner))
     spacing = float(np.sqrt(np.pi * inner**2 / known.sum()))
-    at_spokes = np.abs(behind) < _SPOKE_DEPTH
-    spokes = _spokes(passage.place[band], at_spokes[band], max(_CORRIDOR, 0.8 * spacing))
+    spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 0.8 * spacing))
     if not spokes.known:
         # Scan lines may lie further apart than rays on them.
-        spokes = _spokes(passage.place[band], at_spokes[band], max(_CORRIDOR, 1.3 * spacing))
+        spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 1.3 * spacing))
     return Inside(
         spokes.angles,
         spokes.half_width,
@@ -106,14 +106,15 @@ def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], 
     return radius
 
 
-def _spokes(place: Float[np.ndarray, "N 2"], solid: Bool[np.ndarray, "N"], corridor_half: float) -> _Spokes:
+def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], corridor_half: float) -> _Spokes:
     """Spokes: a narrow corridor is turned about the axis; where most rays in it ended at the wheel there is one.
 
     Args:
         place: (N, 2) where rays cross the wheel between hub and rim [m].
-        solid: (N,) which of them ended at the wheel.
+        behind: (N,) how far behind that place they ended [m].
         corridor_half: half width of the corridor [m].
     """
+    solid = np.abs(behind) < _SPOKE_DEPTH
     angle = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
     along = place @ np.stack([np.cos(angle), np.sin(angle)])
     apart = np.abs(place @ np.stack([-np.sin(angle), np.cos(angle)]))
@@ -128,8 +129,10 @@ def _spokes(place: Float[np.ndarray, "N 2"], solid: Bool[np.ndarray, "N"], corri
     is_spoke = (share > 0.4) & (hits >= 3)
     if is_spoke.all() or not is_spoke.any():
         return _Spokes(known=True, widest=2.0 * np.pi * float(is_spoke.all()))
-    start = int(np.flatnonzero(~is_spoke)[0])
-    runs = np.flatnonzero(np.diff(np.concatenate([[0], np.roll(is_spoke, -start).astype(int), [0]]))).reshape(-1, 2)
+    runs, start = _runs(is_spoke)
+    # What lies before or behind the rim's plane, as the end of a stem or the body below it, is no part of the wheel.
+    depth = corridor[solid].T @ behind[solid] / np.maximum(hits, 1)
+    in_plane, _ = _runs(is_spoke & (np.abs(depth) < _IN_PLANE))
     whole = _rejoined(runs, np.roll(share, -start))
     angles = []
     for low, high in whole:
@@ -143,8 +146,15 @@ def _spokes(place: Float[np.ndarray, "N 2"], solid: Bool[np.ndarray, "N"], corri
     nearest = distance.min(axis=1)
     explained = nearest < 2.0 * corridor_half + 0.01
     half = float(np.percentile(nearest[explained], 90)) if explained.any() else 0.0
-    widest = float(np.radians(_STEP_DEG) * (runs[:, 1] - runs[:, 0]).max())
+    widest = float(np.radians(_STEP_DEG) * (in_plane[:, 1] - in_plane[:, 0]).max(initial=0))
     return _Spokes(tuple(sorted(angles)), half, float(explained.mean()), True, widest)
+
+
+def _runs(these: Bool[np.ndarray, "A"]) -> tuple[Int[np.ndarray, "R 2"], int]:
+    """Where runs of angles begin and end, counted from an angle that is in none, and that angle."""
+    start = int(np.flatnonzero(~these)[0])
+    turned = np.concatenate([[0], np.roll(these, -start).astype(int), [0]])
+    return np.flatnonzero(np.diff(turned)).reshape(-1, 2), start
 
 
 def _rejoined(runs: Int[np.ndarray, "R 2"], share: Float[np.ndarray, "A"]) -> list[tuple[int, int]]:
