@@ -25,7 +25,7 @@ _SHORT_SLACK = 0.03
 _USUAL_BACKSET = 0.065
 _AT_EDGE = 0.035
 _SURELY_AJAR = np.radians(6.0)
-_HINGE_UNKNOWN = 0.45
+_HINGE_UNKNOWN = _HANDLE_UNKNOWN = 0.45
 _CASING = 0.04
 _OCCLUDED = 0.3
 _SQUARE = (np.radians(70.0), np.radians(85.0))
@@ -172,6 +172,9 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
         # A face square to a wall may as well be the side of a cupboard.
         open_mark = 0.55 * rising(gap, 0.2, 0.6) * (1.0 - 0.5 * rising(frame.ajar, *_SQUARE))
         marks = 1.0 - (1.0 - open_mark) * (1.0 - 0.85 * grip)
+        if handle is None:
+            # Who acts on it would not know where; seen along its face, a leaf hides what stands out of it.
+            marks = min(marks, _HANDLE_UNKNOWN)
     else:
         marks = 0.2 + 0.8 * grip
     if not hinge:
