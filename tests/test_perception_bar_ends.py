@@ -52,6 +52,12 @@ def test_behind_what_lies_over_its_end_a_bar_may_be_longer() -> None:
     assert found.hidden[0] < 0.02
 
 
+def test_an_end_that_is_hidden_along_a_short_stretch_is_taken_for_the_middle_of_it() -> None:
+    found = likely_ends(rays_from_above(ALONG, ended(ALONG, (0.45, 0.55, 0.1))), BAR, FLOOR)
+    assert found.bar.last == pytest.approx(0.5, abs=0.015)
+    assert found.hidden[1] == pytest.approx(0.05, abs=0.015)
+
+
 def test_a_bar_goes_on_behind_what_lies_across_it() -> None:
     found = likely_ends(rays_from_above(ALONG, ended(ALONG, (0.2, 0.35, 0.1))), BAR, FLOOR)
     assert found.bar.last == pytest.approx(TRUE_END, abs=0.005)
@@ -92,7 +98,9 @@ def test_a_bar_that_descends_ends_at_the_floor_even_when_its_end_is_hidden() -> 
     down = likely_ends(rays_from_above(ALONG, ended(ALONG, (-0.7, -0.3, 0.1))), BAR, floor)
     up = likely_ends(rays_from_above(ALONG, ended(ALONG, (0.3, 0.7, 0.1))), BAR, floor)
     # Its lower edge is 4.6 cm above the floor there and comes 0.8 m nearer with each metre; 2 cm are for noise.
-    assert down.hidden[0] == pytest.approx((0.046 + 0.02) / 0.8, abs=0.005)
+    room = (0.046 + 0.02) / 0.8
+    assert down.hidden[0] == pytest.approx(0.5 * room, abs=0.005)
+    assert down.bar.first == pytest.approx(-0.3 - 0.5 * room, abs=0.01)
     assert up.hidden[1] == pytest.approx(0.1)
 
 

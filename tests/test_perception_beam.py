@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception import CONFIDENT, Cloud, Detection, View, make_view, read_cloud
-from perception.detect.bar_fit import _linearized, _moved, _State
+from perception.detect.bar_fit import BarFit, _linearized, _moved, _State, spread_between_edges
 from perception.detect.bars import Bar, Section, SurroundingRays, cross_bar, sort_rays
-from perception.detect.beam import detect_beam, loose_points
+from perception.detect.beam import _continues, detect_beam, loose_points
 from perception.detect.lines import find_lines
 from perception.detect.sightlines import Sightlines
 from perception.detect.slender import is_slender
-from perception.detect.strips import find_strips
+from perception.detect.strips import _in_walls, find_strips
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.6)
@@ -260,3 +261,38 @@ def test_what_ended_on_a_known_bar_says_nothing_of_one_it_touches() -> None:
     told = sort_rays(rays, cross_bar(rays, bar))
     assert told.hit.tolist() == [False, True]
     assert told.before.tolist() == [True, False]
+
+
+def test_a_board_flat_on_the_floor_that_all_its_rays_agree_with_is_held_by_those_beside_its_edges() -> None:
+    bar = Bar(np.eye(3), np.zeros(3), (0.07, 0.019), -0.45, 0.45)
+    x, y = (one.ravel() for one in np.meshgrid(np.linspace(-0.44, 0.44, 45), np.linspace(-0.115, 0.115, 24)))
+    ends = np.column_stack([x, y, np.where(np.abs(y) < 0.07, 0.019, -0.5)])
+    straight_down = np.tile([0.0, 0.0, -1.0], (len(x), 1))
+    rays = SurroundingRays(
+        ends + np.array([0.0, 0.0, 2.0]), straight_down, np.full(len(x), 2.0), np.zeros(len(x), dtype=bool)
+    )
+    beside = rays.selected(np.abs(y) < 0.06)
+    fit = BarFit(bar, (0.07, 0.019), (np.inf, np.inf))
+    assert spread_between_edges(rays, fit, 2000)[0] < 0.01
+    assert spread_between_edges(beside.selected(np.abs(beside.ends[:, 1]) < 0.03), fit, 2000)[0] > 1.0
+
+
+def test_parts_of_a_beam_on_both_sides_of_what_hides_its_middle_are_one() -> None:
+    whole = Bar(np.eye(3), np.zeros(3), (0.045, 0.019), -0.6, 0.6)
+    left, right = replace(whole, last=-0.15), replace(whole, first=0.1)
+    askew = replace(right, frame=Pose(yaw=np.radians(12.0)).rotation.T)
+    beside = replace(right, centre=np.array([0.0, 0.1, 0.0]))
+    far = replace(right, first=0.4, last=0.6)
+    assert _continues(left, right)
+    assert _continues(right, left)
+    assert not any(_continues(left, other) for other in (askew, beside, far))
+
+
+def test_a_wall_seen_with_much_noise_is_one_though_things_stand_close_before_it() -> None:
+    rng = np.random.default_rng(4)
+    wall = rng.uniform((2.0, -2.0, 0.0), (2.0, 2.0, 2.0), (34_000, 3)) + rng.normal(0.0, 0.021, (34_000, 3))
+    things = rng.uniform((1.75, -2.0, 0.0), (1.85, 2.0, 2.0), (3_000, 3))
+    in_wall = _in_walls(np.concatenate([wall, things]))
+    middle = (np.abs(wall[:, 1]) < 1.6) & (np.abs(wall[:, 2] - 1.0) < 0.8)
+    assert in_wall[:34_000][middle].mean() > 0.5
+    assert not in_wall[34_000:].any()

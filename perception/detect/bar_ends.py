@@ -35,9 +35,10 @@ class LikelyEnds:
     """Where a bar begins and ends.
 
     Attributes:
-        bar: with these ends, the nearest that are likely.
-        seen: for the first and the last, whether rays went on just beyond it.
-        hidden: by how much it may be longer there, up to 10 cm each [m].
+        bar: with these ends, each in the middle of where it may be; the nearest such place where it may be anywhere
+            along more than 20 cm.
+        seen: for the first and the last, whether rays went on just beyond that nearest place.
+        hidden: by how much it may be longer there, up to 10 cm each; by less than 10 cm, it may be as much shorter [m].
     """
 
     bar: Bar
@@ -60,19 +61,18 @@ def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> Li
     speaks, stopped = inside & (gains != 0.0), crossing.along[inside & told.before]
     hits = inside & told.hit
     middle = 0.5 * (bar.first + bar.last)
-    places, seen, hidden = [], [], []
-    for sign in (-1.0, 1.0):
-        at = sign * (crossing.along - middle)
-        one = _end(at[speaks], gains[speaks], hits[speaks], sign * (stopped - middle))
-        places.append(max(0.25 * bar.length, _BIN) if one is None else one.place)
-        seen.append(one is not None and one.is_seen)
-        hidden.append(_MOST_HIDDEN if one is None else one.hidden)
-    found = replace(bar, first=middle - places[0], last=middle + places[1])
+    first, last = (
+        _end(at[speaks], gains[speaks], hits[speaks], sign * (stopped - middle))
+        or _End(max(0.25 * bar.length, _BIN), np.inf, False)
+        for sign, at in ((sign, sign * (crossing.along - middle)) for sign in (-1.0, 1.0))
+    )
     if floor is not None:
-        height = _ON_FLOOR + max(0.0, float(floor.above(found.corners).min()))
-        descents = [-sign * float(bar.axis @ floor.normal) for sign in (-1.0, 1.0)]
-        hidden = [min(h, height / d) if d > _DESCENDS else h for h, d in zip(hidden, descents, strict=True)]
-    return LikelyEnds(found, (seen[0], seen[1]), (hidden[0], hidden[1]))
+        nearest = replace(bar, first=middle - first.nearest, last=middle + last.nearest)
+        height = _ON_FLOOR + max(0.0, float(floor.above(nearest.corners).min()))
+        descent = float(bar.axis @ floor.normal)
+        first, last = first.above(height, descent), last.above(height, -descent)
+    found = replace(bar, first=middle - first.place, last=middle + last.place)
+    return LikelyEnds(found, (first.is_seen, last.is_seen), (first.hidden, last.hidden))
 
 
 def _gains(rays: SurroundingRays, crossing: Crossing, told: Sorted, floor: FloorPlane | None) -> Float[np.ndarray, "N"]:
@@ -90,9 +90,27 @@ def _gains(rays: SurroundingRays, crossing: Crossing, told: Sorted, floor: Floor
 
 @dataclass(frozen=True)
 class _End:
-    place: float
+    """Between which places a bar ends [m], and whether rays went on just beyond the nearest."""
+
+    nearest: float
+    furthest: float
     is_seen: bool
-    hidden: float
+
+    @property
+    def hidden(self) -> float:
+        """By how much it may be off the middle of both [m]."""
+        return min(_MOST_HIDDEN, 0.5 * (self.furthest - self.nearest))
+
+    @property
+    def place(self) -> float:
+        """The middle of both, or the nearest where they are far apart [m]."""
+        return self.nearest + (self.hidden if self.hidden < _MOST_HIDDEN else 0.0)
+
+    def above(self, height: float, descent: float) -> _End:
+        """Of a bar that is at this height above what it cannot enter and comes nearer to it by so much a metre."""
+        if descent <= _DESCENDS:
+            return self
+        return replace(self, furthest=min(self.furthest, self.nearest + height / descent))
 
 
 def _end(
@@ -101,7 +119,7 @@ def _end(
     hit: Bool[np.ndarray, "K"],
     stopped: Float[np.ndarray, "S"],
 ) -> _End | None:
-    """The nearest likely end in the positive direction, and how much further off one may be."""
+    """Where the bar is likely to end in the positive direction; None: nothing was hit there."""
     keep = np.flatnonzero(at > -_BIN)
     keep = keep[np.argsort(at[keep], kind="stable")]
     at, gain, hit = at[keep], gain[keep], hit[keep]
@@ -116,10 +134,8 @@ def _end(
     within = _followed(at, steps, total, np.sort(stopped))
     worth = (total - _UNSEEN_COST * np.cumsum(steps))[:within]
     best = int(np.argmax(worth))
-    nearest = int(np.flatnonzero(worth >= worth[best] - _UNDECIDED)[0])
-    if at[best] - at[nearest] < _NEAR:
-        nearest = best
-    place = float(at[nearest])
+    likely = max(float(at[np.flatnonzero(worth >= worth[best] - _UNDECIDED)[0]]), _BIN)
+    place = likely if at[best] - likely >= _NEAR else float(at[best])
     lost = np.flatnonzero(total[best + 1 :] < total[best] - _UNDECIDED)
     furthest = float(at[best + 1 + lost[0]]) if len(lost) else np.inf
     passes = at[is_pass]
@@ -127,7 +143,9 @@ def _end(
     if len(behind) and behind[0] < place + _NEAR:
         place = 0.5 * (place + float(behind[0]))
     is_seen = int(((passes > place - 0.5 * _BIN) & (passes < place + _BEYOND)).sum()) >= 3
-    return _End(max(place, _BIN), is_seen, min(_MOST_HIDDEN, max(0.0, furthest - place)))
+    is_bounded = furthest - place < 2.0 * _MOST_HIDDEN
+    nearest = likely if is_bounded and not is_seen else max(place, _BIN)
+    return _End(nearest, max(nearest, furthest), is_seen)
 
 
 def _followed(

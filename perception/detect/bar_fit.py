@@ -34,6 +34,7 @@ _SMALLEST, _LARGEST = 0.006, 0.12
 _SCALE = np.array([0.02, 0.02, 0.005, 0.005, 0.005, 0.005, 0.1])
 _LARGEST_STEP = np.array([0.15, 0.15, 0.03, 0.03, 0.02, 0.02, 0.4])
 _FIRST_DAMPING = 1e-2
+_SLACK = 0.03
 
 
 @dataclass(frozen=True)
@@ -117,14 +118,37 @@ def _solved(
         damping = np.where(better, 0.3 * damping, 5.0 * damping)
         change = _step(gradient, curvature, damping)
         state = _moved(best, change, section)
-    scale = _SCALE[:n]
-    inverse = np.linalg.inv(curvature * scale[:, None] * scale + 1e-6 * np.eye(n))
-    deviation = scale * np.sqrt(np.maximum(np.einsum("bnn->bn", inverse), 0.0))
     moved = [
         replace(bar, frame=frame, centre=centre, half=(float(half[0]), float(half[1])))
         for bar, frame, centre, half in zip(bars, best.frames, best.centres, best.halves, strict=True)
     ]
-    return moved, [(float(one[:2].max()), float(one[2:4].max())) for one in deviation]
+    return moved, _spreads(curvature)
+
+
+def _spreads(curvature: Float[np.ndarray, "B n n"]) -> list[tuple[float, float]]:
+    scale = _SCALE[: curvature.shape[1]]
+    inverse = np.linalg.inv(curvature * scale[:, None] * scale + 1e-6 * np.eye(len(scale)))
+    deviation = scale * np.sqrt(np.maximum(np.einsum("bnn->bn", inverse), 0.0))
+    return [(float(one[:2].max()), float(one[2:4].max())) for one in deviation]
+
+
+def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> tuple[float, float]:
+    """Standard deviations of tilt [rad] and place across [m] where rays just inside the outline and just outside hold a
+    bar as well.
+
+    A bar that all its rays agree with has room to move until one does not; the residuals' curvature says nothing of it.
+
+    Args:
+        rays: that pass near the bar.
+        fit: fitted to them.
+        most_rays: more are thinned.
+    """
+    bar = _centred(fit.bar)
+    chosen, hit, counts = _relevant(rays, [bar], most_rays)
+    state = _State(bar.frame[None], bar.centre[None], np.array([bar.half]))
+    residuals, jacobian = _linearized(chosen, hit, counts, state, np.array([fit.usual]), bar.section, _SLACK)
+    weighted = jacobian / np.sqrt(1.0 + residuals**2)[:, None]
+    return _spreads(weighted @ jacobian.transpose(0, 2, 1))[0]
 
 
 def _relevant(
@@ -181,9 +205,14 @@ def _linearized(
     state: _State,
     usual: Float[np.ndarray, "B 2"],
     section: Section,
+    slack: float = 0.0,
 ) -> tuple[Float[np.ndarray, "B M"], Float[np.ndarray, "B n M"]]:
     """Residuals in standard deviations and their derivatives: depth of the hits, edge of hits and passes, and what is
-    usual of the sizes."""
+    usual of the sizes.
+
+    An edge on the right side of a ray has no residual; its derivative is told up to ``slack`` from the ray [m], in
+    units that grow with the distance.
+    """
     start = state.frames @ rays.start.T - (state.frames @ state.centres[:, :, None])
     way = state.frames @ rays.direction.T
     p0, p1, p2 = start[:, 0], start[:, 1], start[:, 2]
@@ -204,8 +233,9 @@ def _linearized(
         reach = np.broadcast_to(half1, side.shape)
         depth, slopes, by_half = _round_entry(p1, p2, d1, d2, side, reach, speed)
     outside = np.abs(side) - reach
-    is_edge = counts & np.where(hit, outside > 0.0, outside < 0.0)
-    edge_sign = np.where(hit, 1.0, -1.0) * is_edge / SIGMA_EDGE
+    edge_sign = np.where(hit, 1.0, -1.0)
+    beyond = edge_sign * outside
+    edge_weight = (counts & (beyond > -slack)) / (SIGMA_EDGE + np.maximum(-beyond, 0.0))
     by_depth, by_edge = [], []
     for a1, a2, b1, b2 in moves:
         by_depth.append(slopes[0] * a1 + slopes[1] * a2 + slopes[2] * b1 + slopes[3] * b2)
@@ -225,10 +255,10 @@ def _linearized(
     weight = hit / SIGMA_DEPTH
     residuals = [
         (depth - rays.length) * weight,
-        edge_sign * outside,
+        edge_weight * np.maximum(beyond, 0.0),
         (state.halves - usual)[:, : len(sizes_edge)] / SIGMA_USUAL,
     ]
-    jacobian = [depth_rows * weight[:, None], edge_rows * edge_sign[:, None], prior_rows]
+    jacobian = [depth_rows * weight[:, None], edge_rows * (edge_sign * edge_weight)[:, None], prior_rows]
     return np.concatenate(residuals, axis=1), np.concatenate(jacobian, axis=2)
 
 

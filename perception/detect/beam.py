@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from perception.clean import voxel_downsample
 from perception.detect.bar_ends import LikelyEnds, likely_ends
 from perception.detect.bar_evidence import Evidence, weigh_bar
-from perception.detect.bar_fit import BarFit
+from perception.detect.bar_fit import BarFit, spread_between_edges
 from perception.detect.bar_search import Choice, Rivalry, Stock, choose_bar, rays_about, rivalry
 from perception.detect.bar_starts import Run, run_of
 from perception.detect.bars import Bar, SurroundingRays
@@ -35,16 +35,17 @@ _TUBE = 0.1
 _BEHIND, _BEYOND = 0.015, 0.15
 _HIDDEN_STRETCH, _MOST_LOOKS = 0.6, 3
 _LEAST_AIR, _LEAST_KNOWN = 0.1, 0.15
-_HALF_A_FACE = 0.06
+_HALF_A_FACE, _WIDER = 0.06, 0.025
 _SHORT = 0.7
 _END_UNSEEN = 0.85  # each; a stub may go on where nothing shows it
-_MOST_FITS, _STAYS = 3, 0.04
+_MOST_FITS, _STAYS, _FITTED_TO = 3, 0.04, 400
 _NEAR_BAR = 0.02
+_IN_LINE, _OFF_LINE, _APART = 0.995, 0.04, 0.3
 _SAME_PLACE = 0.03
 _STRIPS = (28, 14)  # in each round
 _HINT_RADIUS = 0.7
 _REPORTED = 0.05
-_EXPLAINS = 0.25
+_EXPLAINS, _SURE = 0.25, 0.5
 _LARGEST_STEP = 1.0  # [m^2]
 _OVER_FLOOR = 0.03
 _MOST_POINTS = 200
@@ -77,9 +78,10 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     """Beams, best first; origin the centre, x along the length, z along the smallest side.
 
     Sizes are length, width and thickness.  A beam of which one face is seen may be thicker than it looks: residuals
-    hold ``doubt``, how far off its centre may then be [m].  Where something lies over its ends or before them, its
-    length is that of what is seen: ``hidden_length`` says by how much it may be longer, up to 10 cm at each end [m],
-    and the confidence is low.
+    hold ``doubt``, how far off its centre may then be [m].  Where something lies over its ends or before them,
+    ``hidden_length`` says by how much it may be longer [m], and the confidence is low.  An end that is hidden along up
+    to 20 cm is taken for the middle of that, so it may be as much shorter; of one that may be anywhere further on, the
+    length is that of what is seen, and 10 cm are told.
 
     Args:
         view: the scan.
@@ -113,6 +115,7 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
                 points = points[~bar.holds(points, _NEAR_BAR)]
             if len(known) == n_known:
                 break
+        found = [_anew(index, one, found, view.floor) for one in found]
     found.sort(key=lambda one: -one.confidence)
     return [_as_detection(one) for one in _apart(found)]
 
@@ -169,24 +172,56 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
     )
 
 
+def _anew(index: SightIndex, one: _Beam, found: Sequence[_Beam], floor: FloorPlane | None) -> _Beam:
+    """Settled with what was found after it and with what it may be a part of, where that makes it surer."""
+    others = [other for other in found if other is not one and not _same(other.bar, one.bar)]
+    parts = [other.bar for other in others if _continues(other.bar, one.bar)]
+    if one.confidence >= _SURE and not parts:
+        return one
+    bar = one.bar
+    for part in parts:
+        bar = _spanning(bar, run_of(part))
+    sure = [other.bar for other in others if other.confidence > _EXPLAINS]
+    known = [other for other in sure if not _continues(other, one.bar)]
+    rays = rays_about(index, run_of(bar), _BEYOND, floor, known)
+    new = _settled(rays, bar, one.fit, floor)
+    return one if new is None or new.confidence < one.confidence else new
+
+
+def _continues(bar: Bar, other: Bar) -> bool:
+    """Whether one bar lies in the line of another, little space between them."""
+    offset = bar.middle - other.middle
+    along = float(offset @ other.axis)
+    off = float(np.linalg.norm(offset - along * other.axis))
+    gap = abs(along) - 0.5 * (bar.length + other.length)
+    return abs(bar.axis @ other.axis) > _IN_LINE and off < _OFF_LINE and gap < _APART
+
+
 def _settled(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None) -> _Beam | None:
     """Fit between the ends that were found until they stay, and weigh; None when it is hopeless."""
     early = weigh_bar(rays, bar)
-    if bar.length < _LEAST_LENGTH or early.solid < 0.5 or early.air < _LEAST_AIR:
+    if bar.length < _LEAST_LENGTH or early.solid < 0.5:
         return None
+    if early.air < _LEAST_AIR:
+        # It may be a part of a wider one's face.
+        width, thickness = bar.half
+        wider = [replace(bar, half=half) for half in ((width + _WIDER, thickness), (width, thickness + _WIDER))]
+        if all(weigh_bar(rays, one).air < _LEAST_AIR for one in wider):
+            return None
     fitted = _fitted(rays, bar, fit, floor, _MOST_FITS)
     if fitted is None:
         return None
     choice, ends = fitted
     bar = ends.bar
     evidence = weigh_bar(rays, bar)
-    confidence = _confidence(ends, choice, evidence)
+    spread = spread_between_edges(rays, replace(choice.fit, bar=bar), _FITTED_TO)
+    confidence = _confidence(ends, choice, evidence, spread[0])
     if confidence <= _REPORTED:
         return None
     flatter = rivalry(rays, bar, _PIPES, "round")
     points = rays.ends[evidence.hits]
     return _Beam(
-        replace(choice.fit, bar=bar),
+        replace(choice.fit, bar=bar, spread=spread),
         ends,
         choice.doubt,
         evidence,
@@ -200,7 +235,7 @@ def _fitted(
     rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None, n_fits: int
 ) -> tuple[Choice, LikelyEnds] | None:
     """The bar fitted between its ends, and these found anew; again when they moved."""
-    choice = choose_bar(rays, run_of(bar), _TUBE, _TIMBER, floor, 3, 400, fit)
+    choice = choose_bar(rays, run_of(bar), _TUBE, _TIMBER, floor, 3, _FITTED_TO, fit)
     if choice is None:
         return None
     ends = likely_ends(rays, choice.fit.bar, floor)
@@ -234,7 +269,7 @@ def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
     return any(look.air >= _LEAST_AIR or look.known <= _LEAST_KNOWN for look in looks)
 
 
-def _confidence(ends: LikelyEnds, choice: Choice, evidence: Evidence) -> float:
+def _confidence(ends: LikelyEnds, choice: Choice, evidence: Evidence, tilt: float) -> float:
     """Product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths that agree,
     an axis that its rays hold, a centre that is sure, and ends that are seen or bound to be near."""
     bar, ends_seen = ends.bar, sum(ends.seen)
@@ -251,9 +286,9 @@ def _confidence(ends: LikelyEnds, choice: Choice, evidence: Evidence) -> float:
         * rising(-evidence.rms, -0.02, -0.015)
         * rising(evidence.n_hits, 20.0, 80.0)
         * rising(-_off_size(width, thickness), -0.025, -0.012)
-        * rising(-choice.fit.spread[0], -0.1, -0.03)
+        * rising(-tilt, -0.03, -0.012)
         * (1.0 - 0.4 * rising(choice.doubt, 0.01, 0.03))
-        * (1.0 - 0.6 * rising(sum(ends.hidden), 0.04, 0.1))
+        * (1.0 - 0.6 * rising(sum(ends.hidden), 0.025, 0.06))
         * _END_UNSEEN ** (2 - ends_seen)
     )
 

@@ -34,6 +34,7 @@ _SHARED = 0.5
 _CORRIDOR = 0.25
 _WALL_CELL, _WALL_WIDE, _WALL_THICK = 0.12, 0.3, 3e-4
 _MANY, _NOISY_CELL, _NOISY_THICK = 15_000, 0.25, 1e-3
+_NEAR_CELL, _NEAR_THICK, _AS_THICK = 0.05, 6e-4, 2.0
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,11 @@ def _in_walls(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
     is_wall = (variances[:, 1] > _WALL_WIDE * variances[:, 2]) & (variances[:, 0] < _WALL_THICK)
     rest = np.flatnonzero(~is_wall)
     if len(rest) > _MANY:
-        # A wall seen by a camera from afar is not that flat.
+        # A wall seen by a camera from afar is not that flat, but no thicker over a stretch than at a place.
+        near = variances_about(points, _NEAR_CELL)
+        if near is not None:
+            is_even = (variances[:, 0] < _NEAR_THICK) & (variances[:, 0] < _AS_THICK * near[:, 0])
+            is_wall |= is_even & (variances[:, 1] > _WALL_WIDE * variances[:, 2])
         wider = variances_about(points[rest], _NOISY_CELL)
         if wider is not None:
             is_noisy = (wider[:, 1] > _WALL_WIDE * wider[:, 2]) & (wider[:, 0] < _NOISY_THICK)
