@@ -37,6 +37,10 @@ def test_words_for_no_number_are_nan(word: str) -> None:
     ("content", "says"),
     [
         (b"x;y;z\n1,5;2,5;3,5\n1.234,5;2;3\n", "line 3: '1.234,5' is not a number"),
+        (
+            text(["40", *ROWS, "40", *ROWS]),
+            "line 42 has 1 columns, the first has 3; if it counts the points of a further scan, a file for each",
+        ),
         (text(["50", *ROWS]), "50 points are announced, 40 lines are there"),
         (text([f"{i} {row}" for i, row in enumerate(ROWS)]), "its first column counts the rows; name all columns in a"),
         (text([f"{i + 1} {row} 7" for i, row in enumerate(ROWS)]), "its first column counts the rows; name all"),

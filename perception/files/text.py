@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from perception.errors import CloudError
-from perception.files.columns import shown
+from perception.files.columns import natural, shown
 from perception.files.content import Content
 from perception.files.thinning import row_of, step_of, taken, thinning_note
 from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
@@ -219,7 +219,9 @@ def _careful(
             is_open = cells[-1] == "" and n_first > max(columns) + 1  # the separator at its end may open a column
         if not fits(cells, n_first) and not (is_open and fits(cells, n_first - 1)):
             needed = f"the first has {n_first - is_open}" if width is None else f"{width} are announced"
-            raise CloudError(f"{name}: line {number} has {len(cells)} columns, {needed}")
+            is_count = len(cells) == 1 and natural(cells[0]) is not None
+            more = "; if it counts the points of a further scan, a file for each scan would do" if is_count else ""
+            raise CloudError(f"{name}: line {number} has {len(cells)} columns, {needed}{more}")
         for column in columns:
             numbers.append(_number(cells[column], has_decimal_commas, name, number))
         n_read += 1
