@@ -25,7 +25,7 @@ from perception.locally import LocalJudge
 from perception.perceive import Perceived, floors_of, matched, unexplained, without_best
 from perception.solids.known import KnownMesh
 from perception.solids.match import MeshMatch
-from perception.view import View, make_view
+from perception.view import Cropped, View, crop, view_of
 
 _SAME = 0.01
 
@@ -84,9 +84,10 @@ def update(
     """
     clock = Clock()
     earlier = before if isinstance(before, Earlier) else Earlier.of(before)
-    seen = _held_against(earlier, cloud, robot_hulls, soles, known, earlier.floors, clock)
+    cropped = crop(cloud, earlier.reach, robot_hulls)
+    seen = _held_against(earlier, cropped, soles, known, earlier.floors, clock)
     if seen.is_left_off:
-        seen = _held_against(earlier, cloud, robot_hulls, soles, known, (), clock)
+        seen = _held_against(earlier, cropped, soles, known, (), clock)
     view, pieces = seen.view, seen.pieces
     hidden: tuple[ConvexPiece, ...] = ()
     if any(piece.kind == "unknown" for piece in earlier.scene.pieces):
@@ -121,8 +122,7 @@ class _Held:
 
 def _held_against(
     earlier: Earlier,
-    cloud: Cloud,
-    robot_hulls: Sequence[Float[np.ndarray, "V 3"]],
+    cropped: Cropped,
     soles: Sequence[Float[np.ndarray, "S 3"]],
     known: Sequence[KnownMesh],
     levels: Sequence[FloorPlane],
@@ -131,15 +131,7 @@ def _held_against(
     """The new scan, its floor of these levels if it shows them; it is left off where it may show others as well."""
     # What kept pieces explain needs no cleaning; to find a mesh all points are asked for.
     cleaned = len(known) > 0
-    view = make_view(
-        cloud,
-        reach=earlier.reach,
-        robot_hulls=robot_hulls,
-        soles=soles,
-        seed=earlier.seed,
-        cleaned=cleaned,
-        floors=levels,
-    )
+    view = view_of(cropped, reach=earlier.reach, soles=soles, seed=earlier.seed, cleaned=cleaned, floors=levels)
     is_floor = on_floors(view.near.points, view.floors, soles)
     ground = view.near.points[is_floor]
     is_level = partial(may_be_level, floors=view.floors if view.floors is levels else (), ground=ground)

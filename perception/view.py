@@ -89,6 +89,28 @@ def make_view(
     Raises:
         CloudError: nothing of the cloud lies in reach; with what its notes say.
     """
+    return view_of(crop(cloud, reach, robot_hulls), reach=reach, soles=soles, seed=seed, cleaned=cleaned, floors=floors)
+
+
+@dataclass(frozen=True)
+class Cropped:
+    """What of a scan lies in reach.
+
+    Attributes:
+        cloud: the whole scan without exact copies.
+        near: the points in reach that are not the robot's own.
+        notes: sentences a user should read.
+        n_own: how many points in reach lay on the robot itself.
+    """
+
+    cloud: Cloud
+    near: Cloud
+    notes: tuple[str, ...]
+    n_own: int
+
+
+def crop(cloud: Cloud, reach: Reach, robot_hulls: Sequence[Float[np.ndarray, "V 3"]]) -> Cropped:
+    """Drop exact copies, what is out of reach and the robot's own points; see ``make_view``."""
     _check_reach(cloud, reach)
     cloud = without_copies(cloud)
     near = cloud.selected(reach.contains(cloud.points))
@@ -99,6 +121,20 @@ def make_view(
         if own.all():
             raise CloudError("all points in reach lie on the robot itself; is the robot's posture the scan's?")
         near = near.selected(~own)
+    return Cropped(cloud, near, notes, int(own.sum()))
+
+
+def view_of(
+    cropped: Cropped,
+    *,
+    reach: Reach,
+    soles: Sequence[Float[np.ndarray, "S 3"]] = (),
+    seed: int = 0,
+    cleaned: bool = True,
+    floors: Sequence[FloorPlane] = (),
+) -> View:
+    """Find the floor, drop strays and mixed pixels; see ``make_view``."""
+    cloud, near, notes = cropped.cloud, cropped.near, cropped.notes
     floors = tuple(floors)
     if not are_there(floors, near.points, cloud.rays, reach):
         stand = _stand(reach, soles)
@@ -113,9 +149,9 @@ def make_view(
     above = ~on_floors(near.points, floors, soles)
     kept = surface_points(near.points, near.starts, above) if cleaned else above
     missing = "no floor is" if not floors else "no obstacle is" if not kept.any() else ""
-    notes = (*notes, *crop_doubt(cloud.points, len(near.points) + int(own.sum()), reach, missing))
+    notes = (*notes, *crop_doubt(cloud.points, len(near.points) + cropped.n_own, reach, missing))
     obstacles, starts = near.points[kept], near.starts[kept]
-    return View(cloud, near, floors, obstacles, starts, reach, seed, notes, int(own.sum()), int((~above).sum()))
+    return View(cloud, near, floors, obstacles, starts, reach, seed, notes, cropped.n_own, int((~above).sum()))
 
 
 def _stand(reach: Reach, soles: Sequence[Float[np.ndarray, "S 3"]]) -> Float[np.ndarray, "3"]:
