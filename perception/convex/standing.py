@@ -26,7 +26,7 @@ _DEEP_CELLS = 6
 _DEEP_SHARE = 0.003
 _FREE_WITHIN = 0.5
 _AROUND = 0.02
-_NEAR = 0.1
+_FACES = 8
 _LOW = 0.05
 _APART = 0.4
 _APART_OF_RANGE = 0.08
@@ -179,9 +179,9 @@ def unexplained(standing: Standing, coarse: Coarse, ground: Ground) -> Left:
     if not len(left):
         return Left(left, left > 0)
     hulls = [*(piece.hull for piece in standing.pieces), *ground.hulls]
-    distance = _distance(hulls, _smoothed_with(ground, coarse, left))
-    is_far = distance > _FUZZ + _FUZZ_OF_RANGE * np.linalg.norm(coarse.points[left] - coarse.starts[left], axis=1)
-    is_left = distance > _WITHIN
+    fuzz = _FUZZ + _FUZZ_OF_RANGE * np.linalg.norm(coarse.points[left] - coarse.starts[left], axis=1)
+    distance = _distance(hulls, _smoothed_with(ground, coarse, left), float(fuzz.max()))
+    is_far, is_left = distance > fuzz, distance > _WITHIN
     return Left(left[is_left], is_far[is_left])
 
 
@@ -212,12 +212,20 @@ def _beside(places: Float[np.ndarray, "N 2"], others: Float[np.ndarray, "K 2"]) 
     return np.asarray(inside)
 
 
-def _distance(hulls: Sequence[Hull], points: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K"]:
-    """How far before the nearest hull each point lies, negative inside, infinite where none is near [m]."""
-    distance = np.full(len(points), np.inf)
+def _distance(hulls: Sequence[Hull], points: Float[np.ndarray, "K 3"], most: float) -> Float[np.ndarray, "K"]:
+    """How far before the nearest hull each point lies, negative inside; infinite where more than ``most`` [m]."""
+    distance, columns = np.full(len(points), np.inf), np.ascontiguousarray(points.T)
     for hull in hulls:
-        near = np.flatnonzero(((points >= hull.lower - _NEAR) & (points <= hull.upper + _NEAR)).all(axis=1))
-        before = (hull.faces[:, :3] @ points[near].T + hull.faces[:, 3:]).max(axis=0, initial=-np.inf)
+        near = np.arange(len(points))
+        for column, low, high in zip(columns, hull.lower - most, hull.upper + most, strict=True):
+            mine = column if len(near) == len(points) else column[near]
+            near = near[(mine >= low) & (mine <= high)]
+        before = np.full(len(near), -np.inf)
+        for first in range(0, len(hull.faces), _FACES):
+            some = hull.faces[first : first + _FACES]
+            before = np.maximum(before, (some[:, :3] @ points[near].T + some[:, 3:]).max(axis=0))
+            is_near = before <= most
+            near, before = near[is_near], before[is_near]
         distance[near] = np.minimum(distance[near], before)
     return distance
 
