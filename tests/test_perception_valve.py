@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +12,9 @@ from scipy.spatial import ConvexHull
 
 from perception import (
     CONFIDENT,
-    Reach,
     ValveDetection,
-    detect,
     detect_valves,
     has_clear_spokes,
-    make_view,
-    perceive,
-    read_cloud,
     valve_bodies,
     wheel_basis,
     wheel_points,
@@ -37,9 +32,6 @@ from perception.detect.wheel_evidence import _openings
 from perception.detect.wheel_inside import Inside
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cylinder, scan, torus
 from perception.simulate.mesh import lathe, pipe
-from perception.simulate.objects.fixtures import BoxLever
-from perception.simulate.objects.valves import LeverValve
-from perception.simulate.scenes import make_scene
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
 # As dense as a whole turn of the fan, but only ahead: a test needs no more.
@@ -54,17 +46,40 @@ def tilted(yaw_deg: float, pitch_deg: float) -> tuple[float, float, float]:
 
 
 VALVES = {
-    "small, three spokes": Valve((0.6, 0.1, 1.1), rim_radius=0.08, tube_radius=0.01, n_spokes=3, hub_radius=0.02),
-    "large, six spokes": Valve((0.7, -0.1, 1.2), rim_radius=0.25, tube_radius=0.016, n_spokes=6, spin=0.2),
-    "tilted up": Valve((0.6, 0.0, 0.9), tilted(0, 45), rim_radius=0.18, tube_radius=0.014, n_spokes=5),
-    "turned aside": Valve((0.7, 0.3, 1.0), tilted(40, 0), rim_radius=0.15, tube_radius=0.02),
-    "turned and tilted": Valve((0.65, -0.2, 1.2), tilted(-35, 20), n_spokes=3),
-    "lying flat": Valve((0.6, 0.0, 0.8), tilted(0, 85), rim_radius=0.2, stem_length=0.3),
-    "thin rim": Valve((0.65, 0.1, 1.1), tube_radius=0.006, spoke_radius=0.005),
-    "thick rim": Valve((0.65, 0.1, 1.0), rim_radius=0.15, tube_radius=0.028, n_spokes=5),
-    "beyond the hand's reach": Valve((1.2, 0.3, 1.1), rim_radius=0.15, stem_length=0.25),
-    "forty centimetres": Valve((1.2, 0.1, 1.1), tilted(-20, 10), 0.385, 0.018, 6, hub_radius=0.07, spoke_radius=0.012),
+    "small, three spokes": Valve((0.6, 0.0, 1.1), rim_radius=0.08, tube_radius=0.01, n_spokes=3, hub_radius=0.02),
+    "turned aside": Valve((0.7, 0.45, 1.0), tilted(40, 0), rim_radius=0.15, tube_radius=0.02),
+    "thin rim": Valve((0.65, -0.35, 1.1), tube_radius=0.006, spoke_radius=0.005),
+    "large, six spokes": Valve((0.7, -0.3, 1.2), rim_radius=0.25, tube_radius=0.016, n_spokes=6, spin=0.2),
+    "tilted up": Valve((0.6, 0.3, 0.9), tilted(0, 45), rim_radius=0.18, tube_radius=0.014, n_spokes=5),
+    "turned and tilted": Valve((0.65, -0.4, 1.2), tilted(-35, 20), n_spokes=3),
+    "lying flat": Valve((0.6, 0.05, 0.8), tilted(0, 85), rim_radius=0.2, stem_length=0.3),
+    "thick rim": Valve((0.68, 0.45, 1.1), rim_radius=0.15, tube_radius=0.028, n_spokes=5),
+    "beyond the hand's reach": Valve((1.2, 0.5, 1.1), rim_radius=0.15, stem_length=0.25),
+    "forty centimetres": Valve((1.2, -0.2, 1.1), tilted(-20, 10), 0.385, 0.018, 6, hub_radius=0.07, spoke_radius=0.012),
 }
+# Wheels that are seen in one scan.
+TOGETHER = (
+    ("small, three spokes", "turned aside", "thin rim"),
+    ("large, six spokes", "tilted up"),
+    ("turned and tilted", "lying flat", "thick rim"),
+    ("beyond the hand's reach", "forty centimetres"),
+)
+
+
+@cache
+def scan_of(names: tuple[str, ...]) -> Cloud:
+    room = Room(wall_x=1.5) if VALVES[names[0]].centre[0] > 1.0 else Room()
+    return scan([*room.meshes(), *(mesh for name in names for mesh in VALVES[name].meshes())], SENSOR, SCANNER, seed=1)
+
+
+@cache
+def found_in(names: tuple[str, ...]) -> list[ValveDetection]:
+    return detect_valves(scan_of(names))
+
+
+def found_of(name: str) -> ValveDetection:
+    (names,) = (some for some in TOGETHER if name in some)
+    return min(found_in(names), key=lambda one: float(np.linalg.norm(one.centre - VALVES[name].centre)))
 
 
 def assert_matches(found: ValveDetection, centre: object, axis: object, outer_radius: float) -> None:
@@ -102,19 +117,26 @@ def test_a_wheel_of_five_centimetres_is_believed_where_its_axis_can_be_told() ->
 
 @pytest.mark.parametrize("name", VALVES)
 def test_simulated_valves_are_found_within_the_targets(name: str) -> None:
-    valve = VALVES[name]
-    room = Room(wall_x=1.5) if valve.centre[0] > 1.0 else ROOM
-    cloud = scan(room.meshes() + valve.meshes(), SENSOR, SCANNER, seed=len(name))
-    found = detect_valves(cloud)
-    assert_matches(found[0], valve.centre, valve.axis, valve.outer_radius)
-    assert abs(found[0].rim_radius - valve.rim_radius) <= 0.005
-    assert all(other.confidence < CONFIDENT for other in found[1:])
+    valve, found = VALVES[name], found_of(name)
+    assert_matches(found, valve.centre, valve.axis, valve.outer_radius)
+    assert abs(found.rim_radius - valve.rim_radius) <= 0.005
+
+
+@pytest.mark.parametrize("names", TOGETHER)
+def test_nothing_else_is_a_valve_among_valves(names: tuple[str, ...]) -> None:
+    assert sum(found.confidence >= CONFIDENT for found in found_in(names)) == len(names)
+
+
+def beside(y: float, *meshes: Mesh) -> list[Mesh]:
+    """So far to the left [m]."""
+    aside = np.eye(4)
+    aside[1, 3] = y
+    return [mesh.placed(aside) for mesh in meshes]
 
 
 def vessel(profile: list[tuple[float, float]], z: float) -> list[Mesh]:
     """Open at the top, on a stool of that height."""
-    stool = box((0.5, -0.15, 0.0), (0.9, 0.25, z))
-    return [*Room(wall_x=1.4).meshes(), lathe(profile, (0.7, 0.05, z), (0, 0, 1)), stool]
+    return [lathe(profile, (0.7, 0.05, z), (0, 0, 1)), box((0.5, -0.15, 0.0), (0.9, 0.25, z))]
 
 
 def plate_with_hole() -> Mesh:
@@ -130,34 +152,42 @@ def plate_with_hole() -> Mesh:
     return Mesh(np.concatenate(rings), np.concatenate(quads).reshape(-1, 3))
 
 
+FACING = (-1.0, 0.0, 0.0)
+RING = torus((0.7, 0.0, 1.1), FACING, 0.13, 0.015)
 EMPTY = {
-    "wall, pipe and box": ROOM.meshes(),
-    "pipes": Room(pipes=((0.6, 0.2, 0.1), (0.7, -0.1, 0.05), (0.75, 0.5, 0.2), (0.6, -0.5, 0.03))).meshes(),
-    "boxes": Room(boxes=(((0.5, -0.2, 0.6), (0.8, 0.2, 0.9)), ((0.6, 0.3, 1.0), (0.62, 0.5, 1.3)))).meshes(),
-    "a round plate": [*Room().meshes(), cylinder((0.7, 0.1, 1.1), (0.72, 0.1, 1.1), 0.13)],
-    "a dish": [
-        *Room().meshes(), torus((0.7, 0.1, 1.1), (-1, 0, 0), 0.13, 0.015),
-        cylinder((0.7, 0.1, 1.1), (0.71, 0.1, 1.1), 0.13),
-    ],
-    "a hole in a plate": [*Room(wall_x=1.2).meshes(), plate_with_hole()],
-    "a porthole": [*Room().meshes(), torus((0.89, 0.1, 1.3), (-1, 0, 0), 0.13, 0.02)],
-    "a ring in a frame": [
-        *Room().meshes(), torus((0.7, 0.0, 1.1), (-1, 0, 0), 0.13, 0.015),
-        *(box((0.7, y - a, z - b), (0.72, y + a, z + b)) for y, z, a, b in
-          [(0.0, 0.85, 0.4, 0.12), (0.0, 1.35, 0.4, 0.12), (-0.26, 1.1, 0.13, 0.2), (0.26, 1.1, 0.13, 0.2)]),
-    ],
-    "a pot": vessel([(0.0, 0.01), (0.1, 0.01), (0.1, 0.14), (0.105, 0.14), (0.105, 0.0), (0.0, 0.0)], 0.6),
-    "a bucket": vessel([(0.0, 0.01), (0.1, 0.01), (0.14, 0.3), (0.145, 0.3), (0.105, 0.0), (0.0, 0.0)], 0.4),
-    "a pipe's end": [*Room(wall_x=1.6).meshes(), pipe((1.5, 0.1, 1.2), (0.7, 0.05, 1.3), 0.1, 0.006)],
-    "a tyre": [*Room(wall_x=1.2).meshes(), torus((0.7, 0.1, 1.1), (-0.9, 0.1, 0.4), 0.16, 0.05)],
-    "a coiled hose": [
-        *Room().meshes(), *(torus((0.8 - 0.022 * k, 0.1, 1.1), (-1, 0, 0.1), 0.16 + 0.01 * k, 0.012) for k in range(3))
-    ],
-    "a cart's wheel": [*Room().meshes(), *Valve((0.75, 0.1, 0.2), tilted(20, 0), 0.18, 0.018, 5).meshes()],
-    "a square frame": [
+    "pipes, and boxes": Room(
+        pipes=((0.6, 0.2, 0.1), (0.7, -0.1, 0.05), (0.75, 0.5, 0.2), (0.6, -0.5, 0.03)),
+        boxes=(((0.5, -0.4, 0.6), (0.8, -0.2, 0.9)), ((0.6, 0.3, 1.0), (0.62, 0.5, 1.3))),
+    ).meshes(),
+    "a round plate, a dish, and a porthole": [
         *Room().meshes(),
-        *(box((0.7, y - a, z - b), (0.72, y + a, z + b)) for y, z, a, b in
-          [(0.0, 0.97, 0.15, 0.015), (0.0, 1.23, 0.15, 0.015), (-0.2, 1.1, 0.015, 0.15), (0.2, 1.1, 0.015, 0.15)]),
+        *beside(-0.4, cylinder((0.7, 0.0, 1.1), (0.72, 0.0, 1.1), 0.13)),
+        RING, cylinder((0.7, 0.0, 1.1), (0.71, 0.0, 1.1), 0.13),
+        *beside(0.4, torus((0.89, 0.0, 1.3), FACING, 0.13, 0.02)),
+    ],
+    "a hole in a plate, and a tyre": [
+        *Room(wall_x=1.2).meshes(), *beside(0.3, plate_with_hole()),
+        *beside(-0.5, torus((0.7, 0.1, 1.1), (-0.9, 0.1, 0.4), 0.16, 0.05)),
+    ],
+    "a ring in a frame, a coiled hose, and a cart's wheel": [
+        *Room().meshes(), *beside(-0.3, RING, *(
+            box((0.7, y - a, z - b), (0.72, y + a, z + b)) for y, z, a, b in
+            [(0.0, 0.85, 0.3, 0.12), (0.0, 1.35, 0.3, 0.12), (-0.26, 1.1, 0.13, 0.2), (0.26, 1.1, 0.13, 0.2)]
+        )),
+        *(torus((0.8 - 0.022 * k, 0.45, 1.1), (-1, 0, 0.1), 0.16 + 0.01 * k, 0.012) for k in range(3)),
+        *Valve((0.75, 0.1, 0.2), tilted(20, 0), 0.18, 0.018, 5).meshes(),
+    ],
+    "a pot, and a bucket": [
+        *Room(wall_x=1.4).meshes(),
+        *beside(0.3, *vessel([(0.0, 0.01), (0.1, 0.01), (0.1, 0.14), (0.105, 0.14), (0.105, 0.0), (0.0, 0.0)], 0.6)),
+        *beside(-0.3, *vessel([(0.0, 0.01), (0.1, 0.01), (0.14, 0.3), (0.145, 0.3), (0.105, 0.0), (0.0, 0.0)], 0.4)),
+    ],
+    "a pipe's end, and a square frame": [
+        *Room(wall_x=1.6).meshes(), *beside(0.3, pipe((1.5, 0.1, 1.2), (0.7, 0.05, 1.3), 0.1, 0.006)),
+        *beside(-0.4, *(
+            box((0.7, y - a, z - b), (0.72, y + a, z + b)) for y, z, a, b in
+            [(0.0, 0.97, 0.15, 0.015), (0.0, 1.23, 0.15, 0.015), (-0.2, 1.1, 0.015, 0.15), (0.2, 1.1, 0.015, 0.15)]
+        )),
     ],
 }  # fmt: skip
 
@@ -168,21 +198,6 @@ def test_nothing_is_found_with_confidence_where_there_is_no_wheel(name: str) -> 
     assert all(found.confidence < CONFIDENT for found in detect_valves(cloud))
 
 
-@pytest.mark.parametrize(("name", "sensor"), [("hose_wide", "dense"), ("hose_up", "dense"), ("hose_wide", "solid")])
-def test_a_pipe_seen_from_its_open_end_is_no_wheel(name: str, sensor: str) -> None:
-    assert all(found.confidence < CONFIDENT for found in detect_valves(make_scene(name, seed=5).scan(sensor)))
-
-
-@pytest.mark.parametrize(("name", "sensor"), [("valve_tiny", "solid"), ("valve_large", "solid")])
-def test_the_smallest_and_a_large_wheel_among_pipes_and_boxes_are_found_within_the_targets(
-    name: str, sensor: str
-) -> None:
-    scene = make_scene(name)
-    (true,) = (one for one in scene.truth if one.kind == "valve")
-    pose = true.pose_world_object
-    assert_matches(detect_valves(scene.scan(sensor))[0], pose[:3, 3], pose[:3, 2], true.sizes["outer_radius"])
-
-
 OPEN = Inside((0.0, 3.1), 0.01, 1.0, True, 0.3, 0.02, (-0.02, 0.02), 0.4, 20, 1.0)
 
 
@@ -191,18 +206,10 @@ def test_a_lump_as_large_as_a_rim_is_a_wheel_only_with_clear_openings() -> None:
     assert _openings(clear, blur=0.05) == _openings(few, blur=0.05) == 1.0
     assert _openings(clear, blur=0.32) == 1.0
     assert _openings(few, blur=0.32) < 0.5
-    # A standpipe's coupling looked down on.
-    assert all(found.confidence < CONFIDENT for found in detect_valves(make_scene("hose_up").scan("camera")))
-
-
-def test_a_hoses_coupling_beside_its_standpipe_is_no_lever() -> None:
-    view = make_view(make_scene("hose_aside", seed=21).scan("dense"))
-    assert all(found.confidence < CONFIDENT for found in detect("valve", view))
 
 
 def test_spokes_are_told_where_they_are_clearly_seen() -> None:
-    valve = Valve((0.68, 0.12, 1.1), spin=0.4)
-    found = detect_valves(scan(ROOM.meshes() + valve.meshes(), SENSOR, SCANNER, seed=7))[0]
+    valve, found = VALVES["large, six spokes"], found_of("large, six spokes")
     assert has_clear_spokes(found)
     true = np.sort(np.mod(valve.spoke_angles, 2 * np.pi))
     np.testing.assert_allclose(found.spoke_angles, true, atol=np.radians(3))
@@ -211,11 +218,8 @@ def test_spokes_are_told_where_they_are_clearly_seen() -> None:
 
 
 def test_a_hint_keeps_the_search_near_it() -> None:
-    one, two = Valve((0.7, 0.45, 1.1)), Valve((0.7, -0.35, 1.2), rim_radius=0.15)
-    cloud = scan(ROOM.meshes() + one.meshes() + two.meshes(), SENSOR, SCANNER, seed=3)
-    both = [found for found in detect_valves(cloud) if found.confidence >= CONFIDENT]
-    assert len(both) == 2
-    hinted = detect_valves(cloud, hint=np.array(two.centre) + 0.05)
+    one, two = (VALVES[name] for name in ("forty centimetres", "beyond the hand's reach"))
+    hinted = detect_valves(scan_of(TOGETHER[3]), hint=np.array(two.centre) + 0.05)
     assert_matches(hinted[0], two.centre, two.axis, two.outer_radius)
     assert all(np.linalg.norm(found.centre - one.centre) > 0.1 for found in hinted)
 
@@ -258,39 +262,10 @@ def test_half_a_wheel_out_of_sight_speaks_neither_for_nor_against_it() -> None:
 
 
 def test_detection_is_the_same_for_the_same_seed() -> None:
-    cloud = scan(ROOM.meshes() + VALVES["tilted up"].meshes(), SENSOR, SCANNER, seed=3)
-    one, other = detect_valves(cloud, seed=5)[0], detect_valves(cloud, seed=5)[0]
-    np.testing.assert_array_equal(one.centre, other.centre)
-    assert one.rim_radius == other.rim_radius
-
-
-@pytest.mark.parametrize("scan_name", ["scan0.pcd", "scan2.pcd"])
-def test_the_shared_valve_is_found_within_the_targets(shared_data: Path, scan_name: str) -> None:
-    folder = shared_data / "scenes" / "valve_a"
-    truth = json.loads((folder / "gt.json").read_text())["valves"][0]
-    found = detect_valves(read_cloud(folder / scan_name))
-    assert_matches(found[0], truth["centre"], truth["axis"], truth["outer_radius"])
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["scenes/door_a/scan0.pcd", "scenes/debris/scan0.pcd", "clouds/room_scan1.pcd", "clouds/mit_octomap_scene1.csv",
-     "clouds/eth_car_cloud400.csv", "clouds/kinect_office_capture0001.pcd"],
-)  # fmt: skip
-def test_shared_clouds_without_a_valve_show_none(shared_data: Path, name: str) -> None:
-    assert all(found.confidence < CONFIDENT for found in detect_valves(read_cloud(shared_data / name)))
-
-
-def test_a_cars_steering_wheel_is_no_valve_but_for_who_points_at_it(shared_data: Path) -> None:
-    folder = shared_data / "scenes" / "car_ev"
-    steering = np.array(json.loads((folder / "gt.json").read_text())["car"]["steering_wheel"]["mean"])
-    cloud = read_cloud(folder / "scan0.pcd")
-    unasked = detect_valves(cloud)
-    assert all(found.confidence < CONFIDENT for found in unasked)
-    assert min(np.linalg.norm(found.centre - steering) for found in unasked) < 0.03
-    pointed_at = detect_valves(cloud, hint=steering)[0]
-    assert np.linalg.norm(pointed_at.centre - steering) < 0.03
-    assert pointed_at.confidence >= CONFIDENT
+    other = detect_valves(scan_of(TOGETHER[1]))
+    for one, again in zip(found_in(TOGETHER[1]), other, strict=True):
+        np.testing.assert_array_equal(one.centre, again.centre)
+        assert one.rim_radius == again.rim_radius
 
 
 def seat_at(confidence: float) -> Seat:
@@ -310,17 +285,6 @@ def test_what_steers_faces_a_sure_seat_of_a_vehicle_before_its_middle() -> None:
     assert not steers(replace(wheel, centre=np.array([1.2, 0.1, 1.0])), seats)
     assert not steers(replace(wheel, centre=np.array([0.6, -0.5, 1.0])), seats)
     assert not could_steer(replace(wheel, radius=0.08))
-
-
-def test_the_shipped_scan_shows_its_valve() -> None:
-    truth = json.loads((SHIPPED / "valve_scan.json").read_text())["valve"]
-    perceived = perceive(read_cloud(SHIPPED / "valve_scan.pcd"), reach=Reach(radius=2.0), valve=True)
-    assert perceived.valve is not None
-    assert_matches(perceived.valve, truth["centre"], truth["axis"], truth["outer_radius"])
-    assert has_clear_spokes(perceived.valve)
-    np.testing.assert_allclose(perceived.valve.spoke_angles, np.mod(truth["spoke_angles"], 2 * np.pi), atol=0.06)
-    assert {"floor", "stem", "plane"} <= {piece.kind for piece in perceived.scene.pieces}
-    assert (SHIPPED / "valve_scan.pcd").stat().st_size <= 1_000_000
 
 
 @pytest.mark.parametrize("axis", [(-1, 0, 0), (0, 0, 1), (0.6, 0.0, 0.8), (0, -1, 0)])
@@ -370,40 +334,6 @@ def test_every_wheel_body_is_convex_with_few_vertices() -> None:
 def test_wheel_points_are_those_near_the_wheel_only() -> None:
     points = np.array([[0.7, 0.22, 1.1], [0.7, 0.1, 1.1], [0.9, 0.1, 1.1], [0.7, 0.3, 1.1], [0.6, 0.1, 1.1]])
     assert wheel_points(fake(), points).tolist() == [True, True, False, False, False]
-
-
-ACROSS = (0.0, 1.0, 0.0)
-
-
-@pytest.mark.parametrize("along", [(0.0, 0.0, 1.0), (0.0, 0.5, 0.8), ACROSS], ids=["across", "askew", "along"])
-def test_a_lever_on_a_pipe_is_found_within_the_targets(along: tuple[float, float, float]) -> None:
-    lever = LeverValve((0.72, 0.05, 1.15), tilted(8, 8), along, 0.24, pipe_direction=ACROSS)
-    placed = lever.placed()
-    view = make_view(scan([*Room(wall_x=1.1).meshes(), *placed.meshes], SENSOR, SCANNER, seed=3))
-    true = placed.truth[0].pose_world_object
-    for hint in (None, true[:3, 3] + [0.06, -0.05, 0.04]) if along == ACROSS else (None,):
-        found = detect("valve", view, hint)[0]
-        assert found.confidence >= CONFIDENT
-        assert np.linalg.norm((found.pose_world_object - true)[:3, 3]) <= 0.010
-        assert found.pose_world_object[:3, 2] @ true[:3, 2] >= np.cos(np.radians(2.0))
-        assert found.pose_world_object[:3, 0] @ true[:3, 0] >= np.cos(np.radians(3.0))
-        assert abs(found.sizes["lever_length"] - lever.length) <= 0.005
-
-
-def test_pipes_that_cross_are_no_lever_valve() -> None:
-    pipes = [
-        cylinder((0.8, -1.0, 1.1), (0.8, 1.0, 1.1), 0.05),
-        cylinder((0.7, 0.1, 0.0), (0.7, 0.1, 2.4), 0.015),
-        cylinder((0.72, -0.3, 0.9), (0.68, -0.35, 1.3), 0.012),
-    ]
-    view = make_view(scan([*Room(wall_x=1.1).meshes(), *pipes], SENSOR, SCANNER, seed=3))
-    assert all(found.confidence < CONFIDENT for found in detect("valve", view))
-
-
-def test_a_lever_before_a_box_is_no_lever_valve() -> None:
-    lever = BoxLever((0.65, 0.0, 1.2), angle=0.1)
-    view = make_view(scan([*ROOM.meshes(), *lever.placed().meshes], SENSOR, SCANNER, seed=3))
-    assert all(found.confidence < CONFIDENT for found in detect("valve", view))
 
 
 def rays_about(ring: Ring, n: int, rng: np.random.Generator) -> Sightlines:
