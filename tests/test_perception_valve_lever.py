@@ -52,3 +52,8 @@ def test_pipes_that_cross_and_a_lever_before_a_box_are_no_lever_valves() -> None
     lever = BoxLever((0.65, 0.6, 1.2), angle=0.1).placed()
     view = make_view(scan([*Room(wall_x=1.1).meshes(), *pipes, *lever.meshes], SENSOR, SCANNER, seed=3))
     assert all(found.confidence < CONFIDENT for found in detect("valve", view))
+
+
+def test_a_box_with_a_lever_is_no_pipe_where_air_is_seen_at_its_corners_alone() -> None:
+    view = make_view(make_scene("lever_box_across", 2).scan("camera"))
+    assert all(found.confidence < CONFIDENT for found in detect("valve", view))

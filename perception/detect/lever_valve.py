@@ -25,6 +25,8 @@ _REPORTED, _HOPELESS = 0.05, 0.02
 _SLIM = (5.5, 8.5)  # length by radius; a hose's coupling on its standpipe is stouter
 _END_UNSEEN = 0.4
 _AIR_ABOUT_A_PIPE = (0.5, 0.7)  # the edge of a box has it on one of two sides
+# Of a pipe's length, what rays tell of the air: of a box laid over by a pipe they tell it at its corners alone.
+_KNOWN_OF_IT = (0.25, 0.5)
 _SPREADS = (np.radians(1.8), np.radians(3.2))  # of an axis that is sure, and of one that is not
 
 
@@ -82,6 +84,7 @@ def _joined(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPl
         * rising(float(lever.evidence.n_hits), 12.0, 40.0)
         * rising(pipe.evidence.solid, 0.5, 0.75)
         * rising(pipe.evidence.air, *_AIR_ABOUT_A_PIPE)
+        * rising(pipe.evidence.known, *_KNOWN_OF_IT)
     )
     if confidence * _as_a_lever(joint.pivot, lever.bar.half[0]) < _HOPELESS:
         return None
