@@ -150,7 +150,7 @@ def starts_about(
             side += [2 * i + (half[0] != half[1] and abs(np.cos(turn)) < _EDGEWISE)] * n
     bars = _Many(np.stack(frames), np.concatenate(middles), np.array(size), np.array(side), np.array(halves), section)
     bars = _at_their_depth(sample, bars)
-    likely = np.argsort(_misfits(sample, bars.crossed_by(sample), _BLUR), kind="stable")
+    likely = np.argsort(_misfits(sample, bars.crossed_by(sample.rays), _BLUR), kind="stable")
     likely = np.unique(np.concatenate([_leaders(bars.side[likely], likely), likely[:_LIKELY]]))
     bars = _at_their_depth(sample, bars.chosen(likely))
     return _best(sample, bars, run, most, _BLUR)
@@ -178,7 +178,7 @@ def starts_flush_with(sample: Sample, bar: Bar, halves: Sequence[tuple[float, fl
 
 def _best(sample: Sample, bars: _Many, run: Run, most: int, blur: float) -> list[Start]:
     """The best of every size and side first: which it is shows only after the fit."""
-    order = np.argsort(_misfits(sample, bars.crossed_by(sample), blur), kind="stable")
+    order = np.argsort(_misfits(sample, bars.crossed_by(sample.rays), blur), kind="stable")
     leaders = _leaders(bars.side[order], order).tolist()
     chosen = [*leaders, *(i for i in order.tolist() if i not in leaders)][:most]
     halves = [(float(width), float(thickness)) for width, thickness in bars.halves[bars.size]]
@@ -211,8 +211,8 @@ class _Many:
     halves: Float[np.ndarray, "S 2"]
     section: Section
 
-    def crossed_by(self, sample: Sample) -> Crossing:
-        return cross_sections(sample.rays, self.frames, self.centres, self.halves[self.size], self.section)
+    def crossed_by(self, rays: SurroundingRays) -> Crossing:
+        return cross_sections(rays, self.frames, self.centres, self.halves[self.size], self.section)
 
     def chosen(self, keep: Int[np.ndarray, "K"]) -> _Many:
         return replace(
@@ -222,7 +222,8 @@ class _Many:
 
 def _at_their_depth(sample: Sample, bars: _Many) -> _Many:
     """Moved along the rays, so that those that ended near the line and meet the bar end on it."""
-    crossing = bars.crossed_by(sample)
-    gap = np.where(sample.mine & (crossing.outside < SIGMA_EDGE), sample.rays.length - crossing.depth, np.nan)
-    shift = median_of_known(gap[:, sample.mine], 0.0)
+    mine = sample.rays.selected(sample.mine)
+    crossing = bars.crossed_by(mine)
+    gap = np.where(crossing.outside < SIGMA_EDGE, mine.length - crossing.depth, np.nan)
+    shift = median_of_known(gap, 0.0)
     return replace(bars, centres=bars.centres + shift[:, None] * sample.away)
