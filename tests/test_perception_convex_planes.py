@@ -33,7 +33,7 @@ def test_what_hangs_farther_before_a_wall_than_its_slab_reaches_is_not_its_noise
 
 
 def test_what_a_wall_s_slab_covers_is_its_noise() -> None:
-    assert _explained(0.024, 0.2).mean() > 0.95
+    assert _explained(0.020, 0.2).mean() > 0.95
 
 
 def test_tails_on_both_sides_of_a_wall_are_its_noise_however_thick() -> None:

@@ -28,6 +28,7 @@ VOXEL = 0.015
 _CELL = 0.02
 _WITHIN = 0.01
 _BEHIND = 0.02
+_NOISE = 0.002
 _GAP = 0.06
 _GAP_OF_RANGE = 0.06
 _SKIN_OF_SPACING = 0.4
@@ -139,12 +140,19 @@ def _clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"],
 
 
 def _covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Slab]]) -> Bool[np.ndarray, "N"]:
-    """Points that a slab stands for: within 1 cm of it, its noise, and what seems to lie up to 2 cm behind it."""
+    """Points that a slab stands for: inside it, its noise, and what seems to lie up to 2 cm behind it.
+
+    What stands out of a plane by more than its slab is a thing of its own, as buttons are.
+
+    Args:
+        points: (N, 3) freed of noise [m].
+        slabs: with their planes.
+    """
     covered = np.zeros(len(points), dtype=bool)
     for plane, slab in slabs:
         covered[plane.noise] = True
         distance = points @ plane.normal - plane.offset
-        near = np.flatnonzero(~covered & (distance <= FRONT + _WITHIN) & (distance >= -_BEHIND))
+        near = np.flatnonzero(~covered & (distance <= FRONT + _NOISE) & (distance >= -_BEHIND))
         flat = points[near] @ plane.basis.T
         inside = (flat @ slab.faces[:, :2].T + slab.faces[:, 2] <= _WITHIN).all(axis=1)
         covered[near[inside]] = True

@@ -20,7 +20,7 @@ _AROUND = 0.03
 _FEW = 3
 # Smaller hulls are as small as noise and skin make them, and so much seen-free space is noise [m^3].
 _LEAST_VOLUME = 5e-5
-_ALLOWED = Allowance(volume=1.2e-5, share=0.02, skin=SKIN)
+_ALLOWED = Allowance(volume=2.4e-5, share=0.03, skin=SKIN)
 
 
 def refined(

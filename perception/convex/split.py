@@ -30,8 +30,8 @@ class Allowance:
         skin: that the hull has when it is judged [m].
     """
 
-    volume: float = 1.6e-5
-    share: float = 0.01
+    volume: float = 2.4e-5
+    share: float = 0.02
     skin: float = 0.0
 
 
