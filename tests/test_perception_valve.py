@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from valve_targets import assert_matches
 
 from perception import (
     CONFIDENT,
@@ -80,15 +81,6 @@ def found_in(names: tuple[str, ...]) -> list[ValveDetection]:
 def found_of(name: str) -> ValveDetection:
     (names,) = (some for some in TOGETHER if name in some)
     return min(found_in(names), key=lambda one: float(np.linalg.norm(one.centre - VALVES[name].centre)))
-
-
-def assert_matches(found: ValveDetection, centre: object, axis: object, outer_radius: float) -> None:
-    """The targets for dense scans."""
-    assert found.confidence >= CONFIDENT
-    assert np.linalg.norm(found.centre - np.asarray(centre)) <= 0.010
-    direction = np.asarray(axis) / np.linalg.norm(np.asarray(axis))
-    assert np.degrees(np.arccos(np.clip(found.axis @ direction, -1, 1))) <= 2.0
-    assert abs(found.outer_radius - outer_radius) <= 0.005
 
 
 def fake(**changes: object) -> ValveDetection:

@@ -7,19 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from valve_targets import assert_matches
 
-from perception import CONFIDENT, Reach, ValveDetection, detect_valves, has_clear_spokes, perceive, read_cloud
+from perception import CONFIDENT, Reach, detect_valves, has_clear_spokes, perceive, read_cloud
 
 SHIPPED = Path(__file__).parents[1] / "examples" / "data"
-
-
-def assert_matches(found: ValveDetection, centre: object, axis: object, outer_radius: float) -> None:
-    """The targets for dense scans."""
-    assert found.confidence >= CONFIDENT
-    assert np.linalg.norm(found.centre - np.asarray(centre)) <= 0.010
-    direction = np.asarray(axis) / np.linalg.norm(np.asarray(axis))
-    assert np.degrees(np.arccos(np.clip(found.axis @ direction, -1, 1))) <= 2.0
-    assert abs(found.outer_radius - outer_radius) <= 0.005
 
 
 @pytest.mark.parametrize("scan_name", ["scan0.pcd", "scan2.pcd"])

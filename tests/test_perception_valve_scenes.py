@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
+from valve_targets import assert_matches
 
-from perception import CONFIDENT, ValveDetection, detect_valves
+from perception import CONFIDENT, detect_valves
 from perception.simulate.scenes import make_scene
-
-
-def assert_matches(found: ValveDetection, centre: object, axis: object, outer_radius: float) -> None:
-    """The targets for dense scans."""
-    assert found.confidence >= CONFIDENT
-    assert np.linalg.norm(found.centre - np.asarray(centre)) <= 0.010
-    direction = np.asarray(axis) / np.linalg.norm(np.asarray(axis))
-    assert np.degrees(np.arccos(np.clip(found.axis @ direction, -1, 1))) <= 2.0
-    assert abs(found.outer_radius - outer_radius) <= 0.005
 
 
 @pytest.mark.parametrize(("name", "sensor"), [("hose_wide", "dense"), ("hose_up", "dense"), ("hose_wide", "solid")])
