@@ -72,10 +72,12 @@ def test_pipes_that_run_on_posts_tins_pots_boxes_and_closed_ends_are_none_to_act
 
 
 @pytest.mark.parametrize(
-    ("variant", "seed"), [("dense", 1), ("solid", 3)], ids=["a table's corner", "plates in a rack"]
+    ("name", "seed", "variant"),
+    [("empty_rounds", 1, "dense"), ("empty_rounds", 3, "solid"), ("drill_shelf_away", 0, "solid")],
+    ids=["a table's corner", "plates in a rack", "a drill's body over its grip"],
 )
-def test_what_shows_a_wall_on_some_sides_of_a_gap_is_no_opening(variant: str, seed: int) -> None:
-    view = make_view(make_scene("empty_rounds", seed).scan(variant))
+def test_what_shows_a_wall_on_some_sides_of_a_gap_is_no_opening(name: str, seed: int, variant: str) -> None:
+    view = make_view(make_scene(name, seed).scan(variant))
     assert all(one.confidence < CONFIDENT for one in detect_hose(view))
 
 

@@ -36,6 +36,8 @@ _MOST_SKIN = 0.02
 AROUND = 0.1
 _UPRIGHT = 0.17
 _WALL = (0.8, 1.2)
+# What stands for a surface follows it closely: planes of bent ones are cut where their points lie beside them.
+_PLANES = PlaneSettings(covered=FRONT + _WITHIN, bias=0.007)
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ def bodies_of(
     if not len(left):
         return []
     points, starts = coarse.points[left], coarse.starts[left]
-    planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), plane_settings)
+    planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), plane_settings or _PLANES)
     clock.lap("planes")
     apart = spacing_of(coarse.points, coarse.starts, left)
     slabs = [(plane, slab) for plane in planes for slab in slabs_of(plane, points, *rays, free, apart)]

@@ -47,11 +47,11 @@ class PlaneSettings:
     n_neighbours: int = 16
     absorb: float = 0.06
     noise_share: float = 0.5
-    covered: float = 0.022
+    covered: float = 0.027
     tail_share: float = 0.05
     tail_points: int = 4
     tail_ratio: float = 3.0
-    bias: float = 0.007
+    bias: float = 0.01
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from perception.detect.sightlines import SightIndex, Sightlines, sight_index
 from perception.view import View
 
 _VOXEL = 0.03
-# All of a wall's noise is to go, however closely pieces follow walls.
-_WALL = PlaneSettings(min_size=0.45, min_points=150, max_planes=12, n_neighbours=20, covered=0.027, bias=0.01)
+_WALL = PlaneSettings(min_size=0.45, min_points=150, max_planes=12, n_neighbours=20)
 _NEAR = 0.05
 _CLOSED = 0.6
 _MOST_RAYS = 40_000

@@ -188,7 +188,7 @@ def _confidence(tube: Tube, misfit: float, evidence: Evidence, is_hinted: bool) 
     """Product of: a solid wall, an opening that rays go into and nothing else in it, a wall all about it, little that
     the tube does not explain, air beside it, depths that agree, a hose's radius, within reach."""
     unseen = 0.8 if is_hinted else 0.4
-    sure = rising(float(evidence.n_open), 6.0, 16.0) * rising(evidence.entering, 0.15, 0.35)
+    sure = rising(float(evidence.n_open), 6.0, 16.0) * rising(evidence.entering, 0.2, 0.35)
     is_open = 0.0 if np.isnan(evidence.open) else rising(evidence.open, 0.5, 0.75)
     would_show = 1.0 - np.exp(-max(evidence.n_hits, 1) / _TO_SHOW_ALL)
     is_open *= rising(-evidence.stopped, -0.4, -0.2) * rising(evidence.round / would_show, *_ALL_ABOUT)
