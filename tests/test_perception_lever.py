@@ -79,6 +79,11 @@ def test_the_rim_of_a_level_wheel_is_no_lever(seed: int, variant: str) -> None:
     assert all(found.confidence < CONFIDENT for found in detect("lever", view))
 
 
+def test_a_length_of_a_large_wheel_s_rim_is_no_lever() -> None:
+    view = make_view(make_scene("valve_large", 2).scan("camera"))
+    assert all(one.confidence < CONFIDENT for one in detect("lever", view))
+
+
 def test_a_face_goes_on_behind_a_place_within_its_region_where_rays_end_on_it() -> None:
     rng = np.random.default_rng(0)
     at = rng.uniform(-0.4, 0.4, (4000, 2))

@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 from threadpoolctl import threadpool_limits
 
-from perception.detect.bar_evidence import Ends, Evidence, find_ends, weigh_bar
+from perception.detect.bar_ends import LikelyEnds, likely_ends
+from perception.detect.bar_evidence import Evidence, weigh_bar
 from perception.detect.bar_fit import fit_bars
 from perception.detect.bar_starts import Run, misfits, sample_about, starts_about
 from perception.detect.bars import Bar, SurroundingRays
@@ -38,7 +39,7 @@ class _Found:
     """A bar before a face and what speaks for it being a lever; ``confidence`` leaves the pivot out."""
 
     face: Face
-    ends: Ends
+    ends: LikelyEnds
     evidence: Evidence
     pivot: Pivot
     confidence: float
@@ -123,10 +124,10 @@ def _examined(face: Face, seen: FaceRays, run: Run) -> _Found | None:
     bar = _fitted(rays, run)
     if bar is None:
         return None
-    ends = find_ends(rays, bar)
+    ends = likely_ends(rays, bar, None)
     again = _fitted(rays, Run(ends.bar.centre, ends.bar.axis, ends.bar.first, ends.bar.last))
     if again is not None:
-        ends = find_ends(rays, again)
+        ends = likely_ends(rays, again, None)
     bar = ends.bar
     if not _LENGTHS[0] < bar.length < _LENGTHS[1]:
         return None
