@@ -10,6 +10,8 @@ MAX_FILE_BYTES = 512 * 2**20
 # Of what must be in memory as a whole: small files, text after thinning, and what is packed in one block.
 MAX_WHOLE_BYTES = 64 * 2**20
 MAX_INVALID_FRACTION = 0.95
+# No coordinate is larger [m, or whatever unit a file is in].
+LARGEST_COORDINATE = 1e9
 
 # Of the process that parses a file.
 MAX_PARSER_BYTES = 2**30

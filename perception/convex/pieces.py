@@ -58,7 +58,6 @@ def make_pieces(
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     seed: int = 0,
-    plane_settings: PlaneSettings | None = None,
 ) -> Pieces:
     """Planes become thin slabs; what is left becomes hulls that hold no seen-free space.
 
@@ -68,7 +67,6 @@ def make_pieces(
         rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan, those of the floor, of the robot and
             those that met nothing included: evidence of free space [m].
         seed: of the plane search; the same points, in any order, and the same seed give the same pieces.
-        plane_settings: what counts as a plane.
     """
     if not len(points):
         return Pieces((), {})
@@ -77,7 +75,7 @@ def make_pieces(
     coarse = coarsened(points, starts, VOXEL)
     free = crossing_of(coarse.points, rays).seen_free(coarse.points)
     clock.lap("free space")
-    bodies = bodies_of(coarse, np.arange(len(coarse.points)), rays, free, seed, plane_settings, clock)
+    bodies = bodies_of(coarse, np.arange(len(coarse.points)), rays, free, seed, clock)
     kept = np.ones(len(points), dtype=bool)
     pieces = with_points(named(bodies, {}, free), points, kept, Groups.of(coarse), coarse)
     clock.lap("evidence")
@@ -90,14 +88,13 @@ def bodies_of(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     free: FreeSpace,
     seed: int,
-    plane_settings: PlaneSettings | None,
     clock: Clock,
 ) -> list[Body]:
     """Slabs and hulls for the points that are left."""
     if not len(left):
         return []
     points, starts = coarse.points[left], coarse.starts[left]
-    planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), plane_settings or _PLANES)
+    planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), _PLANES)
     clock.lap("planes")
     apart = spacing_of(coarse.points, coarse.starts, left)
     slabs = [(plane, slab) for plane in planes for slab in slabs_of(plane, points, *rays, free, apart)]

@@ -173,7 +173,7 @@ def _new_pieces(
     crossing = crossing_of(scan.held, rays) if whole is None else whole
     free = crossing.seen_free(scan.coarse.points[scan.groups.hold(kept)], boxes)
     clock.lap("free space")
-    return named(bodies_of(scan.coarse, new, rays, free, seed, None, clock), first, free)
+    return named(bodies_of(scan.coarse, new, rays, free, seed, clock), first, free)
 
 
 def _first_numbers(before: Sequence[Piece]) -> dict[str, int]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from perception.errors import CloudError
 from perception.files.scan import Scan
+from perception.limits import LARGEST_COORDINATE
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 COORDINATES = ("x", "y", "z")
 STARTS = ("vp_x", "vp_y", "vp_z")
 NO_RETURN = "no_return"
-_LARGEST = 1e9
 _UNREADABLE = re.compile("\ufffd+")
 _KNOWN = (*COORDINATES, *STARTS, NO_RETURN)
 
@@ -71,7 +71,7 @@ def parse_viewpoint(words: Sequence[str], name: str) -> tuple[float, ...]:
         numbers = ()
     if len(numbers) == 3:
         numbers = (*numbers, 1.0, 0.0, 0.0, 0.0)
-    if len(numbers) != 7 or not np.abs(numbers).max() <= _LARGEST or np.linalg.norm(numbers[3:]) < 1e-6:
+    if len(numbers) != 7 or not np.abs(numbers).max() <= LARGEST_COORDINATE or np.linalg.norm(numbers[3:]) < 1e-6:
         raise CloudError(
             f"{name}: viewpoint '{shown(' '.join(words))}' is not x y z, or x y z and a quaternion w x y z"
         )

@@ -9,10 +9,9 @@ from jaxtyping import Bool, Float
 
 from perception.errors import CloudError
 from perception.files.scan import Scan
-from perception.limits import MAX_INVALID_FRACTION
+from perception.limits import LARGEST_COORDINATE, MAX_INVALID_FRACTION
 
 # No coordinate is that large in any unit; drivers write such numbers, or infinity, where there was no return.
-_LARGEST = 1e9
 # Rounding that hides what a robot must not touch.
 _COARSE_M = 0.001
 _SAMPLE = 10_000
@@ -30,7 +29,7 @@ def without_empty_rows(scan: Scan, name: str) -> Scan:
     n_beyond = int((np.isfinite(scan.points).all(axis=1) & ~np.isfinite(points).all(axis=1)).sum())
     if n_beyond > MAX_INVALID_FRACTION * len(points):
         raise CloudError(
-            f"{name}: {n_beyond} of {len(points)} points lie beyond {_LARGEST:g}; are x, y, z other columns, "
+            f"{name}: {n_beyond} of {len(points)} points lie beyond {LARGEST_COORDINATE:g}; are x, y, z other columns, "
             "or its bytes in another order?"
         )
     scan = replace(
@@ -52,7 +51,7 @@ def without_empty_rows(scan: Scan, name: str) -> Scan:
 
 
 def _bounded(rows: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    return np.where(np.abs(rows) <= _LARGEST, rows, np.nan)
+    return np.where(np.abs(rows) <= LARGEST_COORDINATE, rows, np.nan)
 
 
 def rounding_note(points: Float[np.ndarray, "N 3"], metres: float) -> tuple[str, ...]:

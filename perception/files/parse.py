@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -70,11 +71,11 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
     try:
         with np.errstate(all="ignore"):  # damaged numbers overflow; what is too large to be a place is dropped later
             if is_one:
-                _check_file(path / _BAG_FOLDER_HAS if _is_folder(path) else path, None)
+                _check_file(path / _BAG_FOLDER_HAS if os.path.isdir(path) else path, None)
                 if path.is_file():
                     _check_bag(path, suffix)
                 return read_bag(path, str(path), topic, message)
-            if _is_folder(path):
+            if os.path.isdir(path):
                 raise CloudError(f"{path}: {_of_folder(path)}")
             _check_file(path, MAX_FILE_BYTES)
             kind, notes = _kind(path, suffix)
@@ -94,15 +95,7 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
 
 def is_bag(path: Path) -> bool:
     """Whether a path is one of a bag: of its file, or of the folder of a ROS 2 bag."""
-    return path.suffix.lower() in _BAGS or (_is_folder(path) and (path / _BAG_FOLDER_HAS).is_file())
-
-
-def _is_folder(path: Path) -> bool:
-    """Whether a path is one of a folder; one that nothing can be called is none."""
-    try:
-        return path.is_dir()
-    except OSError:
-        return False
+    return path.suffix.lower() in _BAGS or (os.path.isdir(path) and (path / _BAG_FOLDER_HAS).is_file())
 
 
 def _of_folder(path: Path) -> str:

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from perception.errors import CloudError
+from perception.limits import LARGEST_COORDINATE
 
 METRES_BY_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _RIGID_TOLERANCE = 1e-4
-_LARGEST = 1e9
 _LARGEST_ANGLE = 2.0 * np.pi + 1e-3
 
 Pose = Float[np.ndarray, "4 4"] | Sequence[float] | Sequence[Sequence[float]]
@@ -50,8 +50,8 @@ def rigid_pose(transform: Pose) -> Float[np.ndarray, "4 4"]:
             f"transform of {values.size} numbers; a 4x4 matrix, x y z yaw pitch roll, or x y z qw qx qy qz is needed"
         )
     values = values.ravel()
-    if np.abs(values).max() > _LARGEST:
-        raise CloudError(f"transform holds {np.abs(values).max():g}; at most {_LARGEST:g} m would do")
+    if np.abs(values).max() > LARGEST_COORDINATE:
+        raise CloudError(f"transform holds {np.abs(values).max():g}; at most {LARGEST_COORDINATE:g} m would do")
     if values.size == 16:
         return _checked(values.reshape(4, 4))
     if values.size == 7:

@@ -16,14 +16,13 @@ from perception.files.pcd import IDENTITY_VIEWPOINT
 from perception.files.scan import Scan
 from perception.files.text import after_lines, read_rows, with_line_feeds
 from perception.files.thinning import step_of, taken, thinning_note
-from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
+from perception.limits import LARGEST_COORDINATE, MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 # Numbers in each line before the cells: columns, rows, the scanner's position and axes, the cells' transformation.
 HEADER_WIDTHS = (1, 1, 3, 3, 3, 3, 4, 4, 4, 4)
-_LARGEST = 1e9
 _RIGID_TOLERANCE = 1e-3  # of numbers that are written with few digits
 _APART_M = 0.01
 
@@ -132,7 +131,7 @@ def _numbers(content: bytes, width: int, where: str, scan: int) -> list[float]:
         values = [float(word) for word in words]
     except ValueError:
         values = []
-    is_right = len(values) == width and bool((np.abs(values) <= _LARGEST).all())
+    is_right = len(values) == width and bool((np.abs(values) <= LARGEST_COORDINATE).all())
     if not is_right or (width == 1 and natural(words[0]) is None):
         wanted = "a number of columns or rows" if width == 1 else f"{width} numbers"
         raise CloudError(f"{where}: '{shown(' '.join(words))}' is not {wanted}, as the header of scan {scan} has there")
@@ -171,7 +170,7 @@ def _cells(
             f"{name}: scan {station.number} announces {station.n_cells} cells, {rows.n_there} of as many lines are some"
         )
     local = rows.values
-    is_point = np.isfinite(local).all(axis=1) & (np.abs(local) <= _LARGEST).all(axis=1) & local.any(axis=1)
+    is_point = np.isfinite(local).all(axis=1) & (np.abs(local) <= LARGEST_COORDINATE).all(axis=1) & local.any(axis=1)
     cells = np.arange(station.n_cells)[taken(station.n_cells, step)]
     points = local[is_point]
     directions = missed_directions(points, cells[is_point], cells[~is_point], station.shape)

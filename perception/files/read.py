@@ -18,11 +18,10 @@ from perception.files.placing import Pose, metres_per, moved, pose_of_viewpoint,
 from perception.files.scan import Scan
 from perception.files.thinning import taken
 from perception.files.worker import parse_in_worker
-from perception.limits import MAX_POINTS
+from perception.limits import LARGEST_COORDINATE, MAX_POINTS
 
 # No ray is that long.
 _MAP_DISTANCE = 1_000.0
-_LARGEST = 1e9
 
 
 def read_cloud(
@@ -168,8 +167,10 @@ def _unknown_sensor(
     """
     if sensor is not None:
         position = np.asarray(sensor, dtype=np.float64)
-        if position.shape != (3,) or not (np.abs(position) <= _LARGEST).all():
-            raise CloudError(f"sensor {list(sensor)} is no position; three numbers, at most {_LARGEST:g} m, are needed")
+        if position.shape != (3,) or not (np.abs(position) <= LARGEST_COORDINATE).all():
+            raise CloudError(
+                f"sensor {list(sensor)} is no position; three numbers, at most {LARGEST_COORDINATE:g} m, are needed"
+            )
         return position, ()
     valid = points[np.isfinite(points).all(axis=1)]
     distance = float(np.linalg.norm(np.median(valid, axis=0) - zero)) if len(valid) else 0.0
