@@ -86,10 +86,17 @@ def plan_command(
 @app.command("verify", epilog=EXIT_CODE_HELP)
 def verify_command(
     result: Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")],
+    request: Annotated[
+        Path | None, typer.Option(help="Request file the result is to answer; by default the one in the folder.")
+    ] = None,
+    cloud: Annotated[
+        list[Path] | None,
+        typer.Option(help="Cloud (or scene) file of that request, read again; repeat for several."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Check a result anew, without the planner."""
-    raise typer.Exit(run(lambda: _verify(result, as_json), as_json, has_verdict=True))
+    raise typer.Exit(run(lambda: _verify(result, request, cloud or [], as_json), as_json, has_verdict=True))
 
 
 @app.command("view")
@@ -167,14 +174,14 @@ def _plan(
     return str(result.verdict.value)
 
 
-def _verify(path: Path, as_json: bool) -> str:
+def _verify(path: Path, request: Path | None, clouds: list[Path], as_json: bool) -> str:
     out, err = consoles()
     with progress(err, "read result") as report:
         report("read result", 0.0)
         from service.replay import verify_result
 
         report("verify", 0.1)
-        summary = verify_result(path)
+        summary = verify_result(path, request, clouds)
     if as_json:
         print_json(summary)
     else:

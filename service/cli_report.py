@@ -40,7 +40,8 @@ def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
     sentence = " ".join(next(iter(summary.get("explanation") or []), "").split())
     if not sentence:
         planned = f", planned in {summary['planning_time_s']:.2f} s" if "planning_time_s" in summary else ""
-        sentence = f"clearance {_millimetres(summary.get('min_clearance_m'))}{planned}"
+        held_to = f", {summary['held_to']}" if summary.get("held_to") else ""
+        sentence = f"clearance {_millimetres(summary.get('min_clearance_m'))}{planned}{held_to}"
     line = Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}")
     out.print(line.append(f"  {sentence}", style="not bold default"), soft_wrap=True)
 

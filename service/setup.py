@@ -13,16 +13,16 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import RobotError, RobotModel, load_robot
-from costs.scene import ConvexPiece, Scene
+from costs.scene import Scene
 from service.attached import robot_with_attached
+from service.demands import compose_scene
 from service.errors import RequestError, would_do
 from service.keep import KeptPose, kept_poses
 from service.monitor import Interrupted
-from service.obstacles import flat_floor, obstacles_of
+from service.obstacles import obstacles_of
 from service.request import PlanRequest
 from service.start import (
     FEET_GROUP,
-    FLOOR_KIND,
     Overlap,
     beyond_limits,
     no_way_out,
@@ -116,7 +116,7 @@ def _prepare(
     should_stop: Callable[[], bool],
     see: Callable[..., Perceived] | None,
 ) -> PlanSetup:
-    start, notes, program = _start(robot, request)
+    start, notes, program = start_of(robot, request)
     _check_goal(robot, request)
     kept = _kept(robot, start, request)
     soles = _soles(robot, start, request, program)
@@ -129,7 +129,7 @@ def _prepare(
         return PlanSetup(
             request, robot, start, empty, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
         )
-    scene = _scene(request, robot, start, about.pieces, obstacles.pieces)
+    scene = compose_scene(request, robot, start, about.pieces, obstacles.pieces)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
     inside = _timed(timings, "check_start", check)
@@ -138,7 +138,7 @@ def _prepare(
     return PlanSetup(request, robot, start, scene, about, soles, kept, program, inside, notes, timings)
 
 
-def _start(robot: RobotModel, request: PlanRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
+def start_of(robot: RobotModel, request: PlanRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
     """Start configuration, notes about it, and the problem file that may say more of it."""
     if request.task is None or request.task.trajopt is None:
         return *start_configuration(robot, request.start), None
@@ -245,30 +245,6 @@ def _soles(
     if problems:
         raise RequestError(problems)
     return {foot: sole(robot, start, foot) for foot in feet}
-
-
-def _scene(
-    request: PlanRequest,
-    robot: RobotModel,
-    start: Float[np.ndarray, "n"],
-    seen: tuple[ConvexPiece, ...],
-    obstacles: tuple[ConvexPiece, ...],
-) -> Scene:
-    """Obstacles first, then what was seen, then the floor; a floor given in the request replaces the one seen."""
-    pieces: list[ConvexPiece] = list(obstacles)
-    floor = request.scene.floor
-    pieces += [piece for piece in seen if floor is None or piece.kind != FLOOR_KIND]
-    if floor is None:
-        floor = robot.is_floating and not any(piece.kind == FLOOR_KIND for piece in pieces)
-    if floor is not False:
-        height = 0.0 if floor is True else float(floor)
-        pieces.append(flat_floor(height, start[:2] if robot.is_floating else np.zeros(2)))
-    try:
-        return Scene(tuple(pieces))
-    except ValueError as error:
-        raise RequestError(
-            f"scene.obstacles: {error}; the names 'floor' and those of the pieces that were seen are taken"
-        ) from None
 
 
 def _check_start(

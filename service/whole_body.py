@@ -25,6 +25,7 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Sense
+from service.demands.stance import standing_allowances
 from service.holds import DRIFT, Hold, projected
 from service.keep import KeptPose
 from service.start import sole
@@ -178,8 +179,7 @@ class WholeBody:
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
         """Planted links rest on the floor."""
-        floors = [piece.name for piece in self.scene.pieces if piece.kind == "floor"]
-        return tuple(Allowance(foot.link, floor, 0.01) for foot in self.planted for floor in floors)
+        return standing_allowances([foot.link for foot in self.planted], self.scene)
 
     def problem(
         self,

@@ -29,6 +29,7 @@ from costs.terms import (
 )
 from scopt import Constraint, Cost, Penalty, Residual, Sense
 from service.start import sole
+from service.trajopt.demanded import pose_matrix
 from service.trajopt.problem import (
     CartVelTerm,
     CollisionTerm,
@@ -40,7 +41,6 @@ from service.trajopt.problem import (
     ZmpTerm,
 )
 from service.trajopt.program import Program, Timeline
-from service.trajopt.standing import pose_matrix
 from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
 DISTANCE_TOLERANCE = 1e-3  # by which a clearance that is a constraint may fall short [m]
