@@ -18,6 +18,7 @@ from service.attached import robot_with_attached
 from service.errors import RequestError, would_do
 from service.keep import KeptPose, kept_poses
 from service.monitor import Interrupted
+from service.names import TakenNames, check_given, check_names, with_free_names
 from service.obstacles import flat_floor, obstacles_of
 from service.request import PlanRequest
 from service.start import (
@@ -116,6 +117,8 @@ def _prepare(
     should_stop: Callable[[], bool],
     see: Callable[..., Perceived] | None,
 ) -> PlanSetup:
+    taken = TakenNames.of(robot, request)
+    check_names(request, robot, taken)
     start, notes, program = _start(robot, request)
     _check_goal(robot, request)
     kept = _kept(robot, start, request)
@@ -129,12 +132,17 @@ def _prepare(
         return PlanSetup(
             request, robot, start, empty, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
         )
-    scene = _scene(request, robot, start, about.pieces, obstacles.pieces)
+    seen, renamed = about.pieces, tuple[str, ...]()
+    if request.scene.file is None:
+        seen, renamed = with_free_names(seen, taken, {piece.name for piece in obstacles.pieces})
+    else:
+        check_given(seen, taken)
+    scene = _scene(request, robot, start, seen, obstacles.pieces, taken)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
     inside = _timed(timings, "check_start", check)
     notes += tuple(f"start is in collision: {one}; the first phase leaves it" for one in inside)
-    notes += obstacles.notes + about.notes
+    notes += obstacles.notes + about.notes + renamed
     return PlanSetup(request, robot, start, scene, about, soles, kept, program, inside, notes, timings)
 
 
@@ -253,6 +261,7 @@ def _scene(
     start: Float[np.ndarray, "n"],
     seen: tuple[ConvexPiece, ...],
     obstacles: tuple[ConvexPiece, ...],
+    taken: TakenNames,
 ) -> Scene:
     """Obstacles first, then what was seen, then the floor; a floor given in the request replaces the one seen."""
     pieces: list[ConvexPiece] = list(obstacles)
@@ -262,7 +271,8 @@ def _scene(
         floor = robot.is_floating and not any(piece.kind == FLOOR_KIND for piece in pieces)
     if floor is not False:
         height = 0.0 if floor is True else float(floor)
-        pieces.append(flat_floor(height, start[:2] if robot.is_floating else np.zeros(2)))
+        flat = flat_floor(height, start[:2] if robot.is_floating else np.zeros(2))
+        pieces += with_free_names((flat,), taken)[0]
     try:
         return Scene(tuple(pieces))
     except ValueError as error:
@@ -282,7 +292,7 @@ def _check_start(
     """What the robot is in at its start, which is nothing unless it may escape."""
     problems = []
     inside = overlaps(robot, start, scene, tuple(soles))
-    obstacles = [no_way_out(robot, one, tuple(soles)) for one in inside]
+    obstacles = [no_way_out(one, tuple(soles)) for one in inside]
     if program is not None or not request.options.escape:
         problems = [f"start is in collision: {one}" for one in inside]
         if inside and program is None and not any(obstacles):

@@ -199,7 +199,9 @@ def promises_hash(phases: Iterable[Phase]) -> str:
     named: list[tuple[str, np.ndarray]] = []
     for phase in phases:
         named.append((f"phase {phase.name}", np.empty((0, 1))))
-        named += [(f"allowance {a.link}|{a.other}", np.array([[a.depth]])) for a in phase.allowances]
+        for a in phase.allowances:
+            pair = [[ref.owner, ref.link, ref.body] for ref in (a.first, a.second)]
+            named.append((f"allowance {json.dumps(pair)}", np.array([[a.depth]])))
         named += [(f"planted {c.link}", np.array([[c.tolerance_m, c.knot_tolerance_m]])) for c in phase.contacts]
         if phase.support is not None:
             named.append((f"support {phase.support.margin_m:.6f}", phase.support.polygon))
