@@ -69,15 +69,17 @@ def separation(a: Array, b: Array, wanted: float) -> float:
 
 def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
     """Every pair on the whole curve: by the certificate's rows where it has some, by bounding boxes elsewhere."""
-    solids, moved = {}, {m["name"] for m in data["movables"]}
+    solids, named, moved = {}, {}, {m["name"] for m in data["movables"]}
     for body in data["bodies"]:
         frame = replay.model.frames[replay.model.getFrameId(body["link"])]
         points = np.array(body["vertices"]) @ frame.placement.rotation.T + frame.placement.translation
         solids[body["name"]] = (body["link"], int(frame.parentJoint), points)
+        named[body["name"]] = ("robot", body["link"], body["name"])
     for movable in data["movables"]:
         joint = int(replay.model.getJointId(movable["joint"]))
         for body in movable["bodies"]:
             solids[body["name"]] = (movable["name"], joint, np.array(body["vertices"]) - movable["origin"])
+            named[body["name"]] = ("mechanism", movable["name"], body["name"])
     pieces = {p["name"]: ("", 0, np.array(p["vertices"])) for p in data["pieces"]}
     pairs = [(n, p) for n, (link, j, _) in solids.items() if j and link not in moved for p in pieces]
     for (n, (la, ja, _)), (m, (lb, jb, _)) in itertools.combinations(solids.items(), 2):
@@ -85,18 +87,22 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
         if ja != jb and la != lb and sorted((la, lb)) not in data["ignored_pairs"] and not is_apart:
             pairs.append((n, m))
     solids |= pieces
+    named |= {name: ("scene", None, name) for name in pieces}
+    listed = [data["bodies"], data["pieces"], *(m["bodies"] for m in data["movables"])]
+    if len(solids) < sum(map(len, listed)):
+        raise SystemExit("two bodies or pieces have one name, so that the certificate's pairs cannot be told apart")
     proof, rows, sweeps, failed, smallest, n_rows = data["certificate"]["stretches"], {}, {}, [], np.inf, 0
     edges = np.union1d(replay.edges, np.clip(proof["edges"], replay.edges[0], replay.edges[-1])).tolist()
     for p, *row in zip(*(proof[key] for key in ("pair", "first", "last", "distance")), strict=True):
         rows.setdefault(tuple(proof["pairs"][p]), []).append(row)
     for pair in pairs:
         pair = pair[::-1] if pair[::-1] in rows else pair
-        (lm, jm, mover), (lh, jh, holder) = solids[pair[0]], solids[pair[1]]
+        (_, jm, mover), (_, jh, holder) = solids[pair[0]], solids[pair[1]]
         chain, own = replay.chain(jh, jm, mover), sorted(rows.get(pair, []))
         seen = sweeps.setdefault((pair[0], jh), {})  # what all pairs of one mover and one frame share
         for a, b in itertools.pairwise(edges):
             phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
-            depths = [w["depth"] for w in phase["allowances"] if covers(w, (pair[0], lm), (pair[1], lh))]
+            depths = [w["depth"] for w in phase["allowances"] if covers(w, named[pair[0]], named[pair[1]])]
             need, at = -max(depths) if depths else (data["certificate"]["min_clearance_m"] or 0.0) - 1e-6, a
             todo = [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]
             while todo:

@@ -16,6 +16,7 @@ import pinocchio as pin
 
 ROUNDING = 1e-8  # of a coordinate as written [rad, m]
 Array = np.ndarray
+Named = tuple[str, str | None, str]  # who has a body (robot, mechanism, scene), its link, its name
 
 
 def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
@@ -37,11 +38,13 @@ def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
     return model
 
 
-def covers(allowance: dict[str, Any], one: tuple[str, str], other: tuple[str, str]) -> bool:
-    def fits(pattern: str, names: tuple[str, str]) -> bool:
-        return any(n and (n == pattern or (pattern[-1] == "*" and n.startswith(pattern[:-1]))) for n in names)
+def covers(allowance: dict[str, Any], one: Named, other: Named) -> bool:
+    def fits(ref: dict[str, Any], named: Named) -> bool:
+        is_whole_link = ref["body"] is None and ref["owner"] != "scene"
+        return (ref["owner"], ref["link"]) == named[:2] and (is_whole_link or ref["body"] == named[2])
 
-    return any(fits(allowance["link"], x) and fits(allowance["other"], y) for x, y in ((one, other), (other, one)))
+    first, second = allowance["first"], allowance["second"]
+    return any(fits(first, x) and fits(second, y) for x, y in ((one, other), (other, one)))
 
 
 class Replay:

@@ -86,7 +86,7 @@ def demands_of(
     elif has_scan(request):
         scene_from = "the recorded scene"
     obstacles, are_recorded = _obstacles(request, record.scene, about, given is not None)
-    scene = compose_scene(request, robot, start, about.pieces, obstacles)
+    scene, _ = compose_scene(request, robot, start, about.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
     return Demands(request, robot, start, scene, _program(program, robot)), Grounds(whose, scene_from, robot_from)
 

@@ -70,7 +70,7 @@ def _given_joints_collide(body: WholeBody, joints: Mapping[str, JointTarget]) ->
     joint_of = {one.link: one.joint for one in robot.bodies}
     for overlap in overlaps(robot, end, body.scene, [foot.link for foot in body.planted]):
         chain = supports[joint_of[overlap.link]]
-        if not overlap.kind:
+        if overlap.kind is None:
             chain = chain ^ supports[joint_of[overlap.other]]
         if (chain & ~given).any() or overlap.depth <= _play(body, end, overlap, chain, tolerance):
             continue

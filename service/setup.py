@@ -19,6 +19,7 @@ from service.demands import compose_scene
 from service.errors import RequestError, would_do
 from service.keep import KeptPose, kept_poses
 from service.monitor import Interrupted
+from service.names import TakenNames, check_names
 from service.obstacles import obstacles_of
 from service.request import PlanRequest
 from service.start import (
@@ -116,6 +117,7 @@ def _prepare(
     should_stop: Callable[[], bool],
     see: Callable[..., Perceived] | None,
 ) -> PlanSetup:
+    check_names(request, robot, TakenNames.of(robot, request))
     start, notes, program = start_of(robot, request)
     _check_goal(robot, request)
     kept = _kept(robot, start, request)
@@ -129,12 +131,12 @@ def _prepare(
         return PlanSetup(
             request, robot, start, empty, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
         )
-    scene = compose_scene(request, robot, start, about.pieces, obstacles.pieces)
+    scene, renamed = compose_scene(request, robot, start, about.pieces, obstacles.pieces)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
     inside = _timed(timings, "check_start", check)
     notes += tuple(f"start is in collision: {one}; the first phase leaves it" for one in inside)
-    notes += obstacles.notes + about.notes
+    notes += obstacles.notes + about.notes + renamed
     return PlanSetup(request, robot, start, scene, about, soles, kept, program, inside, notes, timings)
 
 
@@ -258,7 +260,7 @@ def _check_start(
     """What the robot is in at its start, which is nothing unless it may escape."""
     problems = []
     inside = overlaps(robot, start, scene, tuple(soles))
-    obstacles = [no_way_out(robot, one, tuple(soles)) for one in inside]
+    obstacles = [no_way_out(one, tuple(soles)) for one in inside]
     if program is not None or not request.options.escape:
         problems = [f"start is in collision: {one}" for one in inside]
         if inside and program is None and not any(obstacles):

@@ -12,6 +12,7 @@ import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from costs.allowance import BodyRef
 from costs.robot import BASE_NAMES, LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.support import SupportPolygon
@@ -38,18 +39,24 @@ class Overlap:
         link: the one.
         other: name of the piece or of the other link.
         depth: how far one would have to be moved to be free [m].
-        kind: of the piece; empty for a link.
+        kind: of the piece; None for a link.
     """
 
     link: str
     other: str
     depth: float
-    kind: str = ""
+    kind: str | None = None
+
+    @property
+    def pair(self) -> tuple[BodyRef, BodyRef]:
+        """The link, and the piece or the other link."""
+        other = BodyRef.of_link(self.other) if self.kind is None else BodyRef.of_piece(self.other)
+        return BodyRef.of_link(self.link), other
 
     @property
     def where(self) -> str:
         """``inside shelf (obstacle)``."""
-        return f"inside {self.other}" if self.kind in ("", self.other) else f"inside {self.other} ({self.kind})"
+        return f"inside {self.other}" if self.kind in (None, "", self.other) else f"inside {self.other} ({self.kind})"
 
     def __str__(self) -> str:
         depth = f"{self.depth:.3f} m" if self.depth >= 1e-3 else "less than 0.001 m"
@@ -135,24 +142,19 @@ def overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted
             continue
         depth = penetration(solids[k].convex, solids[j].convex, poses[k], poses[j])
         if depth > allowed:
-            name, kind = (other.link, "") if isinstance(other, LinkBody) else (other.name, other.kind)
+            name, kind = (other.link, None) if isinstance(other, LinkBody) else (other.name, other.kind)
             found.append(Overlap(body.link, name, depth, kind))
-    deepest: dict[tuple[str, str], Overlap] = {}
+    deepest: dict[frozenset[BodyRef], Overlap] = {}
     for overlap in sorted(found, key=lambda one: -one.depth):
-        pair = (overlap.link, overlap.other)
-        deepest.setdefault(pair if overlap.kind else (min(pair), max(pair)), overlap)
+        deepest.setdefault(frozenset(overlap.pair), overlap)
     return list(deepest.values())
 
 
-def no_way_out(robot: RobotModel, overlap: Overlap, planted: Sequence[str]) -> str:
-    """Why an overlap cannot be left, or left with a certificate that names it; empty when it can."""
-    names = [overlap.link] if overlap.kind else [overlap.link, overlap.other]
+def no_way_out(overlap: Overlap, planted: Sequence[str]) -> str:
+    """Why an overlap cannot be left; empty when it can."""
+    names = [overlap.link, overlap.other] if overlap.kind is None else [overlap.link]
     if all(name in planted for name in names):
         return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} planted and cannot leave"
-    if overlap.kind and overlap.other.endswith("*"):
-        return f"a piece named {overlap.other} cannot be told from others; another name, without the *, would do"
-    if overlap.kind and overlap.other in {name for body in robot.bodies for name in (body.name, body.link)}:
-        return f"a piece named {overlap.other} cannot be told from the link; another name would do"
     return ""
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts, PairMargins, PoseChecker, SweptCollisionChecker
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import BASE_NAMES, RobotModel
@@ -126,7 +126,7 @@ class WholeBody:
         self,
         allowances: Sequence[Allowance] = (),
         ends: Sequence[Float[np.ndarray, "n"]] = (),
-        overrides: Sequence[tuple[str, str, float]] = (),
+        overrides: Sequence[tuple[BodyRef, BodyRef, float]] = (),
     ) -> SweptCollisionChecker:
         """A checker whose margins fit the given fixed configurations.
 

@@ -198,7 +198,8 @@ def _loosen_feet(data: dict[str, Any]) -> None:
 
 def _allow_more(data: dict[str, Any]) -> None:
     for phase in data["phases"]:
-        phase["allowances"].append({"link": "l_larm", "other": "valve/*", "depth": 0.5})
+        arm, wheel = ({"owner": o, "link": k, "body": None} for o, k in (("robot", "l_larm"), ("mechanism", "wheel")))
+        phase["allowances"].append({"first": arm, "second": wheel, "depth": 0.5})
 
 
 def _move_kept(data: dict[str, Any]) -> None:

@@ -14,7 +14,7 @@ from costs.scene import Scene
 from service.demands.goals import goal_targets
 from service.demands.kept import kept_target
 from service.demands.program import ProgramDemand, moved_though_fixed, program_targets
-from service.demands.stance import Stance, planted_feet
+from service.demands.stance import Stance, planted_feet, standing_allowances
 from service.request import PlanRequest
 from service.start import overlaps
 from service.verify import Motion, Phase, Target
@@ -107,13 +107,8 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
         targets, lines = program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
     return _Promises(
         stance,
-        tuple(
-            Allowance(foot, piece.name, 0.01)
-            for foot in feet
-            for piece in demands.scene.pieces
-            if piece.kind == "floor"
-        ),
-        tuple(Allowance(one.link, one.other, one.depth + DEPTH_ROUNDING_M) for one in inside),
+        standing_allowances(feet, demands.scene),
+        tuple(Allowance(*one.pair, one.depth + DEPTH_ROUNDING_M) for one in inside),
         targets,
         tuple(kept_target(robot, start, keep) for keep in request.keep),
     ), lines

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.support import SupportPolygon as FeetHull
@@ -82,5 +82,5 @@ def planted_feet(robot: RobotModel, feet: tuple[str, ...] | None) -> tuple[str, 
 
 def standing_allowances(feet: Sequence[str], scene: Scene) -> tuple[Allowance, ...]:
     """Planted links rest on the floor."""
-    floors = [piece.name for piece in scene.pieces if piece.kind == FLOOR_KIND]
-    return tuple(Allowance(foot, floor, STANDING_DEPTH_M) for foot in feet for floor in floors)
+    floors = [BodyRef.of_piece(piece.name) for piece in scene.pieces if piece.kind == FLOOR_KIND]
+    return tuple(Allowance(BodyRef.of_link(foot), floor, STANDING_DEPTH_M) for foot in feet for floor in floors)

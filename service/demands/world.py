@@ -10,6 +10,7 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError
+from service.names import TakenNames, check_given, with_free_names
 from service.obstacles import flat_floor
 from service.request import PlanRequest
 from service.request_scene import MeshRequest
@@ -22,12 +23,20 @@ def compose_scene(
     start: Float[np.ndarray, "n"],
     seen: Sequence[ConvexPiece],
     obstacles: Sequence[ConvexPiece],
-) -> Scene:
+) -> tuple[Scene, tuple[str, ...]]:
     """Obstacles first, then what was seen, then the floor; a floor given in the request replaces the one seen.
 
+    Pieces that a scan shows are renamed where a link or an obstacle has their name; a note says so.
+
     Raises:
-        RequestError: an obstacle has the name of another piece.
+        RequestError: a piece of the scene's file, or an obstacle, has the name of something else.
     """
+    taken = TakenNames.of(robot, request)
+    renamed: tuple[str, ...] = ()
+    if request.scene.file is None:
+        seen, renamed = with_free_names(tuple(seen), taken, {piece.name for piece in obstacles})
+    else:
+        check_given(seen, taken)
     pieces: list[ConvexPiece] = list(obstacles)
     floor = request.scene.floor
     pieces += [piece for piece in seen if floor is None or piece.kind != FLOOR_KIND]
@@ -35,9 +44,10 @@ def compose_scene(
         floor = robot.is_floating and not any(piece.kind == FLOOR_KIND for piece in pieces)
     if floor is not False:
         height = 0.0 if floor is True else float(floor)
-        pieces.append(flat_floor(height, start[:2] if robot.is_floating else np.zeros(2)))
+        flat = flat_floor(height, start[:2] if robot.is_floating else np.zeros(2))
+        pieces += with_free_names((flat,), taken)[0]
     try:
-        return Scene(tuple(pieces))
+        return Scene(tuple(pieces)), renamed
     except ValueError as error:
         raise RequestError(
             f"scene.obstacles: {error}; the names 'floor' and those of the pieces that were seen are taken"

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.kinematics import planted_poses
 from costs.robot import RobotModel
 from costs.state import MotionState
@@ -22,6 +22,7 @@ from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint, Sense
 from service.errors import RequestError
 from service.holds import Hold
+from service.names import VALVE_JOINT, VALVE_LINK
 from service.phases import (
     Bounds,
     PhaseSolver,
@@ -36,9 +37,6 @@ from service.phases import (
 )
 from service.tasks.wheel import (
     HAND_AXIS,
-    RIM_PREFIX,
-    VALVE_JOINT,
-    VALVE_LINK,
     Hand,
     Wheel,
     tool_positions,
@@ -114,7 +112,8 @@ class ValveTurn:
     @property
     def touching(self) -> tuple[Allowance, ...]:
         """The hook may touch the rim, and nothing else may."""
-        return (Allowance(self.hand.hook, f"{RIM_PREFIX}*", self.wheel.tube_radius + TOUCH_RESERVE),)
+        hook, depth = BodyRef.of_link(self.hand.hook), self.wheel.tube_radius + TOUCH_RESERVE
+        return tuple(Allowance(hook, BodyRef("mechanism", VALVE_LINK, body), depth) for body in self.wheel.rim)
 
     def strokes(self) -> tuple[Stroke, ...]:
         """As few equal strokes as the wrist's range allows; one in hook mode."""
@@ -325,7 +324,7 @@ def _touching_at_start(body: WholeBody) -> tuple[str, ...]:
     for row in np.flatnonzero(contacts.is_self & (contacts.distance < 0.0)):
         pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
         if any(one.link == VALVE_LINK for one in pair):
-            link, part = sorted((one.name for one in pair), key=lambda name: name.startswith(VALVE_LINK))
+            link, part = (one.name for one in sorted(pair, key=lambda one: one.link == VALVE_LINK))
             depth = -float(contacts.distance[row])
             lines.append(f"start is in collision: {link} is {depth:.3f} m inside {part}; start farther away")
     return tuple(lines)
@@ -344,10 +343,11 @@ def plan_turn(
     Raises:
         RequestError: a link of the robot is in the wheel before anything has moved.
     """
+    wheel_body = BodyRef("mechanism", VALVE_LINK)
     solver = replace(
         solver,
         body=with_wheel(solver.body, wheel),
-        overrides=tuple((hand.hook, f"{VALVE_LINK}/*", HOOK_MARGIN) for hand in hands),
+        overrides=tuple((BodyRef.of_link(hand.hook), wheel_body, HOOK_MARGIN) for hand in hands),
     )
     touching = _touching_at_start(solver.body)
     if touching:

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.kinematics import planted_poses
-from perception import ValveDetection, has_clear_spokes, valve_bodies, wheel_basis
+from perception import ValveDetection, has_clear_spokes, rim_bodies, valve_bodies, wheel_basis
 from service.errors import RequestError
+from service.names import VALVE_LINK
 from service.phases import PhaseSolver, TaskPlan
 from service.reachability import beyond_reach
 from service.request import ValveRequest
@@ -17,7 +18,7 @@ from service.scene_given import wheel_of_circle
 from service.setup import PlanSetup
 from service.tasks.stance import stance_advice
 from service.tasks.valve import RIM_TOLERANCE, plan_turn
-from service.tasks.wheel import HANDS, VALVE_LINK, Hand, Wheel
+from service.tasks.wheel import HANDS, Hand, Wheel
 from service.whole_body import WholeBody
 
 SURE = 0.5  # confidence from which a detection is acted on
@@ -96,7 +97,8 @@ def _wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
     if not has_clear_spokes(valve):
         solids["hub"] = _within(solids["hub"], valve, max(valve.rim_radius - HOOK_ROOM, MIN_HUB))
     bodies = {f"{VALVE_LINK}/{name}": vertices for name, vertices in solids.items()}
-    wheel = Wheel(valve.centre, axis, valve.rim_radius, valve.tube_radius, first, (), bodies)
+    rim = tuple(f"{VALVE_LINK}/{name}" for name in rim_bodies(valve))
+    wheel = Wheel(valve.centre, axis, valve.rim_radius, valve.tube_radius, first, (), bodies, rim)
     at = planted_poses(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
     gaps = sorted(_gaps(valve), key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
     return replace(wheel, gaps=tuple(gaps))

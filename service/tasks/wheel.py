@@ -11,11 +11,9 @@ from jaxtyping import Float
 from costs.kinematics import KinematicsEngine, frame_of
 from costs.robot import RobotModel, with_revolute
 from costs.rotation import tangent_basis
+from service.names import VALVE_JOINT, VALVE_LINK
 from service.whole_body import WholeBody
 
-VALVE_JOINT = "valve_turn"
-VALVE_LINK = "valve"
-RIM_PREFIX = "valve/rim/"
 WHEEL_SPEED = 1.0  # [rad/s]
 WHEEL_ACCELERATION = 2.0  # [rad/s^2]
 HAND_AXIS = np.array([0.0, 0.0, 1.0])  # in the tool frame
@@ -32,7 +30,8 @@ class Wheel:
         tube_radius: half the rim's thickness [m].
         start_direction: (3,) unit, perpendicular to the axis, where the angle about it is zero.
         gaps: angles at which there is no spoke, best first [rad].
-        bodies: vertices in the world by body name; those of the rim are called ``valve/rim/...``.
+        bodies: vertices in the world by body name.
+        rim: names of the bodies that are the rim, which may be touched.
     """
 
     centre: Float[np.ndarray, "3"]
@@ -42,6 +41,7 @@ class Wheel:
     start_direction: Float[np.ndarray, "3"]
     gaps: tuple[float, ...]
     bodies: Mapping[str, Float[np.ndarray, "V 3"]]
+    rim: tuple[str, ...]
 
     def rim_point(self, angle: float) -> Float[np.ndarray, "3"]:
         """Point of the centre line at an angle, in the world [m]."""

@@ -13,6 +13,7 @@ import numpy as np
 import orjson
 from jaxtyping import Float
 
+from costs.allowance import BodyRef
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify.errors import VerifyError
@@ -231,10 +232,13 @@ def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
 
 
 def _parts(promise: DataclassInstance) -> Iterator[str | np.ndarray]:
-    """The fields of a promise in their order: texts, and everything else as numbers; none where it is None."""
+    """The fields of a promise in their order: texts, references to bodies, numbers; none where it is None."""
     for item in fields(promise):
         value = getattr(promise, item.name)
-        yield value if isinstance(value, str) else np.empty(0) if value is None else np.asarray(value, dtype=float)
+        if isinstance(value, BodyRef):
+            yield from _parts(value)
+        else:
+            yield value if isinstance(value, str) else np.empty(0) if value is None else np.asarray(value, dtype=float)
 
 
 def _add(digest: hashlib._Hash, *parts: str | np.ndarray) -> None:
