@@ -14,6 +14,7 @@ from costs.robot import RobotModel, bundled_robots
 from costs.scene import ConvexPiece, Scene
 from service.attached import robot_with_attached
 from service.demands import Demands, ProgramDemand, compose_scene, has_scan, planted_feet, recorded_obstacles
+from service.demands.wheel import Wheel, wheel_of
 from service.errors import RequestError
 from service.obstacles import obstacles_of
 from service.request import PlanRequest
@@ -24,6 +25,7 @@ from service.start import sole
 from service.surroundings import Surroundings, surroundings
 
 if TYPE_CHECKING:
+    from perception import ValveDetection
     from service.trajopt import Program
 
 
@@ -54,10 +56,12 @@ class Record:
     Attributes:
         robot: read from the folder, without what the task moves.
         scene: its pieces.
+        valves: the valves that were found in the scan, the one that is turned first.
     """
 
     robot: RobotModel
     scene: Scene
+    valves: tuple[ValveDetection, ...] = ()
 
 
 def demands_of(
@@ -79,7 +83,7 @@ def demands_of(
     start, _, program = start_of(robot, request)
     feet = planted_feet(robot, request.options.feet) if program is None else program.planted
     is_read = bool(clouds) or (given is not None and request.scene.file is not None)
-    about, scene_from = Surroundings(_seen(request, record.scene)), whose
+    about, scene_from = Surroundings(_seen(request, record.scene), record.valves), whose
     if is_read:
         about = _look_again(request, robot, start, feet, clouds)
         scene_from = ", ".join(path.name for path in clouds) or str(request.scene.file)
@@ -88,7 +92,8 @@ def demands_of(
     obstacles, are_recorded = _obstacles(request, record.scene, about, given is not None)
     scene, _ = compose_scene(request, robot, start, about.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
-    return Demands(request, robot, start, scene, _program(program, robot)), Grounds(whose, scene_from, robot_from)
+    demands = Demands(request, robot, start, scene, _program(program, robot), _wheel(request, about.valves))
+    return demands, Grounds(whose, scene_from, robot_from)
 
 
 def _program(program: Program | None, robot: RobotModel) -> ProgramDemand | None:
@@ -97,6 +102,19 @@ def _program(program: Program | None, robot: RobotModel) -> ProgramDemand | None
     from service.trajopt.demanded import program_demand  # takes a while, and few requests need it
 
     return program_demand(program, robot)
+
+
+def _wheel(request: PlanRequest, seen: Sequence[ValveDetection]) -> Wheel | None:
+    """The wheel that the request has turned."""
+    task = None if request.task is None else request.task.valve
+    if task is None:
+        return None
+    from service.tasks.valve_task import given_valve
+
+    valve = given_valve(task) or next(iter(seen), None)
+    if valve is None:
+        raise RequestError("task.valve: the scene shows no valve")
+    return wheel_of(valve)
 
 
 def _robot(request: PlanRequest, record: Record, is_given: bool, whose: str) -> tuple[RobotModel, str]:

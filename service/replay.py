@@ -5,8 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from costs.robot import RobotError, RobotModel, load_robot
 from service.consistency import CHANGED, contradictions
@@ -19,6 +22,9 @@ from service.request_file import load_request, parse_request
 from service.result_folder import TRAJECTORY_NAME, read_result, result_path
 from service.result_json import proof_summary
 from service.verify import Certificate, Motion, Status, VerifyError, verify
+
+if TYPE_CHECKING:
+    from perception import ValveDetection
 
 WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_LIMIT", "CANCELLED")
 
@@ -75,7 +81,7 @@ def _hold(
     """The recorded motion held to the request, and what that rests on."""
     request = _recorded_request(data, folder) if given is None else load_request(given)
     with _readable(folder):
-        record = Record(_read_robot(data["robot"], folder), recorded.scene)
+        record = Record(_read_robot(data["robot"], folder), recorded.scene, _recorded_valves(data))
     try:
         demands, grounds = demands_of(request, record, given, clouds)
     except RequestError as error:
@@ -85,6 +91,29 @@ def _hold(
         raise ResultError(f"{folder}: the request in this folder cannot be used: {line}; {CHANGED}") from None
     with _readable(folder):
         return hold_to_request(demands, recorded), grounds
+
+
+def _recorded_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
+    """The valves of ``detections``."""
+    hits = [hit for hit in data["detections"] if hit["kind"] == "valve"]
+    if not hits:
+        return ()
+    from perception import ValveDetection  # takes a while, and few results need it
+
+    names = [field.name for field in fields(ValveDetection)]
+    return tuple(
+        ValveDetection(
+            **{
+                name: np.array(hit[name], dtype=float)
+                if name in ("centre", "axis")
+                else tuple(hit[name])
+                if isinstance(hit[name], list)
+                else hit[name]
+                for name in names
+            }
+        )
+        for hit in hits
+    )
 
 
 def _recorded_request(data: dict[str, Any], folder: Path) -> PlanRequest:

@@ -15,6 +15,8 @@ from service.demands.goals import goal_targets
 from service.demands.kept import kept_target
 from service.demands.program import ProgramDemand, moved_though_fixed, program_targets
 from service.demands.stance import Stance, planted_feet, standing_allowances
+from service.demands.turning import Turning
+from service.demands.wheel import Wheel, robot_with_wheel
 from service.request import PlanRequest
 from service.start import overlaps
 from service.verify import Motion, Phase, Target
@@ -35,6 +37,7 @@ class Demands:
         start: (n,) where it stands at first.
         scene: all pieces, the floor's included.
         program: what the request's TrajOpt problem demands, or None.
+        wheel: the valve that the request has turned, or None.
     """
 
     request: PlanRequest
@@ -42,6 +45,7 @@ class Demands:
     start: Float[np.ndarray, "n"]
     scene: Scene
     program: ProgramDemand | None = None
+    wheel: Wheel | None = None
 
     @property
     def feet(self) -> tuple[str, ...]:
@@ -72,13 +76,18 @@ def hold_to_request(demands: Demands, recorded: Motion) -> Held:
     Raises:
         ValueError: the request's feet do not span a polygon.
     """
-    differences = [*_world_differences(demands, recorded), *_path_differences(demands, recorded)]
+    robot = demands.robot if demands.wheel is None else robot_with_wheel(demands.robot, demands.wheel)
+    differences = list(_world_differences(demands, robot, recorded))
+    if recorded.robot.joint_names != robot.joint_names:
+        return Held(recorded, tuple(differences))
+    differences += _path_differences(demands, recorded)
     promises, lines = _promises(demands, recorded)
     phases = tuple(_rebuild(demands, recorded, index, promises) for index in range(len(recorded.phases)))
     differences += lines
     for phase, own in zip(recorded.phases, phases, strict=True):
         differences += _phase_differences(phase, own, is_program=demands.program is not None)
-    return Held(replace(recorded, scene=demands.scene, phases=phases), tuple(differences))
+    motion = replace(recorded, robot=robot, scene=demands.scene, phases=phases, mechanism_links=robot.mechanism_links)
+    return Held(motion, tuple(differences))
 
 
 @dataclass(frozen=True)
@@ -90,6 +99,7 @@ class _Promises:
     escape: tuple[Allowance, ...]
     last: tuple[Target, ...]
     everywhere: tuple[Target, ...]
+    turning: Turning | None
 
 
 def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
@@ -105,12 +115,17 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
         targets = goal_targets(robot, request.goal, float(knots[-1]))
     elif demands.program is not None:
         targets, lines = program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
+    turning = None
+    if demands.wheel is not None and request.task is not None and request.task.valve is not None:
+        turning = Turning.of(demands.wheel, request.task.valve, recorded)
+        lines = turning.problems
     return _Promises(
         stance,
         standing_allowances(feet, demands.scene),
         tuple(Allowance(*one.pair, one.depth + DEPTH_ROUNDING_M) for one in inside),
         targets,
         tuple(kept_target(robot, start, keep) for keep in request.keep),
+        turning,
     ), lines
 
 
@@ -120,6 +135,10 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
     first = recorded.curve(np.array([phase.first]))[0, : demands.robot.n]
     escape = promises.escape if phase.name == ESCAPE and index == 0 else ()
     targets = promises.last if index == len(recorded.phases) - 1 else ()
+    touching: tuple[Allowance, ...] = ()
+    if promises.turning is not None:
+        targets = promises.turning.targets(index, phase.last)
+        touching = promises.turning.allowances(index, phase)
     if demands.program is not None:  # what it holds between its steps is a promise of the planner's own
         targets = (*(one for one in phase.targets if getattr(one, "at", None) is None), *targets)
     return Phase(
@@ -127,23 +146,41 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         first=phase.first,
         last=phase.last,
         contacts=promises.stance.contacts,
-        allowances=(*promises.standing, *escape),
+        allowances=(*promises.standing, *escape, *touching),
         targets=(*targets, *promises.everywhere),
         support=promises.stance.support(phase.name, first),
     )
 
 
-def _world_differences(demands: Demands, recorded: Motion) -> Iterator[str]:
-    """Robot and scene."""
-    robot, n = demands.robot, demands.robot.n
-    if recorded.robot.joint_names[:n] != robot.joint_names or robot_hash(recorded.robot) != robot_hash(robot):
+def _world_differences(demands: Demands, robot: RobotModel, recorded: Motion) -> Iterator[str]:
+    """Robot, what the task moves, and scene."""
+    if recorded.robot.joint_names != robot.joint_names:
+        yield "the motion's joints are not those of the robot and of what the request moves"
+    elif robot_hash(recorded.robot) != robot_hash(robot):
         yield "the robot is not the request's"
-    elif not recorded.mechanism_links and bodies_hash(recorded.robot) != bodies_hash(robot):
-        yield "the robot's bodies or ignored pairs are not the request's"
-    if recorded.robot.n != n and demands.request.goal is not None:
-        yield "the motion moves more than the robot, which the request does not ask for"
+    elif bodies_hash(recorded.robot) != bodies_hash(robot):
+        yield "the bodies, or the ignored pairs, are not those of the robot and of what the request moves"
+    elif not _is_same_joint(recorded.robot, robot):
+        yield "what the task moves does not move as the request has it"
     if scene_hash(recorded.scene) != scene_hash(demands.scene):
         yield _scene_difference(recorded.scene, demands.scene)
+
+
+def _is_same_joint(one: RobotModel, other: RobotModel) -> bool:
+    """Whether the last joints of two robots of the same URDF have the same place, axis and limits."""
+    places = [robot.model.jointPlacements[robot.model.njoints - 1].homogeneous for robot in (one, other)]
+    axes = [_axis(robot) for robot in (one, other)]
+    limits = [np.stack([robot.lower, robot.upper, robot.velocity, robot.acceleration]) for robot in (one, other)]
+    finite = [np.nan_to_num(limit, posinf=1e9, neginf=-1e9) for limit in limits]
+    return _same(places[0], places[1]) and _same(axes[0], axes[1]) and _same(finite[0], finite[1])
+
+
+def _axis(robot: RobotModel) -> Float[np.ndarray, "6"]:
+    """How the last joint moves at configuration zero, in its own frame."""
+    joint = robot.model.joints[robot.model.njoints - 1]
+    data = joint.createData()
+    joint.calc(data, np.zeros(robot.n), np.zeros(robot.n))
+    return np.asarray(data.S).reshape(6, -1)[:, -1]
 
 
 def _scene_difference(recorded: Scene, own: Scene) -> str:

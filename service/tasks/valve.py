@@ -20,9 +20,10 @@ from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint, Sense
+from service.demands.wheel import HAND_AXIS, Hand, Wheel, hook_allowances, stroke_targets
 from service.errors import RequestError
 from service.holds import Hold
-from service.names import VALVE_JOINT, VALVE_LINK
+from service.names import VALVE_LINK
 from service.phases import (
     Bounds,
     PhaseSolver,
@@ -35,27 +36,16 @@ from service.phases import (
     straight,
     via,
 )
-from service.tasks.wheel import (
-    HAND_AXIS,
-    Hand,
-    Wheel,
-    tool_positions,
-    turned_angle,
-    with_wheel,
-)
-from service.verify import CircleTarget, JointTarget, Motion, Target
+from service.tasks.wheel import tool_positions, turned_angle, with_wheel, wrist_of
+from service.verify import Motion, Target
 from service.whole_body import LIMIT_RESERVE, WholeBody
 
 Mode = Literal["hook", "grasp"]
 
 STANDOFF = 0.07  # of the tool from the wheel's plane before it is inserted, beyond the rim's tube [m]
 TURN_STEP = np.deg2rad(20.0)  # between waypoints
-RIM_TOLERANCE = 5e-3  # of the tool from the rim's centre line, as promised [m]
-AXIS_TOLERANCE = np.deg2rad(3.0)  # of the hand axis from the valve's, as promised
 AXIS_AIM = np.deg2rad(1.0)  # what the optimiser keeps to at the waypoints
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
-ANGLE_TOLERANCE = 1e-3  # of the hand about its axis in a grasp, and of the wheel at the end [rad]
-TOUCH_RESERVE = 0.015  # the hook may be this much deeper in the rim than its half thickness [m]
 HOOK_MARGIN = 5e-3  # asked of the hook and the wheel it reaches into [m]
 WRIST_RESERVE = 0.1  # kept from the wrist's limits in a grasp, for the lean of the hand axis [rad]
 MOST_GAPS = 3  # tried with each hand, the nearest first
@@ -112,14 +102,13 @@ class ValveTurn:
     @property
     def touching(self) -> tuple[Allowance, ...]:
         """The hook may touch the rim, and nothing else may."""
-        hook, depth = BodyRef.of_link(self.hand.hook), self.wheel.tube_radius + TOUCH_RESERVE
-        return tuple(Allowance(hook, BodyRef("mechanism", VALVE_LINK, body), depth) for body in self.wheel.rim)
+        return hook_allowances(self.wheel, self.hand)
 
     def strokes(self) -> tuple[Stroke, ...]:
         """As few equal strokes as the wrist's range allows; one in hook mode."""
         count = 1
         if self.mode == "grasp":
-            column, _ = self.hand.wrist(self.robot)
+            column, _ = wrist_of(self.hand, self.robot)
             usable = self.robot.upper[column] - self.robot.lower[column] - 2.0 * WRIST_RESERVE
             count = int(np.ceil(abs(self.turn) / usable))
         edges = np.linspace(0.0, self.turn, count + 1)
@@ -174,7 +163,7 @@ class ValveTurn:
         """The hook at its point of the rim as the stroke begins; in a grasp with the wrist at its limit."""
         fixed = {self.robot.n - 1: stroke.first}
         if self.mode == "grasp":
-            column, sense = self.hand.wrist(self.robot)
+            column, sense = wrist_of(self.hand, self.robot)
             # The tool's z axis points against the wheel's: a positive turn needs the wrist to go against its sense.
             rises = np.sign(stroke.last - stroke.first) * sense < 0.0
             reserve = max(WRIST_RESERVE, LIMIT_RESERVE)
@@ -224,7 +213,7 @@ class ValveTurn:
         angles = np.linspace(stroke.first, stroke.last, n_waypoints)
         start = np.tile(pose, (n_waypoints, 1))
         start[:, -1] = angles
-        column, sense = self.hand.wrist(self.robot)
+        column, sense = wrist_of(self.hand, self.robot)
         if self.mode == "grasp":
             start[:, column] -= sense * (angles - stroke.first)
 
@@ -276,18 +265,8 @@ class ValveTurn:
         return self.solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]}, bounds=_wheel_still(q[0, -1]))
 
     def _targets(self, stroke: Stroke) -> Targets:
-        circle = CircleTarget(
-            self.hand.tool,
-            self.wheel.centre,
-            self.wheel.axis,
-            self.wheel.radius,
-            RIM_TOLERANCE,
-            -HAND_AXIS,
-            AXIS_TOLERANCE,
-        )
-
         def targets(s_last: float) -> tuple[Target, ...]:
-            return circle, JointTarget(VALVE_JOINT, stroke.last, ANGLE_TOLERANCE, s_last)
+            return stroke_targets(self.wheel, self.hand, self.entry, stroke.last, s_last)
 
         return targets
 
