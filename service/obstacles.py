@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from perception.solids.known import KnownMesh
     from perception.solids.match import MeshMatch
 
-FLOOR_HALF_WIDTH_M = 10.0
-FLOOR_THICKNESS_M = 0.2
-
 
 @dataclass(frozen=True)
 class Obstacles:
@@ -124,13 +121,6 @@ def _pose(obstacle: ObstacleRequest) -> Float[np.ndarray, "4 4"]:
     pose[:3, :3] = Rotation.from_quat(obstacle.quaternion_wxyz, scalar_first=True).as_matrix()
     pose[:3, 3] = obstacle.position
     return pose
-
-
-def flat_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
-    """A floor of 20 m by 20 m whose top is at ``height`` [m]."""
-    corners = shapes.box(np.array([2.0 * FLOOR_HALF_WIDTH_M, 2.0 * FLOOR_HALF_WIDTH_M, FLOOR_THICKNESS_M]))
-    centre = np.array([*centre_xy, height - 0.5 * FLOOR_THICKNESS_M])
-    return ConvexPiece("floor", corners + centre, "floor")
 
 
 def _shape(

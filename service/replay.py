@@ -100,20 +100,10 @@ def _recorded_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
         return ()
     from perception import ValveDetection  # takes a while, and few results need it
 
-    names = [field.name for field in fields(ValveDetection)]
-    return tuple(
-        ValveDetection(
-            **{
-                name: np.array(hit[name], dtype=float)
-                if name in ("centre", "axis")
-                else tuple(hit[name])
-                if isinstance(hit[name], list)
-                else hit[name]
-                for name in names
-            }
-        )
-        for hit in hits
-    )
+    plain = [{field.name: hit[field.name] for field in fields(ValveDetection)} for hit in hits]
+    vectors = [{name: np.array(hit[name], dtype=float) for name in ("centre", "axis")} for hit in plain]
+    tuples = [{name: tuple(value) for name, value in hit.items() if isinstance(value, list)} for hit in plain]
+    return tuple(ValveDetection(**{**a, **b, **c}) for a, b, c in zip(plain, tuples, vectors, strict=True))
 
 
 def _recorded_request(data: dict[str, Any], folder: Path) -> PlanRequest:

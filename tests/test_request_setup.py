@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 import perception
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
+from service.demands.world import flat_floor
 from service.errors import RequestError
 from service.motion_json import file_positions
-from service.obstacles import flat_floor, obstacles_of
+from service.obstacles import obstacles_of
 from service.request_file import parse_request
 from service.setup import PlanSetup, prepare
 from service.start import collisions, sole, standing_problems, start_configuration

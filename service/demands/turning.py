@@ -15,8 +15,9 @@ from service.verify import CircleTarget, Motion, Phase, RelativePoseTarget, Targ
 
 TURN = "turn"
 TOUCHING = ("insert", TURN, "retract")  # phases in which the hook may touch the rim
-STILL = 1e-9  # of a wheel that nobody turns [rad]
+STILL = 1e-5  # of a wheel that nobody turns [rad]
 SAME_PLACE_M = 1e-6
+ROUNDING = 1e-9  # of path parameters
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def _moved_alone(motion: Motion) -> Iterator[str]:
     for phase in motion.phases:
         if _role(phase) == TURN:
             continue
-        inside = (curve.knots >= phase.first - STILL) & (curve.knots <= phase.last + STILL)
+        inside = (curve.knots >= phase.first - ROUNDING) & (curve.knots <= phase.last + ROUNDING)
         angle, rate = curve.positions[inside, -1], curve.tangents[inside, -1]
         if np.ptp(angle) > STILL or np.abs(rate).max() > STILL:
             yield f"the wheel moves in phase '{phase.name}', where nobody turns it"

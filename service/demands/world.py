@@ -7,14 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from costs.robot import RobotModel
+from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError
 from service.names import TakenNames, check_given, with_free_names
-from service.obstacles import flat_floor
 from service.request import PlanRequest
 from service.request_scene import MeshRequest
 from service.start import FLOOR_KIND
+
+FLOOR_HALF_WIDTH_M = 10.0
+FLOOR_THICKNESS_M = 0.2
 
 
 def compose_scene(
@@ -52,6 +54,13 @@ def compose_scene(
         raise RequestError(
             f"scene.obstacles: {error}; the names 'floor' and those of the pieces that were seen are taken"
         ) from None
+
+
+def flat_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
+    """A floor of 20 m by 20 m whose top is at ``height`` [m]."""
+    corners = shapes.box(np.array([2.0 * FLOOR_HALF_WIDTH_M, 2.0 * FLOOR_HALF_WIDTH_M, FLOOR_THICKNESS_M]))
+    centre = np.array([*centre_xy, height - 0.5 * FLOOR_THICKNESS_M])
+    return ConvexPiece("floor", corners + centre, FLOOR_KIND)
 
 
 def has_scan(request: PlanRequest) -> bool:
