@@ -1,6 +1,7 @@
 """Replay a certificate as a stranger would: `python examples/check_certificate.py out/valve` prints a table of claims.
 
-Only numpy and pinocchio: own placements and rotation bounds (`replayed_motion.py`), and for distances Wolfe's
+Only numpy and pinocchio: own placements and rotation bounds (`replayed_motion.py`), what the folder says twice
+(`replayed_record.py`), what the motion does (`replayed_targets.py`), and for distances Wolfe's
 minimum-norm-point algorithm (Math. Programming 11, 1976), which hands over a separating direction as its proof.
 """
 
@@ -15,6 +16,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from replayed_motion import Array, Replay, covers, read_model
+from replayed_record import hashes, samples, speeds
+from replayed_targets import target
 
 
 def closest(a: Array, b: Array, wanted: float) -> tuple[float, Array]:
@@ -219,11 +222,14 @@ def main(folder: Path) -> int:
     if data["certificate"] is None:
         raise SystemExit(f"{folder}: the result holds no certificate (verdict {data['verdict']})")
     replay = Replay(read_model(folder, data), data)
-    claims = [("clearance", *clearance(replay, data))]
+    claims = [("hashes", *hashes(folder, data)), ("samples", *samples(folder, replay, data))]
+    claims += [("speeds", *speeds(replay, data)), ("clearance", *clearance(replay, data))]
     for phase in data["phases"]:
         claims += [(f"{phase['name']}: {c['link']}", *feet(replay, phase, c)) for c in phase["contacts"]]
         relative = [target for target in phase["targets"] if target["kind"] == "relative_pose"]
         claims += [(f"{phase['name']}: {t['frame']} kept", *kept(replay, phase, t)) for t in relative]
+        others = [target for target in phase["targets"] if target["kind"] != "relative_pose"]
+        claims += [(f"{phase['name']}: {t.get('frame', t.get('joint'))}", *target(replay, phase, t)) for t in others]
         claims += [(f"{phase['name']}: balance", *balance(replay, phase))] if phase["support"] else []
         claims += [(f"{phase['name']}: limits", *limits(replay, phase))]
     for name, is_ok, text in claims:

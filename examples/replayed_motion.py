@@ -32,7 +32,8 @@ def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
     model = pin.buildModelFromXML(text, root) if is_floating else pin.buildModelFromXML(text)
     for m in data["movables"]:
         turn = pin.JointModelRevoluteUnaligned(np.array(m["axis"]))
-        model.addJoint(0, turn, pin.SE3(np.eye(3), np.array(m["origin"])), m["joint"])
+        joint = model.addJoint(0, turn, pin.SE3(np.eye(3), np.array(m["origin"])), m["joint"])
+        model.addFrame(pin.Frame(m["name"], joint, 0, pin.SE3.Identity(), pin.FrameType.BODY))
     if list(model.names)[1 + is_floating :] != data["curve"]["joint_names"][6 * is_floating :]:
         raise SystemExit("the URDF's joints are not the curve's")
     return model
@@ -52,6 +53,7 @@ class Replay:
 
     def __init__(self, model: pin.Model, data: dict[str, Any]) -> None:
         self.model, curve, phases = model, data["curve"], data["phases"]
+        self.names = list(curve["joint_names"])
         self.knots, q, v = (np.array(curve[key], float) for key in ("knots", "positions", "tangents"))
         self.samples = np.array(curve["samples"], float)
         self.edges = np.unique([*self.knots, *(self.samples[p[end]] for p in phases for end in ("first", "last"))])
