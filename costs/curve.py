@@ -75,7 +75,7 @@ class TimeLaw:
 
     @cached_property
     def shares(self) -> Float[np.ndarray, "M-1"]:
-        """Length of each step over what its speeds and times come to; 1 where both are 0, huge where only the latter."""
+        """Length of each step over what speeds and times come to; 1 where both are 0, huge where only the latter."""
         length, travelled = np.diff(self.path), 0.5 * (self.speed[:-1] + self.speed[1:]) * np.diff(self.times)
         shares = np.where(length == 0.0, 1.0, np.finfo(float).max)
         np.divide(length, travelled, out=shares, where=travelled > np.finfo(float).tiny * 1e16)

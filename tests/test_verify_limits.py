@@ -1,4 +1,4 @@
-"""Limits of the timed curve: exact peaks, steps that cannot hide speed, and the speeds that a reader of samples sees."""
+"""Limits of the timed curve: exact peaks, steps that hide no speed, and the speeds that a reader of samples sees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joint limits of the curve and of its timing: positions and accelerations exactly, speeds from above."""
+"""Joint limits of the curve and of its timing: positions, speeds and accelerations exactly."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from service.verify.motion import Motion, Phase
 from service.verify.settings import VerifySettings
 from service.verify.timeline import time_of, times_of
 from service.verify.track import Track
-
 
 # A step of the time law may be this much longer or shorter than its speeds and times come to, relative to its length.
 _STEP_TOLERANCE = 1e-6
