@@ -1,4 +1,9 @@
-"""Timing of a curve: as fast as speed, acceleration and torque limits allow, and slow enough to keep its balance."""
+"""Timing of a curve: as fast as speed, acceleration and torque limits allow, and slow enough to keep its balance.
+
+Forces and peaks are the verifier's own (``service.verify.dynamics.forces``, ``service.verify.limits.timed_peaks``): a
+mistake in them would make a law as well as the check that passes it.  So the certificate's ZMP, torques and peaks are no
+second opinion on the timing; the tests hold them against forces and peaks computed by other means.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +29,11 @@ _TORQUE_SHARE = 0.98
 # Coefficients below this (in units of the limit) count as none.
 _FLAT = 1e-10
 _NEWTON_STEPS = 100
+# Grid cells from rest to rest, at least; points within the first and last of them, as shares of their length.
+_CELLS_PER_STRETCH = 100
+_NEAR_REST = np.array([0.01, 0.03, 0.1, 0.3])
+# Where in a cell speed and acceleration are held against their limits.
+_INSIDE = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 class TimingError(ValueError):
@@ -36,7 +46,8 @@ class TimingSettings:
 
     Attributes:
         velocity_scale, acceleration_scale: shares of the limits to be used, in (0, 1].
-        cells_per_interval: grid cells of the time law per knot interval, denser towards the knots.
+        cells_per_interval: least grid cells of the time law per knot interval; a stretch between two rests with few
+            knots gets more.
         support_links: links planted on the ground; joints between them and the base carry contact forces that timing
             does not know, so their torques are left to the verifier (:func:`slow_until_zmp_inside`).
         use_torques: whether the other joints' torque limits count.
@@ -55,8 +66,9 @@ def time_curve(
     """Time law that is as fast as the limits allow, at rest at both ends and at ``rest_at`` (path parameters).
 
     TOPP-RA (Pham & Pham, T-RO 2018) on a grid that holds every knot, with the curve's second derivative taken from
-    both sides, since it jumps there.  Speed and acceleration limits then hold everywhere: what the grid missed is made
-    up for by slowing the stretch between two rests as a whole.  Torque limits hold at the grid points.
+    both sides, since it jumps there, and limits kept at points within the cells as well.  Speed and acceleration limits
+    then hold everywhere: the little that is missed between those points is made up for by slowing the stretch between
+    two rests as a whole.  Torque limits hold at the grid points.
 
     Raises:
         TimingError: when a limit is not positive or no law was found.
@@ -109,15 +121,30 @@ def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: 
     return law
 
 
-def _grid(curve: Curve, rests: Sequence[float], n_cells: int) -> Float[np.ndarray, "M"]:
-    """Knots, rests, and points between the knots: denser towards them, where q'' jumps and q' may vanish."""
-    fractions = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, n_cells) / n_cells)
-    steps = np.diff(curve.knots)[:, None]
-    inner = (curve.knots[:-1, None] + steps * fractions).ravel()
-    for rest in rests:
-        # A rest that falls on a point but for rounding would leave a cell without length.
-        inner = inner[np.abs(inner - rest) > 1e-6 * steps.min()]
-    return np.unique(np.concatenate([curve.knots, inner, rests]))
+def _grid(curve: Curve, rests: Sequence[float], least_cells: int) -> Float[np.ndarray, "M"]:
+    """Knots, rests, and points between them.
+
+    Points are denser towards the knots, where q'' jumps, and much denser towards rests: where the tangent vanishes, the
+    robot is fastest off when ds/dt rises at once.  Stretches with few knots get more cells for each interval.
+    """
+    knots = curve.knots
+    stops = np.unique(np.concatenate([knots[:1], rests, knots[-1:]]))
+    first, last = np.searchsorted(knots, stops[:-1], side="right"), np.searchsorted(knots, stops[1:], side="left")
+    cells = np.maximum(least_cells, np.ceil(_CELLS_PER_STRETCH / np.maximum(last - first + 1, 1)).astype(int))
+    owner = np.clip(np.searchsorted(stops, 0.5 * (knots[:-1] + knots[1:])) - 1, 0, len(cells) - 1)
+    parts = [
+        start + step * (0.5 - 0.5 * np.cos(np.pi * np.arange(1, count) / count))
+        for start, step, count in zip(knots, np.diff(knots), cells[owner], strict=False)
+    ]
+    inner = np.concatenate(parts)
+    # A rest that falls on a point but for rounding would leave a cell without length.
+    close = 1e-6 * np.diff(knots).min()
+    inner = inner[np.abs(inner[:, None] - stops).min(axis=1) > close]
+    grid = np.unique(np.concatenate([knots, inner, rests]))
+    at = np.searchsorted(grid, stops)
+    behind = grid[at[:-1], None] + np.diff(grid)[at[:-1], None] * _NEAR_REST
+    before = grid[at[1:], None] - np.diff(grid)[at[1:] - 1, None] * _NEAR_REST
+    return np.unique(np.concatenate([grid, behind.ravel(), before.ravel()]))
 
 
 def _unsupported(robot: RobotModel, settings: TimingSettings) -> Bool[np.ndarray, "n"]:
@@ -134,38 +161,38 @@ def _unsupported(robot: RobotModel, settings: TimingSettings) -> Bool[np.ndarray
     return np.asarray(rows)
 
 
-@dataclass(frozen=True)
 class _Rows:
     """Per grid point the rows ``|a u + b x + c| <= 1`` (M, m) and ``x <= limit`` (M,); u is d2s/dt2, x is (ds/dt)^2."""
 
-    a: Float[np.ndarray, "M m"]
-    b: Float[np.ndarray, "M m"]
-    c: Float[np.ndarray, "M m"]
-    limit: Float[np.ndarray, "M"]
+    def __init__(
+        self,
+        a: Float[np.ndarray, "M m"],
+        b: Float[np.ndarray, "M m"],
+        c: Float[np.ndarray, "M m"],
+        limit: Float[np.ndarray, "M"],
+    ) -> None:
+        is_steep = np.abs(a) > _FLAT
+        inverse = np.divide(1.0, a, out=np.zeros_like(a), where=is_steep)
+        reach = np.where(is_steep, np.abs(inverse), np.inf)
+        # u lies between low + slope x and high + slope x.
+        self._slope, self._low, self._high = -b * inverse, -c * inverse - reach, -c * inverse + reach
+        is_flat = ~is_steep & (np.abs(b) > _FLAT)
+        room = np.divide(1.0 - np.sign(b) * c, np.abs(b), out=np.full_like(b, np.inf), where=is_flat)
+        self.highest = np.minimum(limit, room.min(axis=1, initial=np.inf))
+        """(M,) largest x that the rows without u allow."""
 
     def bounds(self, i: int, x: float, width: float, highest: float) -> tuple[float, float, float, float]:
         """Least and greatest u at ``x`` that keep the rows and ``0 <= x + 2 width u <= highest``, and their slopes."""
-        a, b, c = self.a[i], self.b[i], self.c[i]
-        size = np.abs(a)
-        steep = size > _FLAT
-        centre = np.divide(-(b * x + c), a, out=np.zeros_like(a), where=steep)
-        reach = np.divide(1.0, size, out=np.full_like(a, np.inf), where=steep)
-        low, high = centre - reach, centre + reach
-        k, j = int(low.argmax()), int(high.argmin())
+        shift = self._slope[i] * x
+        low, high = self._low[i] + shift, self._high[i] + shift
+        k, j = low.argmax(), high.argmin()
         least, most = float(low[k]), float(high[j])
-        least_slope = -b[k] / a[k] if steep[k] else 0.0
-        most_slope = -b[j] / a[j] if steep[j] else 0.0
+        least_slope, most_slope = float(self._slope[i, k]), float(self._slope[i, j])
         if -0.5 * x / width >= least:
             least, least_slope = -0.5 * x / width, -0.5 / width
         if 0.5 * (highest - x) / width <= most:
             most, most_slope = 0.5 * (highest - x) / width, -0.5 / width
-        return least, most, float(least_slope), float(most_slope)
-
-    def highest(self, i: int) -> float:
-        """Largest x that the rows without u allow."""
-        flat = (np.abs(self.a[i]) <= _FLAT) & (np.abs(self.b[i]) > _FLAT)
-        room = 1.0 - np.sign(self.b[i, flat]) * self.c[i, flat]
-        return float(np.min(room / np.abs(self.b[i, flat]), initial=self.limit[i]))
+        return least, most, least_slope, most_slope
 
 
 def _segment_speed(
@@ -192,7 +219,7 @@ def _fastest(rows: _Rows, width: Float[np.ndarray, "M-1"]) -> Float[np.ndarray, 
     n = len(width)
     reachable = np.zeros(n + 1)
     for i in range(n - 1, -1, -1):
-        x = rows.highest(i)
+        x = float(rows.highest[i])
         for _ in range(_NEWTON_STEPS):
             least, most, least_slope, most_slope = rows.bounds(i, x, width[i], reachable[i + 1])
             if least <= most or x <= 0.0:
@@ -203,37 +230,39 @@ def _fastest(rows: _Rows, width: Float[np.ndarray, "M-1"]) -> Float[np.ndarray, 
     square = np.zeros(n + 1)
     for i in range(n):
         _, most, _, _ = rows.bounds(i, square[i], width[i], reachable[i + 1])
-        square[i + 1] = np.clip(square[i] + 2.0 * width[i] * most, 0.0, reachable[i + 1])
+        square[i + 1] = min(max(square[i] + 2.0 * width[i] * most, 0.0), reachable[i + 1])
     return np.asarray(np.sqrt(square))
 
 
 def _constraint_rows(
     robot: RobotModel, curve: Curve, grid: Float[np.ndarray, "M"], torque_rows: Bool[np.ndarray, "n"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Acceleration and torque rows at both ends of each cell, each end with the cell's own second derivative.
+    """Acceleration, speed and torque rows of each cell, with the cell's own second derivative.
 
-    At the far end ``x`` is ``x + 2 du``, which makes the row ``(a + 2 d b) u + b x + c``.
+    A reach r into the cell ``x`` is ``x + 2 r u``, which makes the row ``(a + 2 r b) u + b x + c``.
     """
     width = np.append(np.diff(grid), 0.0)[:, None]
     middle = np.append(0.5 * (grid[:-1] + grid[1:]), grid[-1])
-    near, far = curve(grid, 1), curve(np.append(grid[1:], grid[-1]), 1)
-    # q'' is linear inside a cell, so its one-sided values at the ends follow from the middle and the slopes' change.
-    centre = curve(middle, 2)
+    # q' is a parabola and q'' linear inside a cell: both follow from the middle and the third derivative.
+    slope, bend = curve(middle, 1), curve(middle, 2)
     third = np.divide(
-        curve(middle + 0.25 * width[:, 0], 2) - centre, 0.25 * width, out=np.zeros_like(centre), where=width > 0.0
+        curve(middle + 0.25 * width[:, 0], 2) - bend, 0.25 * width, out=np.zeros_like(bend), where=width > 0.0
     )
-    bend_near, bend_far = centre - 0.5 * width * third, centre + 0.5 * width * third
+    ahead = [(share - 0.5) * width for share in _INSIDE]
+    slopes = [slope + w * (bend + 0.5 * w * third) for w in ahead]
+    bends = [bend + w * third for w in ahead]
     is_limited = np.isfinite(robot.acceleration)
-    scale = robot.acceleration[is_limited]
-    parts = [_ends(near, bend_near, np.zeros_like(near), is_limited, scale, 0.0 * width)]
-    parts.append(_ends(far, bend_far, np.zeros_like(far), is_limited, scale, width))
-    # Inside a cell the acceleration is a parabola in s; where q' nearly vanishes its vertex can stick out.
-    parts.append(_ends(curve(middle, 1), centre, np.zeros_like(far), is_limited, scale, 0.5 * width))
+    none, scale = np.zeros_like(slope), robot.acceleration[is_limited]
+    parts = []
+    for share, slope, bend in zip(_INSIDE, slopes, bends, strict=True):
+        parts.append(_ends(slope, bend, none, is_limited, scale, share * width))
+        fastest = ((slope / robot.velocity) ** 2).max(axis=1, keepdims=True)
+        parts.append((2.0 * share * width * fastest, fastest, np.zeros_like(fastest)))
     if np.any(torque_rows):
         limit = robot.effort[torque_rows] * _TORQUE_SHARE
         for at, slope, bend, reach in (
-            (grid, near, bend_near, 0.0 * width),
-            (np.append(grid[1:], grid[-1]), far, bend_far, width),
+            (grid, slopes[0], bends[0], 0.0 * width),
+            (np.append(grid[1:], grid[-1]), slopes[-1], bends[-1], width),
         ):
             a, b, c = _torque_coefficients(robot, curve(at), slope, bend)
             # A joint that its own weight overloads cannot be helped by timing.

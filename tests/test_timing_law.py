@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pinocchio as pin
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_robots import floating_joint, random_curve, random_model, robot_of
 
+from benchmarks.timing_reference import chain, fastest_duration, spline_through, timing_problems
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.scene import Scene
@@ -39,6 +41,34 @@ def test_a_straight_line_takes_the_time_of_the_trapezoid() -> None:
     law = time_curve(_robot(1), curve)
     assert law.times[-1] == pytest.approx(2.5, rel=0.01)
     assert law.times[-1] >= 2.5 - 1e-9
+
+
+@pytest.mark.parametrize("n_waypoints", [2, 3, 5, 8, 12, 20, 30])
+@pytest.mark.parametrize(("velocity", "acceleration"), [(0.5, 10.0), (0.5, 3.0), (0.5, 0.5)])
+def test_a_plan_along_a_line_takes_at_most_four_percent_longer_than_the_trapezoid(
+    n_waypoints: int, velocity: float, acceleration: float
+) -> None:
+    robot = chain(np.array([velocity]), np.array([acceleration]))
+    law = time_curve(robot, spline_through(robot, np.linspace(0.0, 2.0, n_waypoints)[:, None]))
+    fastest = 2.0 / velocity + velocity / acceleration
+    assert fastest - 1e-9 <= law.times[-1] <= 1.04 * fastest
+
+
+def test_laws_of_random_plans_are_within_six_percent_of_the_fastest() -> None:
+    ratios = []
+    for problem in islice(timing_problems(1), 15):
+        robot, curve = problem.robot, problem.curve
+        fastest = fastest_duration(curve, robot.velocity, robot.acceleration, cells=30)
+        ratios.append(time_curve(robot, curve).times[-1] / fastest)
+    assert max(ratios) < 1.06
+    assert np.mean(ratios) < 1.03
+    assert min(ratios) > 0.995  # the reference's own grid
+
+
+def test_a_rest_within_the_curve_costs_what_stopping_costs() -> None:
+    robot = chain(np.array([1.0]), np.array([2.0]))
+    curve = Curve(np.array([0.0, 1.0]), np.array([[0.0], [2.0]]), np.full((2, 1), 2.0))
+    assert time_curve(robot, curve, [0.5]).times[-1] == pytest.approx(3.0, rel=0.005)
 
 
 def test_scales_slow_the_line_down() -> None:
