@@ -1,8 +1,8 @@
 """Timing of a curve: as fast as speed, acceleration and torque limits allow, and slow enough to keep its balance.
 
 Forces and peaks are the verifier's own (``service.verify.dynamics.forces``, ``service.verify.limits.timed_peaks``): a
-mistake in them would make a law as well as the check that passes it.  So the certificate's ZMP, torques and peaks are no
-second opinion on the timing; the tests hold them against forces and peaks computed by other means.
+mistake in them would make a law as well as the check that passes it.  So the certificate's ZMP, torques and peaks are
+no second opinion on the timing; the tests hold them against forces and peaks computed by other means.
 """
 
 from __future__ import annotations
