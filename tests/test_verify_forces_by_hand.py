@@ -75,7 +75,7 @@ def test_an_accelerated_mass_moves_the_zmp_back_by_its_height_over_gravity(
     centre = OFFSET + 0.5 * a * TIMES[:, None] ** 2
     expected = centre[:, :2] - (centre[:, 2:] - HEIGHT) * a[:2] / (G + a[2])
     np.testing.assert_allclose(zmp, expected, atol=1e-9)
-    force = MASS * (a + [0.0, 0.0, G])
+    force = MASS * (a + np.array([0.0, 0.0, G]))
     np.testing.assert_allclose(wrench[:, :3], np.tile(force, (3, 1)), atol=1e-9)
     np.testing.assert_allclose(wrench[:, 3:], np.cross(centre, force), atol=1e-9)
     np.testing.assert_allclose(torque, np.tile(force, (3, 1)), atol=1e-9)  # each slide carries what moves it
@@ -223,7 +223,7 @@ def test_the_worst_zmp_is_told_with_its_place() -> None:
     assert check.where.s == check.where.time_s == 1.0
     assert check.where.position == pytest.approx((end, -0.2, HEIGHT))
     assert "is 171.2 mm outside the feet during go" in check.text
-    wide = _checks(_accelerated(_gantry(), np.array([1.14, 0.0, 0.0]), polygon + [0.5, 0.0]))["zmp.go"]
+    wide = _checks(_accelerated(_gantry(), np.array([1.14, 0.0, 0.0]), polygon + np.array([0.5, 0.0])))["zmp.go"]
     assert wide.ok
     assert "stays" in wide.text
 
@@ -277,3 +277,29 @@ def test_samples_of_a_phase_lie_within_it_on_both_sides_of_every_jump() -> None:
     assert np.abs(times[:, None] - even).min(axis=0).max() < 1e-12
     assert len(times) == len(jumps) + len(even)
     assert len(sample_times(motion, law, 1.1, 1.2, 1.0)) == 2
+
+
+@pytest.mark.parametrize("border", [1.5, 2.0])  # a point of the law, a knot
+def test_the_near_side_of_a_jump_at_a_phase_s_border_is_sampled(border: float) -> None:
+    curve = Curve(np.array([0.0, 2.0, 4.0]), np.zeros((3, 3)), np.zeros((3, 3)))
+    law = TimeLaw(np.array([0.0, 1.5, 4.0]), np.array([0.0, 1.5, 4.0]), np.ones(3))
+    motion = Motion(_gantry(), Scene(), curve, law)
+    before, after = (sample_times(motion, law, *ends, 10.0) for ends in ((0.5, border), (border, 3.5)))
+    assert np.abs(before - (border - 1e-7)).min() < 1e-9
+    assert np.abs(after - (border + 1e-7)).min() < 1e-9
+    assert before.max() == border == after.min()
+
+
+def test_on_the_very_edge_is_inside_and_at_the_very_limit_is_within() -> None:
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(1, pin.Inertia(8.0, np.array([0.25, -0.5, 1.0]), np.zeros((3, 3))), pin.SE3.Identity())
+    robot = replace(robot_of(model, []), effort=np.array([0.5]))
+    square = np.array([[0.0, -1.0], [0.25, -1.0], [0.25, 0.0], [0.0, 0.0]])
+    still = _checks(_accelerated(robot, np.zeros(1), square))["zmp.go"]
+    assert still.value == 0.0
+    assert still.ok
+    assert "stays" in still.text
+    pushed = _checks(_accelerated(robot, np.array([0.0625])))["torque.go"]
+    assert pushed.value == 1.0
+    assert pushed.ok

@@ -1,4 +1,4 @@
-"""The certificate's ZMP against momenta of the URDF's links, differentiated by differences, on random motions of Atlas."""
+"""The certificate's ZMP against momenta of the URDF's links, changed by differences, on random motions of Atlas."""
 
 from __future__ import annotations
 
