@@ -49,8 +49,9 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         is_held = bool(body.holds()) or any(phase.holds for phase in plan.phases)
         chord = HELD_CHORD_SHARE * body.drift() if is_held else CHORD_TOLERANCE
         return replace(motion, samples=_path_samples(spline.curve, chord))
-    timing = replace(timing, support_links=tuple(foot.link for foot in body.planted))
-    motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing))
+    planted = tuple(foot.link for foot in body.planted)
+    timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
+    motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
     law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
     return replace(motion, law=law, samples=_samples(knots, law))
 
