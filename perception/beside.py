@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from perception.clean import row_keys
+from perception.neighbours import nearest
 
 STARTS_APART = 0.1
 RADIUS = 0.03
@@ -87,7 +88,7 @@ def _support_in(
     directions = rays / np.maximum(ranges, 1e-9)[:, None]
     k = min(_NEIGHBOURS + 1, len(points))
     tree = cKDTree(directions, balanced_tree=False, compact_nodes=False)
-    neighbours = np.asarray(tree.query(directions[asked], k=np.arange(2, k + 1), workers=-1)[1])
+    neighbours = nearest(tree, directions[asked], np.arange(2, k + 1))[1]
     around = _Around.of(directions, ranges, asked, neighbours)
     eighth = around.aside[:, min(_EIGHTH, k - 2)]
     reach = np.maximum(2.0 * spacing_radius(ranges[asked]), _FAR_ASIDE * eighth)

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from perception.extent import convex_patches, pierced_cells
 from perception.floor import FloorPlane
+from perception.neighbours import nearest
 from perception.outlines import outlines_of
 from perception.patches import MAX_SLOPE_DEG, PATCH, Patches, candidates, least_squares, patches_of, plane_of
 from perception.unbroken import is_unbroken
@@ -269,9 +270,9 @@ def _reached(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level
         here = open_ends.pop(0)
         tree = cKDTree(here.places[:, :2])
         for level in waiting:
-            apart, nearest = map(np.asarray, tree.query(level.places[:, :2], distance_upper_bound=_GAP))
+            apart, index = nearest(tree, level.places[:, :2], 1, within=_GAP)
             meet = np.isfinite(apart)
-            rise = np.abs(level.places[meet, 2] - here.places[nearest[meet], 2])
+            rise = np.abs(level.places[meet, 2] - here.places[index[meet], 2])
             is_ground = level.plane.area >= 4 * _LARGE and level.places[:, 2].max() < lowest
             if is_ground or (meet.any() and float(rise.min()) <= _STEP):
                 waiting = [other for other in waiting if other is not level]
@@ -303,7 +304,7 @@ def _outlined(
     is_member = np.zeros(len(points), dtype=bool)
     is_member[level.members] = True
     belongs = is_member[beside]
-    apart, _ = cKDTree((level.cells + 0.5) * _CELL).query(near[~belongs, :2], distance_upper_bound=_GOES_ON)
+    apart, _ = nearest(cKDTree((level.cells + 0.5) * _CELL), near[~belongs, :2], 1, within=_GOES_ON)
     goes_on = np.isfinite(apart)
     if level.plane.slope_deg > _LEVEL_DEG:
         across = np.array([-level.plane.normal[1], level.plane.normal[0]])

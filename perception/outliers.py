@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from perception.beside import RADIUS, RADIUS_SHARE, STARTS_APART, depth_noise, spacing_radius, support
 from perception.clean import row_keys, voxel_index
 from perception.grazed import on_grazed_surface
+from perception.neighbours import nearest
 
 _WIDE = 0.7
 _DEEP = 3.0
@@ -35,13 +36,9 @@ def inliers(
     kept = counts[voxel] > n_neighbours
     rest = np.flatnonzero(~kept)
     if len(rest):
-        distance, _ = _tree(points).query(
-            points[rest],
-            k=[n_neighbours + 1],
-            distance_upper_bound=float(radius[rest].max()) * (1.0 + 1e-9),
-            workers=-1,
-        )
-        kept[rest] = np.asarray(distance)[:, 0] <= radius[rest]
+        most = float(radius[rest].max()) * (1.0 + 1e-9)
+        distance, _ = nearest(_tree(points), points[rest], [n_neighbours + 1], within=most)
+        kept[rest] = distance[:, 0] <= radius[rest]
     return np.asarray(kept)
 
 

@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from perception.neighbours import nearest
+
 _CELL = 0.04
 _AT_A_TIME = 16
 
@@ -86,7 +88,7 @@ def point_normals(
 ) -> Float[np.ndarray, "N 3"]:
     """Unit normals by principal components of the nearest neighbours, turned to where each point's ray started."""
     k = min(n_neighbours, len(points))
-    _, neighbours = cKDTree(points).query(points, k=k, workers=-1)
+    _, neighbours = nearest(cKDTree(points), points, k)
     near = points[np.reshape(neighbours, (len(points), k))]
     near = near - near.mean(axis=1, keepdims=True)
     normals = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))[1][:, :, 0]

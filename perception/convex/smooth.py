@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from perception.beside import STARTS_APART, depth_noise
 from perception.clean import row_keys
 from perception.convex.nearby import nearby
+from perception.neighbours import nearest
 
 _NEIGHBOURS = 24
 # Neighbours are looked for in a body that is so many times as long along the ray as it is wide.
@@ -86,8 +87,5 @@ def _beside(
     if (sensors != sensors[0]).any():
         places[:, 0] += _APART * np.unique(sensors, return_inverse=True)[1]
     k = np.arange(1, min(_NEIGHBOURS, len(along)) + 1)
-    return np.asarray(
-        cKDTree(places, balanced_tree=False, compact_nodes=False).query(
-            places[chosen], k=k, distance_upper_bound=0.5 * _APART, workers=-1
-        )[1]
-    )
+    tree = cKDTree(places, balanced_tree=False, compact_nodes=False)
+    return nearest(tree, places[chosen], k, within=0.5 * _APART)[1]
