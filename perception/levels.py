@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
 from perception.extent import convex_patches, pierced_cells
 from perception.floor import FloorPlane
 from perception.neighbours import nearest
@@ -108,6 +109,7 @@ def find_floors(
 
 def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.Generator) -> Iterator[_Level]:
     """Planes of the patches, the largest first, each with what no larger one has taken."""
+    poll()
     free = patches.is_upright | patches.is_bare
     normals, offsets = candidates(patches, rng)
     if not len(normals):
@@ -144,6 +146,7 @@ def _fitted(
     offset: float,
 ) -> tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, "K"]] | None:
     """The better least-squares plane of the points near the candidate, and their indices."""
+    poll()
     beside = np.abs(patches.centre @ normal - offset) < 2 * _BAND + PATCH
     usable = np.flatnonzero((free & beside)[patches.of_point])
     mine = points[usable]
@@ -167,6 +170,7 @@ def _seen(
     members: Int[np.ndarray, "K"],
 ) -> _Level | None:
     """The parts of a plane that are large enough to stand on; None without any, or where its patches tilt otherwise."""
+    poll()
     cells = np.floor(points[members, :2] / _CELL).astype(int)
     lower = cells.min(axis=0) - 2
     picture = np.zeros(cells.max(axis=0) - lower + 3, dtype=bool)

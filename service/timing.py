@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
+from costs.stopping import poll
 from service.verify.dynamics import forces, sample_times
 from service.verify.limits import timed_peaks
 from service.verify.motion import Motion, Phase
@@ -192,6 +193,7 @@ def _fastest(rows: _Rows, width: Float[np.ndarray, "M-1"]) -> Float[np.ndarray, 
     n = len(width)
     reachable = np.zeros(n + 1)
     for i in range(n - 1, -1, -1):
+        poll()
         x = rows.highest(i)
         for _ in range(_NEWTON_STEPS):
             least, most, least_slope, most_slope = rows.bounds(i, x, width[i], reachable[i + 1])
@@ -202,6 +204,7 @@ def _fastest(rows: _Rows, width: Float[np.ndarray, "M-1"]) -> Float[np.ndarray, 
         reachable[i] = x
     square = np.zeros(n + 1)
     for i in range(n):
+        poll()
         _, most, _, _ = rows.bounds(i, square[i], width[i], reachable[i + 1])
         square[i + 1] = np.clip(square[i] + 2.0 * width[i] * most, 0.0, reachable[i + 1])
     return np.asarray(np.sqrt(square))
@@ -259,6 +262,7 @@ def _torque_coefficients(
     still = np.zeros(model.nv)
     a, b, c = np.empty_like(q), np.empty_like(q), np.empty_like(q)
     for k in range(len(q)):
+        poll()
         c[k] = pin.rnea(model, data, q[k], still, still)
         a[k] = pin.rnea(model, data, q[k], still, slope[k]) - c[k]
         b[k] = pin.rnea(model, data, q[k], slope[k], bend[k]) - c[k]
