@@ -93,14 +93,15 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     teller = _Teller(control, task.with_waypoints)
     try:
         with stops_with(control):
-            result = plan(
-                request if task.until is None else _in_time(request, task.until - control.now()),
-                on_progress=teller.step,
-                should_stop=control.should_stop,
-                robot=_ROBOTS.get(request),
-                on_iteration=teller.iteration,
-                see=see,
-            )
+            robot = _ROBOTS.get(request)
+        result = plan(
+            request if task.until is None else _in_time(request, task.until - control.now()),
+            on_progress=teller.step,
+            should_stop=control.should_stop,
+            robot=robot,
+            on_iteration=teller.iteration,
+            see=see,
+        )
     except RequestError as error:
         return Refused(error.problems, isinstance(error, UnplannedTaskError))
     original = task.original or request
