@@ -11,6 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from costs.stopping import stops_when
+from costs.threads import use_all_cores
 from service.cli_remote import REMOTE_EXIT_CODES, request_command, review_command, top_command
 from service.cli_report import print_figures, print_findings, print_table, print_verdict
 from service.cli_run import cancellable, consoles, print_json, progress, run
@@ -159,6 +161,7 @@ def _plan(
         from service.result_json import summary_json
 
         check_folder(folder)
+        use_all_cores()
         result = plan(request, on_progress=report, should_stop=should_stop)
         report("write result", 1.0)
         files = write_result(result, folder)
@@ -176,12 +179,13 @@ def _plan(
 
 def _verify(path: Path, request: Path | None, clouds: list[Path], as_json: bool) -> str:
     out, err = consoles()
-    with progress(err, "read result") as report:
+    with progress(err, "read result") as report, cancellable(err) as should_stop:
         report("read result", 0.0)
         from service.replay import verify_result
 
         report("verify", 0.1)
-        summary = verify_result(path, request, clouds)
+        with stops_when(should_stop):
+            summary = verify_result(path, request, clouds)
     if as_json:
         print_json(summary)
     else:

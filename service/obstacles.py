@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -60,18 +60,16 @@ def known_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
 def obstacles_of(
     request: PlanRequest,
     matches: Mapping[str, MeshMatch] = MappingProxyType({}),
-    should_stop: Callable[[], bool] = lambda: False,
 ) -> Obstacles:
     """All obstacles of a request; round shapes as polytopes around them, meshes as several pieces.
 
     Args:
         request: the request.
         matches: by name what the scan showed of meshes that were to be found in it; they stand where it shows them.
-        should_stop: asked while meshes are split.
 
     Raises:
         RequestError: a mesh file that cannot be used or is not found in the scan, or points without a volume.
-        Interrupted: ``should_stop`` said so.
+        Stopped: it was asked to stop.
     """
     pieces: list[ConvexPiece] = []
     notes: list[str] = []
@@ -90,7 +88,6 @@ def obstacles_of(
                 Path(obstacle.file).name,
                 f"{field}.file",
                 decompose=obstacle.decompose,
-                should_stop=should_stop,
             )
         else:
             parts = [_shape(obstacle, field)]

@@ -14,11 +14,11 @@ from jaxtyping import Float
 
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import Scene
+from costs.stopping import Stopped, poll, stops_when
 from service.attached import robot_with_attached
 from service.demands import compose_scene
 from service.errors import RequestError, would_do
 from service.keep import KeptPose, kept_poses
-from service.monitor import Interrupted
 from service.names import TakenNames, check_names
 from service.obstacles import obstacles_of
 from service.request import PlanRequest
@@ -124,9 +124,11 @@ def _prepare(
     soles = _soles(robot, start, request, program)
     say("perceive scene")
     try:
-        about = _timed(timings, "perceive", lambda: surroundings(request, robot, start, soles, should_stop, see))
-        obstacles = _timed(timings, "build_scene", lambda: obstacles_of(request, about.matches, should_stop))
-    except Interrupted:
+        with stops_when(should_stop):
+            poll()
+            about = _timed(timings, "perceive", lambda: surroundings(request, robot, start, soles, see))
+            obstacles = _timed(timings, "build_scene", lambda: obstacles_of(request, about.matches))
+    except Stopped:
         empty = Scene(())
         return PlanSetup(
             request, robot, start, empty, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True

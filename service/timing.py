@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
+from costs.stopping import poll
 from service.timing_rows import Cells, force_rows, motion_rows
 from service.topp import Limits, fastest_speed
 from service.verify.dynamics import forces, sample_times
@@ -116,6 +117,7 @@ def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: 
     law = motion.law
     rests = np.flatnonzero(law.speed <= 1e-12)
     for _ in range(4):
+        poll()
         factor = np.ones(len(law.times) - 1)
         for a, b in pairwise(rests):
             factor[a:b] = _needed_slowness(motion, law, float(law.path[a]), float(law.path[b]), time_step_s, reserve_m)

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from costs.curve import Curve
 from costs.robot.model import RobotModel
+from costs.stopping import poll
 from service.topp import HalfRows
 from service.verify.motion import SupportPolygon
 
@@ -167,6 +168,7 @@ def _loads(
     roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
     loads = np.zeros((len(q), model.nv + 6))
     for k in range(len(q)):
+        poll()
         loads[k, : model.nv] = pin.rnea(model, data, q[k], v[k], a[k])
         for joint in roots:
             loads[k, model.nv :] += data.liMi[joint].act(data.f[joint]).vector

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from costs.stopping import poll
+
 # Coefficients below this (in units of the limit) count as none.
 _FLAT = 1e-10
 _NEWTON_STEPS = 100
@@ -75,6 +77,7 @@ def fastest_speed(limits: Limits, width: Float[np.ndarray, "M-1"]) -> Float[np.n
     n = len(width)
     reachable = np.zeros(n + 1)
     for i in range(n - 1, -1, -1):
+        poll()
         x = float(limits.highest[i])
         for _ in range(_NEWTON_STEPS):
             least, most, least_slope, most_slope = limits.bounds(i, x, width[i], reachable[i + 1])
@@ -85,6 +88,7 @@ def fastest_speed(limits: Limits, width: Float[np.ndarray, "M-1"]) -> Float[np.n
         reachable[i] = x
     square = np.zeros(n + 1)
     for i in range(n):
+        poll()
         _, most, _, _ = limits.bounds(i, square[i], width[i], reachable[i + 1])
         square[i + 1] = min(max(square[i] + 2.0 * width[i] * most, 0.0), reachable[i + 1])
     return np.asarray(np.sqrt(square))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.stopping import poll
 from service.verify.couples import Couples
 from service.verify.look import FIRST, LAST, MIDDLE, ROUNDING_M, Look
 from service.verify.samples import Meeting, Samples
@@ -105,6 +106,7 @@ class _Rounds:
 
     def run(self, stretches: Stretches) -> Stretches:
         """Decide every stretch; returns the halves of those that are left."""
+        poll()
         if len(stretches) == 0:
             return stretches
         settings, is_new = self._settings, stretches.halved == 0
@@ -175,6 +177,7 @@ class _Attempt:
 
     def measure(self, of: Bool[np.ndarray, "E"], columns: tuple[int, ...]) -> None:
         """Sample poses of these stretches where that may decide them, or must, and try the directions found there."""
+        poll()
         is_settled = self.is_proven & (self._lower >= np.where(self._may_touch, 0.0, self._wanted))
         # A pair allowed to touch is sampled wherever it may, to know how deep it does.
         rows = np.flatnonzero(of & ~is_settled & (self._may_help | self._may_touch | self.is_last))
@@ -185,6 +188,7 @@ class _Attempt:
 
     def _try(self, rows: Int[np.ndarray, "R"], directions: Float[np.ndarray, "R D 3"]) -> None:
         """Raise the bounds of these rows where one of their directions separates better than what was tried before."""
+        poll()
         count = directions.shape[1]
         found = self._look.separation(np.repeat(rows, count), directions.reshape(-1, 3)).reshape(-1, count)
         best = found.argmax(axis=1)
@@ -202,6 +206,7 @@ class _Attempt:
 
     def halves(self, chosen: Bool[np.ndarray, "E"]) -> Stretches:
         """The halves of these rows, with what is known of them."""
+        poll()
         stretches = replace(self._look.stretches, ends=self._sampled[:, [FIRST, LAST]])
         return stretches.take(chosen).halves(self._direction[chosen], self._sampled[chosen, MIDDLE])
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from costs.stopping import never, stops_when
 from service.verify.admission import admit
 from service.verify.certificate import (
     Basis,
@@ -23,16 +26,28 @@ from service.verify.timeline import edges_of, phases_of
 from service.verify.track import Track
 
 
-def verify(motion: Motion, settings: VerifySettings | None = None) -> Certificate:
+def verify(
+    motion: Motion, settings: VerifySettings | None = None, should_stop: Callable[[], bool] = never
+) -> Certificate:
     """Prove or refute what the motion promises.
 
     Clearance, balance, planted feet, targets, position, speed and acceleration limits hold on the whole curve (and,
     with ``motion.samples``, on the exported samples read linearly); ZMP and torques hold at samples.
 
+    Args:
+        motion: the motion.
+        settings: of the proofs.
+        should_stop: asked at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
+
     Raises:
         VerifyError: when the motion is malformed (phases that leave a gap, an unknown frame, an inconsistent law).
+        Stopped: it was asked to stop; there is no certificate.
     """
-    settings = settings or VerifySettings()
+    with stops_when(should_stop):
+        return _verify(motion, settings or VerifySettings())
+
+
+def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
     admit(motion)
     phases = phases_of(motion)
     track = Track(motion)
