@@ -2,7 +2,7 @@
 import { Box3, Mesh, Vector3 } from "three";
 import { Balance } from "./balance";
 import { Movable, Result, readPayload, spanAt } from "./data";
-import { el } from "./dom";
+import { el, tellTimes } from "./dom";
 import { Ghosts } from "./ghosts";
 import { Header, makeHeader, makeHelp, tone } from "./header";
 import { Labels } from "./labels";
@@ -37,7 +37,7 @@ export class App implements Player {
   isXray = false;
   isFollowing = false;
   theme: "dark" | "light";
-  private readonly timeline: Timeline;
+  readonly timeline: Timeline;
   private readonly panel: Panel;
   private readonly header: Header;
   private readonly hand: number;
@@ -45,6 +45,7 @@ export class App implements Player {
 
   constructor() {
     const { result, motion } = this;
+    tellTimes(result.is_timed);
     this.time = motion.start;
     this.hand = this.workingHand();
     const viewport = el("main", "viewport");

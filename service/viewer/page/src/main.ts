@@ -90,6 +90,8 @@ function start(): void {
     counts: Object.fromEntries(app.layers.map((layer) => [layer.name, layer.count])),
     get time(): number { return app.time; },
     get duration(): number { return app.end - app.start; },
+    plots: app.timeline.plots.map((plot) => plot.lines),
+    gaps: app.result.gaps,
     get busy(): boolean { return app.stage.isBusy; },
     get frames(): number { return app.stage.frames; },
     get drawCalls(): number { return app.stage.renderer.info.render.calls; },
