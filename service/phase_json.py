@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,11 @@ def phase_from_json(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Phase
         if support is None
         else SupportPolygon(np.array(support["polygon"]), float(support["margin_m"]), float(support["height"])),
     )
+
+
+def targets_json(targets: Iterable[Target], s: Float[np.ndarray, "S"]) -> list[dict[str, Any]]:
+    """Targets as a phase holds them, their places on the path as indices of the samples ``s``."""
+    return [_target(target, s) for target in targets]
 
 
 def _contact(contact: PlantedContact) -> dict[str, Any]:

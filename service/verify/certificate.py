@@ -177,7 +177,7 @@ class Certificate:
             data["robot_sha256"],
             data["promises_sha256"],
             tuple(data["notes"]),
-            _gaps(data.get("gaps") or {}),
+            gaps=_gaps(data.get("gaps") or {}),
         )
 
 

@@ -60,7 +60,7 @@ def verify(motion: Motion, settings: VerifySettings | None = None) -> Certificat
         robot_hash(motion.robot),
         promises_hash(phases),
         _notes(motion, phases),
-        clearance.gaps,
+        gaps=clearance.gaps,
     )
 
 

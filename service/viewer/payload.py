@@ -42,6 +42,8 @@ def payload_of(result: Mapping[str, Any], placements: LinkPlacements) -> dict[st
         "checks": _placed_checks(result, proof),
         "clearance": packed(_track_rows(proof), "f4"),
         "gaps": [] if proof is None else [{"names": list(g.pair), "start": g.start, "end": g.end} for g in proof.gaps],
+        "obstruction": result.get("obstruction"),
+        "shapeless": _shapeless(result, placements),
         "times": packed(times[kept], "f4"),
         "links": list(placements.links),
         "positions": quantized(poses[..., :3]),
@@ -142,6 +144,12 @@ def _placed_checks(result: Mapping[str, Any], proof: ClearanceTrack | None) -> l
 
 def _track_rows(proof: ClearanceTrack | None) -> Float[np.ndarray, "N 2"]:
     return np.empty((0, 2)) if proof is None else np.column_stack([proof.times, proof.clearance])
+
+
+def _shapeless(result: Mapping[str, Any], placements: LinkPlacements) -> list[str]:
+    """Links without a collision shape that there is a place for."""
+    named = (result.get("robot") or {}).get("links_without_shape") or []
+    return [link for link in named if link in placements.links or not placements.links]
 
 
 def _list(result: Mapping[str, Any], key: str) -> Sequence[Any]:

@@ -18,6 +18,11 @@ export interface Span { start: number; end: number }
 export interface Phase extends Span { name: string; contacts?: Contact[]; allowances?: Allowance[]; targets?: Target[] }
 export interface Support extends Span { polygon: number[][]; margin_m?: number; zmp: Float64Array }
 export interface Gap extends Span { names: string[] }
+// Where a motion that was never planned should have ended, and what the robot is in there.
+export interface Obstruction {
+  targets: Target[]; links: { link: string; position: number[]; quaternion_wxyz: number[] }[];
+  overlaps: { link: string; other: string; depth_m: number | null }[];
+}
 export interface Where { time_s?: number | null; position?: number[] | null; names?: string[] | null }
 export interface Check {
   name: string; ok: boolean; value: number | null; limit: number | null; unit: string | null;
@@ -29,6 +34,7 @@ interface Payload {
   figures: Record<string, unknown>; timings: Record<string, number>; planning_time_s: number | null;
   min_clearance_m: number | null; min_clearance_pair: string[]; min_balance_margin_m: number | null;
   request_hash: string; checks: Check[]; rests_on: string[]; is_timed: boolean; gaps: Gap[];
+  obstruction: Obstruction | null; shapeless: string[];
   times: Packed; links: string[]; positions: Quantized; rotations: Packed;
   bodies: { name: string; link: string; hull: PackedHull }[];
   pieces: PackedNamedHull[];

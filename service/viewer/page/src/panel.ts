@@ -59,6 +59,12 @@ export class Panel {
     scroll.append(section("Layers", el("div", "layers", ...layers.map((layer) => this.layer(layer, toggle)))));
     const figures = Object.entries(result.figures).map(figureRow);
     if (figures.length > 0) scroll.append(section("Figures", table(figures)));
+    if (result.shapeless.length > 0) {
+      const n = result.shapeless.length;
+      const names = el("ul", "notes", ...result.shapeless.map((name) => el("li", "", name)));
+      const said = "Nothing of them is checked; a cross marks where each is.";
+      scroll.append(section(`${n} ${n === 1 ? "link" : "links"} without a collision shape`, el("p", "shapeless", said), names));
+    }
     if (result.notes.length > 0) scroll.append(section("Notes", el("ul", "notes", ...result.notes.map((line) => el("li", "", line)))));
     const timings = Object.entries(result.timings).map(([name, value]): [string, string] => [words(name), seconds(Number(value))]);
     if (result.rests_on.length > 0) {

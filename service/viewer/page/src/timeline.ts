@@ -110,12 +110,13 @@ export class Timeline {
   update(): void {
     const { time, end, isPlaying, speed } = this.player;
     this.head.style.left = `${100 * this.share(time)}%`;
-    this.clock.textContent = `${time.toFixed(2)} / ${instant(end)}`;
     if (this.drawn !== isPlaying) this.play.replaceChildren(icon(isPlaying ? PAUSE : PLAY));
     this.drawn = isPlaying;
     this.speed.value = String(speed);
     this.track.setAttribute("aria-valuenow", time.toFixed(2));
     const current = spanAt(this.result.phases, time);
+    const name = el("span", "phase-name", current ? `${words(current.name)} · ` : "");
+    this.clock.replaceChildren(name, `${time.toFixed(2)} / ${instant(end)}`);
     for (const { element, index } of this.phases) element.classList.toggle("current", this.result.phases[index] === current);
   }
 }
