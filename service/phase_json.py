@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -69,6 +69,11 @@ def _allowance(allowance: Allowance) -> dict[str, Any]:
 def _read_allowance(data: Mapping[str, Any]) -> Allowance:
     first, second = (BodyRef(r["owner"], r["link"], r["body"]) for r in (data["first"], data["second"]))
     return Allowance(first, second, float(data["depth"]))
+
+
+def targets_json(targets: Iterable[Target], s: Float[np.ndarray, "S"]) -> list[dict[str, Any]]:
+    """Targets as a phase holds them, their places on the path as indices of the samples ``s``."""
+    return [_target(target, s) for target in targets]
 
 
 def _contact(contact: PlantedContact) -> dict[str, Any]:

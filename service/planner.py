@@ -171,8 +171,17 @@ class _Attempt:
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
             detections=detections_of(setup),
+            obstruction=self._obstruction(setup),
             cloud=setup.surroundings.points,
         )
+
+    def _obstruction(self, setup: PlanSetup) -> dict[str, Any] | None:
+        """The goal to look at where there is no motion, unless time was up."""
+        if self.motion is not None or self.verdict not in (Verdict.INFEASIBLE, Verdict.NOT_FOUND):
+            return None
+        from service.obstruction import obstruction_of  # few results need it
+
+        return obstruction_of(setup)
 
 
 def _show_best(attempt: _Attempt, options: Options, monitor: Monitor) -> None:

@@ -76,6 +76,8 @@ def test_the_page_draws_every_kind_of_thing_without_complaint(browser, pages):
         "targets": 2,
         "balance": 1,
         "contacts": 2,
+        "goal": 0,
+        "shapeless": 0,
         "checks": 0,
         "cloud": 500,
         "floor": 1,

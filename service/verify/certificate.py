@@ -17,6 +17,7 @@ from costs.allowance import BodyRef
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify.errors import VerifyError
+from service.verify.gaps import Gaps
 from service.verify.motion import Phase
 
 if TYPE_CHECKING:
@@ -125,6 +126,7 @@ class Certificate:
         scene_sha256, bodies_sha256, robot_sha256: of the pieces, the bodies with the ignored pairs, and the URDF text.
         promises_sha256: of what the phases promise: borders, allowances, planted links, support polygons, targets.
         notes: what the verdict rests on besides proof.
+        gaps: where the clearance proof leaves a pair open; empty in a certified motion.
     """
 
     status: Status
@@ -139,6 +141,7 @@ class Certificate:
     robot_sha256: str
     promises_sha256: str
     notes: tuple[str, ...] = field(default=())
+    gaps: Gaps = field(default_factory=Gaps)
 
     def failed(self) -> tuple[Check, ...]:
         """Checks that do not hold."""
@@ -179,6 +182,7 @@ class Certificate:
             data["robot_sha256"],
             data["promises_sha256"],
             tuple(data["notes"]),
+            gaps=_gaps(data.get("gaps") or {}),
         )
 
 
@@ -273,3 +277,9 @@ def _check(data: dict[str, Any]) -> Check:
 def _stretches(data: dict[str, Any]) -> Stretches:
     columns = {key: tuple(data[key]) for key in ("edges", "floors", "pair", "first", "last", "distance", "bound")}
     return Stretches(tuple((a, b) for a, b in data["pairs"]), **columns)
+
+
+def _gaps(data: dict[str, Any]) -> Gaps:
+    pairs = tuple((a, b) for a, b in data.get("pairs", ()))
+    columns = {key: tuple(data.get(key, ())) for key in ("pair", "first", "last")}
+    return Gaps(pairs, **columns, lower=tuple(_number(value) for value in data.get("lower", ())))

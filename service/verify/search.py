@@ -59,6 +59,7 @@ class ClearanceProof:
     Attributes:
         proven: stretches on which the pair keeps clear, or within its allowed depth.
         unproven: stretches that resisted.
+        abandoned: stretches that were left because a pose of their phase refutes their pair.
         refuted: by pair and phase, the deepest pose found that penetrates deeper than allowed.
         deepest: by pair and phase, the smallest sampled distance of a pair allowed to touch [m].
         looked: pairs and stretches of the broad phase that were looked at.
@@ -66,6 +67,7 @@ class ClearanceProof:
 
     proven: Shown
     unproven: Shown
+    abandoned: Shown
     refuted: Mapping[tuple[int, int], Meeting]
     deepest: Mapping[tuple[int, int], float]
     looked: Stretches
@@ -84,8 +86,8 @@ def search(track: Track, couples: Couples, start: Stretches, settings: VerifySet
         left = rounds.run(Stretches.join([looked[-1], left]))
     while len(left):
         left = rounds.run(left)
-    proven, unproven = Shown.join(rounds.proven), Shown.join(rounds.unproven)
-    return ClearanceProof(proven, unproven, samples.refuted, samples.deepest, Stretches.join(looked))
+    proven, unproven, abandoned = (Shown.join(part) for part in (rounds.proven, rounds.unproven, rounds.abandoned))
+    return ClearanceProof(proven, unproven, abandoned, samples.refuted, samples.deepest, Stretches.join(looked))
 
 
 def _nearest_first(start: Stretches) -> Iterator[Stretches]:
@@ -101,6 +103,7 @@ class _Rounds:
     def __init__(self, track: Track, couples: Couples, settings: VerifySettings, samples: Samples) -> None:
         self.proven: list[Shown] = []
         self.unproven: list[Shown] = []
+        self.abandoned: list[Shown] = []
         self._track, self._couples, self._settings, self._samples = track, couples, settings, samples
         self._n_stretches = 0
 
@@ -120,7 +123,9 @@ class _Rounds:
         is_proven, is_blurred = attempt.is_proven, attempt.is_blurred
         self.proven.append(attempt.shown(is_proven & ~is_blurred))
         # Where a pair is refuted once, the rest of its phase need not be settled.
-        is_open = ~is_proven & ~self._are_refuted(look, ~is_proven)
+        is_refuted = ~is_proven & self._are_refuted(look, ~is_proven)
+        is_open = ~is_proven & ~is_refuted
+        self.abandoned.append(attempt.shown(is_refuted))
         self.unproven.append(attempt.shown(is_open & attempt.is_last))
         return attempt.halves((is_open | is_blurred) & ~attempt.is_last)
 

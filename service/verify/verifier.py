@@ -75,6 +75,7 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
         robot_hash(motion.robot),
         promises_hash(phases),
         _notes(motion, phases),
+        gaps=clearance.gaps,
     )
 
 
