@@ -147,7 +147,7 @@ def _look_again(
     soles = {foot: sole(robot, start, foot) for foot in feet}
     if clouds:
         request = with_clouds(request, clouds)
-    return surroundings(request, robot, start, soles, lambda: False, None)
+    return surroundings(request, robot, start, soles, None)
 
 
 def _obstacles(
