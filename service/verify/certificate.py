@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from costs.robot.model import RobotModel
 from costs.scene import Scene
+from service.verify.coverage import Coverage
 from service.verify.errors import VerifyError
 from service.verify.motion import Phase, RelativePoseTarget
 
@@ -120,6 +121,7 @@ class Certificate:
         scene_sha256, bodies_sha256, robot_sha256: of the pieces, the bodies with the ignored pairs, and the URDF text.
         promises_sha256: of what the phases allow and keep: allowances, planted links, support polygons, relative poses.
         notes: what the verdict rests on besides proof.
+        coverage: what was checked, and what was not.
     """
 
     status: Status
@@ -134,6 +136,7 @@ class Certificate:
     robot_sha256: str
     promises_sha256: str
     notes: tuple[str, ...] = field(default=())
+    coverage: Coverage = field(default_factory=Coverage)
 
     def failed(self) -> tuple[Check, ...]:
         """Checks that do not hold."""
@@ -174,6 +177,7 @@ class Certificate:
             data["robot_sha256"],
             data["promises_sha256"],
             tuple(data["notes"]),
+            Coverage.from_dict(data["coverage"]) if "coverage" in data else Coverage(),
         )
 
 

@@ -29,6 +29,7 @@ class Clearance:
         pair: the pair that has it, or None when all are beyond the horizon.
         exempt: pairs allowed to touch that came near enough to matter.
         stretches: the proof.
+        couples: the pairs of bodies that were looked at.
     """
 
     checks: tuple[Check, ...]
@@ -36,6 +37,7 @@ class Clearance:
     pair: tuple[str, str] | None
     exempt: tuple[Exempt, ...]
     stretches: Stretches
+    couples: Couples
 
 
 def clearance_of(track: Track, phases: tuple[Phase, ...], settings: VerifySettings) -> Clearance:
@@ -51,7 +53,7 @@ def clearance_of(track: Track, phases: tuple[Phase, ...], settings: VerifySettin
     checks = _checks(track.motion, couples, proof, phases, smallest, pair)
     checks += start_checks(track, couples, phases[0], settings)
     columns = _columns(couples, proof, edges, lowest)
-    return Clearance(tuple(checks), smallest, pair, _exempt(couples, proof, phases), columns)
+    return Clearance(tuple(checks), smallest, pair, _exempt(couples, proof, phases), columns, couples)
 
 
 def _min_clearance(
