@@ -16,13 +16,13 @@ from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
 from service.attached import robot_with_attached
 from service.errors import RequestError, would_do
+from service.footing import FLOOR_KIND, floor_at_soles, ground_problems
 from service.keep import KeptPose, kept_poses
 from service.monitor import Interrupted
 from service.obstacles import flat_floor, obstacles_of
 from service.request import PlanRequest
 from service.start import (
     FEET_GROUP,
-    FLOOR_KIND,
     Overlap,
     beyond_limits,
     no_way_out,
@@ -129,12 +129,13 @@ def _prepare(
         return PlanSetup(
             request, robot, start, empty, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
         )
-    scene = _scene(request, robot, start, about.pieces, obstacles.pieces)
+    pieces, shifted = floor_at_soles(about.pieces, soles)
+    scene = _scene(request, robot, start, pieces, obstacles.pieces)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
     inside = _timed(timings, "check_start", check)
     notes += tuple(f"start is in collision: {one}; the first phase leaves it" for one in inside)
-    notes += obstacles.notes + about.notes
+    notes += obstacles.notes + about.notes + shifted
     return PlanSetup(request, robot, start, scene, about, soles, kept, program, inside, notes, timings)
 
 
@@ -281,7 +282,13 @@ def _check_start(
 ) -> tuple[Overlap, ...]:
     """What the robot is in at its start, which is nothing unless it may escape."""
     problems = []
-    inside = overlaps(robot, start, scene, tuple(soles))
+    grounded = dict(ground_problems(scene.pieces, soles)) if robot.is_floating else {}
+    inside = [
+        one
+        for one in overlaps(robot, start, scene, tuple(soles))
+        # A sole in the floor is told once, as a floor too high.
+        if one.kind != FLOOR_KIND or one.link not in grounded
+    ]
     obstacles = [no_way_out(robot, one, tuple(soles)) for one in inside]
     if program is not None or not request.options.escape:
         problems = [f"start is in collision: {one}" for one in inside]
@@ -292,7 +299,9 @@ def _check_start(
         problems = [f"start is in collision: {one}; {obstacle}" for one, obstacle in stuck]
     if problems and request.scene.file is not None:
         problems.append(OWN_POINTS)
-    if soles and (program is None or program.is_balanced):
+    if soles and program is not None and not program.is_balanced:
+        problems += [f"start is not on the ground: {line}" for line in grounded.values()]
+    elif soles:
         problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]
     if problems:
         raise RequestError(problems)

@@ -16,8 +16,9 @@ from costs.robot import BASE_NAMES, LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.support import SupportPolygon
 from service.errors import RequestError, would_do
+from service.footing import FLOOR_KIND, ground_problems
 from service.request import StartRequest
-from service.verify.convex import convex_of
+from service.verify.ground import GROUND_TOLERANCE_M
 from service.verify.solid import Solid
 
 SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
@@ -25,8 +26,6 @@ STANDING_POSTURE = "stand"
 FEET_GROUP = "feet"
 LARGEST_PITCH_DEG = 85.0
 SOLE_BAND_M = 0.005  # vertices this close to a foot's lowest one are its sole
-FLOOR_KIND = "floor"
-FLOOR_CONTACT_M = 0.03  # deepest a planted sole may stand in the floor at the start: a scanned floor is that uncertain
 TOUCH_M = 1e-6
 
 
@@ -159,13 +158,8 @@ def no_way_out(robot: RobotModel, overlap: Overlap, planted: Sequence[str]) -> s
 def standing_problems(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> list[str]:
-    """One line for each planted foot that hangs in the air, and one when the centre of mass is outside the soles."""
-    floors = [convex_of(piece.vertices) for piece in scene.pieces if piece.kind == FLOOR_KIND]
-    problems = []
-    for link, corners in soles.items():
-        gap = min((-penetration(convex_of(corners), floor) for floor in floors), default=0.0)
-        if gap > FLOOR_CONTACT_M:
-            problems.append(f"the sole of {link} is {gap:.3f} m above the floor; lower start.base or leave it out")
+    """One line for each planted foot that stands on nothing, and one when the centre of mass is outside the soles."""
+    problems = [line for _, line in ground_problems(scene.pieces, soles)]
     com = pin.centerOfMass(robot.model, robot.model.createData(), q)
     try:
         margin = float(SupportPolygon.of_soles(list(soles.values())).margin(com[None, :2])[0])
@@ -234,7 +228,7 @@ def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPi
         return np.inf if body.joint == other.joint or pair in robot.ignored_pairs else TOUCH_M
     if body.link in robot.fixed_links:
         return np.inf
-    return FLOOR_CONTACT_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M
+    return GROUND_TOLERANCE_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M
 
 
 def penetration(

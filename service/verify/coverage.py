@@ -46,8 +46,9 @@ class Shapeless:
     Attributes:
         link: its name.
         place: ``between`` links with shapes, at an ``end``, or at the ``root``.
-        reach_m: how far the line to its joints, its drawn shapes and its mass reach out of the shapes of the links next
-            to it, at the motion's first pose; 0 for a mere frame, NaN where its size is unknown.
+        reach_m: the longest side of what is known of it (the line to its joints, its drawn shapes, its mass as an even
+            box), or how far that reaches out of the shapes of the links next to it at the motion's first pose if that
+            is less; 0 for a mere frame, NaN where its size is unknown.
     """
 
     link: str

@@ -75,6 +75,6 @@ def _nothing_checked(coverage: Coverage) -> Iterator[Check]:
 
 def _too_large(one: Shapeless) -> Check:
     where = {"between": "between links with shapes", "end": "at an end", "root": "at the root"}[one.place]
-    size = "is of unknown size" if np.isnan(one.reach_m) else f"reaches {1e3 * one.reach_m:.0f} mm out of all shapes"
+    size = "is of unknown size" if np.isnan(one.reach_m) else f"{1e3 * one.reach_m:.0f} mm of it are in no shape"
     text = f"{one.link} ({where}) has no collision shape and {size}; at most {1e3 * SMALL_M:.0f} mm go unchecked"
     return Check(f"coverage.shape.{one.link}", True, one.reach_m, SMALL_M, "m", text, None, Basis.UNPROVEN)

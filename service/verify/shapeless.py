@@ -35,7 +35,7 @@ def _place(tree: LinkTree, link: str) -> str:
 
 
 def _reach(track: Track, tree: LinkTree, link: str, element: ElementTree.Element | None) -> float:
-    """Distance of the link's farthest known point from the shapes next to it [m]."""
+    """The longest side of what is known of the link, or how far it reaches out of the shapes next to it if less [m]."""
     points = [np.zeros((0, 3))]
     # A root that stands still is the world's frame: the line to its joints is nothing that could be hit.
     if tree.joint[link] > 0:
@@ -60,7 +60,8 @@ def _reach(track: Track, tree: LinkTree, link: str, element: ElementTree.Element
     for solid in (Solid.of_body(body) for body in track.motion.robot.bodies if body.link in near):
         rotation, translation = placed.relative(solid.joint, tree.joint[link], rows)
         distance = np.minimum(distance, solid.distances(in_joint @ rotation[0].T + translation[0]))
-    return max(0.0, float(distance.max()))
+    size = float((in_link.max(axis=0) - in_link.min(axis=0)).max())
+    return min(size, float(distance.max()))
 
 
 def _lines(track: Track, tree: LinkTree, link: str) -> Iterator[Float[np.ndarray, "P 3"]]:
