@@ -25,7 +25,7 @@ SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
 STANDING_POSTURE = "stand"
 FEET_GROUP = "feet"
 LARGEST_PITCH_DEG = 85.0
-SOLE_BAND_M = 0.005  # vertices this close to a foot's lowest one are its sole
+SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
 TOUCH_M = 1e-6
 
 
@@ -107,7 +107,7 @@ def placed_bodies(robot: RobotModel, q: Float[np.ndarray, "n"]) -> list[tuple[Li
 
 
 def sole(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
-    """Corners of a foot's sole in the world [m]: the link's vertices within 5 mm of its lowest one at ``q``."""
+    """Corners of a foot's sole in the world [m]: the link's vertices within 2 mm of its lowest one at ``q``."""
     vertices = np.vstack([v for body, v in placed_bodies(robot, q) if body.link == link])
     return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
 
@@ -160,6 +160,9 @@ def standing_problems(
 ) -> list[str]:
     """One line for each planted foot that stands on nothing, and one when the centre of mass is outside the soles."""
     problems = [line for _, line in ground_problems(scene.pieces, soles)]
+    weightless = _weightless_links(robot)
+    if weightless:
+        return [*problems, f"{', '.join(weightless)} of {robot.name} have shapes and no mass; balance needs all masses"]
     com = pin.centerOfMass(robot.model, robot.model.createData(), q)
     try:
         margin = float(SupportPolygon.of_soles(list(soles.values())).margin(com[None, :2])[0])
@@ -171,6 +174,12 @@ def standing_problems(
             f"{', '.join(soles)}; move the base or lean the torso"
         )
     return problems
+
+
+def _weightless_links(robot: RobotModel) -> list[str]:
+    """A link with a shape for each joint that moves shapes without any mass."""
+    found = {b.joint: b.link for b in reversed(robot.bodies) if b.link not in robot.mechanism_links}
+    return [link for joint, link in sorted(found.items()) if joint and not robot.model.inertias[joint].mass > 0.0]
 
 
 def _posture(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:

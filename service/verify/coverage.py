@@ -21,9 +21,9 @@ class LeftOut:
             relative pose is held all along), ``around a joint`` (one link apart, and overlapping in nearly all poses of
             the joints between), or ``given``.
         is_neighbour: whether its links are joint neighbours, or around a joint, so that an overlap tells nothing.
-        deepest_m: how deep one is in the other at samples of the motion; 0 where they keep apart, NaN for joint
-            neighbours and links of one joint, of which it is not asked.
-        s, time_s: where it is deepest; None where it is not asked, or nowhere.
+        deepest_m: how deep one was seen to be in the other; 0 where they were proven to keep apart on the whole curve
+            (``s`` is None), or not proven and seen apart; NaN for joint neighbours and links of one joint.
+        s, time_s: where it is deepest, or not proven; None elsewhere.
     """
 
     pair: tuple[str, str]

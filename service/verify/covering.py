@@ -28,12 +28,12 @@ def cover(
         couples: the pairs of bodies whose clearance was looked at.
         phases: of the motion.
         checks: that were made.
-        settings: how deep an overlap is one.
+        settings: how closely left out pairs are looked at.
     """
     motion = track.motion
     tree = LinkTree(motion.robot)
     duties = duties_of(motion, phases)
-    left_out = left_out_pairs(track, tree, phases)
+    left_out = left_out_pairs(track, tree, phases, settings)
     shapeless = shapeless_links(track, tree)
     own = [link for link in tree.joint if link not in motion.mechanism_links]
     n_link_pairs, n_piece_pairs = _counts(couples)
@@ -49,7 +49,7 @@ def cover(
         joints_without_torque_limit(motion),
         waived,
     )
-    against = [*missing_checks(duties, checks), *overlap_checks(left_out, settings)]
+    against = [*missing_checks(duties, checks), *overlap_checks(left_out)]
     against += [_too_large(one) for one in shapeless if not one.is_small]
     if n_link_pairs + n_piece_pairs == 0:
         against += _nothing_checked(coverage)

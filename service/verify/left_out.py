@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.robot.model import LinkBody
+from costs.scene import Scene
+from service.verify.broad import clearance_floors, open_stretches, refined
 from service.verify.certificate import Basis, Check, Where
+from service.verify.couples import collect
 from service.verify.coverage import LeftOut
 from service.verify.forward import Forward, Placements
 from service.verify.link_tree import LinkTree
 from service.verify.motion import Motion, Phase, RelativePoseTarget
 from service.verify.narrow import Narrow
+from service.verify.search import search
 from service.verify.settings import VerifySettings
 from service.verify.solid import Solid
-from service.verify.timeline import time_of
+from service.verify.timeline import edges_of, time_of
 from service.verify.track import Track
 
 _SAMPLES = 200
@@ -26,7 +31,9 @@ _SAMPLES = 200
 _ALWAYS_SHARE, _POSES = 0.95, 300
 
 
-def left_out_pairs(track: Track, tree: LinkTree, phases: Sequence[Phase]) -> tuple[LeftOut, ...]:
+def left_out_pairs(
+    track: Track, tree: LinkTree, phases: Sequence[Phase], settings: VerifySettings
+) -> tuple[LeftOut, ...]:
     """Every pair of the robot's own links with shapes that is not checked."""
     motion = track.motion
     own = sorted(tree.shaped - motion.mechanism_links)
@@ -41,10 +48,12 @@ def left_out_pairs(track: Track, tree: LinkTree, phases: Sequence[Phase]) -> tup
         elif pair in ignored:
             rest.append(pair)
     kept = _kept_joints(motion, phases)
-    for pair, depth, s in _depths(track, rest):
-        if depth <= 0.0:
+    not_apart = _not_apart(track, rest, settings)
+    for pair in rest:
+        if pair not in not_apart:
             found.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
             continue
+        depth, s = not_apart[pair]
         is_kept = frozenset(tree.joint[link] for link in pair) in kept
         is_around = not is_kept and _is_around_a_joint(motion, tree, pair)
         reason = "kept" if is_kept else "around a joint" if is_around else _reason(motion, pair)
@@ -52,17 +61,15 @@ def left_out_pairs(track: Track, tree: LinkTree, phases: Sequence[Phase]) -> tup
     return tuple(sorted(found, key=lambda item: item.pair))
 
 
-def overlap_checks(left_out: Sequence[LeftOut], settings: VerifySettings) -> Iterator[Check]:
-    """One unproven check for each pair that is not checked although its links overlap in the motion."""
-    for item in left_out:
-        if item.is_neighbour or item.reason == "kept" or not item.deepest_m > settings.contact_tolerance_m:
+def overlap_checks(left_out: Sequence[LeftOut]) -> Iterator[Check]:
+    """One unproven check for each pair that is not checked although its links meet in the motion."""
+    for item in sorted(left_out, key=lambda item: -np.nan_to_num(item.deepest_m)):
+        if item.is_neighbour or item.reason == "kept" or item.s is None:
             continue
         a, b = item.pair
-        text = (
-            f"{a} is {1e3 * item.deepest_m:.1f} mm inside {b}, a pair that is not checked ({item.reason}) "
-            "and whose links are no joint neighbours"
-        )
-        where = Where(item.s or 0.0, item.time_s, None, item.pair)
+        how = f"is {1e3 * item.deepest_m:.1f} mm inside" if item.deepest_m > 0.0 else "may touch"
+        text = f"{a} {how} {b}, a pair that is left out ({item.reason}) and whose links are no joint neighbours"
+        where = Where(item.s, item.time_s, None, item.pair)
         yield Check(f"coverage.overlap.{a}.{b}", True, -item.deepest_m, 0.0, "m", text, where, Basis.UNPROVEN)
 
 
@@ -90,17 +97,48 @@ def _kept_joints(motion: Motion, phases: Sequence[Phase]) -> set[frozenset[int]]
     return set.intersection(*held) if held else set()
 
 
-def _depths(track: Track, pairs: Sequence[tuple[str, str]]) -> Iterator[tuple[tuple[str, str], float, float]]:
-    """For each pair its depth at samples of the motion [m], 0 where it keeps apart, and the deepest one's place."""
+def _not_apart(
+    track: Track, pairs: Sequence[tuple[str, str]], settings: VerifySettings
+) -> Mapping[tuple[str, str], tuple[float, float]]:
+    """Pairs that are not shown to keep apart on the whole curve: how deep they were seen to be [m], and where."""
+    motion = track.motion
     if not pairs:
-        return
-    knots = track.motion.curve.knots
+        return {}
+    links = sorted({body.link for body in motion.robot.bodies})
+    others = frozenset(combinations(links, 2)) - frozenset(pairs)
+    alone = replace(
+        motion,
+        robot=replace(motion.robot, ignored_pairs=others),
+        scene=Scene(()),
+        phases=(Phase("motion", float(motion.curve.knots[0]), float(motion.curve.knots[-1])),),
+    )
+    settings = replace(settings, max_sharpenings=0, clearance_horizon_m=settings.resolution_m)
+    couples = collect(alone, track.tree)
+    edges, phase_rows = refined(track, couples, *edges_of(alone, alone.phases))
+    floors = clearance_floors(track, couples, edges, settings)
+    start = open_stretches(couples, edges, phase_rows, floors, settings.clearance_horizon_m)
+    couples = couples.with_chains(track.tree, np.unique(start.couple))
+    proof = search(track, couples, start, settings)
+
+    def links_of(couple: int) -> tuple[str, str]:
+        a, b = (couples.solids[side[couple]].link for side in (couples.mover, couples.holder))
+        return (a, b) if a < b else (b, a)
+
+    found: dict[tuple[str, str], tuple[float, float]] = {}
+    for row in range(len(proof.unproven.couple)):
+        pair = links_of(int(proof.unproven.couple[row]))
+        found.setdefault(pair, (0.0, float(proof.unproven.first[row])))
+    for meeting in proof.refuted.values():
+        pair = links_of(meeting.couple)
+        found[pair] = max(found.get(pair, (0.0, 0.0)), (-meeting.distance, meeting.s))
+    knots = motion.curve.knots
     s = np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], _SAMPLES)]))
     placed, rows = track.at(s)
-    for pair in pairs:
-        depth = _overlap(track.motion.robot.bodies, placed, rows, pair)
+    for pair in found:
+        depth = _overlap(motion.robot.bodies, placed, rows, pair)
         worst = int(depth.argmax())
-        yield pair, max(0.0, float(depth[worst])), float(s[worst])
+        found[pair] = max(found[pair], (float(depth[worst]), float(s[worst])))
+    return found
 
 
 def _overlap(
