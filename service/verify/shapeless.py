@@ -15,6 +15,8 @@ from service.verify.solid import Solid
 from service.verify.track import Track
 
 _STEP_M = 0.02
+# A link lighter than this is a frame with a mass for the simulator's sake; its inertia tells no size [kg].
+_LEAST_MASS_KG = 0.01
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
@@ -90,7 +92,7 @@ def _mass_of(element: ElementTree.Element) -> float:
 
 def _has_unknown_size(element: ElementTree.Element) -> bool:
     """Whether the link is drawn as a mesh, which nobody brings along, and has no mass to tell its size."""
-    return element.find("visual/geometry/mesh") is not None and not _mass_of(element) > 0.0
+    return element.find("visual/geometry/mesh") is not None and not _mass_of(element) >= _LEAST_MASS_KG
 
 
 def _drawn(element: ElementTree.Element) -> Iterator[Float[np.ndarray, "8 3"]]:
@@ -116,7 +118,7 @@ def _mass_box(element: ElementTree.Element) -> Iterator[Float[np.ndarray, "8 3"]
     """Corners of the evenly filled box that has the link's mass and moments of inertia, in its frame [m]."""
     inertial, mass = element.find("inertial"), _mass_of(element)
     inertia = element.find("inertial/inertia")
-    if inertial is None or inertia is None or not mass > 0.0:
+    if inertial is None or inertia is None or not mass >= _LEAST_MASS_KG:
         return
     xx, yy, zz = (float(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz"))
     squares = 6.0 / mass * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz])
