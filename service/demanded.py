@@ -16,6 +16,7 @@ from service.attached import robot_with_attached
 from service.demands import Demands, ProgramDemand, compose_scene, has_scan, planted_feet, recorded_obstacles
 from service.demands.wheel import Wheel, wheel_of
 from service.errors import RequestError
+from service.footing import floor_at_soles
 from service.obstacles import obstacles_of
 from service.request import PlanRequest
 from service.request_file import with_clouds
@@ -147,7 +148,8 @@ def _look_again(
     soles = {foot: sole(robot, start, foot) for foot in feet}
     if clouds:
         request = with_clouds(request, clouds)
-    return surroundings(request, robot, start, soles, None)
+    about = surroundings(request, robot, start, soles, None)
+    return replace(about, pieces=floor_at_soles(about.pieces, soles)[0])
 
 
 def _obstacles(

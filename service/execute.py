@@ -13,6 +13,7 @@ from service.phases import PlannedPhase, TaskPlan
 from service.spline import Path, Spline, make_spline
 from service.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Motion, Phase, PlantedContact, SupportPolygon
+from service.verify.duties import BALANCE, TIMING
 from service.verify.timeline import time_of
 from service.whole_body import WholeBody
 
@@ -44,6 +45,12 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         curve=spline.curve,
         phases=phases,
         mechanism_links=body.robot.mechanism_links,
+        waived=frozenset(
+            {
+                *([TIMING] if timing is None else []),
+                *([BALANCE] if body.robot.is_floating and body.polygon is None else []),
+            }
+        ),
     )
     if timing is None:
         is_held = bool(body.holds()) or any(phase.holds for phase in plan.phases)

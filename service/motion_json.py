@@ -37,6 +37,7 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "curve": _curve(motion, s),
         "waypoints": [sample_index(s, knot) for knot in motion.curve.knots],
         "phases": phases,
+        "waived": sorted(motion.waived or ()),
         "movables": [_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
         "support_polygons": [
             {"first": phase["first"], "last": phase["last"], **phase["support"], "zmp": zmp_of_phase}
@@ -75,6 +76,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         phases=tuple(phase_from_json(phase, s) for phase in data["phases"]),
         samples=s,
         mechanism_links=robot.mechanism_links,
+        waived=frozenset(str(name) for name in data["waived"]),
     )
 
 

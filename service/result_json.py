@@ -70,6 +70,7 @@ def proof_summary(certificate: Certificate | None) -> dict[str, Any]:
         "min_balance_margin_m": proof.get("min_balance_margin_m"),
         "checks": proof.get("checks", []),
         "exempt": proof.get("exempt", []),
+        "coverage": proof.get("coverage"),
     }
 
 
@@ -126,7 +127,7 @@ def _at_rest(result: PlanResult) -> dict[str, Any]:
             "times": [0.0],
         },
         "curve": None,
-        **{key: [] for key in ("waypoints", "phases", "movables", "support_polygons", "com", "zmp")},
+        **{key: [] for key in ("waypoints", "phases", "waived", "movables", "support_polygons", "com", "zmp")},
     }
 
 

@@ -18,6 +18,7 @@ from costs.stopping import Stopped, poll, stops_when
 from service.attached import robot_with_attached
 from service.demands import compose_scene
 from service.errors import RequestError, would_do
+from service.footing import FLOOR_KIND, floor_at_soles, ground_problems
 from service.keep import KeptPose, kept_poses
 from service.names import TakenNames, check_names
 from service.obstacles import obstacles_of
@@ -133,12 +134,13 @@ def _prepare(
         return PlanSetup(
             request, robot, start, empty, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
         )
-    scene, renamed = compose_scene(request, robot, start, about.pieces, obstacles.pieces)
+    pieces, shifted = floor_at_soles(about.pieces, soles)
+    scene, renamed = compose_scene(request, robot, start, pieces, obstacles.pieces)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
     inside = _timed(timings, "check_start", check)
     notes += tuple(f"start is in collision: {one}; the first phase leaves it" for one in inside)
-    notes += obstacles.notes + about.notes + renamed
+    notes += obstacles.notes + about.notes + shifted + renamed
     return PlanSetup(request, robot, start, scene, about, soles, kept, program, inside, notes, timings)
 
 
@@ -261,7 +263,13 @@ def _check_start(
 ) -> tuple[Overlap, ...]:
     """What the robot is in at its start, which is nothing unless it may escape."""
     problems = []
-    inside = overlaps(robot, start, scene, tuple(soles))
+    grounded = dict(ground_problems(scene.pieces, soles)) if robot.is_floating else {}
+    inside = [
+        one
+        for one in overlaps(robot, start, scene, tuple(soles))
+        # A sole in the floor is told once, as a floor too high.
+        if one.kind != FLOOR_KIND or one.link not in grounded
+    ]
     obstacles = [no_way_out(one, tuple(soles)) for one in inside]
     if program is not None or not request.options.escape:
         problems = [f"start is in collision: {one}" for one in inside]
@@ -272,7 +280,9 @@ def _check_start(
         problems = [f"start is in collision: {one}; {obstacle}" for one, obstacle in stuck]
     if problems and request.scene.file is not None:
         problems.append(OWN_POINTS)
-    if soles and (program is None or program.is_balanced):
+    if soles and program is not None and not program.is_balanced:
+        problems += [f"start is not on the ground: {line}" for line in grounded.values()]
+    elif soles:
         problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]
     if problems:
         raise RequestError(problems)

@@ -17,17 +17,16 @@ from costs.robot import BASE_NAMES, LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.support import SupportPolygon
 from service.errors import RequestError, would_do
+from service.footing import FLOOR_KIND, ground_problems
 from service.request import StartRequest
-from service.verify.convex import convex_of
+from service.verify.ground import GROUND_TOLERANCE_M
 from service.verify.solid import Solid
 
 SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
 STANDING_POSTURE = "stand"
 FEET_GROUP = "feet"
 LARGEST_PITCH_DEG = 85.0
-SOLE_BAND_M = 0.005  # vertices this close to a foot's lowest one are its sole
-FLOOR_KIND = "floor"
-FLOOR_CONTACT_M = 0.03  # deepest a planted sole may stand in the floor at the start: a scanned floor is that uncertain
+SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
 TOUCH_M = 1e-6
 
 
@@ -115,7 +114,7 @@ def placed_bodies(robot: RobotModel, q: Float[np.ndarray, "n"]) -> list[tuple[Li
 
 
 def sole(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
-    """Corners of a foot's sole in the world [m]: the link's vertices within 5 mm of its lowest one at ``q``."""
+    """Corners of a foot's sole in the world [m]: the link's vertices within 2 mm of its lowest one at ``q``."""
     vertices = np.vstack([v for body, v in placed_bodies(robot, q) if body.link == link])
     return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
 
@@ -161,13 +160,11 @@ def no_way_out(overlap: Overlap, planted: Sequence[str]) -> str:
 def standing_problems(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> list[str]:
-    """One line for each planted foot that hangs in the air, and one when the centre of mass is outside the soles."""
-    floors = [convex_of(piece.vertices) for piece in scene.pieces if piece.kind == FLOOR_KIND]
-    problems = []
-    for link, corners in soles.items():
-        gap = min((-penetration(convex_of(corners), floor) for floor in floors), default=0.0)
-        if gap > FLOOR_CONTACT_M:
-            problems.append(f"the sole of {link} is {gap:.3f} m above the floor; lower start.base or leave it out")
+    """One line for each planted foot that stands on nothing, and one when the centre of mass is outside the soles."""
+    problems = [line for _, line in ground_problems(scene.pieces, soles)]
+    weightless = _weightless_links(robot)
+    if weightless:
+        return [*problems, f"{', '.join(weightless)} of {robot.name} have shapes and no mass; balance needs all masses"]
     com = pin.centerOfMass(robot.model, robot.model.createData(), q)
     try:
         margin = float(SupportPolygon.of_soles(list(soles.values())).margin(com[None, :2])[0])
@@ -179,6 +176,12 @@ def standing_problems(
             f"{', '.join(soles)}; move the base or lean the torso"
         )
     return problems
+
+
+def _weightless_links(robot: RobotModel) -> list[str]:
+    """A link with a shape for each joint that moves shapes without any mass."""
+    found = {b.joint: b.link for b in reversed(robot.bodies) if b.link not in robot.mechanism_links}
+    return [link for joint, link in sorted(found.items()) if joint and not robot.model.inertias[joint].mass > 0.0]
 
 
 def _posture(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
@@ -236,7 +239,7 @@ def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPi
         return np.inf if body.joint == other.joint or pair in robot.ignored_pairs else TOUCH_M
     if body.link in robot.fixed_links:
         return np.inf
-    return FLOOR_CONTACT_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M
+    return GROUND_TOLERANCE_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M
 
 
 def penetration(

@@ -204,7 +204,8 @@ def test_a_planted_foot_cannot_leave_the_floor():
     with pytest.raises(RequestError) as caught:
         prepare(request)
     assert caught.value.problems == tuple(
-        f"start is in collision: {foot} is 0.050 m inside floor; {foot} is planted and cannot leave"
+        f"start is out of balance: the floor is 50.0 mm above the sole of {foot}; at most 3 mm would do: "
+        "move start.base, or leave it out"
         for foot in ("l_foot", "r_foot")
     )
 
@@ -212,11 +213,11 @@ def test_a_planted_foot_cannot_leave_the_floor():
 def test_feet_that_stand_in_a_scanned_floor_are_not_told_as_a_collision():
     motion = small_plan().motion
     floor = next(piece for piece in motion.scene.pieces if piece.name == "floor")
-    raised = replace(floor, vertices=floor.vertices + np.array([0.0, 0.0, 0.005]))
+    raised = replace(floor, vertices=floor.vertices + np.array([0.0, 0.0, 0.0025]))
     pieces = tuple(raised if piece is floor else piece for piece in motion.scene.pieces)
     certificate = verify(replace(motion, scene=Scene(pieces)))
     assert certificate.status is Status.CERTIFIED
-    assert max(exempt.deepest_m for exempt in certificate.exempt) > 4e-3
+    assert max(exempt.deepest_m for exempt in certificate.exempt) > 2e-3
     assert not any(check.name.startswith("start.") for check in certificate.checks)
     (clearance,) = [check for check in certificate.checks if check.name == "clearance"]
     assert "aside" not in clearance.text

@@ -156,7 +156,7 @@ def test_an_arm_of_atlas_moves_alone_and_nothing_is_said_of_balance() -> None:
     moved = {atlas().joint_names[i] for i in np.flatnonzero(np.ptp(q, axis=0))}
     assert moved <= set(atlas().groups["left_arm"])
     assert result.certificate is not None
-    assert "balance was not checked in trajopt" in result.certificate.notes
+    assert "not checked: balance in 'trajopt'" in result.certificate.notes
 
 
 def test_a_goal_in_the_table_or_out_of_reach_is_infeasible() -> None:

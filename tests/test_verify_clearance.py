@@ -162,7 +162,11 @@ def test_two_links_that_pass_through_each_other_are_refuted() -> None:
     assert certificate.status is Status.CERTIFIED
     assert certificate.min_clearance_m == pytest.approx(0.096, abs=1e-8)
     ignored = robot_of(model, bodies, ignored=frozenset({("left", "right")}))
-    assert verify(Motion(ignored, Scene(), curve)).status is Status.CERTIFIED
+    passed_through = verify(Motion(ignored, Scene(), curve))
+    check = next(check for check in passed_through.checks if check.name == "coverage.overlap.left.right")
+    assert check.value == pytest.approx(-0.004, abs=1e-4)
+    assert passed_through.status is Status.FEASIBLE_AT_SAMPLES
+    assert {check.name for check in passed_through.checks} >= {"coverage.pairs"}
 
 
 def test_a_mechanism_is_checked_against_the_robot_and_not_against_pieces() -> None:

@@ -72,6 +72,10 @@ def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotM
         bodies.append(LinkBody(one.name, one.name, int(frame.parentJoint), vertices, outer_hull(vertices)))
     held = {link_pair(one.name, link) for one in attached for link in (one.link, *one.touching)}
     ignored = robot.ignored_pairs | same_joint_pairs(bodies) | held
+    # They stand in its SRDF from now on.
+    words = {"adjacent": "Adjacent", "same joint": "Adjacent", "derived": "Always"}
+    said = {pair: robot.ignored_reasons.get(pair, "User").removeprefix("srdf").strip(" ()") for pair in ignored}
+    said = {pair: words.get(word, word or "User") for pair, word in said.items()}
     still = {one.name for one in attached if int(body_frame(model, one.name).parentJoint) == 0}
     return replace(
         robot,
@@ -79,7 +83,8 @@ def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotM
         bodies=tuple(bodies),
         ignored_pairs=ignored,
         fixed_links=robot.fixed_links | still,
-        source=RobotSource(urdf_text(urdf), _srdf_text(robot, ignored), robot.source.files),
+        source=RobotSource(urdf_text(urdf), _srdf_text(robot, said), robot.source.files),
+        ignored_reasons={pair: f"srdf ({word})" for pair, word in said.items()},
     )
 
 
@@ -138,12 +143,12 @@ def _joint_element(one: AttachedBody) -> etree._Element:
     return joint
 
 
-def _srdf_text(robot: RobotModel, ignored: frozenset[tuple[str, str]]) -> str:
-    """The robot's SRDF (or a new one) that lists every pair which is not checked."""
+def _srdf_text(robot: RobotModel, said: Mapping[tuple[str, str], str]) -> str:
+    """The robot's SRDF (or a new one) that lists every pair which is not checked, with a reason each."""
     source = robot.source.srdf or f'<robot name="{robot.name}"/>'
     tree = parse_xml(source, robot.name, "robot")
     for element in tree.findall("disable_collisions"):
         tree.remove(element)
-    for first, second in sorted(ignored):
-        etree.SubElement(tree, "disable_collisions", link1=first, link2=second, reason="User")
+    for (first, second), reason in sorted(said.items()):
+        etree.SubElement(tree, "disable_collisions", link1=first, link2=second, reason=reason)
     return str(etree.tostring(tree, encoding="unicode"))

@@ -56,9 +56,11 @@ def build_robot(
     limits = _limits(urdf, names)
     bodies, files = _bodies(urdf, model, roots, urdf_where)
     if srdf.disabled_pairs:
-        ignored = srdf.disabled_pairs | same_joint_pairs(bodies)
+        reasons = dict.fromkeys(same_joint_pairs(bodies), "same joint")
+        reasons |= {pair: f"srdf ({said})" if said else "srdf" for pair, said in srdf.disabled_pairs.items()}
     else:
-        ignored = frozenset(derive_ignored_pairs(model, bodies, limits["lower"], limits["upper"]))
+        derived = derive_ignored_pairs(model, bodies, limits["lower"], limits["upper"])
+        reasons = {pair: "derived" if reason == "Always" else "adjacent" for pair, reason in derived.items()}
     return RobotModel(
         name=urdf.name,
         model=model,
@@ -69,10 +71,11 @@ def build_robot(
         groups={name: tuple(j for j in names if j in joints) for name, joints in srdf.groups.items() if joints},
         link_groups=srdf.link_groups,
         postures={name: _posture(srdf, name, names, limits) for name in srdf.states},
-        ignored_pairs=ignored,
+        ignored_pairs=frozenset(reasons),
         fixed_links=frozenset(link for link in urdf.links if body_frame(model, link).parentJoint == 0),
         mechanism_links=frozenset(),
         source=RobotSource(urdf_text(urdf), srdf_source, files),
+        ignored_reasons=reasons,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +68,8 @@ class RobotModel:
         mechanism_links: links of a task's mechanism (``with_revolute``), not part of the robot's mass; not checked
             against the scene.
         source: the files it came from.
+        ignored_reasons: why each of ``ignored_pairs`` is one: ``srdf (what it says)``, ``adjacent``, ``derived`` (they
+            overlap in nearly all poses), ``same joint``; told to people, believed by no check.
     """
 
     name: str
@@ -87,6 +89,7 @@ class RobotModel:
     fixed_links: frozenset[str]
     mechanism_links: frozenset[str]
     source: RobotSource
+    ignored_reasons: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
     @property
     def n(self) -> int:

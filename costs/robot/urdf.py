@@ -17,6 +17,7 @@ from costs.robot.xmlfile import number, parse_xml, required
 
 MAX_LINKS = 512
 MAX_DEPTH = 128
+INERTIA_ROUNDING = 1e-2  # of files that write few digits: principal moments this far below zero, of the largest
 
 
 @dataclass(frozen=True)
@@ -117,8 +118,18 @@ def _check_inertia(element: etree._Element, where: str) -> None:
         raise RobotError(f"{where}: <inertial> needs <mass> and <inertia>")
     if number(required(mass, "value", where), f"{where}: mass") < 0.0:
         raise RobotError(f"{where}: mass {mass.get('value')} is negative")
-    for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
-        number(required(inertia, key, where), f"{where}: inertia {key}")
+    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    values = {key: number(required(inertia, key, where), f"{where}: inertia {key}") for key in keys}
+    for key in ("ixx", "iyy", "izz"):
+        if values[key] < 0.0:
+            raise RobotError(f"{where}: inertia {key} is {values[key]:g}; a moment of inertia is never negative")
+    ixx, ixy, ixz, iyy, iyz, izz = values.values()
+    least, *_, most = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    if least < -INERTIA_ROUNDING * most:
+        raise RobotError(
+            f"{where}: inertia has the principal moments {least:.3g} to {most:.3g}; none may be negative: "
+            "ixy, ixz or iyz is too large"
+        )
 
 
 def _check_tree(links: Mapping[str, object], joints: Mapping[str, Joint], where: str) -> str:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from costs.allowance import BodyRef
 from costs.robot.model import RobotModel
 from costs.scene import Scene
+from service.verify.coverage import Coverage
 from service.verify.errors import VerifyError
 from service.verify.gaps import Gaps
 from service.verify.motion import Phase
@@ -127,6 +128,7 @@ class Certificate:
         promises_sha256: of what the phases promise: borders, allowances, planted links, support polygons, targets.
         notes: what the verdict rests on besides proof.
         gaps: where the clearance proof leaves a pair open; empty in a certified motion.
+        coverage: what was checked, and what was not.
     """
 
     status: Status
@@ -142,6 +144,7 @@ class Certificate:
     promises_sha256: str
     notes: tuple[str, ...] = field(default=())
     gaps: Gaps = field(default_factory=Gaps)
+    coverage: Coverage = field(default_factory=Coverage)
 
     def failed(self) -> tuple[Check, ...]:
         """Checks that do not hold."""
@@ -183,6 +186,7 @@ class Certificate:
             data["promises_sha256"],
             tuple(data["notes"]),
             gaps=_gaps(data.get("gaps") or {}),
+            coverage=Coverage.from_dict(data["coverage"]) if "coverage" in data else Coverage(),
         )
 
 

@@ -31,6 +31,7 @@ class Clearance:
         exempt: pairs allowed to touch that came near enough to matter.
         stretches: the proof.
         gaps: what it leaves open.
+        couples: the pairs of bodies that were looked at.
     """
 
     checks: tuple[Check, ...]
@@ -39,6 +40,7 @@ class Clearance:
     exempt: tuple[Exempt, ...]
     stretches: Stretches
     gaps: Gaps
+    couples: Couples
 
 
 def clearance_of(track: Track, phases: tuple[Phase, ...], settings: VerifySettings) -> Clearance:
@@ -55,7 +57,7 @@ def clearance_of(track: Track, phases: tuple[Phase, ...], settings: VerifySettin
     checks += start_checks(track, couples, phases[0], settings)
     columns = _columns(couples, proof, edges, lowest)
     gaps = gaps_of(couples, Shown.join([proof.unproven, proof.abandoned]))
-    return Clearance(tuple(checks), smallest, pair, _exempt(couples, proof, phases), columns, gaps)
+    return Clearance(tuple(checks), smallest, pair, _exempt(couples, proof, phases), columns, gaps, couples)
 
 
 def _min_clearance(

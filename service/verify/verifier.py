@@ -17,7 +17,11 @@ from service.verify.certificate import (
     scene_hash,
 )
 from service.verify.clearance import clearance_of
+from service.verify.coverage import Coverage
+from service.verify.covering import cover
+from service.verify.duties import own_joints
 from service.verify.dynamics import dynamics_checks
+from service.verify.ground import ground_checks
 from service.verify.limits import position_check, timed_checks
 from service.verify.motion import Motion, Phase
 from service.verify.promises import PhaseChecks
@@ -57,10 +61,14 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
     promises = PhaseChecks(track, edges_of(motion, phases)[0], settings)
     for phase in phases:
         checks += promises.run(phase)
+        if motion.robot.is_floating:
+            checks += ground_checks(motion, phase)
         if motion.law is not None:
             checks += dynamics_checks(motion, motion.law, phase, settings)
     clearance = clearance_of(track, phases, settings)
     checks += clearance.checks
+    coverage, against = cover(track, clearance.couples, phases, checks, settings)
+    checks += against
     balance = [check.value for check in checks if check.name.startswith("balance.")]
     return Certificate(
         _status(checks),
@@ -74,8 +82,9 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
         bodies_hash(motion.robot),
         robot_hash(motion.robot),
         promises_hash(phases),
-        _notes(motion, phases),
+        _notes(motion, phases, coverage),
         gaps=clearance.gaps,
+        coverage=coverage,
     )
 
 
@@ -86,19 +95,16 @@ def _status(checks: list[Check]) -> Status:
     return Status.CERTIFIED if is_proven else Status.FEASIBLE_AT_SAMPLES
 
 
-def _notes(motion: Motion, phases: tuple[Phase, ...]) -> tuple[str, ...]:
+def _notes(motion: Motion, phases: tuple[Phase, ...], coverage: Coverage) -> tuple[str, ...]:
     notes = ["ZMP and joint torques are checked at samples of the timed curve, not proven between them"]
     if motion.law is None:
-        notes = ["the motion is untimed: speeds, accelerations and forces were not checked"]
+        notes = []
     if motion.samples is None:
         notes.append("the curve itself is certified; no exported samples were given")
-    if motion.robot.ignored_pairs:
-        notes.append(
-            f"{len(motion.robot.ignored_pairs)} pairs of links are not checked against each other: ignored_pairs"
-        )
+    unlimited, n_joints = coverage.joints_without_torque_limit, len(own_joints(motion))
+    if motion.law is not None and 0 < len(unlimited) < n_joints:
+        notes.append(f"torque not checked for {', '.join(unlimited)}: their limit is 0 or missing")
     if motion.robot.is_floating:
-        without = [phase.name for phase in phases if phase.support is None]
-        notes += [f"balance was not checked in {', '.join(without)}"] if without else []
         given = [phase.name for phase in phases if phase.support is not None and not phase.contacts]
         notes += [f"the support polygon was taken as given in {', '.join(given)}"] if given else []
-    return tuple(notes)
+    return (*notes, *coverage.sentences())
