@@ -14,7 +14,7 @@ import numpy as np
 from costs.robot import RobotError, RobotModel, load_robot
 from service.consistency import CHANGED, contradictions
 from service.demanded import Grounds, Record, demands_of
-from service.demands import Held, hold_to_request
+from service.demands import Demands, Held, hold_to_request, pace_differences
 from service.errors import RequestError, ResultError, shown
 from service.motion_json import motion_from_json
 from service.request import PlanRequest
@@ -26,6 +26,7 @@ from service.verify import Certificate, Motion, Status, VerifyError, verify
 if TYPE_CHECKING:
     from perception import ValveDetection
 
+OTHER = "it answers another request, or was changed after it was written"
 WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_LIMIT", "CANCELLED")
 
 
@@ -51,18 +52,22 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     is_claimed = data["verdict"] == Status.CERTIFIED.value
     if is_claimed and data.get("certificate") is None:
         raise ResultError(f"{folder}: the verdict is CERTIFIED, and there is no certificate; {CHANGED}")
-    held, grounds = Held(recorded, ()), None
+    held, grounds, demands = Held(recorded, ()), None, None
     if is_claimed:
-        held, grounds = _hold(data, folder, recorded, request, clouds)
+        demands, grounds = _demands(data, folder, recorded, request, clouds)
+        with _readable(folder):
+            held = hold_to_request(demands, recorded)
     table = folder / TRAJECTORY_NAME
     with _readable(folder):
         certificate = verify(held.motion)
         found = held.differences
+        if demands is not None:
+            found += tuple(pace_differences(demands.request, certificate))
         if data.get("certificate") is not None:
             found += contradictions(data, recorded, certificate, table if table.is_file() else None)
-    is_certified = certificate.status is Status.CERTIFIED
-    if is_certified and is_claimed and found:
-        raise ResultError("\n".join(f"{folder}: {line}; {CHANGED}" for line in found))
+    if certificate.status is Status.CERTIFIED and is_claimed and found:
+        why = CHANGED if request is None else OTHER
+        raise ResultError("\n".join(f"{folder}: {line}; {why}" for line in found))
     verdict, explanation = _judged(data["verdict"], certificate)
     return {
         "verdict": verdict,
@@ -75,22 +80,20 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     }
 
 
-def _hold(
+def _demands(
     data: dict[str, Any], folder: Path, recorded: Motion, given: Path | None, clouds: Sequence[Path]
-) -> tuple[Held, Grounds]:
-    """The recorded motion held to the request, and what that rests on."""
+) -> tuple[Demands, Grounds]:
+    """What the request demands, and what that rests on."""
     request = _recorded_request(data, folder) if given is None else load_request(given)
     with _readable(folder):
         record = Record(_read_robot(data["robot"], folder), recorded.scene, _recorded_valves(data))
     try:
-        demands, grounds = demands_of(request, record, given, clouds)
+        return demands_of(request, record, given, clouds)
     except RequestError as error:
         if given is not None or clouds:
             raise
         line = " ".join(str(error).split())
         raise ResultError(f"{folder}: the request in this folder cannot be used: {line}; {CHANGED}") from None
-    with _readable(folder):
-        return hold_to_request(demands, recorded), grounds
 
 
 def _recorded_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:

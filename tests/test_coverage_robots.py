@@ -143,7 +143,9 @@ def test_a_pair_that_the_srdf_leaves_out_and_that_overlaps_is_not_certified(tmp_
     assert item.deepest_m > 0.01
     check = next(c for c in result.certificate.checks if c.name == "coverage.overlap.hand.upper")
     assert f"{1e3 * item.deepest_m:.1f} mm inside" in check.text
-    assert uncovered(summary_json(result)["coverage"]).startswith("; 6 pairs of links left out, 3 of them no neighbours")
+    assert uncovered(summary_json(result)["coverage"]).startswith(
+        "; 6 pairs of links left out, 3 of them no neighbours"
+    )
 
 
 def test_an_srdf_that_leaves_out_every_pair_of_an_empty_scene_is_not_certified(tmp_path: Path) -> None:

@@ -19,11 +19,12 @@ from service.demands.turning import Turning
 from service.demands.wheel import Wheel, robot_with_wheel
 from service.request import PlanRequest
 from service.start import overlaps
-from service.verify import Motion, Phase, Target
+from service.verify import Certificate, Motion, Phase, Target
 from service.verify.certificate import bodies_hash, robot_hash, scene_hash
 
 ESCAPE = "escape"
 DEPTH_ROUNDING_M = 1e-4  # by which a pair may be deeper than it was measured at the start
+PACE_TOLERANCE = 0.01  # share of a speed or an acceleration that may be used in addition
 SAME = 1e-6  # numbers of a request and of a record that agree [m, rad]
 
 
@@ -88,6 +89,16 @@ def hold_to_request(demands: Demands, recorded: Motion) -> Held:
         differences += _phase_differences(phase, own, is_program=demands.program is not None)
     motion = replace(recorded, robot=robot, scene=demands.scene, phases=phases, mechanism_links=robot.mechanism_links)
     return Held(motion, tuple(differences))
+
+
+def pace_differences(request: PlanRequest, certificate: Certificate) -> Iterator[str]:
+    """A sentence where a motion uses more of the robot's speed or acceleration limits than the request lets it."""
+    options = request.options
+    for name, share in (("speed", options.velocity_scale), ("acceleration", options.acceleration_scale)):
+        for check in certificate.checks:
+            if check.name == f"limits.{name}" and check.value > share * (1.0 + PACE_TOLERANCE):
+                used, most = 100.0 * check.value, 100.0 * share
+                yield f"the motion uses {used:.0f} % of the {name} limits, the request at most {most:g} %"
 
 
 @dataclass(frozen=True)
