@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import hashlib
 import json
 import subprocess
 import sys
@@ -107,6 +108,8 @@ def result(motion: Motion, certificate: Certificate) -> dict[str, Any]:
     robot = load_robot("atlas")
     return {
         "verdict": certificate.status.value,
+        "request": {},
+        "request_hash": "sha256:" + hashlib.sha256(b"{}").hexdigest(),
         "robot": {"urdf": "robot.urdf", "root": "floating"},
         "bodies": [
             {"name": b.name, "link": b.link, "vertices": link_vertices(robot, b.link, b.vertices).tolist()}
@@ -122,6 +125,8 @@ def result(motion: Motion, certificate: Certificate) -> dict[str, Any]:
 def _replay(folder: Path, result: dict[str, Any]) -> subprocess.CompletedProcess[str]:
     (folder / "result.json").write_text(json.dumps(result))
     (folder / "robot.urdf").write_text(load_robot("atlas").source.urdf)
+    table = np.column_stack([result["trajectory"]["times"], result["trajectory"]["positions"]])
+    np.savetxt(folder / "trajectory.csv", table, fmt="%.10g", delimiter=",", header="time", comments="")
     command = [sys.executable, str(EXAMPLES / "check_certificate.py"), str(folder)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
