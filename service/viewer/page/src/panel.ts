@@ -1,5 +1,5 @@
 // The side panel: what stands in the way, the checks with their figures, the current phase, layers, notes.
-import { Check, Phase, Result } from "./data";
+import { Allowance, BodyRef, Check, Phase, Result } from "./data";
 import { button, el, figure, seconds, title, words } from "./dom";
 import { Layer } from "./layer";
 
@@ -22,6 +22,25 @@ function figureRow([name, value]: [string, unknown]): [string, string] {
   const unit = /_(deg|rad|m|s)$/.exec(name)?.[1];
   if (typeof value === "number" && unit) return [words(name.slice(0, -unit.length - 1)), figure(value, unit)];
   return [words(name), asText(value)];
+}
+
+function named(ref: BodyRef): string {
+  return ref.body ?? ref.link ?? "";
+}
+
+// One line for all bodies of a link that may be touched alike: l_hook ↔ valve/rim/0 … valve/rim/19 (20), to 30 mm.
+function touching(allowances: Allowance[]): string[] {
+  const groups = new Map<string, Allowance[]>();
+  for (const allowance of allowances) {
+    const { first, second, depth } = allowance;
+    const key = JSON.stringify([first, second.owner, second.link ?? second.body, depth]);
+    groups.set(key, [...(groups.get(key) ?? []), allowance]);
+  }
+  return [...groups.values()].map((group) => {
+    const names = group.map((allowance) => named(allowance.second));
+    const others = names.length > 1 ? `${names[0]} … ${names.at(-1)} (${names.length})` : names[0];
+    return `${named(group[0].first)} ↔ ${others}, to ${figure(group[0].depth, "m")}`;
+  });
 }
 
 export class Panel {
@@ -116,9 +135,7 @@ export class Panel {
     if (contacts.length > 0) rows.push(["planted", contacts.join(", ")]);
     const targets = (phase.targets ?? []).map((target) => [target.frame, target.kind].filter(Boolean).join(" on "));
     if (targets.length > 0) rows.push(["target", [...new Set(targets)].join(", ")]);
-    for (const allowance of phase.allowances ?? []) {
-      rows.push(["may touch", `${allowance.link} ↔ ${allowance.other}, to ${figure(allowance.depth, "m")}`]);
-    }
+    rows.push(...touching(phase.allowances ?? []).map((row): [string, string] => ["may touch", row]));
     this.phase.replaceChildren(table(rows));
   }
 }
