@@ -2,7 +2,7 @@
 
 import importlib.util
 import itertools
-from dataclasses import asdict, astuple
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +68,9 @@ def strangers_covers():
 @given(references(), references(), st.lists(references(), min_size=2, max_size=2))
 def test_a_stranger_reads_allowances_as_they_are_meant(strangers_covers, first, second, pair):
     as_json = {"first": asdict(first), "second": asdict(second), "depth": 0.0}
-    for one, other in (pair, (first, second), (first, pair[0])):
+    others = [one for one in (first, second) if one.owner != "scene"]
+    swapped = [replace(one, owner="robot" if one.owner == "mechanism" else "mechanism") for one in others]
+    for one, other in (pair, (first, second), *itertools.product((first, second), (*pair, *swapped))):
         if None not in (one.body, other.body):
             assert strangers_covers(as_json, astuple(one), astuple(other)) == Allowance(first, second, 0.0).covers(
                 one, other
