@@ -106,7 +106,8 @@ def with_free_names(
         if not taken.owner(piece.name) and piece.name not in others:
             free.append(piece)
             continue
-        numbered = (f"{piece.name}-{number}" for number in itertools.count(2))
+        stem = f"seen/{piece.name}" if taken.is_of_mechanism(piece.name) else piece.name
+        numbered = (f"{stem}-{number}" for number in itertools.count(2))
         name = next(one for one in numbered if one not in used and not taken.owner(one))
         used.add(name)
         free.append(replace(piece, name=name))

@@ -9,7 +9,9 @@ export interface NamedHull { name: string; kind: string; hull: Hull }
 export interface Body { name: string; link: string; hull: Hull }
 export interface Movable { name: string; joint: string; origin: number[]; axis: number[]; bodies: NamedHull[]; angles: Float32Array }
 export interface Contact { link: string; position?: number[]; quaternion_wxyz?: number[]; sole?: number[][] }
-export interface Allowance { link: string; other: string; depth: number }
+// Of the robot or what the task moves: a body, or with null every body of the link; of the scene: a piece.
+export interface BodyRef { owner: "robot" | "scene" | "mechanism"; link: string | null; body: string | null }
+export interface Allowance { first: BodyRef; second: BodyRef; depth: number }
 export interface Target {
   kind: string; frame?: string; position?: number[]; quaternion_wxyz?: number[];
   centre?: number[]; axis?: number[]; radius?: number; tolerance_m?: number;

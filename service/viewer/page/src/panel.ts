@@ -1,5 +1,5 @@
 // The side panel: what stands in the way, the checks with their figures, the current phase, layers, notes.
-import { Check, Phase, Result } from "./data";
+import { Allowance, BodyRef, Check, Phase, Result } from "./data";
 import { button, el, figure, instant, seconds, title, words } from "./dom";
 import { Layer } from "./layer";
 import { Standing, standingOf } from "./standing";
@@ -29,6 +29,24 @@ const ORDER: Standing[] = ["refuted", "unproven", "proven", "at samples"];
 const MARKS = { ok: "✓", unsure: "?", fail: "✕" };
 // Checks that every phase may have, as the panel names them.
 const OF_A_PHASE = [["balance", "COM inside", "m"], ["zmp", "ZMP inside", "m"], ["torque", "largest torque", "1"]] as const;
+function named(ref: BodyRef): string {
+  return ref.body ?? ref.link ?? "";
+}
+
+// One line for all bodies of a link that may be touched alike: l_hook ↔ valve/rim/0 … valve/rim/19 (20), to 30 mm.
+function touching(allowances: Allowance[]): string[] {
+  const groups = new Map<string, Allowance[]>();
+  for (const allowance of allowances) {
+    const { first, second, depth } = allowance;
+    const key = JSON.stringify([first, second.owner, second.link ?? second.body, depth]);
+    groups.set(key, [...(groups.get(key) ?? []), allowance]);
+  }
+  return [...groups.values()].map((group) => {
+    const names = group.map((allowance) => named(allowance.second));
+    const others = names.length > 1 ? `${names[0]} … ${names.at(-1)} (${names.length})` : names[0];
+    return `${named(group[0].first)} ↔ ${others}, to ${figure(group[0].depth, "m")}`;
+  });
+}
 
 export class Panel {
   readonly element = el("aside", "panel");
@@ -141,9 +159,7 @@ export class Panel {
       const check = this.result.checks.find((one) => one.name === `${kind}.${phase.name}`);
       if (check) rows.push([name, `${figure(check.value, check.unit ?? unit)}, ${standingOf(check)}`]);
     }
-    for (const allowance of phase.allowances ?? []) {
-      rows.push(["may touch", `${allowance.link} ↔ ${allowance.other}, to ${figure(allowance.depth, "m")}`]);
-    }
+    rows.push(...touching(phase.allowances ?? []).map((row): [string, string] => ["may touch", row]));
     this.phase.replaceChildren(table(rows));
   }
 }
