@@ -45,10 +45,12 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         curve=spline.curve,
         phases=phases,
         mechanism_links=body.robot.mechanism_links,
-        waived=frozenset({
-            *([TIMING] if timing is None else []),
-            *([BALANCE] if body.robot.is_floating and body.polygon is None else []),
-        }),
+        waived=frozenset(
+            {
+                *([TIMING] if timing is None else []),
+                *([BALANCE] if body.robot.is_floating and body.polygon is None else []),
+            }
+        ),
     )
     if timing is None:
         is_held = bool(body.holds()) or any(phase.holds for phase in plan.phases)

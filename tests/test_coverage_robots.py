@@ -11,6 +11,7 @@ import pytest
 
 from costs.robot import load_robot
 from service.cli_report import uncovered
+from service.errors import RequestError
 from service.planner import plan
 from service.request_file import parse_request
 from service.result import PlanResult, Verdict
@@ -92,7 +93,7 @@ def test_a_box_that_slides_through_one_fixed_to_the_world_goes_round_it(tmp_path
 
 def test_a_box_that_begins_in_one_fixed_to_the_world_is_refused(tmp_path: Path) -> None:
     start, goal = {"boxbot_x_joint": -0.951, "boxbot_y_joint": 0.0}, {"boxbot_x_joint": -0.951, "boxbot_y_joint": 0.3}
-    with pytest.raises(Exception, match="0.049 m inside"):
+    with pytest.raises(RequestError, match=r"0\.049 m inside"):
         planned(tmp_path, dishonest.boxbot(), start, goal)
 
 
@@ -143,7 +144,9 @@ def test_a_pair_that_the_srdf_leaves_out_and_that_overlaps_is_not_certified(tmp_
     assert item.deepest_m > 0.01
     check = next(c for c in result.certificate.checks if c.name == "coverage.overlap.hand.upper")
     assert f"{1e3 * item.deepest_m:.1f} mm inside" in check.text
-    assert uncovered(summary_json(result)["coverage"]).startswith("; 6 pairs of links left out, 3 of them no neighbours")
+    assert uncovered(summary_json(result)["coverage"]).startswith(
+        "; 6 pairs of links left out, 3 of them no neighbours"
+    )
 
 
 def test_an_srdf_that_leaves_out_every_pair_of_an_empty_scene_is_not_certified(tmp_path: Path) -> None:

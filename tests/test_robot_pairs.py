@@ -43,7 +43,11 @@ def test_neighbours_are_ignored_also_across_links_without_a_body(tmp_path: Path)
     model = load_robot(urdf=write_urdf(tmp_path, text))
     # "cap" is welded to "tip", 5 m from the joint between "tip" and "arm": it may meet "arm".
     assert model.ignored_pairs == {("arm", "base"), ("arm", "tip"), ("cap", "tip")}
-    assert model.ignored_reasons == {("arm", "base"): "adjacent", ("arm", "tip"): "adjacent", ("cap", "tip"): "adjacent"}
+    assert model.ignored_reasons == {
+        ("arm", "base"): "adjacent",
+        ("arm", "tip"): "adjacent",
+        ("cap", "tip"): "adjacent",
+    }
 
 
 def test_what_is_welded_to_a_neighbour_near_the_joint_is_a_neighbour_too(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 from costs.robot.model import RobotModel
-from costs.scene import ConvexPiece, Scene
+from costs.scene import ConvexPiece
 from service.verify.certificate import Basis, Check, Where
 from service.verify.errors import VerifyError
 from service.verify.motion import Motion, Phase, PlantedContact
@@ -20,11 +20,12 @@ from service.verify.timeline import time_of
 # Farthest that a supporting surface may be from a planted sole, above or below [m].
 GROUND_TOLERANCE_M = 3e-3
 _TOUCH_M = 1e-9
+FEET_GROUP = "feet"
 
 
 def ground_checks(motion: Motion, phase: Phase) -> Iterator[Check]:
-    """One check for each planted link of a phase: every corner of its sole is on a surface, and is its own."""
-    for contact in phase.contacts:
+    """One check for each link that stands in a phase: every corner of its sole is on a surface, and is its own."""
+    for contact in standing_contacts(motion, phase):
         pose = contact.pose_world_link
         corners = contact.sole @ pose[:3, :3].T + pose[:3, 3]
         gaps = ground_gaps(corners, motion.scene.pieces)
@@ -38,6 +39,17 @@ def ground_checks(motion: Motion, phase: Phase) -> Iterator[Check]:
         where = Where(phase.first, time_of(motion.law, phase.first), point, (contact.link,))
         name, is_ok = f"ground.{phase.name}.{contact.link}", value <= GROUND_TOLERANCE_M
         yield Check(name, is_ok, value, GROUND_TOLERANCE_M, "m", text, where, Basis.PROOF)
+
+
+def standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...]:
+    """Planted links that must be on the ground: all that balance rests on, else the feet.
+
+    Without balance a planted hand is but held where it is; a robot with a fixed base stands by itself.
+    """
+    if not motion.robot.is_floating:
+        return ()
+    feet = motion.robot.link_groups.get(FEET_GROUP, ())
+    return tuple(contact for contact in phase.contacts if phase.support is not None or contact.link in feet)
 
 
 def told_gap(gap: float, link: str) -> str:

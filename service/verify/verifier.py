@@ -14,8 +14,8 @@ from service.verify.certificate import (
     scene_hash,
 )
 from service.verify.clearance import clearance_of
-from service.verify.covering import cover
 from service.verify.coverage import Coverage
+from service.verify.covering import cover
 from service.verify.duties import own_joints
 from service.verify.dynamics import dynamics_checks
 from service.verify.ground import ground_checks
@@ -46,8 +46,7 @@ def verify(motion: Motion, settings: VerifySettings | None = None) -> Certificat
     promises = PhaseChecks(track, edges_of(motion, phases)[0], settings)
     for phase in phases:
         checks += promises.run(phase)
-        if motion.robot.is_floating:
-            checks += ground_checks(motion, phase)
+        checks += ground_checks(motion, phase)
         if motion.law is not None:
             checks += dynamics_checks(motion, motion.law, phase, settings)
     clearance = clearance_of(track, phases, settings)
