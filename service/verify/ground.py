@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -77,9 +78,8 @@ def ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]
 
 def top_of(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
     """Height of a hull's upper side over each place [m]; negative infinity beside the hull."""
-    try:
-        planes = np.unique(np.round(ConvexHull(vertices).equations, 12), axis=0)
-    except QhullError:
+    planes = _planes(np.ascontiguousarray(vertices, dtype=float).tobytes())
+    if not len(planes):
         return np.full(len(places), -np.inf)
     up = planes[:, 2]
     # a x + b y + c z + d <= 0 bounds z from above where c > 0, from below where c < 0, and the place where c is 0.
@@ -89,6 +89,15 @@ def top_of(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"])
     bottom = (level[:, is_down] / up[is_down]).max(axis=1, initial=-np.inf)
     is_inside = np.all(level[:, is_wall] >= -_TOUCH_M, axis=1) & (bottom <= top + _TOUCH_M)
     return np.where(is_inside, top, -np.inf)
+
+
+@lru_cache(maxsize=64)
+def _planes(points: bytes) -> Float[np.ndarray, "F 4"]:
+    """The faces of a hull, outward normals and offsets; none of a flat one."""
+    try:
+        return np.unique(np.round(ConvexHull(np.frombuffer(points).reshape(-1, 3)).equations, 12), axis=0)
+    except QhullError:
+        return np.zeros((0, 4))
 
 
 def outside_link(robot: RobotModel, contact: PlantedContact) -> float:
