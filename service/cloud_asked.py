@@ -15,8 +15,7 @@ from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, View, read
 from service.errors import RequestError, would_do
 from service.request import RobotRequest, StartRequest
 from service.request_file import load_start, parse_robot, parse_start
-from service.start import placed_bodies, sole, start_configuration
-from service.verify.ground import FEET_GROUP
+from service.start import FEET_GROUP, placed_bodies, sole, start_configuration
 
 OnStep = Callable[[str], None]
 

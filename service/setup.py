@@ -22,6 +22,7 @@ from service.monitor import Interrupted
 from service.obstacles import flat_floor, obstacles_of
 from service.request import PlanRequest
 from service.start import (
+    FEET_GROUP,
     Overlap,
     beyond_limits,
     no_way_out,
@@ -32,7 +33,6 @@ from service.start import (
     unknown_joints,
 )
 from service.surroundings import NOTHING, Surroundings, surroundings
-from service.verify.ground import FEET_GROUP
 
 if TYPE_CHECKING:
     from perception import Perceived

@@ -23,6 +23,7 @@ from service.verify.solid import Solid
 
 SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
 STANDING_POSTURE = "stand"
+FEET_GROUP = "feet"
 LARGEST_PITCH_DEG = 85.0
 SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
 TOUCH_M = 1e-6

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from costs.kinematics import KinematicsEngine, Topology, frame_of, planted_poses
 from costs.robot import RobotModel
+from service.start import FEET_GROUP
 from service.trajopt.problem import PoseTerm, Problem, Vector, ZmpTerm
-from service.verify.ground import FEET_GROUP
 
 SHIFT, TURN = 1e-3, np.deg2rad(0.5)  # a foot that is to stay may be written as roughly as this [m, rad]
 

@@ -21,7 +21,7 @@ from service.verify.timeline import time_of
 # Farthest that a supporting surface may be from a planted sole, above or below [m].
 GROUND_TOLERANCE_M = 3e-3
 _TOUCH_M = 1e-9
-FEET_GROUP = "feet"
+_FEET_GROUP = "feet"
 
 
 def ground_checks(motion: Motion, phase: Phase) -> Iterator[Check]:
@@ -49,7 +49,7 @@ def standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...
     """
     if not motion.robot.is_floating:
         return ()
-    feet = motion.robot.link_groups.get(FEET_GROUP, ())
+    feet = motion.robot.link_groups.get(_FEET_GROUP, ())
     return tuple(contact for contact in phase.contacts if phase.support is not None or contact.link in feet)
 
 
