@@ -207,6 +207,8 @@ def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt, terms: Terms | N
             _certify(task, options, monitor, attempt)
         if attempt.verdict is Verdict.CERTIFIED:
             return
+        if attempt.certificate is not None and task.is_feasible and attempt.certificate.fails_by_description():
+            return  # no other motion would do better
     _explain(attempt, solver)
 
 

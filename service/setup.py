@@ -263,7 +263,9 @@ def _check_start(
 ) -> tuple[Overlap, ...]:
     """What the robot is in at its start, which is nothing unless it may escape."""
     problems = []
-    grounded = dict(ground_problems(scene.pieces, soles)) if robot.is_floating else {}
+    is_balanced = program is None or program.is_balanced
+    feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
+    grounded = dict(ground_problems(scene.pieces, feet)) if robot.is_floating else {}
     inside = [
         one
         for one in overlaps(robot, start, scene, tuple(soles))
@@ -280,7 +282,7 @@ def _check_start(
         problems = [f"start is in collision: {one}; {obstacle}" for one, obstacle in stuck]
     if problems and request.scene.file is not None:
         problems.append(OWN_POINTS)
-    if soles and program is not None and not program.is_balanced:
+    if soles and not is_balanced:
         problems += [f"start is not on the ground: {line}" for line in grounded.values()]
     elif soles:
         problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]

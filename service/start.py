@@ -227,7 +227,7 @@ def _snapped(
 
 def _whose_boxes_meet(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
     """Bodies (the first sets) with a later set whose bounding box meets theirs."""
-    low, high = (np.array([end(points, axis=0) for points in vertices]) for end in (np.min, np.max))
+    low, high = (np.array([end(points, axis=0) for points in vertices]).reshape(-1, 3) for end in (np.min, np.max))
     meets = np.all((low[:n_bodies, None] <= high) & (low <= high[:n_bodies, None]), axis=2)
     return [(k, j) for k, j in np.argwhere(meets).tolist() if k < j]
 

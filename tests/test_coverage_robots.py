@@ -11,10 +11,12 @@ import pytest
 
 from costs.robot import load_robot
 from service.cli_report import uncovered
+from service.errors import RequestError
 from service.planner import plan
 from service.request_file import parse_request
 from service.result import PlanResult, Verdict
 from service.result_json import summary_json
+from service.verify import Certificate
 
 
 def planned(
@@ -92,7 +94,7 @@ def test_a_box_that_slides_through_one_fixed_to_the_world_goes_round_it(tmp_path
 
 def test_a_box_that_begins_in_one_fixed_to_the_world_is_refused(tmp_path: Path) -> None:
     start, goal = {"boxbot_x_joint": -0.951, "boxbot_y_joint": 0.0}, {"boxbot_x_joint": -0.951, "boxbot_y_joint": 0.3}
-    with pytest.raises(Exception, match="0.049 m inside"):
+    with pytest.raises(RequestError, match=r"0\.049 m inside"):
         planned(tmp_path, dishonest.boxbot(), start, goal)
 
 
@@ -172,3 +174,20 @@ def test_a_robot_without_masses_says_that_its_torques_were_not_checked(tmp_path:
     result = planned(tmp_path, dishonest.without_masses(dishonest.arm()), *FOLD, obstacles=(far_box(),))
     assert result.verdict is Verdict.CERTIFIED
     assert "not checked: torques (no link names a mass)" in uncovered(summary_json(result)["coverage"])
+
+
+def test_no_further_motion_is_tried_where_none_could_be_certified(tmp_path: Path) -> None:
+    steps: list[str] = []
+    (tmp_path / "robot.urdf").write_text(dishonest.arm(shaped=()))
+    robot = {"urdf": str(tmp_path / "robot.urdf")}
+    request = {"robot": robot, "start": {"joints": FOLD[0]}, "goal": {"joints": FOLD[1]}, "scene": {}}
+    result = plan(parse_request(request), lambda step, done: steps.append(step))
+    assert result.verdict is Verdict.FEASIBLE_AT_SAMPLES
+    assert steps.count("certificate") == 1
+
+
+def test_what_a_certificate_covers_survives_its_file(tmp_path: Path) -> None:
+    certificate = planned(tmp_path, dishonest.arm(shaped=("base", "upper", "hand")), *FOLD).certificate
+    again = Certificate.from_json(certificate.to_json())
+    assert again.to_json() == certificate.to_json()
+    assert again.coverage.shapeless == certificate.coverage.shapeless

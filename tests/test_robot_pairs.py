@@ -133,9 +133,10 @@ def test_ignored_pairs_are_neighbours_or_nearly_always_overlap(which: str, reque
 
 def test_atlas_checks_every_pair_but_its_neighbours() -> None:
     atlas = load_robot("atlas")
-    assert atlas.ignored_pairs == _near(atlas)
+    # Pelvis and middle torso overlap in every pose around the lower torso, which is inside both.
+    assert atlas.ignored_pairs == _near(atlas) | {("mtorso", "pelvis")}
     links = {body.link for body in atlas.bodies}
-    assert len(links) * (len(links) - 1) // 2 - len(atlas.ignored_pairs) == 349
+    assert len(links) * (len(links) - 1) // 2 - len(atlas.ignored_pairs) == 402
 
 
 def test_sampled_poses_lie_within_the_limits_and_turn_unbounded_joints(tmp_path: Path) -> None:

@@ -45,7 +45,11 @@ def adjacent_pairs(model: pin.Model, bodies: Sequence[LinkBody]) -> frozenset[tu
             hinge, parent = parent, int(model.parents[parent])
         if parent == 0:
             continue
-        heads = {link: mount for link, mount in mounts.items() if joint_of[link] == joint and mount and joint_of[mount] == parent}
+        heads = {
+            link: mount
+            for link, mount in mounts.items()
+            if joint_of[link] == joint and mount and joint_of[mount] == parent
+        }
         near = _near(bodies, joint, np.zeros(3)) | set(heads)
         others = _near(bodies, parent, model.jointPlacements[hinge].translation) | set(heads.values())
         pairs.update(link_pair(a, b) for a in near for b in others)
@@ -63,7 +67,9 @@ def _first_with_body(above: Mapping[str, str | None], link: str, joint_of: Mappi
 def _near(bodies: Sequence[LinkBody], joint: int, origin: Float[np.ndarray, "3"]) -> set[str]:
     """Links of a joint all of whose vertices are near a point of its frame."""
     links = {body.link for body in bodies if body.joint == joint}
-    far = {b.link for b in bodies if b.joint == joint and np.linalg.norm(b.vertices - origin, axis=1).max() > JOINT_SIZE_M}
+    far = {
+        b.link for b in bodies if b.joint == joint and np.linalg.norm(b.vertices - origin, axis=1).max() > JOINT_SIZE_M
+    }
     return links - far
 
 

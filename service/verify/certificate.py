@@ -150,6 +150,12 @@ class Certificate:
         """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.ok)
 
+    def fails_by_description(self) -> bool:
+        """Whether all that is missing is due to the robot's description or the request, and to no motion."""
+        open_checks = [check for check in self.checks if not check.ok or check.basis is Basis.UNPROVEN]
+        kinds = ("coverage.shape.", "coverage.pairs", "coverage.missing.")
+        return bool(open_checks) and all(check.name.startswith(kinds) for check in open_checks)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data; NaN and infinity become None."""
         return dict(json.loads(self.to_json()))

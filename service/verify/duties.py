@@ -9,6 +9,7 @@ import numpy as np
 
 from costs.robot.model import BASE_NAMES
 from service.verify.certificate import Basis, Check
+from service.verify.ground import standing_contacts
 from service.verify.motion import Motion, Phase
 
 TIMING, BALANCE = "timing", "balance"
@@ -45,7 +46,8 @@ def duties_of(motion: Motion, phases: Sequence[Phase]) -> Duties:
         names += [f"torque.{phase.name}"] if motion.law is not None and is_limited else []
         if not motion.robot.is_floating:
             continue
-        names += [f"{kind}.{phase.name}.{c.link}" for kind in ("planted", "ground") for c in phase.contacts]
+        names += [f"planted.{phase.name}.{contact.link}" for contact in phase.contacts]
+        names += [f"ground.{phase.name}.{contact.link}" for contact in standing_contacts(motion, phase)]
         if phase.support is None and _is_waived(motion, BALANCE):
             waived.append(f"balance in '{phase.name}'")
             continue

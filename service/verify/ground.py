@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -20,11 +21,12 @@ from service.verify.timeline import time_of
 # Farthest that a supporting surface may be from a planted sole, above or below [m].
 GROUND_TOLERANCE_M = 3e-3
 _TOUCH_M = 1e-9
+_FEET_GROUP = "feet"
 
 
 def ground_checks(motion: Motion, phase: Phase) -> Iterator[Check]:
-    """One check for each planted link of a phase: every corner of its sole is on a surface, and is its own."""
-    for contact in phase.contacts:
+    """One check for each link that stands in a phase: every corner of its sole is on a surface, and is its own."""
+    for contact in standing_contacts(motion, phase):
         pose = contact.pose_world_link
         corners = contact.sole @ pose[:3, :3].T + pose[:3, 3]
         gaps = ground_gaps(corners, motion.scene.pieces)
@@ -38,6 +40,17 @@ def ground_checks(motion: Motion, phase: Phase) -> Iterator[Check]:
         where = Where(phase.first, time_of(motion.law, phase.first), point, (contact.link,))
         name, is_ok = f"ground.{phase.name}.{contact.link}", value <= GROUND_TOLERANCE_M
         yield Check(name, is_ok, value, GROUND_TOLERANCE_M, "m", text, where, Basis.PROOF)
+
+
+def standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...]:
+    """Planted links that must be on the ground: all that balance rests on, else the feet.
+
+    Without balance a planted hand is but held where it is; a robot with a fixed base stands by itself.
+    """
+    if not motion.robot.is_floating:
+        return ()
+    feet = motion.robot.link_groups.get(_FEET_GROUP, ())
+    return tuple(contact for contact in phase.contacts if phase.support is not None or contact.link in feet)
 
 
 def told_gap(gap: float, link: str) -> str:
@@ -65,9 +78,8 @@ def ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]
 
 def top_of(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
     """Height of a hull's upper side over each place [m]; negative infinity beside the hull."""
-    try:
-        planes = np.unique(np.round(ConvexHull(vertices).equations, 12), axis=0)
-    except QhullError:
+    planes = _planes(np.ascontiguousarray(vertices, dtype=float).tobytes())
+    if not len(planes):
         return np.full(len(places), -np.inf)
     up = planes[:, 2]
     # a x + b y + c z + d <= 0 bounds z from above where c > 0, from below where c < 0, and the place where c is 0.
@@ -77,6 +89,15 @@ def top_of(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"])
     bottom = (level[:, is_down] / up[is_down]).max(axis=1, initial=-np.inf)
     is_inside = np.all(level[:, is_wall] >= -_TOUCH_M, axis=1) & (bottom <= top + _TOUCH_M)
     return np.where(is_inside, top, -np.inf)
+
+
+@lru_cache(maxsize=64)
+def _planes(points: bytes) -> Float[np.ndarray, "F 4"]:
+    """The faces of a hull, outward normals and offsets; none of a flat one."""
+    try:
+        return np.unique(np.round(ConvexHull(np.frombuffer(points).reshape(-1, 3)).equations, 12), axis=0)
+    except QhullError:
+        return np.zeros((0, 4))
 
 
 def outside_link(robot: RobotModel, contact: PlantedContact) -> float:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float
 
-from costs.robot.model import LinkBody
+from costs.robot.model import LinkBody, RobotModel
 from costs.scene import Scene
 from service.verify.broad import clearance_floors, open_stretches, refined
 from service.verify.certificate import Basis, Check, Where
@@ -29,6 +30,8 @@ _SAMPLES = 200
 # Two links with one between them that overlap in this share of the poses of the joints between them hardly have a pose
 # in which they do not: that is how their shapes are, and says nothing of the motion.
 _ALWAYS_SHARE, _POSES = 0.9, 300
+# What was found of a robot's pairs, by the first body of the pair: it takes longer than many a proof.
+_AROUND: WeakKeyDictionary[LinkBody, dict[tuple[str, bytes, bytes], bool]] = WeakKeyDictionary()
 
 
 def left_out_pairs(
@@ -101,9 +104,11 @@ def _not_apart(
     track: Track, pairs: Sequence[tuple[str, str]], settings: VerifySettings
 ) -> Mapping[tuple[str, str], tuple[float, float]]:
     """Pairs that are not shown to keep apart on the whole curve: how deep they were seen to be [m], and where."""
-    motion = track.motion
+    found = _seen_overlapping(track, pairs)
+    pairs = [pair for pair in pairs if pair not in found]
     if not pairs:
-        return {}
+        return found
+    motion = track.motion
     links = sorted({body.link for body in motion.robot.bodies})
     others = frozenset(combinations(links, 2)) - frozenset(pairs)
     alone = replace(
@@ -124,20 +129,26 @@ def _not_apart(
         a, b = (couples.solids[side[couple]].link for side in (couples.mover, couples.holder))
         return (a, b) if a < b else (b, a)
 
-    found: dict[tuple[str, str], tuple[float, float]] = {}
     for row in range(len(proof.unproven.couple)):
         pair = links_of(int(proof.unproven.couple[row]))
         found.setdefault(pair, (0.0, float(proof.unproven.first[row])))
     for meeting in proof.refuted.values():
         pair = links_of(meeting.couple)
         found[pair] = max(found.get(pair, (0.0, 0.0)), (-meeting.distance, meeting.s))
-    knots = motion.curve.knots
+    return found
+
+
+def _seen_overlapping(track: Track, pairs: Sequence[tuple[str, str]]) -> dict[tuple[str, str], tuple[float, float]]:
+    """Pairs that overlap at some sample of the motion: how deep at most [m], and where."""
+    found: dict[tuple[str, str], tuple[float, float]] = {}
+    knots = track.motion.curve.knots
     s = np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], _SAMPLES)]))
-    placed, rows = track.at(s)
-    for pair in found:
-        depth = _overlap(motion.robot.bodies, placed, rows, pair)
+    for pair in pairs:
+        placed, rows = track.at(s)
+        depth = _overlap(track.motion.robot.bodies, placed, rows, pair)
         worst = int(depth.argmax())
-        found[pair] = max(found[pair], (float(depth[worst]), float(s[worst])))
+        if depth[worst] > 0.0:
+            found[pair] = float(depth[worst]), float(s[worst])
     return found
 
 
@@ -164,6 +175,16 @@ def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) ->
     if not between:
         return False
     robot = motion.robot
+    first = next(body for body in robot.bodies if body.link == pair[0])
+    known = _AROUND.setdefault(first, {})
+    key = (pair[1], robot.lower.tobytes(), robot.upper.tobytes())
+    if key not in known:
+        known[key] = _share_of_overlaps(robot, tree, pair) >= _ALWAYS_SHARE
+    return known[key]
+
+
+def _share_of_overlaps(robot: RobotModel, tree: LinkTree, pair: tuple[str, str]) -> float:
+    """In which share of random poses of the joints between two links they overlap."""
     q = np.zeros((_POSES, robot.n))
     rng = np.random.default_rng(0)
     for joint in tree.path(*pair):
@@ -172,4 +193,4 @@ def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) ->
         high = np.nan_to_num(robot.upper[first : first + size], posinf=np.pi)
         q[:, first : first + size] = rng.uniform(low, high, (_POSES, size))
     depth = _overlap(robot.bodies, Forward(robot.model).at(q), np.arange(_POSES), pair)
-    return bool(np.mean(depth > 0.0) >= _ALWAYS_SHARE)
+    return float(np.mean(depth > 0.0))

@@ -55,7 +55,7 @@ class Solid:
         for point in points:
             result.clear()
             found.append(coal.distance(dot, coal.Transform3s(np.eye(3), point), self.convex, here, request, result))
-        return np.maximum(np.array(found), 0.0)
+        return np.asarray(np.maximum(np.array(found), 0.0))
 
     @staticmethod
     def of_body(body: LinkBody) -> Solid:

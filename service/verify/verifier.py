@@ -61,8 +61,7 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
     promises = PhaseChecks(track, edges_of(motion, phases)[0], settings)
     for phase in phases:
         checks += promises.run(phase)
-        if motion.robot.is_floating:
-            checks += ground_checks(motion, phase)
+        checks += ground_checks(motion, phase)
         if motion.law is not None:
             checks += dynamics_checks(motion, motion.law, phase, settings)
     clearance = clearance_of(track, phases, settings)

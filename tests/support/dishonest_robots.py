@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection
-from itertools import combinations
+from itertools import combinations, pairwise
 
 MASS = (
     '<inertial><origin xyz="{x} 0 0"/><mass value="2"/>'
@@ -56,7 +56,7 @@ def arm(
     joints = [
         _joint(f"j{k}", "revolute", parent, child, f"{0.14 if k == 0 else LINK_LENGTH + 0.02} 0 0", "0 0 1",
                f'lower="{-limit}" upper="{limit}"')
-        for k, (parent, child) in enumerate(zip(ARM_LINKS[:-1], ARM_LINKS[1:], strict=True))
+        for k, (parent, child) in enumerate(pairwise(ARM_LINKS))
     ]  # fmt: skip
     return f'<robot name="arm">{"".join(links + joints)}</robot>'
 
