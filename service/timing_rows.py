@@ -154,7 +154,7 @@ def _of_speed(
     rest: Float[np.ndarray, "M n+6"],
 ) -> Float[np.ndarray, "M n+6"]:
     """What (ds/dt)^2 = 1 adds: inertia times q'' plus Coriolis of q' [Nm, N]."""
-    return _loads(robot, q, slope, bend) - rest
+    return np.asarray(_loads(robot, q, slope, bend) - rest)
 
 
 def _loads(
