@@ -100,6 +100,8 @@ def test_the_executed_path_runs_through_the_points_of_a_law_whose_speeds_are_a_l
         ([0.0, 1.0, 2.0], [0.0, 0.5, 1.0], [0.5, np.nan, 0.5], "speeds >= 0"),
         ([0.0, 1.0, 2.0], [1e-6, 0.5, 1.0], [0.5, 0.5, 0.5], "not along the whole curve"),
         ([0.0, 1.0, 2.0], [0.0, 0.5, 1.0 - 1e-6], [0.5, 0.5, 0.5], "not along the whole curve"),
+        ([0.0, 1.0, 2.0], [1.2e-9, 0.5, 1.0], [0.5, 0.5, 0.5], "not along the whole curve"),
+        ([0.0, 1.0, 2.0], [0.0, 0.5, 1.0 + 1.2e-9], [0.5, 0.5, 0.5], "not along the whole curve"),
         ([0.0, 1.0], [0.0, 0.5, 1.0], [0.5, 0.5, 0.5], "got 2, 3 and 3"),
         ([0.0], [0.0], [0.0], "at least 2"),
         ([0.0, 1.0, 2.0, 3.0], [0.0, 0.5, 0.5, 1.0], [0.5, 0.5, 0.5, 0.5], "step 1 .*is 0 times"),
@@ -169,6 +171,21 @@ def test_exported_speeds_are_differences_of_positions_over_those_of_times() -> N
     law = TimeLaw(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.25, 1.0]), np.array([0.0, 0.5, 1.0]))
     found = exported_speeds(LINE, law, np.array([0.0, 0.25, 1.0]))
     np.testing.assert_allclose(found, [[0.25], [0.75]], rtol=1e-12)
+
+
+def test_what_rounding_makes_of_close_samples_is_no_speed() -> None:
+    # Positions near 3000, path parameters near 700, times near 100 s: each may be the one whose last places show.
+    for offset, start, pace in ((3000.0, 0.0, 1.0), (0.0, 700.0, 1.0), (0.0, 0.0, 0.01)):
+        knots = start + np.arange(2.0)
+        curve = Curve(knots, offset + LINE.positions, LINE.tangents)
+        law = TimeLaw(np.arange(2.0) / pace, knots, np.full(2, pace))
+        samples = np.unique(np.concatenate([knots, start + 0.99 + 1e-11 * np.arange(50)]))
+        assert exported_speeds(curve, law, samples).max() <= pace * (1.0 + 1e-9)
+        # And no more than that is forgiven: ten times the distance is ten times the speed, but for the last places.
+        fast = exported_speeds(curve, TimeLaw(0.1 * law.times, knots, 10.0 * law.speed), samples)
+        assert fast[[0, -1]].min() >= 9.9999 * pace
+    one = exported_speeds(LINE, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2)), np.array([0.0, 1e-12, 1.0]))
+    assert 0.98 < one[0, 0] <= 1.0
 
 
 def test_samples_that_are_faster_than_the_limit_are_refused_however_the_law_explains_it(
