@@ -164,7 +164,10 @@ def test_a_check_names_its_joint_and_where_its_peak_is() -> None:
         assert where is not None
         assert (where.s, where.time_s, where.names) == (pytest.approx(s), pytest.approx(s), ("joint1",))
     assert list(checks) == ["limits.speed", "limits.acceleration", "limits.exported", "limits.rest"]
-    assert checks["limits.speed"].text.startswith("joint1 reaches")
+    assert [checks[f"limits.{kind}"].limit for kind in ("speed", "acceleration", "exported")] == [1.0] * 3
+    assert checks["limits.speed"].text == "joint1 reaches 120.0 % of its speed limit"
+    assert checks["limits.acceleration"].text == "joint1 reaches 25.0 % of its acceleration limit"
+    assert checks["limits.exported"].text == "joint1 reaches 112.0 % of its speed limit between exported samples"
 
 
 def test_exported_speeds_are_differences_of_positions_over_those_of_times() -> None:
@@ -200,6 +203,23 @@ def test_samples_that_are_faster_than_the_limit_are_refused_however_the_law_expl
     assert check.value == pytest.approx(1.0 + 3e-6, abs=1e-9)
     monkeypatch.setattr("service.verify.limits.times_of", lambda law, s: np.minimum(s, 0.5))  # repeated times
     assert _checks(motion)["limits.exported"].value == np.inf
+    still = replace(motion, curve=Curve(LINE.knots, np.zeros((2, 1)), np.zeros((2, 1))))
+    assert _checks(still)["limits.exported"].value == 0.0
+
+
+def test_one_joint_that_moves_where_the_robot_should_rest_is_enough() -> None:
+    rows = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, -1.0]])
+    curve = Curve(np.arange(2.0), rows, np.array([[0.0, 0.0, -3e-6], [0.0, 0.0, 0.0]]))
+    check = _checks(Motion(_robot(3), Scene(), curve, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2))))
+    assert check["limits.rest"].value == pytest.approx(3e-6)
+    assert not check["limits.rest"].ok
+    assert check["limits.rest"].where is not None
+    assert check["limits.rest"].where.s == 0.0
+    turned = Curve(np.arange(2.0), rows, np.array([[0.0, 0.0, 0.0], [0.0, 9e-7, 0.0]]))
+    check = _checks(Motion(_robot(3), Scene(), turned, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2))))
+    assert check["limits.rest"].ok
+    assert check["limits.rest"].where is not None
+    assert check["limits.rest"].where.s == 1.0
 
 
 def test_speed_hidden_between_grid_points_where_contacts_change_is_found() -> None:
