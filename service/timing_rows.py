@@ -122,9 +122,10 @@ def _balance_rows(
 ) -> HalfRows:
     """Per edge of the polygon ``normal . zmp <= offset - reserve``, times the force that presses on the ground."""
     along = np.roll(support.polygon, -1, axis=0) - support.polygon
-    along = along[np.linalg.norm(along, axis=1) > 1e-12]
-    start = support.polygon[np.linalg.norm(np.roll(support.polygon, -1, axis=0) - support.polygon, axis=1) > 1e-12]
-    normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]
+    length = np.linalg.norm(along, axis=1)
+    is_edge = length > 1e-12
+    along, start = along[is_edge] / length[is_edge, None], support.polygon[is_edge]
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
     offset, h = (normal * start).sum(axis=1), support.height
     zero = np.zeros(len(normal))
     # zmp = (h fx - my, h fy + mx) / fz
@@ -155,7 +156,7 @@ def _of_speed(
     rest: Float[np.ndarray, "M n+6"],
 ) -> Float[np.ndarray, "M n+6"]:
     """What (ds/dt)^2 = 1 adds: inertia times q'' plus Coriolis of q' [Nm, N]."""
-    return _loads(robot, q, slope, bend) - rest
+    return np.asarray(_loads(robot, q, slope, bend) - rest)
 
 
 def _loads(

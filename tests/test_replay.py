@@ -174,6 +174,7 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "the status": (lambda data: data["certificate"].update(status="VIOLATED"), "certificate says 'VIOLATED'"),
     "the start": (lambda data: data["request"]["start"].update(posture="stand"), "starts .* away from the request's"),
     "the feet of the request": (lambda data: data["request"]["options"].update(feet=["l_foot"]), "contacts of phase"),
+    "what is not checked": (lambda data: data["waived"].append("balance"), "the checks that the record waives"),
     "the pace": (lambda data: data["request"]["options"].update(velocity_scale=0.01), "% of the speed limits"),
     "a promise of time": (lambda data: data["curve"].update(law=None), "no time law"),
 }  # fmt: skip

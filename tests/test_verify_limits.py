@@ -100,6 +100,8 @@ def test_the_executed_path_runs_through_the_points_of_a_law_whose_speeds_are_a_l
         ([0.0, 1.0, 2.0], [0.0, 0.5, 1.0], [0.5, np.nan, 0.5], "speeds >= 0"),
         ([0.0, 1.0, 2.0], [1e-6, 0.5, 1.0], [0.5, 0.5, 0.5], "not along the whole curve"),
         ([0.0, 1.0, 2.0], [0.0, 0.5, 1.0 - 1e-6], [0.5, 0.5, 0.5], "not along the whole curve"),
+        ([0.0, 1.0, 2.0], [1.2e-9, 0.5, 1.0], [0.5, 0.5, 0.5], "not along the whole curve"),
+        ([0.0, 1.0, 2.0], [0.0, 0.5, 1.0 + 1.2e-9], [0.5, 0.5, 0.5], "not along the whole curve"),
         ([0.0, 1.0], [0.0, 0.5, 1.0], [0.5, 0.5, 0.5], "got 2, 3 and 3"),
         ([0.0], [0.0], [0.0], "at least 2"),
         ([0.0, 1.0, 2.0, 3.0], [0.0, 0.5, 0.5, 1.0], [0.5, 0.5, 0.5, 0.5], "step 1 .*is 0 times"),
@@ -162,13 +164,31 @@ def test_a_check_names_its_joint_and_where_its_peak_is() -> None:
         assert where is not None
         assert (where.s, where.time_s, where.names) == (pytest.approx(s), pytest.approx(s), ("joint1",))
     assert list(checks) == ["limits.speed", "limits.acceleration", "limits.exported", "limits.rest"]
-    assert checks["limits.speed"].text.startswith("joint1 reaches")
+    assert [checks[f"limits.{kind}"].limit for kind in ("speed", "acceleration", "exported")] == [1.0] * 3
+    assert checks["limits.speed"].text == "joint1 reaches 120.0 % of its speed limit"
+    assert checks["limits.acceleration"].text == "joint1 reaches 25.0 % of its acceleration limit"
+    assert checks["limits.exported"].text == "joint1 reaches 112.0 % of its speed limit between exported samples"
 
 
 def test_exported_speeds_are_differences_of_positions_over_those_of_times() -> None:
     law = TimeLaw(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.25, 1.0]), np.array([0.0, 0.5, 1.0]))
     found = exported_speeds(LINE, law, np.array([0.0, 0.25, 1.0]))
     np.testing.assert_allclose(found, [[0.25], [0.75]], rtol=1e-12)
+
+
+def test_what_rounding_makes_of_close_samples_is_no_speed() -> None:
+    # Positions near 3000, path parameters near 700, times near 100 s: each may be the one whose last places show.
+    for offset, start, pace in ((3000.0, 0.0, 1.0), (0.0, 700.0, 1.0), (0.0, 0.0, 0.01)):
+        knots = start + np.arange(2.0)
+        curve = Curve(knots, offset + LINE.positions, LINE.tangents)
+        law = TimeLaw(np.arange(2.0) / pace, knots, np.full(2, pace))
+        samples = np.unique(np.concatenate([knots, start + 0.99 + 1e-11 * np.arange(50)]))
+        assert exported_speeds(curve, law, samples).max() <= pace * (1.0 + 1e-9)
+        # And no more than that is forgiven: ten times the distance is ten times the speed, but for the last places.
+        fast = exported_speeds(curve, TimeLaw(0.1 * law.times, knots, 10.0 * law.speed), samples)
+        assert fast[[0, -1]].min() >= 9.9999 * pace
+    one = exported_speeds(LINE, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2)), np.array([0.0, 1e-12, 1.0]))
+    assert 0.98 < one[0, 0] <= 1.0
 
 
 def test_samples_that_are_faster_than_the_limit_are_refused_however_the_law_explains_it(
@@ -183,6 +203,23 @@ def test_samples_that_are_faster_than_the_limit_are_refused_however_the_law_expl
     assert check.value == pytest.approx(1.0 + 3e-6, abs=1e-9)
     monkeypatch.setattr("service.verify.limits.times_of", lambda law, s: np.minimum(s, 0.5))  # repeated times
     assert _checks(motion)["limits.exported"].value == np.inf
+    still = replace(motion, curve=Curve(LINE.knots, np.zeros((2, 1)), np.zeros((2, 1))))
+    assert _checks(still)["limits.exported"].value == 0.0
+
+
+def test_one_joint_that_moves_where_the_robot_should_rest_is_enough() -> None:
+    rows = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, -1.0]])
+    curve = Curve(np.arange(2.0), rows, np.array([[0.0, 0.0, -3e-6], [0.0, 0.0, 0.0]]))
+    check = _checks(Motion(_robot(3), Scene(), curve, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2))))
+    assert check["limits.rest"].value == pytest.approx(3e-6)
+    assert not check["limits.rest"].ok
+    assert check["limits.rest"].where is not None
+    assert check["limits.rest"].where.s == 0.0
+    turned = Curve(np.arange(2.0), rows, np.array([[0.0, 0.0, 0.0], [0.0, 9e-7, 0.0]]))
+    check = _checks(Motion(_robot(3), Scene(), turned, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2))))
+    assert check["limits.rest"].ok
+    assert check["limits.rest"].where is not None
+    assert check["limits.rest"].where.s == 1.0
 
 
 def test_speed_hidden_between_grid_points_where_contacts_change_is_found() -> None:

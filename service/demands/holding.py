@@ -21,6 +21,7 @@ from service.request import PlanRequest
 from service.start import overlaps
 from service.verify import Certificate, Motion, Phase, Target
 from service.verify.certificate import bodies_hash, robot_hash, scene_hash
+from service.verify.duties import BALANCE, TIMING
 
 ESCAPE = "escape"
 DEPTH_ROUNDING_M = 1e-4  # by which a pair may be deeper than it was measured at the start
@@ -161,6 +162,13 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         targets=(*targets, *promises.everywhere),
         support=promises.stance.support(phase.name, first),
     )
+
+
+def _waived(demands: Demands, stance: Stance) -> frozenset[str]:
+    """The checks that the request does not ask for."""
+    is_unbalanced = demands.robot.is_floating and stance.hull is None
+    untimed = [] if demands.request.options.timed else [TIMING]
+    return frozenset((*untimed, *([BALANCE] if is_unbalanced else [])))
 
 
 def _world_differences(demands: Demands, robot: RobotModel, recorded: Motion) -> Iterator[str]:
