@@ -20,6 +20,7 @@ from service.keep import KeptPose, kept_poses
 from service.monitor import Interrupted
 from service.obstacles import flat_floor, obstacles_of
 from service.request import PlanRequest
+from service.request_units import far_obstacles, unit_problems
 from service.start import (
     FEET_GROUP,
     FLOOR_KIND,
@@ -118,6 +119,10 @@ def _prepare(
 ) -> PlanSetup:
     start, notes, program = _start(robot, request)
     _check_goal(robot, request)
+    problems = unit_problems(request, robot, start)
+    if problems:
+        raise RequestError(problems)
+    notes += far_obstacles(request, robot, start)
     kept = _kept(robot, start, request)
     soles = _soles(robot, start, request, program)
     say("perceive scene")
