@@ -102,9 +102,10 @@ def _end_of_program(setup: PlanSetup) -> _End:
         if isinstance(term, PoseTerm) and not term.is_cost and term.reference is None and not any(term.offset_xyz)
     ]
     targets: list[Target] = [PoseTarget(frame, place, turn, FREE, FREE, 0.0) for frame, place, turn in poses]
-    q = (hit[:1] or fixed[-1:] or [None])[0]
-    if q is None:
+    shown = [*hit[:1], *fixed[-1:]]
+    if not shown:
         return _End(tuple(targets), None, _turned_as_at_start(setup, poses))
+    q = shown[0]
     names = setup.robot.joint_names
     targets += [JointTarget(names[column], float(q[column]), 0.0, 0.0) for column in program.columns.tolist()]
     return _End(tuple(targets), q)

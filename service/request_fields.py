@@ -15,6 +15,7 @@ from service.errors import shown, would_do
 
 QUATERNION_NORM_TOLERANCE = 1e-3  # what rounding to a few digits explains
 WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
+LARGEST_M = 100.0  # no obstacle near a robot is wider: beyond this its numbers are in another unit
 MAX_JOINTS = 1000  # of a robot that anybody plans for
 MAP_M = 1e8  # map coordinates are offset from zero by thousands of kilometres
 
@@ -53,6 +54,18 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
     return (w, x, y, z)
 
 
+def _in_metres(sizes: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    """Refuse a size that only another unit explains."""
+    for size in (sizes,) if isinstance(sizes, float) else sizes:
+        if size > LARGEST_M:
+            raise PydanticCustomError(
+                "unit",
+                "{size} m is larger than {most} m; are these millimetres? Use {metres}.",
+                {"size": f"{size:g}", "most": f"{LARGEST_M:g}", "metres": f"{size / 1000.0:g}"},
+            )
+    return sizes
+
+
 def _flag_or_height(value: object) -> object:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if isinstance(value, bool) or (is_number and abs(float(value)) <= WORKSPACE_M):  # type: ignore[arg-type]
@@ -72,6 +85,9 @@ def _single_line(name: str) -> str:
     return name
 
 
+_Size = Annotated[Number, Field(gt=0.0)]
+Size = Annotated[_Size, AfterValidator(_in_metres)]
+Sizes = Annotated[tuple[_Size, _Size, _Size], AfterValidator(_in_metres)]
 Joints = Annotated[dict[Name, Number], at_most(MAX_JOINTS)]
 Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
 Floor = Annotated[bool | float, BeforeValidator(_flag_or_height)]

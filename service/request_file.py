@@ -50,7 +50,7 @@ _WORDS = {
     "string_too_short": "a text with at least {min_length} character is needed",
     "literal_error": "{expected} would do",
 }
-_SPEAK_FOR_THEMSELVES = {"unknown_key", "exactly_one", "quaternion"}
+_SPEAK_FOR_THEMSELVES = {"unknown_key", "exactly_one", "quaternion", "unit"}
 
 
 class _Loader(yaml.CSafeLoader):

@@ -23,6 +23,7 @@ from service.keep import KeptPose, kept_poses
 from service.names import TakenNames, check_names
 from service.obstacles import obstacles_of
 from service.request import PlanRequest
+from service.request_units import far_obstacles, unit_problems
 from service.start import (
     FEET_GROUP,
     Overlap,
@@ -121,6 +122,10 @@ def _prepare(
     check_names(request, robot, TakenNames.of(robot, request))
     start, notes, program = start_of(robot, request)
     _check_goal(robot, request)
+    problems = unit_problems(request, robot, start)
+    if problems:
+        raise RequestError(problems)
+    notes += far_obstacles(request, robot, start)
     kept = _kept(robot, start, request)
     soles = _soles(robot, start, request, program)
     say("perceive scene")

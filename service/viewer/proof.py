@@ -108,7 +108,7 @@ def _least_on(
     between = np.array(
         [value[(first <= after) & (last >= before)].min(initial=np.inf) for before, after in pairwise(path.tolist())]
     )
-    return np.minimum(np.append(between, np.inf), np.insert(between, 0, np.inf))
+    return np.asarray(np.minimum(np.append(between, np.inf), np.insert(between, 0, np.inf)))
 
 
 def _gaps(columns: Mapping[str, Any], time_of: TimeOf) -> tuple[Gap, ...]:

@@ -39,7 +39,11 @@ export function makeHeader(
     chips.append(element);
   }
   if (typeof result.figures.turned_deg === "number") chips.append(chip("turned", figure(result.figures.turned_deg, "deg")));
-  if (typeof result.planning_time_s === "number") chips.append(chip("planned in", seconds(result.planning_time_s)));
+  if (typeof result.planning_time_s === "number") {
+    const planned = chip("planned in", seconds(result.planning_time_s));
+    planned.classList.add("planned");
+    chips.append(planned);
+  }
 
   const names: Record<View, string> = { "3d": "3D", front: "Front", side: "Side", top: "Top", hand: "Hand" };
   const views = new Map(VIEWS.map((view, i) => [view, button("", names[view], `${names[view]} view (${i + 1})`, () => show(view))]));

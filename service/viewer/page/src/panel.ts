@@ -88,6 +88,7 @@ export class Panel {
     if (result.rests_on.length > 0) {
       scroll.append(section("What the certificate says", el("ul", "notes", ...result.rests_on.map((line) => el("li", "", line)))));
     }
+    if (typeof result.planning_time_s === "number") timings.push(["all of it", seconds(result.planning_time_s)]);
     if (timings.length > 0) scroll.append(section("Planning", table(timings)));
     if (result.request_hash) scroll.append(el("p", "hash", result.request_hash));
     this.element.append(this.grip(), scroll);
