@@ -12,6 +12,7 @@ import io
 import logging
 import sys
 import tarfile
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -24,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.tables import print_table
+from perception import Cloud, read_cloud, write_npz
 from service.cloud_asked import CloudAsked
 from service.executor import JobCancelled, LocalPool
 from service.request import PlanRequest
@@ -35,8 +37,9 @@ from service.work.plan import PlanAnswer, PlanTask, run_plan, warm_up
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCAN = EXAMPLES / "data" / "valve_scan.pcd"
+DENSER = 3  # times the points of the scan
 CHECKED_EVERY = 5  # cancels after which a plan is compared, besides the last
-AT_LONGEST_S = 120.0
+AT_LONGEST_S = 900.0
 CRASHES = ("Fatal Python error", "Segmentation fault", " ended: ")
 
 
@@ -88,9 +91,13 @@ def run(count: int, seed: int = 0) -> Report:
     rng, report = np.random.default_rng(seed), Report()
     requests = [load_request(EXAMPLES / "requests" / name) for name in ("pose_goal.yaml", "valve.yaml")]
     fresh = _fresh_plans(requests)
-    attacks = _attacks(rng, requests, _files(fresh[0]))
     typical: dict[str, float] = {}
-    with _deaths(report), LocalPool(1, preload=PRELOAD, warm_up=warm_up) as pool:
+    with (
+        tempfile.TemporaryDirectory(prefix="scopt-cancels-") as scratch,
+        _deaths(report),
+        LocalPool(1, preload=PRELOAD, warm_up=warm_up) as pool,
+    ):
+        attacks = _attacks(rng, requests, _files(fresh[0]), (SCAN, _denser_scan(Path(scratch))))
         for index in range(count):
             attack = next(attacks)
             _cancel(pool, attack, rng.uniform(0.0, 1.1), typical, report)
@@ -103,14 +110,24 @@ def run(count: int, seed: int = 0) -> Report:
     return report
 
 
-def _attacks(rng: np.random.Generator, requests: list[PlanRequest], files: Mapping[str, bytes]) -> Iterator[_Attack]:
-    clouds = CloudAsked((SCAN,))
+def _attacks(
+    rng: np.random.Generator, requests: list[PlanRequest], files: Mapping[str, bytes], scans: tuple[Path, ...]
+) -> Iterator[_Attack]:
     while True:
+        clouds = CloudAsked((scans[int(rng.integers(len(scans)))],))
         unknown = str(rng.choice(["free", "occupied"]))
         yield _Attack("scene", build_scene, (SceneTask(clouds, (str(rng.choice(KINDS)),), unknown=unknown),))
         yield _Attack("detect", detect, (clouds, str(rng.choice([*KINDS, "all"])), None))
         yield _Attack("plan", run_plan, (PlanTask(requests[int(rng.integers(len(requests)))]),))
         yield _Attack("verify", verify, (files,))
+
+
+def _denser_scan(folder: Path) -> Path:
+    """The scan with many times the points, whose searches for neighbours take long."""
+    cloud, rng = read_cloud(SCAN), np.random.default_rng(0)
+    points = np.concatenate([cloud.points + rng.normal(0.0, 0.004, cloud.points.shape) for _ in range(DENSER)])
+    write_npz(folder / "dense.npz", Cloud(points, np.median(np.atleast_2d(cloud.origin), axis=0)))
+    return folder / "dense.npz"
 
 
 def _cancel(pool: LocalPool, attack: _Attack, share: float, typical: dict[str, float], report: Report) -> None:

@@ -18,6 +18,7 @@ from costs.stopping import Stopped, poll, stops_when
 from service.attached import robot_with_attached
 from service.errors import RequestError, would_do
 from service.keep import KeptPose, kept_poses
+from service.masses import check_masses
 from service.obstacles import flat_floor, obstacles_of
 from service.request import PlanRequest
 from service.start import (
@@ -105,6 +106,7 @@ def prepare(
     if robot is None:
         robot = _timed(timings, "load_robot", lambda: load_requested_robot(request))
     robot = robot_with_attached(robot, request)
+    check_masses(robot)
     return _prepare(request, robot, say, timings, should_stop, see)
 
 
