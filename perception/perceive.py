@@ -20,6 +20,7 @@ from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.unknown import unknown_pieces
 from perception.detect.valve import ValveDetection, detect_in
 from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
+from perception.errors import MeshError
 from perception.floor import FloorPlane, floor_pieces
 from perception.neighbours import nearest
 from perception.solids.known import KnownMesh, located
@@ -29,6 +30,7 @@ from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]
 CONFIDENT = 0.5
+_LEAST_SHOWN = 0.25  # of a mesh's span, that of a scan which is to show it
 _MOST_SHOWN = 60_000
 _SHOWN_VOXEL = 0.01
 FRINGE = 5.0 / 3.0  # of the tolerance of three standard deviations
@@ -163,13 +165,31 @@ def without_best(valves: Sequence[ValveDetection], view: View) -> tuple[Int[np.n
 
 
 def matched(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[str, MeshMatch]:
-    """By name where each known mesh is."""
+    """By name where each known mesh is.
+
+    Raises:
+        MeshError: the whole scan is much smaller than one of them.
+    """
     matches: dict[str, MeshMatch] = {}
     for one in known:
         poll()
+        _check_span(one, view)
         matches[one.name] = located(one, view)
         clock.lap("known meshes")
     return matches
+
+
+def _check_span(known: KnownMesh, view: View) -> None:
+    """
+    Raises:
+        MeshError: the whole scan is much smaller than a mesh that it is to show.
+    """
+    vertices = np.concatenate([mesh.vertices for mesh in (*known.solid.closed, *known.solid.open)])
+    mesh_m, scan_m = (float(np.ptp(points, axis=0).max()) for points in (vertices, view.cloud.points))
+    if not known.is_placed and scan_m < _LEAST_SHOWN * mesh_m:
+        raise MeshError(
+            f"spans only {scan_m:.2g} m, and {known.name}, which it is to show, {mesh_m:.2g} m; is its unit right?"
+        )
 
 
 def _made(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coacd"]) -> Pieces:

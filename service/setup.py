@@ -20,6 +20,7 @@ from service.demands import compose_scene
 from service.errors import RequestError, would_do
 from service.footing import FLOOR_KIND, floor_at_soles, ground_problems
 from service.keep import KeptPose, kept_poses
+from service.masses import check_masses
 from service.names import TakenNames, check_names
 from service.obstacles import obstacles_of
 from service.request import PlanRequest
@@ -108,6 +109,7 @@ def prepare(
     if robot is None:
         robot = _timed(timings, "load_robot", lambda: load_requested_robot(request))
     robot = robot_with_attached(robot, request)
+    check_masses(robot)
     return _prepare(request, robot, say, timings, should_stop, see)
 
 

@@ -299,3 +299,35 @@ def test_what_is_attached_is_a_link_that_goals_and_what_is_kept_may_name() -> No
 
 
 GOAL_OF_BEAM = {"link": "beam", "position": [0.5, 0.0, 1.2]}
+
+
+def _post(folder: Path, inertial: str) -> Path:
+    """A post with an arm on a foot."""
+    links = "".join(
+        f'<link name="{name}">{inertial}<collision><origin xyz="0 0 {z}"/><geometry><box size="{size}"/></geometry>'
+        "</collision></link>"
+        for name, z, size in (("foot", 0.05, "0.4 0.4 0.1"), ("post", 0.3, "0.1 0.1 0.5"))
+    )
+    joint = (
+        '<joint name="turn" type="revolute"><parent link="foot"/><child link="post"/><origin xyz="0 0 0.12"/>'
+        '<axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="1" effort="100"/></joint>'
+    )
+    path = folder / "post.urdf"
+    path.write_text(f'<robot name="stele">{links}{joint}</robot>')
+    return path
+
+
+NO_MASS = '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
+@pytest.mark.parametrize("inertial", ["", NO_MASS])
+def test_a_robot_that_has_to_balance_and_weighs_nothing_is_refused(tmp_path: Path, inertial: str) -> None:
+    asked = {"robot": {"urdf": str(_post(tmp_path, inertial)), "root": "floating"}, "goal": {"joints": {"turn": 0.5}}}
+    asked["options"] = {"feet": ["foot"]}
+    (line,) = _problems(tmp_path, **asked)
+    assert line.startswith("robot.urdf: the links of stele have 0 kg in all")
+
+
+def test_a_robot_that_is_bolted_down_needs_no_masses(tmp_path: Path) -> None:
+    robot = {"urdf": str(_post(tmp_path, "")), "root": "fixed"}
+    assert not _prepare(tmp_path, robot=robot, goal={"joints": {"turn": 0.5}}).robot.is_floating

@@ -52,8 +52,11 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float]) -> Urd
         raise RobotError(f"{where}: no <link>; a robot has at least one")
     if len(link_elements) > MAX_LINKS:
         raise RobotError(f"{where}: {len(link_elements)} links; at most {MAX_LINKS} are read")
-    _refuse_repeated(where, "link", [required(element, "name", where) for element in link_elements])
-    _refuse_repeated(where, "joint", [required(element, "name", where) for element in tree.findall("joint")])
+    link_names = [required(element, "name", where) for element in link_elements]
+    joint_names = [required(element, "name", where) for element in tree.findall("joint")]
+    _refuse_repeated(where, "link", link_names)
+    _refuse_repeated(where, "joint", joint_names)
+    _refuse_shared(where, link_names, joint_names)
     joints = {}
     for element in tree.findall("joint"):
         joint = parse_joint(element, where)
@@ -105,6 +108,13 @@ def _refuse_repeated(where: str, tag: str, names: list[str]) -> None:
     for name in names:
         if name in ("universe", "root_joint"):
             raise RobotError(f"{where}: {tag} name '{name}' is reserved; rename it")
+
+
+def _refuse_shared(where: str, links: list[str], joints: list[str]) -> None:
+    """Refuse joints that are named as links are: pinocchio could not tell their frames apart."""
+    shared = sorted(set(links) & set(joints))
+    if shared:
+        raise RobotError(f"{where}: '{shared[0]}' is the name of a link and of a joint; rename the joint")
 
 
 def _check_inertia(element: etree._Element, where: str) -> None:
