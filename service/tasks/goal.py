@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,7 @@ from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
-from service.explain_goal import never_reached
+from service.explain_goal import GoalReasons, goal_reasons
 from service.explain_keep import never_kept
 from service.request import GoalRequest, PoseGoalRequest
 from service.verify import AxisTarget, JointTarget, PoseTarget, Target
@@ -78,10 +78,11 @@ class Goal:
             *(target for pose in self.poses for target in _pose_targets(pose, s_last)),
         )
 
-    def impossible(self) -> tuple[str, ...]:
-        """Reasons that hold for every motion."""
+    def reasons(self) -> GoalReasons:
+        """What stands against it before anything is planned."""
         targets = self.targets(0.0)
-        return (*never_reached(self.body, targets), *never_kept(self.body, targets))
+        reasons = goal_reasons(self.body, targets)
+        return replace(reasons, impossible=(*reasons.impossible, *never_kept(self.body, targets)))
 
 
 def rotation_of(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:

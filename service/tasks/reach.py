@@ -54,9 +54,9 @@ def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | Non
     """One phase from the start to the goal, as often as a start leads there; one that falls short if none does."""
     body = solver.body
     goal = Goal.of(body, request)
-    impossible = goal.impossible()
-    if impossible:
-        yield TaskPlan(body, (), impossible, is_impossible=True)
+    reasons = goal.reasons()
+    if reasons.impossible or reasons.unresolved:
+        yield TaskPlan(body, (), reasons.impossible or reasons.unresolved, is_impossible=bool(reasons.impossible))
         return
     search = _Search(solver, goal, n_waypoints)
     best: tuple[str, Solved] | None = None
