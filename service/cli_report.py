@@ -37,12 +37,22 @@ def print_findings(out: Console, summary: Mapping[str, Any]) -> None:
 def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
     """The last line of a command, which starts with the verdict; then what stands in the way, or how it went."""
     verdict = str(summary["verdict"])
-    sentence = " ".join(next(iter(summary.get("explanation") or []), "").split())
+    sentence = _first_sentence(summary.get("explanation") or [])
     if not sentence:
         planned = f", planned in {summary['planning_time_s']:.2f} s" if "planning_time_s" in summary else ""
         sentence = f"clearance {_millimetres(summary.get('min_clearance_m'))}{planned}"
     line = Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}")
     out.print(line.append(f"  {sentence}", style="not bold default"), soft_wrap=True)
+
+
+def _first_sentence(lines: Sequence[str]) -> str:
+    """What stands in the way in one line; a line that announces others is followed by them."""
+    said: list[str] = []
+    for line in lines:
+        said += line.split()
+        if not line.rstrip().endswith((":", ";")):
+            break
+    return " ".join(said)
 
 
 def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
