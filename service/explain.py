@@ -142,7 +142,7 @@ def _reduced(
     kept = [group for group in ranked if group not in left_out]
     if not kept:
         return list(ranked), Search.NO_HELP
-    decided = []
+    decided: list[Group] = []
     for group in kept:
         # With nothing else left out, the filter has tried just that.
         starts = (solutions[group.key], starts[-1])
