@@ -55,6 +55,10 @@ class Overlap:
     @property
     def nearness(self) -> str:
         """Where only the hulls overlap: ``l2 is 0.4 mm from ball (obstacle), nearer than ... hulls resolve ...``."""
+        if self.depth > 0.0:
+            return (
+                f"{self}, as far as tolerances allow, while the planner's hulls overlap by {_length(self.hull_depth)}"
+            )
         kind = "" if self.kind in ("", self.other) else f" ({self.kind})"
         return (
             f"{self.link} is {_length(max(-self.depth, 0.0))} from {self.other}{kind}, nearer than the planner's hulls "

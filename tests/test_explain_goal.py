@@ -197,3 +197,22 @@ def test_a_target_deep_in_an_obstacle_is_said_to_be_so_and_one_beside_it_is_not(
     (line,) = never_reached(body, [at("l_tool", [0.75, 0.0, 0.93], up)])
     assert line.startswith("the goal is in collision: with l_tool at [0.75, 0.0, 0.93], turned as asked, l_h")
     assert line.endswith(" mm inside table (obstacle)")
+
+
+def test_two_poses_that_put_links_into_each_other_are_told_with_both(arm):
+    poses = [at("l0", [0.0, 0.0, 0.0], np.eye(3), turn=1e-3), at("l2", [0.05, 0.03, 0.0], np.eye(3), turn=1e-3)]
+    lines = never_reached(standing(arm), poses)
+    told = "the goal is in collision: with l0 at [0.0, 0.0, 0.0] and l2 at [0.05, 0.03, 0.0], turned as asked,"
+    assert f"{told} l0 is 10 mm inside l2" in lines
+    apart = [poses[0], at("l2", [0.05, 0.05, 0.0], np.eye(3), turn=1e-3)]
+    assert not any("turned as asked" in line for line in never_reached(standing(arm), apart))
+
+
+def test_a_pose_that_only_its_tolerance_may_free_is_noted_and_not_called_impossible(arm):
+    beside = box("block", (0.5, 0.05 - 3e-3, 0.0), (0.03, 0.03, 0.1))
+    reasons = goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=2e-3)])
+    assert reasons.impossible == reasons.unresolved == ()
+    told = "with l2 at [0.4, 0.0, 0.0], turned as asked, l2 is 3.0 mm inside block (obstacle)"
+    assert reasons.notes == (f"{told}; only its tolerance can free it",)
+    exact = goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=1e-4, turn=1e-3)])
+    assert exact == GoalReasons((f"the goal is in collision: {told}",), ())
