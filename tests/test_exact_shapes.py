@@ -10,16 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planar_arm import write_planar_arm
 from scipy.spatial.transform import Rotation
+from tiny_robots import atlas
 
 from costs.primitive import round_shape
 from costs.robot import load_robot, shapes
-from costs.scene import ConvexPiece
+from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError
 from service.exact import ExactShape
+from service.explain_goal import never_reached
 from service.planner import plan
 from service.request import PlanRequest
 from service.request_file import parse_request
 from service.result import Verdict
+from service.start import FEET_GROUP
+from service.verify import PoseTarget
+from service.whole_body import Aims, WholeBody
 
 SEED = st.integers(0, 10_000)
 ARM_END_M = 0.6  # of three links of 0.2 m, 40 mm thick
@@ -157,3 +162,28 @@ def test_a_link_keeps_the_round_shape_of_its_description(tmp_path: Path) -> None
     np.testing.assert_allclose(body.exact.pose[:3, 3], [0.1, 0.0, 0.0])
     axis = body.exact.pose[:3, 2]
     assert np.abs(body.vertices @ axis - 0.1 * axis[0]).max() <= 0.1 + 0.05 + 0.002
+
+
+@given(seed=SEED)
+@settings(max_examples=30)
+def test_a_link_said_to_be_in_a_round_shape_is_in_it_at_every_pose_within_tolerance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robot = atlas()
+    piece = _shifted(_piece(("sphere", "cylinder", "capsule")[seed % 3], rng, 1.0)[0], np.array([0.6, 0.2, 1.0]))
+    tolerance, turn = rng.uniform(1e-3, 0.02), rng.uniform(1e-3, 0.1)
+    position = piece.vertices.mean(axis=0) + rng.normal(scale=0.15, size=3)
+    rotation = Rotation.random(random_state=seed)
+    body = WholeBody.standing(robot, Scene((piece,)), robot.postures["stand"], robot.link_groups[FEET_GROUP], Aims())
+    target = PoseTarget("l_tool", position, rotation.as_matrix(), np.full(3, tolerance), np.full(3, turn), 0.0)
+    frame = robot.model.frames[robot.model.getFrameId("l_tool")]
+    shape = ExactShape.of(piece)
+    for line in never_reached(body, [target]):
+        link = line.rsplit(" is ", 1)[0].split()[-1]
+        carried = [one for one in robot.bodies if one.link == link]
+        for _ in range(20):
+            axis = rng.uniform(-turn, turn, 3) / np.sqrt(3.0)
+            pose = np.eye(4)
+            pose[:3, :3] = (rotation * Rotation.from_rotvec(axis)).as_matrix()
+            pose[:3, 3] = position + rng.uniform(-1.0, 1.0, 3) * tolerance
+            pose_joint = pose @ np.linalg.inv(frame.placement.homogeneous)
+            assert max(ExactShape.of(one).depth_in(shape, pose_joint) for one in carried) > 0.0, line
