@@ -38,7 +38,7 @@ def print_findings(out: Console, summary: Mapping[str, Any]) -> None:
 def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
     """The last line of a command, which starts with the verdict; then what stands in the way, or how it went."""
     verdict = str(summary["verdict"])
-    sentence = " ".join(next(iter(summary.get("explanation") or []), "").split())
+    sentence = _first_sentence(summary.get("explanation") or [])
     if not sentence:
         planned = f", planned in {summary['planning_time_s']:.2f} s" if "planning_time_s" in summary else ""
         held_to = f", {summary['held_to']}" if summary.get("held_to") else ""
@@ -73,6 +73,16 @@ def uncovered(coverage: Mapping[str, Any] | None) -> str:
 
 def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _first_sentence(lines: Sequence[str]) -> str:
+    """What stands in the way in one line; a line that announces others is followed by them."""
+    said: list[str] = []
+    for line in lines:
+        said += line.split()
+        if not line.rstrip().endswith((":", ";")):
+            break
+    return " ".join(said)
 
 
 def print_figures(out: Console, summary: Mapping[str, Any]) -> None:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from costs.primitive import Primitive, round_shape
 from costs.robot import shapes
 from costs.scene import ConvexPiece
 from service.errors import RequestError
@@ -93,7 +94,8 @@ def obstacles_of(
             parts = [_shape(obstacle, field)]
         for number, vertices in enumerate(parts, start=1):
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
-            pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3]))
+            exact = _round(obstacle, pose)
+            pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3], exact=exact))
     return Obstacles(tuple(pieces), tuple(notes))
 
 
@@ -135,6 +137,20 @@ def _shape(
             return shapes.capsule(obstacle.radius, obstacle.height)
         case ConvexRequest():
             return _hull(np.array(obstacle.points), f"{field}.points")
+
+
+def _round(obstacle: ObstacleRequest, pose: Float[np.ndarray, "4 4"]) -> Primitive | None:
+    """The round shape in the world that an obstacle is; None for the others, whose vertices are exact."""
+    match obstacle:
+        case SphereRequest():
+            given = round_shape("sphere", (obstacle.radius,))
+        case CylinderRequest():
+            given = round_shape("cylinder", (obstacle.radius, obstacle.height))
+        case CapsuleRequest():
+            given = round_shape("capsule", (obstacle.radius, obstacle.height))
+        case _:
+            return None
+    return None if given is None else given.moved(pose)
 
 
 def _hull(points: Float[np.ndarray, "V 3"], field: str) -> Float[np.ndarray, "W 3"]:

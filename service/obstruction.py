@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 from costs.kinematics import KinematicsEngine, frame_of, planted_poses
 from costs.robot import RobotModel
 from costs.scene import Scene
+from service.demands.goals import rotation_of
 from service.motion_json import file_positions
 from service.phase_json import targets_json
 from service.setup import PlanSetup
 from service.start import overlaps
-from service.tasks.goal import Goal, rotation_of
+from service.tasks.goal import Goal
 from service.verify import CircleTarget, JointTarget, PoseTarget, Target
 from service.verify.convex import convex_of
 from service.whole_body import Aims, WholeBody

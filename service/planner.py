@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 MAX_REPAIRS = 3
 GRACE_S = 0.2  # after the time limit, for the motion of the best attempt; there is none where that takes longer
-EXPLAIN_TIME_S = 4.0  # wall time spent on narrowing down why nothing was found
+# Wall time spent on narrowing down why nothing was found: as long as the search took, within these.
+EXPLAIN_LEAST_S, EXPLAIN_MOST_S = 10.0, 60.0
 RANK = {Status.VIOLATED: 0, Status.FEASIBLE_AT_SAMPLES: 1, Status.CERTIFIED: 2}
 VERDICT_OF_STATUS = {
     Status.CERTIFIED: Verdict.CERTIFIED,
@@ -216,7 +217,8 @@ def _explain(attempt: _Attempt, solver: PhaseSolver) -> None:
     """Narrow down what stands in the way where a step had no solution, as far as the time allows."""
     task, monitor = attempt.task, solver.monitor
     stuck = None if task is None else task.stuck
-    left = min(EXPLAIN_TIME_S, monitor.remaining_s())
+    searched = time.perf_counter() - monitor.started
+    left = min(max(EXPLAIN_LEAST_S, searched), EXPLAIN_MOST_S, monitor.remaining_s())
     if task is None or stuck is None or left <= 0.0:
         return
     with monitor.step("explain", 0.95):

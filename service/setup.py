@@ -29,8 +29,9 @@ from service.start import (
     FEET_GROUP,
     Overlap,
     beyond_limits,
+    hull_overlaps,
     no_way_out,
-    overlaps,
+    overlaps_and_unresolved,
     sole,
     standing_problems,
     start_configuration,
@@ -59,7 +60,9 @@ class PlanSetup:
         soles: for each planted link, the corners of its sole in the world at the start [m].
         kept: relative poses that hold along the whole motion.
         program: the problem file that is to be solved, or None.
-        overlaps: what the robot is in at its start, to be left first.
+        overlaps: what the hulls of the robot are in at its start, to be left first.
+        unresolved: sentences about what the robot is clear of at its start while the hulls that stand for them
+            overlap, so that nothing can be certified there.
         notes: what was assumed, snapped or noticed.
         timings: seconds by step.
         is_stopped: whether it was to stop before all of the scene was there; the scene is then empty.
@@ -77,6 +80,7 @@ class PlanSetup:
     notes: tuple[str, ...]
     timings: Mapping[str, float]
     is_stopped: bool = False
+    unresolved: tuple[str, ...] = ()
 
     @property
     def contacts(self) -> tuple[str, ...]:
@@ -145,10 +149,13 @@ def _prepare(
     scene, renamed = compose_scene(request, robot, start, pieces, obstacles.pieces)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
-    inside = _timed(timings, "check_start", check)
-    notes += tuple(f"start is in collision: {one}; the first phase leaves it" for one in inside)
+    leaving, inside, near = _timed(timings, "check_start", check)
+    notes += tuple(f"{line}; the first phase leaves it" for line in (*inside, *near) if leaving)
     notes += obstacles.notes + about.notes + shifted + renamed
-    return PlanSetup(request, robot, start, scene, about, soles, kept, program, inside, notes, timings)
+    unresolved_now = () if leaving else near
+    return PlanSetup(
+        request, robot, start, scene, about, soles, kept, program, leaving, notes, timings, unresolved=unresolved_now
+    )
 
 
 def start_of(robot: RobotModel, request: PlanRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
@@ -267,20 +274,24 @@ def _check_start(
     soles: Mapping[str, np.ndarray],
     request: PlanRequest,
     program: Program | None,
-) -> tuple[Overlap, ...]:
-    """What the robot is in at its start, which is nothing unless it may escape."""
+) -> tuple[tuple[Overlap, ...], tuple[str, ...], tuple[str, ...]]:
+    """Overlaps of hulls at the start that are to be left first; what it is in, and what it is too near to, in words.
+
+    Raises:
+        RequestError: the start is in collision and may not escape, or cannot; or it is out of balance.
+    """
     problems = []
     is_balanced = program is None or program.is_balanced
     feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
     grounded = dict(ground_problems(scene.pieces, feet)) if robot.is_floating else {}
-    inside = [
-        one
-        for one in overlaps(robot, start, scene, tuple(soles))
-        # A sole in the floor is told once, as a floor too high.
-        if one.kind != FLOOR_KIND or one.link not in grounded
-    ]
+    # A sole in the floor is told once, as a floor too high.
+    inside, near = (
+        [one for one in pairs if one.kind != FLOOR_KIND or one.link not in grounded]
+        for pairs in overlaps_and_unresolved(robot, start, scene, tuple(soles))
+    )
+    may_leave = program is None and request.options.escape
     obstacles = [no_way_out(one, tuple(soles)) for one in inside]
-    if program is not None or not request.options.escape:
+    if not may_leave:
         problems = [f"start is in collision: {one}" for one in inside]
         if inside and program is None and not any(obstacles):
             problems.append("options.escape: false; true would plan a way out of the collision first")
@@ -295,4 +306,10 @@ def _check_start(
         problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]
     if problems:
         raise RequestError(problems)
-    return tuple(inside)
+    if any(no_way_out(one, tuple(soles)) for one in near):
+        may_leave = False
+    return (
+        tuple(hull_overlaps(robot, start, scene, tuple(soles))) if may_leave else (),
+        tuple(f"start is in collision: {one}" for one in inside),
+        tuple(f"the start is too near to plan from: {one.nearness}" for one in near),
+    )

@@ -69,7 +69,7 @@ def test_a_start_in_collision_is_refused_with_pair_and_depth_and_told_what_would
     with pytest.raises(RequestError) as caught:
         prepare(arm_request(tmp_path))
     assert caught.value.problems == (
-        "start is in collision: l2 is 0.010 m inside block (obstacle)",
+        "start is in collision: l2 is 10 mm inside block (obstacle)",
         "options.escape: false; true would plan a way out of the collision first",
     )
 
@@ -90,7 +90,7 @@ def test_the_first_phase_leaves_and_the_rest_is_certified_as_ever(escaped):
 
 def test_no_claim_of_the_result_calls_the_motion_clear(escaped):
     result, _ = escaped
-    assert "start is in collision: l2 is 0.010 m inside block (obstacle); the first phase leaves it" in result.notes
+    assert "start is in collision: l2 is 10 mm inside block (obstacle); the first phase leaves it" in result.notes
     (start,) = [check for check in result.certificate.checks if check.name.startswith("start.")]
     assert start.text == ("starts in collision: l2 is 10.0 mm inside block, which 'escape' allows down to 10.1 mm")
     assert start.value == pytest.approx(-0.01, abs=1e-6)
@@ -103,7 +103,7 @@ def test_no_claim_of_the_result_calls_the_motion_clear(escaped):
     print_verdict(screen, summary_json(result))
     printed = screen.file.getvalue()
     assert "l2 and block" in printed.split("CERTIFIED")[0]  # the table of pairs that may touch
-    assert "note: start is in collision: l2 is 0.010 m inside block" in printed
+    assert "note: start is in collision: l2 is 10 mm inside block" in printed
     assert ", pairs that may touch aside" in printed.split("clearance     ")[-1]
 
 
@@ -150,7 +150,7 @@ def test_links_that_are_in_each_other_at_the_start_come_apart():
         exempt for exempt in result.certificate.exempt if exempt.pair != ("l_foot", "floor") and exempt.deepest_m > 1e-6
     ]
     assert [(set(exempt.pair), exempt.phase) for exempt in own] == [({"l_uarm", "l_ufarm"}, "escape")]
-    assert "start is in collision: l_uarm is 0.003 m inside l_ufarm; the first phase leaves it" in result.notes
+    assert "start is in collision: l_uarm is 2.5 mm inside l_ufarm; the first phase leaves it" in result.notes
     assert [check.where.names for check in result.certificate.checks if check.name.startswith("start.")] == [
         own[0].pair
     ]

@@ -294,7 +294,7 @@ def test_a_goal_in_collision_is_infeasible_and_names_pair_and_depth(tmp_path):
     goal = {"j0": 0.0, "j1": 0.0, "j2": 0.0}
     result = plan(small_arm(tmp_path, goal, [block("block", [0.5, 0.06, 0.0])]))
     assert result.verdict is Verdict.INFEASIBLE
-    assert result.explanation == ("the goal is in collision: l2 is 0.010 m inside block (obstacle)",)
+    assert result.explanation == ("the goal is in collision: l2 is 10 mm inside block (obstacle)",)
 
 
 def test_a_robot_without_masses_is_written_and_has_no_centre_of_mass(tmp_path):

@@ -157,7 +157,7 @@ def test_a_goal_beyond_a_limit_is_refused() -> None:
 def test_a_start_in_collision_names_pair_and_depth() -> None:
     # The pelvis of the standing Atlas is at (0, 0, 0.9); a box in it.
     lines = _problems(scene={"obstacles": [{"name": "crate", "position": [0.0, 0.0, 0.9], **BOX}]})
-    assert any(line.startswith("start is in collision: pelvis is 0.") and "m inside crate" in line for line in lines)
+    assert any(line.startswith("start is in collision: pelvis is ") and "mm inside crate" in line for line in lines)
     links = [line.split()[4] for line in lines]
     assert len(set(links)) == len(links)  # a link of several bodies is named once
 
@@ -167,13 +167,13 @@ def test_depth_of_a_start_in_collision_is_the_penetration(atlas: RobotModel) -> 
     q = atlas.postures["stand"]
     lines = collisions(atlas, q, Scene((flat_floor(0.05, q[:2]),)), ("l_foot", "r_foot"))
     assert {line.split(" is ")[0] for line in lines} == {"l_foot", "r_foot"}
-    assert all("is 0.050 m inside floor" in line for line in lines)
+    assert all("is 50 mm inside floor" in line for line in lines)
 
 
 def test_crossed_legs_are_in_collision() -> None:
     lines = _problems(start={"joints": {"l_leg_hpx": -0.5}})
-    assert lines[0].startswith("start is in collision: l_lleg is 0.1")
-    assert lines[0].endswith("m inside r_uleg")
+    assert lines[0].startswith("start is in collision: l_lleg is 1")
+    assert lines[0].endswith(" mm inside r_uleg")
 
 
 def test_a_centre_of_mass_beyond_the_feet_is_told_in_metres(atlas: RobotModel) -> None:

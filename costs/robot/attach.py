@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from lxml import etree
 
+from costs.primitive import round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError, suggest
 from costs.robot.hull import hull_vertices
@@ -69,7 +70,10 @@ def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotM
         frame = body_frame(model, one.name)
         points = _points(one) @ frame.placement.rotation.T + frame.placement.translation
         vertices = hull_vertices(points, f"attached body '{one.name}'")
-        bodies.append(LinkBody(one.name, one.name, int(frame.parentJoint), vertices, outer_hull(vertices)))
+        given = round_shape(one.kind, one.size)
+        exact = None if given is None else given.moved(frame.placement.homogeneous)
+        outer = outer_hull(vertices) if exact is None else shapes.swept_hull(exact, vertices)
+        bodies.append(LinkBody(one.name, one.name, int(frame.parentJoint), vertices, outer, exact))
     held = {link_pair(one.name, link) for one in attached for link in (one.link, *one.touching)}
     ignored = robot.ignored_pairs | same_joint_pairs(bodies) | held
     # They stand in its SRDF from now on.
@@ -102,7 +106,7 @@ def _points(one: AttachedBody) -> Float[np.ndarray, "V 3"]:
         case "box":
             return shapes.box(np.array(one.size))
         case "sphere":
-            return shapes.sphere(*one.size)
+            return shapes.sphere(one.size[0])
         case "cylinder":
             return shapes.cylinder(*one.size)
 

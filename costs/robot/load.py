@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from costs.primitive import round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError
 from costs.robot.hull import hull_vertices
@@ -139,9 +140,11 @@ def _bodies(
             points = _shape_points(shape, roots, files, inside)
             pose = frame.placement.homogeneous @ shape.pose_link_shape
             vertices = hull_vertices(points @ pose[:3, :3].T + pose[:3, 3], inside)
-            outer = outer_hull(vertices)
             name = link if index == 0 else f"{link}/{index}"
-            bodies.append(LinkBody(name, link, int(frame.parentJoint), vertices, outer))
+            given = round_shape(shape.kind, shape.size)
+            exact = None if given is None else given.moved(pose)
+            outer = outer_hull(vertices) if exact is None else shapes.swept_hull(exact, vertices)
+            bodies.append(LinkBody(name, link, int(frame.parentJoint), vertices, outer, exact))
     names = [body.name for body in bodies]
     if len(set(names)) != len(names):
         repeated = next(name for name in names if names.count(name) > 1)

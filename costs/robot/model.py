@@ -10,6 +10,8 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from costs.primitive import Primitive
+
 BASE_NAMES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 
 
@@ -22,8 +24,9 @@ class LinkBody:
         link: the link it belongs to.
         joint: index of the pinocchio joint that carries it (0: fixed to the world).
         vertices: (V, 3) hull in the frame of that joint [m].
-        outer: (W, 3) at most 48 vertices whose hull contains ``vertices``, for the optimiser's sweeps [m] (the same
-            array when the hull has no more than 32).
+        outer: (W, 3) vertices whose hull contains ``vertices``, for the optimiser's sweeps [m]: at most 48, or 127 of a
+            round shape (the same array when the hull has no more than 32, or no more than 127 of a round shape).
+        exact: the round shape that was given, in the frame of that joint, where ``vertices`` are a polytope around one.
     """
 
     name: str
@@ -31,6 +34,7 @@ class LinkBody:
     joint: int
     vertices: Float[np.ndarray, "V 3"]
     outer: Float[np.ndarray, "W 3"]
+    exact: Primitive | None = None
 
 
 @dataclass(frozen=True)

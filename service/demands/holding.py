@@ -18,7 +18,7 @@ from service.demands.stance import Stance, planted_feet, standing_allowances
 from service.demands.turning import Turning
 from service.demands.wheel import Wheel, robot_with_wheel
 from service.request import PlanRequest
-from service.start import overlaps
+from service.start import hull_overlaps
 from service.verify import Certificate, Motion, Phase, Target
 from service.verify.certificate import bodies_hash, robot_hash, scene_hash
 from service.verify.duties import BALANCE, TIMING
@@ -119,7 +119,7 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
     is_balanced = demands.program is None or demands.program.is_balanced
     stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced)
     leaves = request.options.escape and demands.program is None
-    inside = overlaps(robot, start, demands.scene, feet) if leaves else []
+    inside = hull_overlaps(robot, start, demands.scene, feet) if leaves else []
     targets: tuple[Target, ...] = ()
     lines: tuple[str, ...] = ()
     knots = recorded.curve.knots

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +12,7 @@ from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
 from service.demands.goals import AXES, goal_joints, goal_targets, rotation_of
-from service.explain_goal import never_reached
+from service.explain_goal import GoalReasons, goal_reasons
 from service.explain_keep import never_kept
 from service.request import GoalRequest, PoseGoalRequest
 from service.verify import Target
@@ -69,10 +69,11 @@ class Goal:
         """What the verifier holds the end of the reach to."""
         return goal_targets(self.body.robot, self.request, s_last)
 
-    def impossible(self) -> tuple[str, ...]:
-        """Reasons that hold for every motion."""
+    def reasons(self) -> GoalReasons:
+        """What stands against it before anything is planned."""
         targets = self.targets(0.0)
-        return (*never_reached(self.body, targets), *never_kept(self.body, targets))
+        reasons = goal_reasons(self.body, targets)
+        return replace(reasons, impossible=(*reasons.impossible, *never_kept(self.body, targets)))
 
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
