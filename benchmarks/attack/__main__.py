@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import faulthandler
 import json
+import resource
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -16,6 +17,7 @@ from pathlib import Path
 from benchmarks.attack.outcome import Answer, Attack, Outcome, carry_out
 from benchmarks.tables import print_table
 
+MOST_BYTES = 8 * 2**30  # of address space: what asks for more is a crash
 PARTS = ("folders", "robots", "scenes", "laws", "random_edits", "cancels")
 
 
@@ -30,6 +32,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     told = parser.parse_args()
     faulthandler.enable()
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, resource.getrlimit(resource.RLIMIT_AS)[1]))
     outcomes = []
     for outcome in _outcomes(told.only or PARTS, told.short, told.match, told.seed):
         outcomes.append(outcome)

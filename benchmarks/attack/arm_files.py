@@ -78,6 +78,11 @@ def box_obj(size: tuple[float, float, float], lift: float = 0.0) -> str:
     return "\n".join([*(f"v {a} {b} {c}" for a, b, c in corners), *(f"f {a} {b} {c}\nf {a} {c} {d}" for a, b, c, d in faces)])
 
 
+def honest_urdf() -> str:
+    """The arm as it is."""
+    return _ARM
+
+
 def srdf(pairs: Iterable[tuple[str, str]] = NEIGHBOURS) -> str:
     """An SRDF that disables pairs of links."""
     rows = "".join(f'<disable_collisions link1="{a}" link2="{b}" reason="Never"/>' for a, b in pairs)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import enum
+import signal
 import tempfile
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+MOST_S = 90  # that an attack may take; nothing here asks for more than 20 s of planning
 
 
 class Answer(enum.Enum):
@@ -71,10 +75,27 @@ def carry_out(attack: Attack) -> Outcome:
     """Run an attack in a folder of its own; an error that it does not expect is a crash."""
     with tempfile.TemporaryDirectory(prefix="attack-") as scratch:
         try:
-            answer, text = attack.run(Path(scratch))
+            with _no_longer_than(MOST_S):
+                answer, text = attack.run(Path(scratch))
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
             line = " ".join(str(error).split())[:200]
             text = f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}: {line}"
             answer = Answer.CRASHED
     return Outcome(attack.kind, attack.name, answer, text)
+
+
+@contextmanager
+def _no_longer_than(seconds: int) -> Iterator[None]:
+    """Raise ``TimeoutError`` in what takes longer."""
+
+    def ring(number: int, frame: object) -> None:
+        raise TimeoutError(f"no answer within {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
