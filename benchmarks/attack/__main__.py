@@ -39,7 +39,7 @@ def main() -> int:
         if told.verbose or outcome.has_failed:
             print(f"{outcome.answer.value:12} {outcome.kind}: {outcome.name}: {outcome.text}", flush=True)
     if told.json is not None:
-        rows = [{"kind": o.kind, "name": o.name, "answer": o.answer.name, "text": o.text} for o in outcomes]
+        rows = [{"kind": o.kind, "name": o.name, "answer": o.answer.name, "text": o.text, "cpu_s": round(o.cpu_s, 3)} for o in outcomes]
         told.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
     _print(outcomes)
     return int(any(outcome.has_failed for outcome in outcomes))

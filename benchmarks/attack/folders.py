@@ -30,7 +30,7 @@ def attacks() -> list[Attack]:
         *(attack for edit in edits for attack in edit.attacks()),
         *(Attack("folders", f"arm: {name}", _spoil(change)) for name, change in TEXTS.items()),
         *(
-            Attack("request", f"{base}: {name}", _substitute(base, change))
+            Attack("request", f"{base}: {name}", _substitute(base, change), name in SHORT)
             for name, (base, change) in SUBSTITUTES.items()
         ),
         *(Attack("request", f"{base}: the user's own request", _own(base)) for base in ("arm", "reach", "valve", "carry")),
@@ -87,6 +87,9 @@ SUBSTITUTES: dict[str, tuple[str, dict[str, Any]]] = {
     "without the beam": ("carry", {"attached": ABSENT, "goal.poses.0": HAND_POSE}),
     "a lighter beam": ("carry", {"attached.0.mass_kg": 0.0}),
 }
+
+
+SHORT = ("a goal 30 cm away", "without the table", "another goal of the joints", "twice as fast", "untimed", "half the turn")
 
 
 def _substitute(base: str, changes: dict[str, Any]) -> Callable[[Path], tuple[Answer, str]]:

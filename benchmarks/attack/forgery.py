@@ -27,6 +27,19 @@ from service.verify import Motion, VerifyError, verify
 from service.verify.certificate import link_vertices
 
 
+LONG_BASES = ("valve", "scan")  # slow: the short version has few edits of them
+SHORT = (
+    "turn backwards",
+    "turn six times as far",
+    "valve of the request moved by 4 mm",
+    "circle moved by 4 mm",
+    "origin of the wheel moved by 4 mm",
+    "angle of the wheel turned round",
+    "allowance of the rim for the hub",
+    "phases merged into one",
+)
+
+
 class Level(enum.Enum):
     """How much of the folder a liar makes fit the edit."""
 
@@ -91,9 +104,7 @@ class Folder:
         if level is not Level.RAW:
             self.data["request_hash"] = "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
             with suppress(ValueError, KeyError, TypeError, IndexError, AttributeError, RobotError, VerifyError):
-                self._hash()
-                if level is Level.REMADE:
-                    self._remake()
+                self._make_fit(level is Level.REMADE)
         (self.path / "result.json").write_text(json.dumps(self.data), encoding="utf-8")
 
     def robot(self) -> RobotModel:
@@ -103,31 +114,28 @@ class Folder:
         packages = [self.path / name for name in robot["package_dirs"]]
         return load_robot(urdf=self.path / robot["urdf"], srdf=srdf, package_dirs=packages, root=robot["root"])
 
-    def motion(self) -> Motion:
-        """The motion that the data tell."""
-        return motion_from_json(self.data, self.robot())
-
-    def _hash(self) -> None:
+    def _make_fit(self, is_remade: bool) -> None:
         robot = self.robot()
         self.data["bodies"] = [
             {"name": b.name, "link": b.link, "vertices": link_vertices(robot, b.link, b.vertices).tolist()}
             for b in robot.bodies
         ]
         self.data["ignored_pairs"] = sorted(list(pair) for pair in robot.ignored_pairs)
-        fresh = verify(self.motion()).to_dict()
+        motion = motion_from_json(self.data, robot)
+        fresh = verify(motion).to_dict()
         self.data["robot"]["sha256"] = fresh["robot_sha256"]
-        if self.data.get("certificate"):
+        if is_remade:
+            self._remake(motion, robot, fresh)
+        elif self.data.get("certificate"):
             self.certificate.update({key: value for key, value in fresh.items() if key.endswith("_sha256")})
 
-    def _remake(self) -> None:
-        motion = self.motion()
-        certificate = verify(motion).to_dict()
+    def _remake(self, motion: Motion, robot: RobotModel, certificate: dict[str, Any]) -> None:
         certificate["status"] = "CERTIFIED"
         for check in certificate["checks"]:
             check["ok"] = True
         claims = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "checks", "exempt")
         self.data.update({key: certificate[key] for key in claims if key in certificate})
-        self.data.update(motion_json(motion, self.robot()), certificate=certificate, verdict="CERTIFIED", explanation=[])
+        self.data.update(motion_json(motion, robot), certificate=certificate, verdict="CERTIFIED", explanation=[])
         trajectory = self.data["trajectory"]
         header = ",".join(("time", *trajectory["joint_names"]))
         rows = np.column_stack([trajectory["times"], np.array(trajectory["positions"])])
@@ -166,7 +174,7 @@ class Edit:
             label = f"{base}: {self.name}" + ("" if self.level is Level.RAW else f" [{self.level.value}]")
             kind = "harmless" if self.is_harmless else "folders"
             if self.asks_verifier:
-                is_short = base == self.bases[0] and base != "scan"
+                is_short = base == self.bases[0] and (base not in LONG_BASES or self.name in SHORT)
                 found.append(Attack(kind, label, partial(self.run, base), is_short))
             if self.asks_stranger:
                 found.append(Attack("stranger", label, partial(self.run, base, judge=judges.ask_stranger), False))

@@ -239,7 +239,7 @@ LAWS: dict[str, Callable[[], Motion]] = {
     "a sample twice": repeated_samples,
     "samples beyond the curve": samples_beyond_the_curve,
 }
-SLOW = ("20 % faster than told, in 2e6 steps",)
+SLOW = ("20 % faster than told, in 2e6 steps", "2e5 tiny steps, each a hair too long", "jitter", "a burst in the middle")
 
 
 def attacks() -> list[Attack]:

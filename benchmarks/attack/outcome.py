@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import signal
 import tempfile
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -58,12 +59,13 @@ class Attack:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of an attack, in one sentence."""
+    """What came of an attack, in one sentence, and the processor time it took."""
 
     kind: str
     name: str
     answer: Answer
     text: str
+    cpu_s: float = 0.0
 
     @property
     def has_failed(self) -> bool:
@@ -73,6 +75,7 @@ class Outcome:
 
 def carry_out(attack: Attack) -> Outcome:
     """Run an attack in a folder of its own; an error that it does not expect is a crash."""
+    began = time.process_time()
     with tempfile.TemporaryDirectory(prefix="attack-") as scratch:
         try:
             with _no_longer_than(MOST_S):
@@ -82,7 +85,7 @@ def carry_out(attack: Attack) -> Outcome:
             line = " ".join(str(error).split())[:200]
             text = f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}: {line}"
             answer = Answer.CRASHED
-    return Outcome(attack.kind, attack.name, answer, text)
+    return Outcome(attack.kind, attack.name, answer, text, time.process_time() - began)
 
 
 @contextmanager

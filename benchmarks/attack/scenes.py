@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,23 @@ from service import RequestError
 
 NO, NAMED, TRUTH = Expected.NO_CERTIFICATE, Expected.NAMED, Expected.TRUTH
 ATTACKS: list[Attack] = []
+SLOW = (
+    "a valve under the floor",
+    "a valve in a wall",
+    "a floor under one foot",
+    "a floor under the toes alone",
+    "floor at 20 mm",
+    "floor at 29 mm",
+    "fifty posts in one",
+    "a wall called like the rim, in the hand's way",
+    *(f"rods across the circle called '{name}'" for name in ("rod", "valve", "valve/rim", "valve/rim/", "l_hook", "floor")),
+)
 Box = dict[str, Any]
 
 
 def attacks() -> list[Attack]:
     """One for each scene."""
-    return ATTACKS
+    return [replace(attack, is_short=attack.is_short and attack.name not in SLOW) for attack in ATTACKS]
 
 
 def _arm(name: str, expected: Expected, *words: str, **more: Any) -> None:
