@@ -39,7 +39,10 @@ def main() -> int:
         if told.verbose or outcome.has_failed:
             print(f"{outcome.answer.value:12} {outcome.kind}: {outcome.name}: {outcome.text}", flush=True)
     if told.json is not None:
-        rows = [{"kind": o.kind, "name": o.name, "answer": o.answer.name, "text": o.text, "cpu_s": round(o.cpu_s, 3)} for o in outcomes]
+        rows = [
+            {"kind": o.kind, "name": o.name, "answer": o.answer.name, "text": o.text, "cpu_s": round(o.cpu_s, 3)}
+            for o in outcomes
+        ]
         told.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
     _print(outcomes)
     return int(any(outcome.has_failed for outcome in outcomes))
@@ -52,7 +55,7 @@ def attacks_of(parts: tuple[str, ...] | list[str], is_short: bool, seed: int = 0
         if part == "cancels":
             continue
         module = import_module(f"benchmarks.attack.{part}")
-        found += module.attacks(seed, 12 if is_short else 150) if part == "random_edits" else module.attacks()
+        found += module.attacks(seed, 8 if is_short else 150) if part == "random_edits" else module.attacks()
     return [attack for attack in found if attack.is_short or not is_short]
 
 

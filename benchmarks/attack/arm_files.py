@@ -75,7 +75,9 @@ def box_obj(size: tuple[float, float, float], lift: float = 0.0) -> str:
     x, y, z = size
     corners = [(a * x / 2, b * y / 2, lift + c * z) for a in (-1, 1) for b in (-1, 1) for c in (0, 1)]
     faces = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
-    return "\n".join([*(f"v {a} {b} {c}" for a, b, c in corners), *(f"f {a} {b} {c}\nf {a} {c} {d}" for a, b, c, d in faces)])
+    return "\n".join(
+        [*(f"v {a} {b} {c}" for a, b, c in corners), *(f"f {a} {b} {c}\nf {a} {c} {d}" for a, b, c, d in faces)]
+    )
 
 
 def honest_urdf() -> str:
@@ -90,7 +92,9 @@ def srdf(pairs: Iterable[tuple[str, str]] = NEIGHBOURS) -> str:
 
 
 def write_arm(
-    folder: Path, lie: Callable[[ET.Element], object] | None = None, disabled: Iterable[tuple[str, str]] | None = NEIGHBOURS
+    folder: Path,
+    lie: Callable[[ET.Element], object] | None = None,
+    disabled: Iterable[tuple[str, str]] | None = NEIGHBOURS,
 ) -> dict[str, Any]:
     """Write URDF, mesh and SRDF; the ``robot`` of a request comes back.
 

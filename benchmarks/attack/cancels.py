@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +29,8 @@ from service.work.plan import warm_up
 
 DATA = bases.ROOT / "examples" / "data"
 DETECTED = ("valve", "drill", "panel", "opening", "lever")
+WORKERS = 2
+DEADLINES = 0.25  # share of the calls that are not cancelled, but given a deadline
 ANSWER_S = 60.0  # in which a job must be done, cancelled or not
 OURS = re.compile(r"/(perception|service/(?!executor)|costs|scopt)\b")
 
@@ -60,8 +62,9 @@ def run(count: int, seed: int = 0) -> Iterator[Outcome]:
         calls = _calls(pool, folder, is_short=count < 100)
         for call in calls:
             yield from _undisturbed(call)
-        for index in range(count):
-            _disturb(calls[index % len(calls)], rng)
+        moments = [(calls[index % len(calls)], rng.random(), rng.random() < DEADLINES) for index in range(count)]
+        with ThreadPoolExecutor(WORKERS) as at_once:
+            list(at_once.map(_disturb, *zip(*moments, strict=True)))
         crashed = _stacks(folder)
         for call in calls:
             ends = ", ".join(f"{name} {number}" for name, number in call.ends.most_common())
@@ -82,10 +85,9 @@ def _undisturbed(call: Call) -> Iterator[Outcome]:
     call.usual_s = time.monotonic() - began
 
 
-def _disturb(call: Call, rng: random.Random) -> None:
-    """Cancel one call at a random moment, or give it a deadline there."""
-    moment = rng.uniform(0.0, 1.1 * call.usual_s)
-    is_deadline = rng.random() < 0.25
+def _disturb(call: Call, when: float, is_deadline: bool) -> None:
+    """Cancel one call at a share of its usual time, or give it a deadline there."""
+    moment = 1.1 * when * call.usual_s
     if is_deadline:
         job = call.submit(deadline=time.monotonic() + moment)
         time.sleep(moment)
@@ -133,9 +135,9 @@ def _calls(pool: CancellableExecutor, folder: Path, is_short: bool) -> list[Call
 
 @contextmanager
 def _pool() -> Iterator[CancellableExecutor]:
-    """Two workers as a server has them; interrupted as a server's are, if they are."""
+    """Workers as a server has them; interrupted as a server's are, if they are."""
     more = {"interrupt_s": launch.INTERRUPT_S} if hasattr(launch, "INTERRUPT_S") else {}
-    with LocalPool(2, warm_up=warm_up, preload=serve.PRELOAD, max_bytes=WORKER_BYTES, **more) as pool:
+    with LocalPool(WORKERS, warm_up=warm_up, preload=serve.PRELOAD, max_bytes=WORKER_BYTES, **more) as pool:
         pool.wait_ready(120.0)
         yield pool
 

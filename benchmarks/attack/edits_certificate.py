@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from benchmarks.attack.forgery import Folder, Level, Registry
 
 CERTIFICATE = Registry()
@@ -189,5 +188,3 @@ def views_deleted(folder: Folder) -> None:
 @CERTIFICATE.harmless("arm")
 def words_in_the_viewer_changed(folder: Folder) -> None:
     folder.edit_text("viewer.html", lambda text: text.replace("<title>", "<title>my "))
-
-

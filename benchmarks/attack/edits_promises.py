@@ -1,13 +1,11 @@
-"""Edits of what the phases promise: targets, planted feet, balance, allowances and borders, the certificate remade."""
+"""Edits of what the phases promise to do, and where they begin and end, the certificate remade."""
 
 from __future__ import annotations
 
-from typing import Any
-
+from benchmarks.attack.edits_contacts import pattern
 from benchmarks.attack.forgery import Folder, Level, Registry
 
 PROMISES = Registry()
-STANDING = ("reach", "carry", "valve")
 
 
 @PROMISES.lie("arm", "reach", "carry", "valve", "program")
@@ -134,153 +132,6 @@ def angle_of_the_wheel_turned_round(folder: Folder) -> None:
     target.update(value=-target["value"], tolerance=9.0)
 
 
-def _every_contact(folder: Folder) -> list[dict[str, Any]]:
-    return [contact for phase in folder.phases for contact in phase["contacts"]]
-
-
-@PROMISES.lie(*STANDING)
-def feet_removed_from_contacts(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase["contacts"] = []
-
-
-@PROMISES.lie(*STANDING)
-def one_foot_removed_from_contacts(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase["contacts"] = phase["contacts"][:1]
-
-
-@PROMISES.lie("reach", "valve")
-def feet_and_balance_removed(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase.update(contacts=[], support=None)
-
-
-@PROMISES.lie("reach", "valve")
-def contact_tolerance_loosened(folder: Folder) -> None:
-    for contact in _every_contact(folder):
-        contact.update(tolerance_m=0.05, knot_tolerance_m=0.05)
-
-
-@PROMISES.lie("reach", stranger=True)
-def planted_elsewhere(folder: Folder) -> None:
-    for contact in _every_contact(folder):
-        contact["position"][0] += 0.1
-        contact["sole"] = [[x + 0.1, y, z] for x, y, z in contact["sole"]]
-
-
-@PROMISES.lie("reach", "valve")
-def sole_corners_moved_outwards(folder: Folder) -> None:
-    for contact in _every_contact(folder):
-        x0, y0, _ = contact["position"]
-        contact["sole"] = [[x0 + 2.0 * (x - x0), y0 + 2.0 * (y - y0), z] for x, y, z in contact["sole"]]
-
-
-@PROMISES.lie("reach")
-def sole_reduced_to_one_corner(folder: Folder) -> None:
-    for contact in _every_contact(folder):
-        contact["sole"] = contact["sole"][:1]
-
-
-@PROMISES.lie("reach")
-def a_hand_called_planted(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase["contacts"][1]["link"] = "pelvis"
-
-
-@PROMISES.lie("reach", "valve")
-def sole_and_polygon_enlarged(folder: Folder) -> None:
-    sole_corners_moved_outwards(folder)
-    for phase in folder.phases:
-        phase["support"]["polygon"] = [[3.0 * x, 3.0 * y] for x, y in phase["support"]["polygon"]]
-
-
-@PROMISES.lie(*STANDING)
-def support_polygon_enlarged(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase["support"]["polygon"] = [[3.0 * x, 3.0 * y] for x, y in phase["support"]["polygon"]]
-
-
-@PROMISES.lie(*STANDING)
-def support_polygon_removed(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase["support"] = None
-
-
-@PROMISES.lie(*STANDING)
-def balance_margin_lowered(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase["support"]["margin_m"] = 0.0
-
-
-@PROMISES.lie("reach")
-def balance_margin_negative(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase["support"]["margin_m"] = -1.0
-
-
-@PROMISES.lie("reach")
-def zmp_taken_on_another_plane(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase["support"]["height"] = 0.9
-
-
-@PROMISES.lie("arm", "reach", "carry", "valve")
-def allowance_added(folder: Folder) -> None:
-    obstacle = folder.data["pieces"][0]["name"]
-    for phase in folder.phases:
-        phase["allowances"].append({**_pattern(folder), "link": "hand", "other": obstacle, "depth": 0.05})
-        if folder.data["robot"]["root"] == "floating":
-            phase["allowances"][-1]["link"] = "l_hook"
-
-
-@PROMISES.lie("arm", "reach")
-def allowance_for_everything(folder: Folder) -> None:
-    for phase in folder.phases:
-        phase["allowances"].append({**_pattern(folder), "link": "*", "other": "*", "depth": 0.5})
-
-
-@PROMISES.lie("arm")
-def allowance_between_links(folder: Folder) -> None:
-    folder.phases[0]["allowances"].append({**_pattern(folder), "link": "hand", "other": "upper_arm", "depth": 0.2})
-
-
-@PROMISES.lie("reach", "valve")
-def allowance_deepened(folder: Folder) -> None:
-    for phase in folder.phases:
-        for allowance in phase["allowances"]:
-            allowance["depth"] = 0.2
-
-
-@PROMISES.lie("reach", "valve")
-def allowance_retargeted(folder: Folder) -> None:
-    obstacle = folder.data["pieces"][0]["name"]
-    for phase in folder.phases:
-        phase["allowances"][-1]["other"] = obstacle
-
-
-@PROMISES.lie("valve")
-def allowance_of_the_rim_for_the_hub(folder: Folder) -> None:
-    for phase in folder.phases[1:]:
-        phase["allowances"][-1]["other"] = "valve/*"
-
-
-@PROMISES.lie("valve")
-def allowance_of_the_hook_for_the_reach_too(folder: Folder) -> None:
-    folder.phases[0]["allowances"] = list(folder.phases[1]["allowances"])
-
-
-@PROMISES.lie("valve")
-def allowance_of_the_other_hook(folder: Folder) -> None:
-    for phase in folder.phases[1:]:
-        phase["allowances"].append({**phase["allowances"][-1], "link": "r_hook"})
-
-
-def _pattern(folder: Folder) -> dict[str, Any]:
-    """What an allowance of this folder holds besides its names; empty where no phase has one."""
-    return next((dict(a) for phase in folder.phases for a in phase["allowances"]), {})
-
-
 @PROMISES.lie("valve")
 def phases_merged_into_one(folder: Folder) -> None:
     first, last = folder.phases[1], folder.phases[-1]
@@ -315,7 +166,10 @@ def turn_and_retraction_renamed(folder: Folder) -> None:
 def a_phase_called_escape_put_first(folder: Folder) -> None:
     reach = folder.phases[0]
     escape = {**reach, "name": "escape", "last": 20, "targets": []}
-    escape["allowances"] = [*reach["allowances"], {**_pattern(folder), "link": "l_hook", "other": "table", "depth": 0.05}]
+    escape["allowances"] = [
+        *reach["allowances"],
+        {**pattern(folder), "link": "l_hook", "other": "table", "depth": 0.05},
+    ]
     reach["first"] = 20
     folder.data["phases"] = [escape, reach]
 

@@ -272,6 +272,6 @@ def an_unknown_demand(folder: Folder) -> None:
     folder.request["forbidden_region"] = {"position": [0.0, 0.0, 0.9], "radius": 0.5}
 
 
-@REQUEST.lie("arm", "reach", level=Level.RAW)
+@REQUEST.lie("arm", "reach", level=Level.RAW, stranger=True)
 def request_changed_without_its_hash(folder: Folder) -> None:
     folder.request["options"]["seed"] = 7

@@ -10,6 +10,7 @@ from typing import Any
 
 from benchmarks.attack import bases, judges
 from benchmarks.attack.edits_certificate import CERTIFICATE
+from benchmarks.attack.edits_contacts import CONTACTS
 from benchmarks.attack.edits_motion import MOTION
 from benchmarks.attack.edits_promises import PROMISES
 from benchmarks.attack.edits_request import REQUEST
@@ -18,13 +19,14 @@ from benchmarks.attack.forgery import Edit
 from benchmarks.attack.outcome import Answer, Attack
 
 ABSENT = object()
+STRANGERS = ("arm", "untimed", "program", "reach", "carry", "valve")
 HAND_POSE = {"link": "l_hand", "position": [0.55, 0.25, 1.2], "position_tolerance_m": 0.05}
 
 
 def attacks() -> list[Attack]:
     """Edits by kind, texts that are no JSON of ours, substitutes, and scans that show something else."""
     edits: list[Edit] = [
-        edit for registry in (CERTIFICATE, REQUEST, PROMISES, WORLD, MOTION) for edit in registry.edits
+        edit for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, WORLD, MOTION) for edit in registry.edits
     ]
     return [
         *(attack for edit in edits for attack in edit.attacks()),
@@ -33,10 +35,14 @@ def attacks() -> list[Attack]:
             Attack("request", f"{base}: {name}", _substitute(base, change), name in SHORT)
             for name, (base, change) in SUBSTITUTES.items()
         ),
-        *(Attack("request", f"{base}: the user's own request", _own(base)) for base in ("arm", "reach", "valve", "carry")),
+        *(
+            Attack("request", f"{base}: the user's own request", _own(base))
+            for base in ("arm", "reach", "valve", "carry")
+        ),
         Attack("request", "scan: another scan", _another_scan, False),
         Attack("request", "scan: the user's own scan", _own_scan, False),
         Attack("harmless", "arm: white space changed", _indent),
+        *(Attack("stranger", f"{base}: as it is", _as_it_is(base), False) for base in STRANGERS),
     ]
 
 
@@ -89,7 +95,14 @@ SUBSTITUTES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-SHORT = ("a goal 30 cm away", "without the table", "another goal of the joints", "twice as fast", "untimed", "half the turn")
+SHORT = (
+    "a goal 30 cm away",
+    "without the table",
+    "another goal of the joints",
+    "twice as fast",
+    "untimed",
+    "half the turn",
+)
 
 
 def _substitute(base: str, changes: dict[str, Any]) -> Callable[[Path], tuple[Answer, str]]:
@@ -114,6 +127,18 @@ def _set(data: Any, path: list[str], value: object) -> None:
         data[int(last)] = value
     else:
         data[last] = value
+
+
+def _as_it_is(base: str) -> Callable[[Path], tuple[Answer, str]]:
+    """The stranger must confirm what nobody has edited."""
+
+    def run(scratch: Path) -> tuple[Answer, str]:
+        answer, text = judges.ask_stranger(bases.copy_of(base, scratch))
+        if answer is Answer.BELIEVED:
+            return Answer.TRUE, "the stranger confirms the certificate"
+        return answer if answer is Answer.CRASHED else Answer.ALARM, text
+
+    return run
 
 
 def _own(base: str) -> Callable[[Path], tuple[Answer, str]]:

@@ -26,7 +26,6 @@ from service.motion_json import motion_from_json, motion_json
 from service.verify import Motion, VerifyError, verify
 from service.verify.certificate import link_vertices
 
-
 LONG_BASES = ("valve", "scan")  # slow: the short version has few edits of them
 SHORT = (
     "turn backwards",

@@ -19,9 +19,9 @@ SPEED, ACCELERATION = 0.5, 10.0  # limits of the slide
 EXCESS = 1.0 + 1e-3  # times a limit that refutes it
 _SLIDE = """<robot name="slide">
   <link name="base"><collision><origin xyz="0 0 -1"/><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
-  <link name="arm"><inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>
+  <link name="arm"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
     <collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
-  <link name="tip"><inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>
+  <link name="tip"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
     <collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
   <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
     <limit lower="-9" upper="9" velocity="0.5" effort="1000"/></joint>
@@ -42,7 +42,9 @@ def _motion(law: TimeLaw, curve: Curve | None = None, samples: np.ndarray | None
     """Two radians of the first joint along ``s`` from 0 to 2, at rest at both ends by the law alone."""
     curve = curve or Curve(np.array([0.0, 2.0]), np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[1.0, 0.0]] * 2))
     last = float(curve.knots[-1])
-    end = tuple(JointTarget(n, float(q), 1e-3, last) for n, q in zip(("turn", "bend"), curve.positions[-1], strict=True))
+    end = tuple(
+        JointTarget(n, float(q), 1e-3, last) for n, q in zip(("turn", "bend"), curve.positions[-1], strict=True)
+    )
     phases = (Phase("turn", 0.0, last, targets=end),)
     return Motion(_robot(), Scene(), curve, law, phases, np.linspace(0.0, last, 201) if samples is None else samples)
 
@@ -239,7 +241,12 @@ LAWS: dict[str, Callable[[], Motion]] = {
     "a sample twice": repeated_samples,
     "samples beyond the curve": samples_beyond_the_curve,
 }
-SLOW = ("20 % faster than told, in 2e6 steps", "2e5 tiny steps, each a hair too long", "jitter", "a burst in the middle")
+SLOW = (
+    "20 % faster than told, in 2e6 steps",
+    "2e5 tiny steps, each a hair too long",
+    "jitter",
+    "a burst in the middle",
+)
 
 
 def attacks() -> list[Attack]:
@@ -260,7 +267,9 @@ def _judged(make: Callable[[], Motion]) -> Callable[[Path], tuple[Answer, str]]:
             return Answer.REPORTED, f"{certificate.status.value}: {(failed or ['unproven'])[0]}"
         assert motion.law is not None
         speed, acceleration = true_peaks(motion.law, motion.curve)
-        text = f"CERTIFIED; truly {100.0 * speed:.2f} % of the speed and {100.0 * acceleration:.1f} % of the acceleration"
+        text = (
+            f"CERTIFIED; truly {100.0 * speed:.2f} % of the speed and {100.0 * acceleration:.1f} % of the acceleration"
+        )
         return (Answer.BELIEVED if max(speed, acceleration) > EXCESS else Answer.TRUE), text
 
     return run

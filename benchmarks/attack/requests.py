@@ -33,7 +33,7 @@ class Lie:
     Attributes:
         request: as plain data.
         expected: what is right.
-        words: regular expressions that notes must hold (``NAMED``), or that excuse what independent code finds (``TRUTH``).
+        words: regular expressions that notes must hold (``NAMED``), or that excuse what the truth is (``TRUTH``).
         urdf: honest text of the robot, in whose folder its meshes are; of a fixed base.
         folder: of its meshes.
         tag: which of its shapes count.

@@ -129,7 +129,9 @@ def _machine(name: str, text: str, goal: dict[str, float], expected: Expected = 
         if disabled:
             (folder / "machine.srdf").write_text(f'<robot name="machine">{disabled}</robot>', encoding="utf-8")
             robot["srdf"] = str(folder / "machine.srdf")
-        return Lie({"robot": robot, "goal": {"joints": goal}, "options": {"time_limit_s": 10.0}}, expected, (), urdf, folder)
+        return Lie(
+            {"robot": robot, "goal": {"joints": goal}, "options": {"time_limit_s": 10.0}}, expected, (), urdf, folder
+        )
 
     ROBOTS[name] = make
 
@@ -154,7 +156,9 @@ _arm("shape of the hand placed elsewhere", _each("link[@name='hand']/collision",
     ET.fromstring('<origin xyz="0 0 -0.2"/>'))))  # fmt: skip
 _arm("flat mesh", _set("link[@name='hand']/collision/geometry/mesh", filename="flat.obj"), NO,
     files={"flat.obj": "v 0 0 0\nv 1e-9 0 0\nv 0 1e-9 0\nf 1 2 3\n"})  # fmt: skip
-_arm("empty mesh", _set("link[@name='hand']/collision/geometry/mesh", filename="empty.obj"), NO, files={"empty.obj": ""})
+_arm(
+    "empty mesh", _set("link[@name='hand']/collision/geometry/mesh", filename="empty.obj"), NO, files={"empty.obj": ""}
+)
 _arm("missing mesh", _set("link[@name='hand']/collision/geometry/mesh", filename="gone.obj"), NO)
 _arm("mesh outside the package", _set("link[@name='hand']/collision/geometry/mesh", filename="../../etc/passwd"), NO)
 # What the loader takes for neighbours, or leaves out.
@@ -185,8 +189,8 @@ LINKS = ("base", "turret", "upper_arm", "forearm", "wrist_link", "hand")
 EVERY_PAIR = tuple((a, b) for k, a in enumerate(LINKS) for b in LINKS[k + 1 :])
 FOLDED = {"goal": {"joints": {**START, "shoulder": 1.5, "elbow": 2.3, "wrist": 0.9}}}
 _arm("SRDF that disables all pairs", lambda root: None, disabled=EVERY_PAIR, is_changed_honest=True, **FOLDED)
-_arm("SRDF that disables hand and base", lambda root: None, disabled=(*NEIGHBOURS, ("base", "hand"), ("base", "forearm"),
-    ("base", "wrist_link")), is_changed_honest=True, **FOLDED)  # fmt: skip
+BEHIND_THE_BASE = (*NEIGHBOURS, ("base", "hand"), ("base", "forearm"), ("base", "wrist_link"))
+_arm("SRDF that disables hand and base", lambda root: None, disabled=BEHIND_THE_BASE, is_changed_honest=True, **FOLDED)
 # Numbers that cannot be.
 _arm("effort 0 everywhere", _set("joint/limit", effort="0"), NO)
 _arm("effort 0 on the shoulder", _set("joint[@name='shoulder']/limit", effort="0"), NO)
@@ -217,18 +221,22 @@ _arm("link called like a joint", _each("joint[@name='wrist']", lambda j: j.set("
 _arm("two links of one name", _add('<link name="hand"/>'), NO)
 _arm("two joints of one name", _set("joint[@name='roll']", name="yaw"), NO)
 _arm("link called universe", _add('<link name="universe"/>' + _fixed("u", "base", "universe")), NO)
-_arm("link called like an obstacle", _add(_box("post", "0.2 0.2 0.2", "0 0 0") + _fixed("p", "base", "post", "0.62 0 1.1")),
-    TRUTH, is_changed_honest=True)  # fmt: skip
+SECOND_POST = _box("post", "0.2 0.2 0.2", "0 0 0") + _fixed("p", "base", "post", "0.62 0 1.1")
+_arm("link called like an obstacle", _add(SECOND_POST), TRUTH, is_changed_honest=True)
 _arm("link called floor", _add(_box("floor", "3 3 0.02", "0 0 0") + _fixed("p", "base", "floor", "0 0 -0.02")), TRUTH,
     is_changed_honest=True, scene={"floor": True, "obstacles": [POST]})  # fmt: skip
 _arm("bodies of one name", _add(_box("hand/1", "0.1 0.1 0.1", "0 0 0") + _fixed("p", "base", "hand/1")), TRUTH,
     is_changed_honest=True)  # fmt: skip
-_arm("finger that mimics itself", _add(_box("finger", "0.02 0.02 0.1", "0 0 0.05") + _slide("grip", "hand", "finger", "0 0 1")
-    .replace("</joint>", '<mimic joint="grip"/></joint>')), NO)  # fmt: skip
-_arm("fingers that mimic each other", _add(_box("left", "0.02 0.02 0.1", "0 0 0.2") + _box("right", "0.02 0.02 0.1", "0 0 0.2")
-    + _slide("a", "hand", "left", "0 1 0").replace("</joint>", '<mimic joint="b"/></joint>')
-    + _slide("b", "hand", "right", "0 -1 0").replace("</joint>", '<mimic joint="a"/></joint>')), NO)  # fmt: skip
+FINGER, LEFT, RIGHT = (_box(name, "0.02 0.02 0.1", "0 0 0.2") for name in ("finger", "left", "right"))
+
+
+def _mimics(name: str, leader: str, child: str) -> str:
+    return _slide(name, "hand", child, "0 1 0").replace("</joint>", f'<mimic joint="{leader}"/></joint>')
+
+
+_arm("finger that mimics itself", _add(FINGER + _mimics("grip", "grip", "finger")), NO)
+_arm("fingers that mimic each other", _add(LEFT + RIGHT + _mimics("a", "b", "left") + _mimics("b", "a", "right")), NO)
 _arm("joint of six freedoms", _each("joint[@name='yaw']", lambda j: j.set("type", "floating")), NO)
 _arm("links in a loop", _add(_fixed("loop", "hand", "base")), NO)
-_arm("a carried pole in the hand's own file", _add(_box("pole", "0.03 0.03 0.6", "0 0 0.5") + _fixed("p", "hand", "pole")),
-    TRUTH, is_changed_honest=True, disabled=None)  # fmt: skip
+POLE = _box("pole", "0.03 0.03 0.6", "0 0 0.5") + _fixed("p", "hand", "pole")
+_arm("a carried pole in the hand's own file", _add(POLE), TRUTH, is_changed_honest=True, disabled=None)

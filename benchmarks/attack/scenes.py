@@ -13,6 +13,7 @@ from benchmarks.attack import bases, judges
 from benchmarks.attack.arm_files import GOAL, POST, SHELF, START, arm_request, honest_urdf, write_arm
 from benchmarks.attack.outcome import Answer, Attack
 from benchmarks.attack.requests import Expected, Lie, answer_of
+from benchmarks.attack.scenes_standing import STANDING, box
 from service import RequestError
 
 NO, NAMED, TRUTH = Expected.NO_CERTIFICATE, Expected.NAMED, Expected.TRUTH
@@ -25,15 +26,20 @@ SLOW = (
     "floor at 20 mm",
     "floor at 29 mm",
     "fifty posts in one",
+    "a load of 1000 kg",
+    "a load as long as the room",
     "a wall called like the rim, in the hand's way",
-    *(f"rods across the circle called '{name}'" for name in ("rod", "valve", "valve/rim", "valve/rim/", "l_hook", "floor")),
+    *(
+        f"rods across the circle called '{name}'"
+        for name in ("rod", "valve", "valve/rim", "valve/rim/", "l_hook", "floor")
+    ),
 )
 Box = dict[str, Any]
 
 
 def attacks() -> list[Attack]:
     """One for each scene."""
-    return [replace(attack, is_short=attack.is_short and attack.name not in SLOW) for attack in ATTACKS]
+    return [replace(attack, is_short=attack.is_short and attack.name not in SLOW) for attack in ATTACKS + STANDING]
 
 
 def _arm(name: str, expected: Expected, *words: str, **more: Any) -> None:
@@ -51,41 +57,44 @@ def _obstacles(name: str, expected: Expected, *obstacles: Box, words: tuple[str,
     _arm(name, expected, *words, scene={"obstacles": list(obstacles)})
 
 
-def _atlas(name: str, request: Callable[[], dict[str, Any]], expected: Expected = NO, *words: str) -> None:
-    """Register a request of the bundled Atlas, for which nothing but a word beside the verdict excuses CERTIFIED."""
-    run = lambda scratch: answer_of(Lie(request(), expected, words), scratch)  # noqa: E731
-    ATTACKS.append(Attack("scenes", name, run))
-
-
-def _box(name: str, size: list[float], position: list[float], **more: Any) -> Box:
-    return {"name": name, "type": "box", "size": size, "position": position, **more}
-
-
 def _convex(points: list[list[float]]) -> Box:
     return {"name": "stone", "type": "convex", "points": points, "position": [0.0, 0.0, 0.0]}
 
 
 # Names.
-for _name in ("hand", "forearm", "base", "universe", "floor", "post*", "*", "hand/0", "", "a\nb", "../post", "x" * 5000):
+for _name in (
+    "hand",
+    "forearm",
+    "base",
+    "universe",
+    "floor",
+    "post*",
+    "*",
+    "hand/0",
+    "",
+    "a\nb",
+    "../post",
+    "x" * 5000,
+):
     _obstacles(f"post called {_name[:12]!r}", TRUTH, {**POST, "name": _name}, SHELF)
 _obstacles("two obstacles of one name", TRUTH, POST, {**SHELF, "name": "post"})
 _obstacles("two obstacles of one name, the second far away", TRUTH, POST, {**POST, "position": [9.0, 9.0, 0.45]})
 
 # Units and numbers.
 MM = (r"mm|millimetres?|units?",)
-_obstacles("a table in millimetres", NAMED, _box("table", [600, 900, 40], [750, 0, 800]), words=MM)
-_obstacles("a post in millimetres", NAMED, _box("post", [80, 80, 900], [620, 0, 450]), words=MM)
-_obstacles("a post in millimetres at metres", NAMED, _box("post", [80, 80, 900], [60.2, 0, 0.45]), words=MM)
+_obstacles("a table in millimetres", NAMED, box("table", [600, 900, 40], [750, 0, 800]), words=MM)
+_obstacles("a post in millimetres", NAMED, box("post", [80, 80, 900], [620, 0, 450]), words=MM)
+_obstacles("a post in millimetres at metres", NAMED, box("post", [80, 80, 900], [60.2, 0, 0.45]), words=MM)
 _obstacles("a ball in millimetres", NAMED, {"name": "ball", "type": "sphere", "radius": 150, "position": [620, 0, 450]},
     words=MM)  # fmt: skip
 _obstacles("a pipe in millimetres", NAMED, {"name": "pipe", "type": "cylinder", "radius": 40, "height": 900,
     "position": [620, 0, 450]}, words=MM)  # fmt: skip
 _obstacles("a stone in millimetres", NAMED, _convex([[600, 0, 0], [640, 0, 0], [620, 40, 0], [620, 0, 900]]), words=MM)
-_obstacles("a box of no size", NO, _box("post", [0.08, 0.0, 0.9], [0.62, 0, 0.45]))
-_obstacles("a box of negative size", NO, _box("post", [0.08, -0.08, 0.9], [0.62, 0, 0.45]))
-_obstacles("a box at NaN", NO, _box("post", [0.08, 0.08, 0.9], [float("nan"), 0, 0.45]))
-_obstacles("a box at infinity", NO, _box("post", [0.08, 0.08, 0.9], [float("inf"), 0, 0.45]))
-_obstacles("a box at a billion metres", NO, _box("post", [0.08, 0.08, 0.9], [1e9, 0, 0.45]))
+_obstacles("a box of no size", NO, box("post", [0.08, 0.0, 0.9], [0.62, 0, 0.45]))
+_obstacles("a box of negative size", NO, box("post", [0.08, -0.08, 0.9], [0.62, 0, 0.45]))
+_obstacles("a box at NaN", NO, box("post", [0.08, 0.08, 0.9], [float("nan"), 0, 0.45]))
+_obstacles("a box at infinity", NO, box("post", [0.08, 0.08, 0.9], [float("inf"), 0, 0.45]))
+_obstacles("a box at a billion metres", NO, box("post", [0.08, 0.08, 0.9], [1e9, 0, 0.45]))
 _obstacles("a box turned by nothing", NO, {**POST, "quaternion_wxyz": [0.0, 0.0, 0.0, 0.0]})
 _obstacles("a box turned by two", TRUTH, {**POST, "quaternion_wxyz": [2.0, 0.0, 0.0, 0.0]})
 _obstacles("a stone of one point", NO, _convex([[0.62, 0.0, 0.8]]))
@@ -100,19 +109,21 @@ _arm("a goal beyond the limits", NO, goal={"joints": {**GOAL, "yaw": 3.5}})
 _arm("a start beyond the limits", NO, start={"joints": {**START, "yaw": -3.5}})
 
 # Geometry.
-_obstacles("a plate of a tenth of a millimetre across the way", TRUTH, _box("plate", [1.2, 1e-4, 2.0], [0.9, 0.0, 0.8]))
+_obstacles("a plate of a tenth of a millimetre across the way", TRUTH, box("plate", [1.2, 1e-4, 2.0], [0.9, 0.0, 0.8]))
 _obstacles("plates of a tenth of a millimetre, turned a little", TRUTH,
-    *(_box(f"plate{k}", [0.5, 1e-4, 0.9], [0.8, 0.1 * k, 0.5], quaternion_wxyz=[0.99, 0.0, 0.0, 0.141])
+    *(box(f"plate{k}", [0.5, 1e-4, 0.9], [0.8, 0.1 * k, 0.5], quaternion_wxyz=[0.99, 0.0, 0.0, 0.141])
       for k in range(-3, 4)))  # fmt: skip
-_obstacles("needles", TRUTH, *(_box(f"needle{k}", [1e-3, 1e-3, 0.95], [0.5 + 0.03 * k, 0.02 * k, 0.475]) for k in range(9)))
-_obstacles("a speck in the way", TRUTH, _box("speck", [1e-3, 1e-3, 1e-3], [0.62, 0.0, 0.82]))
-_obstacles("a box around the whole arm", NO, _box("block", [3.0, 3.0, 3.0], [0.0, 0.0, 0.5]))
+_obstacles(
+    "needles", TRUTH, *(box(f"needle{k}", [1e-3, 1e-3, 0.95], [0.5 + 0.03 * k, 0.02 * k, 0.475]) for k in range(9))
+)
+_obstacles("a speck in the way", TRUTH, box("speck", [1e-3, 1e-3, 1e-3], [0.62, 0.0, 0.82]))
+_obstacles("a box around the whole arm", NO, box("block", [3.0, 3.0, 3.0], [0.0, 0.0, 0.5]))
 _obstacles("a hollow box around the arm, its wall in the way", TRUTH,
-    _box("left", [3.0, 0.01, 3.0], [0.0, 1.0, 1.0]), _box("right", [3.0, 0.01, 3.0], [0.0, -1.0, 1.0]),
-    _box("front", [0.01, 2.0, 3.0], [0.6, 0.0, 1.0]))  # fmt: skip
-_obstacles("a post at the goal", NO, _box("post", [0.08, 0.08, 1.2], [0.42, 0.53, 0.6]))
-_obstacles("a lid on the arm at the start", NO, _box("lid", [0.3, 0.3, 0.1], [0.35, -0.44, 0.82]))
-_obstacles("a wall of ten kilometres", TRUTH, _box("wall", [0.1, 1e4, 1e4], [1.2, 0.0, 0.0]), POST)
+    box("left", [3.0, 0.01, 3.0], [0.0, 1.0, 1.0]), box("right", [3.0, 0.01, 3.0], [0.0, -1.0, 1.0]),
+    box("front", [0.01, 2.0, 3.0], [0.6, 0.0, 1.0]))  # fmt: skip
+_obstacles("a post at the goal", NO, box("post", [0.08, 0.08, 1.2], [0.42, 0.53, 0.6]))
+_obstacles("a lid on the arm at the start", NO, box("lid", [0.3, 0.3, 0.1], [0.35, -0.44, 0.82]))
+_obstacles("a wall of ten kilometres", TRUTH, box("wall", [0.1, 1e4, 1e4], [1.2, 0.0, 0.0]), POST)
 _obstacles("fifty posts in one", TRUTH, *({**POST, "name": f"post{k}"} for k in range(50)))
 
 
@@ -142,67 +153,19 @@ ATTACKS += [_near("capsule", 10.0, direction) for direction in DIRECTIONS[:2]]
 ATTACKS += [_near("cylinder", 10.0, direction) for direction in DIRECTIONS[:2]]
 
 
-# Floors.
-def _reach(**scene: Any) -> Callable[[], dict[str, Any]]:
-    def request() -> dict[str, Any]:
-        goal = {"joints": {"l_arm_elx": 1.2}}
-        return {"robot": {"name": "atlas"}, "scene": scene, "goal": goal, "options": {"time_limit_s": 3.0}}
-
-    return request
+# Loads.
+def _load(mass: float, size: tuple[float, float, float] = (0.04, 0.04, 0.04), **more: Any) -> Box:
+    load = {"name": "load", "link": "hand", "type": "box", "size": list(size), "position": [0.0, 0.0, 0.2]}
+    return {**load, "mass_kg": mass, **more}
 
 
-for _height in (0.004, 0.009, 0.02, 0.029, -0.004, -0.012, -0.05):
-    _atlas(f"floor at {1e3 * _height:g} mm", _reach(floor=_height))
-_atlas("no floor under planted feet", _reach(floor=False))
-_atlas("a floor under one foot", _reach(floor=False, obstacles=[_box("step", [0.6, 0.3, 0.1], [0.0, 0.16, -0.05])]))
-_atlas("a tilted floor", _reach(floor=False, obstacles=[
-    _box("ramp", [3.0, 3.0, 0.1], [0.0, 0.0, -0.056], quaternion_wxyz=[0.9998, 0.0, 0.02, 0.0])]))  # fmt: skip
-_atlas("a floor with a hole under the feet", _reach(floor=False, obstacles=[
-    _box("front", [2.0, 4.0, 0.1], [1.3, 0.0, -0.05]), _box("back", [2.0, 4.0, 0.1], [-1.3, 0.0, -0.05])]))  # fmt: skip
-_atlas("a floor under the toes alone", _reach(floor=False, obstacles=[_box("edge", [2.0, 2.0, 0.1], [1.1, 0.0, -0.05])]))
-_atlas("a step called floor, 9 mm into the soles", _reach(floor=False, obstacles=[
-    _box("floor", [1.0, 1.0, 0.1], [0.0, 0.0, -0.041])]))  # fmt: skip
-_atlas("a step called floor, 8 mm into one sole", _reach(floor=True, obstacles=[
-    _box("floor", [0.3, 0.2, 0.05], [0.04, 0.14, -0.017])]))  # fmt: skip
-_atlas("a floor called like a foot", _reach(floor=False, obstacles=[_box("l_foot", [2.0, 2.0, 0.1], [0.0, 0.0, -0.062])]))
-
-
-# Valves.
-def _valve(obstacles: tuple[Box, ...] = (), **valve: Any) -> Callable[[], dict[str, Any]]:
-    def request() -> dict[str, Any]:
-        asked = bases.request_of("valve", Path("."))
-        asked["task"] = {"valve": {**bases.VALVE, **valve}}
-        asked["scene"] = {"floor": True, "obstacles": list(obstacles)}
-        asked["options"] = {"time_limit_s": 6.0}
-        return asked
-
-    return request
-
-
-SHIFT = np.array([0.0, 0.0, 0.0])
-
-
-def _rods(prefix: str, turn_deg: float) -> tuple[Box, ...]:
-    """Rods fixed in the world across the circle that the hook must follow, wherever it is put in."""
-    centre, radius = np.array(bases.VALVE["centre"]), bases.VALVE["radius"]
-    angles = np.deg2rad(np.arange(0.0, 360.0, 0.9 * turn_deg))
-    places = [centre + radius * np.array([0.0, np.cos(a), np.sin(a)]) for a in angles]
-    return tuple(_box(f"{prefix}{k}", [0.02, 0.012, 0.012], (place + SHIFT).tolist()) for k, place in enumerate(places))
-
-
-for _prefix in ("rod", "valve/rim/x", "valve/rim/", "valve/rim", "valve", "l_hook", "floor"):
-    _atlas(f"rods across the circle called {_prefix!r}", _valve(_rods(_prefix, 60.0)))
-_atlas("a wall called like the rim, in the hand's way", _valve((_box("valve/rim/0", [0.02, 1.2, 1.2], [0.62, 0.15, 1.15]),)))
-_atlas("a valve without axis", _valve(axis=[0.0, 0.0, 0.0]))
-_atlas("a valve whose axis is NaN", _valve(axis=[float("nan"), 0.0, 0.0]))
-_atlas("a valve of no radius", _valve(radius=0.0))
-_atlas("a valve of 5 m", _valve(radius=5.0))
-_atlas("a valve in millimetres", _valve(centre=[750.0, 150.0, 1150.0], radius=150.0))
-_atlas("a valve behind the robot", _valve(centre=[-3.0, 0.15, 1.15]))
-_atlas("a valve inside the chest", _valve(centre=[0.0, 0.0, 1.2]))
-_atlas("a valve under the floor", _valve(centre=[0.75, 0.15, -0.6]))
-_atlas("a valve in a wall", _valve((_box("wall", [0.4, 2.0, 2.0], [0.8, 0.0, 1.0]),)))
-
+for _mass in (40.0, 1000.0, -5.0, float("nan")):
+    _arm(f"a load of {_mass:g} kg", NO, attached=[_load(_mass)], options={"time_limit_s": 5.0})
+_arm("a load in the forearm", NO, attached=[_load(1.0, position=[0.0, 0.0, -0.2])])
+_arm("a load that touches everything", NO, attached=[_load(1.0, touches=["base", "forearm", "upper_arm", "turret"])])
+_arm("a load called like a link", NO, attached=[_load(1.0, name="base")])
+_arm("a load on a link that is not there", NO, attached=[_load(1.0, link="claw")])
+_arm("a load as long as the room", NO, attached=[_load(0.1, (0.02, 0.02, 90.0), position=[0.0, 0.0, 45.2])])
 
 # Programs whose numbers are none.
 NAN, FAR = float("nan"), 1e308
@@ -247,4 +210,6 @@ def _stranger_meets(name: str) -> Callable[[Path], tuple[Answer, str]]:
     return run
 
 
-ATTACKS += [Attack("stranger", f"an obstacle called {n!r}", _stranger_meets(n), False) for n in ("hand", "base", "post")]
+ATTACKS += [
+    Attack("stranger", f"an obstacle called {n!r}", _stranger_meets(n), False) for n in ("hand", "base", "post")
+]
