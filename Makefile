@@ -1,4 +1,4 @@
-# make demo | test | test-ray | check | bench | bench-service | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-ray | check | bench | bench-service | attack | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -12,7 +12,7 @@ RAY_READY := $(RAY_VENV)/.ready
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-ray check bench bench-service clean
+.PHONY: help setup demo test test-ray check bench bench-service attack clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -21,6 +21,7 @@ help:
 	@echo "make check     ruff, mypy, import-linter"
 	@echo "make bench     speed and memory, as a table"
 	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
+	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
 	@echo "make clean     remove .venv, .venv-ray, out and caches"
 
 setup: $(READY)
@@ -54,6 +55,9 @@ bench: $(READY)
 
 bench-service: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.service
+
+attack: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack
 
 clean:
 	rm -rf $(VENV) $(RAY_VENV) out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage *.egg-info

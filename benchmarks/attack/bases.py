@@ -1,0 +1,128 @@
+"""Honest result folders that liars start from: planned once, checked, and copied for every edit."""
+
+from __future__ import annotations
+
+import atexit
+import json
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from benchmarks.attack import judges
+from benchmarks.attack.arm_files import GOAL, START, arm_request, write_arm
+from benchmarks.attack.outcome import Answer
+from service import parse_request, plan, write_result
+
+ROOT = Path(__file__).resolve().parents[2]
+TABLE = {"name": "table", "type": "box", "size": [0.6, 1.2, 0.04], "position": [0.75, 0.0, 0.80]}
+LEFT_BOX = {"name": "left_box", "type": "box", "size": [0.2, 0.1, 0.25], "position": [0.70, 0.55, 0.945]}
+RIGHT_BOX = {"name": "right_box", "type": "box", "size": [0.2, 0.1, 0.25], "position": [0.70, -0.05, 0.945]}
+WALL = {"name": "wall", "type": "box", "size": [0.1, 2.0, 2.0], "position": [1.1, 0.0, 1.0]}
+VALVE = {
+    "mode": "hook",
+    "hand": "left",
+    "turn_deg": 60.0,
+    "centre": [0.75, 0.15, 1.15],
+    "axis": [-1.0, 0.0, 0.0],
+    "radius": 0.15,
+}
+
+
+def request_of(name: str, folder: Path) -> dict[str, Any]:
+    """The request of a base, as plain data; ``folder`` gets the files it names."""
+    folder.mkdir(parents=True, exist_ok=True)
+    match name:
+        case "arm":
+            return arm_request(write_arm(folder))
+        case "untimed":
+            return arm_request(write_arm(folder), options={"time_limit_s": 20.0, "timed": False})
+        case "program":
+            return arm_request(write_arm(folder), goal=None, task={"trajopt": _program()})
+        case "reach":
+            pose = {"link": "l_tool", "position": [0.60, 0.25, 1.05], "position_tolerance_m": 0.005}
+            obstacles = [TABLE, LEFT_BOX, RIGHT_BOX]
+            return _atlas("stand", obstacles, goal={"poses": [pose]})
+        case "valve":
+            return _atlas("reach_ready", [WALL], task={"valve": VALVE})
+        case "carry":
+            return dict(yaml.safe_load((ROOT / "examples" / "requests" / "carry.yaml").read_text()))
+        case "scan":
+            shutil.copyfile(ROOT / "examples" / "data" / "valve_scan.pcd", folder / "scan.pcd")
+            valve = {"mode": "hook", "turn_deg": 60.0}
+            return {
+                "robot": {"name": "atlas"},
+                "start": {"posture": "reach_ready"},
+                "scene": {"cloud": str(folder / "scan.pcd")},
+                "task": {"valve": valve},
+            }
+        case "missed":
+            pose = {"link": "l_tool", "position": [0.50, 0.20, 2.40], "position_tolerance_m": 0.001}
+            return _atlas("stand", [], goal={"poses": [pose]}, options={"starts": 1, "time_limit_s": 4.0})
+    raise ValueError(f"no base is called {name!r}")
+
+
+@cache
+def original(name: str) -> Path:
+    """Folder with ``result`` (as ``scopt plan`` writes it), ``request.yaml`` and ``files`` of a base.
+
+    Raises:
+        RuntimeError: the base, which nobody has edited, is not certified.
+    """
+    folder = _scratch() / name
+    request = request_of(name, folder / "files")
+    write_plan(request, folder)
+    if name != "missed":
+        answer, text = judges.verify(folder / "result")
+        if answer is not Answer.BELIEVED:
+            raise RuntimeError(f"the honest result '{name}' is not certified: {text}")
+    return folder
+
+
+def write_plan(request: dict[str, Any], folder: Path) -> str:
+    """Plan a request; ``folder`` gets ``result`` and ``request.yaml``. The verdict comes back."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "request.yaml").write_text(json.dumps(request), encoding="utf-8")
+    result = plan(parse_request(request, folder))
+    write_result(result, folder / "result")
+    return result.verdict.value
+
+
+def copy_of(name: str, scratch: Path) -> Path:
+    """A fresh copy of a base's result folder."""
+    target = scratch / "result"
+    shutil.copytree(original(name) / "result", target)
+    return target
+
+
+@cache
+def _scratch() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="attack-bases-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def _atlas(posture: str, obstacles: list[dict[str, Any]], **more: Any) -> dict[str, Any]:
+    return {
+        "robot": {"name": "atlas"},
+        "start": {"posture": posture},
+        "scene": {"floor": True, "obstacles": obstacles},
+        **more,
+    }
+
+
+def _program() -> dict[str, Any]:
+    """A TrajOpt document: joint values at the end, a tool that is slow, a start that is fixed."""
+    goal = [GOAL[name] for name in START]
+    return {
+        "basic_info": {"n_steps": 8, "manip": "active", "start_fixed": True},
+        "costs": [
+            {"type": "joint_vel", "params": {"coeffs": [1]}},
+            {"type": "collision", "params": {"coeffs": [20], "dist_pen": [0.02], "continuous": True}},
+        ],
+        "constraints": [{"type": "joint", "params": {"vals": goal}}],
+        "init_info": {"type": "straight_line", "endpoint": goal},
+    }

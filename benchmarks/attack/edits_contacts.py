@@ -1,0 +1,157 @@
+"""Edits of who stands where and what may touch: planted feet, balance, allowances, the certificate remade."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from benchmarks.attack.forgery import Folder, Registry
+
+CONTACTS = Registry()
+STANDING = ("reach", "carry", "valve")
+
+
+def pattern(folder: Folder) -> dict[str, Any]:
+    """What an allowance of this folder holds besides its names; empty where no phase has one."""
+    return next((dict(a) for phase in folder.phases for a in phase["allowances"]), {})
+
+
+def _every_contact(folder: Folder) -> list[dict[str, Any]]:
+    return [contact for phase in folder.phases for contact in phase["contacts"]]
+
+
+@CONTACTS.lie(*STANDING)
+def feet_removed_from_contacts(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["contacts"] = []
+
+
+@CONTACTS.lie(*STANDING)
+def one_foot_removed_from_contacts(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["contacts"] = phase["contacts"][:1]
+
+
+@CONTACTS.lie("reach", "valve")
+def feet_and_balance_removed(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase.update(contacts=[], support=None)
+
+
+@CONTACTS.lie("reach", "valve")
+def contact_tolerance_loosened(folder: Folder) -> None:
+    for contact in _every_contact(folder):
+        contact.update(tolerance_m=0.05, knot_tolerance_m=0.05)
+
+
+@CONTACTS.lie("reach", stranger=True)
+def planted_elsewhere(folder: Folder) -> None:
+    for contact in _every_contact(folder):
+        contact["position"][0] += 0.1
+        contact["sole"] = [[x + 0.1, y, z] for x, y, z in contact["sole"]]
+
+
+@CONTACTS.lie("reach", "valve")
+def sole_corners_moved_outwards(folder: Folder) -> None:
+    for contact in _every_contact(folder):
+        x0, y0, _ = contact["position"]
+        contact["sole"] = [[x0 + 2.0 * (x - x0), y0 + 2.0 * (y - y0), z] for x, y, z in contact["sole"]]
+
+
+@CONTACTS.lie("reach")
+def sole_reduced_to_one_corner(folder: Folder) -> None:
+    for contact in _every_contact(folder):
+        contact["sole"] = contact["sole"][:1]
+
+
+@CONTACTS.lie("reach")
+def a_hand_called_planted(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["contacts"][1]["link"] = "pelvis"
+
+
+@CONTACTS.lie("reach", "valve")
+def sole_and_polygon_enlarged(folder: Folder) -> None:
+    sole_corners_moved_outwards(folder)
+    for phase in folder.phases:
+        phase["support"]["polygon"] = [[3.0 * x, 3.0 * y] for x, y in phase["support"]["polygon"]]
+
+
+@CONTACTS.lie(*STANDING)
+def support_polygon_enlarged(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["support"]["polygon"] = [[3.0 * x, 3.0 * y] for x, y in phase["support"]["polygon"]]
+
+
+@CONTACTS.lie(*STANDING)
+def support_polygon_removed(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["support"] = None
+
+
+@CONTACTS.lie(*STANDING)
+def balance_margin_lowered(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["support"]["margin_m"] = 0.0
+
+
+@CONTACTS.lie("reach")
+def balance_margin_negative(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["support"]["margin_m"] = -1.0
+
+
+@CONTACTS.lie("reach")
+def zmp_taken_on_another_plane(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["support"]["height"] = 0.9
+
+
+@CONTACTS.lie("arm", "reach", "carry", "valve")
+def allowance_added(folder: Folder) -> None:
+    obstacle = folder.data["pieces"][0]["name"]
+    for phase in folder.phases:
+        phase["allowances"].append({**pattern(folder), "link": "hand", "other": obstacle, "depth": 0.05})
+        if folder.data["robot"]["root"] == "floating":
+            phase["allowances"][-1]["link"] = "l_hook"
+
+
+@CONTACTS.lie("arm", "reach")
+def allowance_for_everything(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["allowances"].append({**pattern(folder), "link": "*", "other": "*", "depth": 0.5})
+
+
+@CONTACTS.lie("arm")
+def allowance_between_links(folder: Folder) -> None:
+    folder.phases[0]["allowances"].append({**pattern(folder), "link": "hand", "other": "upper_arm", "depth": 0.2})
+
+
+@CONTACTS.lie("reach", "valve")
+def allowance_deepened(folder: Folder) -> None:
+    for phase in folder.phases:
+        for allowance in phase["allowances"]:
+            allowance["depth"] = 0.2
+
+
+@CONTACTS.lie("reach", "valve")
+def allowance_retargeted(folder: Folder) -> None:
+    obstacle = folder.data["pieces"][0]["name"]
+    for phase in folder.phases:
+        phase["allowances"][-1]["other"] = obstacle
+
+
+@CONTACTS.lie("valve")
+def allowance_of_the_rim_for_the_hub(folder: Folder) -> None:
+    for phase in folder.phases[1:]:
+        phase["allowances"][-1]["other"] = "valve/*"
+
+
+@CONTACTS.lie("valve")
+def allowance_of_the_hook_for_the_reach_too(folder: Folder) -> None:
+    folder.phases[0]["allowances"] = list(folder.phases[1]["allowances"])
+
+
+@CONTACTS.lie("valve")
+def allowance_of_the_other_hook(folder: Folder) -> None:
+    for phase in folder.phases[1:]:
+        phase["allowances"].append({**phase["allowances"][-1], "link": "r_hook"})

@@ -1,0 +1,241 @@
+"""A result folder in a liar's hands: edits, and the public hashes and claims made anew so that they fit.
+
+The liar has scopt's source code: ``REMADE`` runs the verifier on the edited motion and writes its certificate, its
+samples and its table as scopt would have, every check green.
+"""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from benchmarks.attack import bases, judges
+from benchmarks.attack.outcome import Answer, Attack
+from costs.robot import RobotError, RobotModel, load_robot
+from service.motion_json import motion_from_json, motion_json
+from service.verify import Motion, VerifyError, verify
+from service.verify.certificate import link_vertices
+
+LONG_BASES = ("valve", "scan")  # slow: the short version has few edits of them
+SHORT = (
+    "turn backwards",
+    "turn six times as far",
+    "valve of the request moved by 4 mm",
+    "circle moved by 4 mm",
+    "origin of the wheel moved by 4 mm",
+    "angle of the wheel turned round",
+    "allowance of the rim for the hub",
+    "phases merged into one",
+)
+
+
+class Level(enum.Enum):
+    """How much of the folder a liar makes fit the edit."""
+
+    RAW = "as it is"
+    HASHED = "hashed"
+    """The hashes of request, robot, bodies, pieces and promises."""
+    REMADE = "remade"
+    """Everything that the verifier and the planner write."""
+
+
+class Folder:
+    """A copy of a result folder, its ``result.json`` parsed."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.data: dict[str, Any] = json.loads((path / "result.json").read_text(encoding="utf-8"))
+
+    @property
+    def request(self) -> dict[str, Any]:
+        return self.data["request"]
+
+    @property
+    def certificate(self) -> dict[str, Any]:
+        return self.data["certificate"]
+
+    @property
+    def phases(self) -> list[dict[str, Any]]:
+        return self.data["phases"]
+
+    @property
+    def curve(self) -> dict[str, Any]:
+        return self.data["curve"]
+
+    def targets(self, kind: str) -> list[dict[str, Any]]:
+        """All targets of a kind, of all phases."""
+        return [target for phase in self.phases for target in phase["targets"] if target["kind"] == kind]
+
+    def piece(self, name: str) -> dict[str, Any]:
+        return next(piece for piece in self.data["pieces"] if piece["name"] == name)
+
+    def edit_urdf(self, change: Callable[[ET.Element], object]) -> None:
+        """Change the parsed copy of the robot's URDF."""
+        path = self.path / self.data["robot"]["urdf"]
+        root = ET.fromstring(path.read_text(encoding="utf-8"))
+        change(root)
+        path.write_text(ET.tostring(root, encoding="unicode"), encoding="utf-8")
+
+    def edit_text(self, name: str, change: Callable[[str], str]) -> None:
+        """Change a file's text."""
+        path = self.path / name
+        path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+    def edit_table(self, change: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Change the rows of ``trajectory.csv``."""
+        path = self.path / "trajectory.csv"
+        header = path.read_text(encoding="utf-8").splitlines()[0]
+        np.savetxt(path, change(np.loadtxt(path, delimiter=",", skiprows=1)), "%.10g", ",", header=header, comments="")
+
+    def save(self, level: Level) -> None:
+        """Write ``result.json``, with everything that the level makes fit, as far as the edit leaves it readable."""
+        canonical = json.dumps(self.data["request"], sort_keys=True, separators=(",", ":"))
+        if level is not Level.RAW:
+            self.data["request_hash"] = "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
+            with suppress(ValueError, KeyError, TypeError, IndexError, AttributeError, RobotError, VerifyError):
+                self._make_fit(level is Level.REMADE)
+        (self.path / "result.json").write_text(json.dumps(self.data), encoding="utf-8")
+
+    def robot(self) -> RobotModel:
+        """The robot of the folder's own files."""
+        robot = self.data["robot"]
+        srdf = None if robot["srdf"] is None else self.path / robot["srdf"]
+        packages = [self.path / name for name in robot["package_dirs"]]
+        return load_robot(urdf=self.path / robot["urdf"], srdf=srdf, package_dirs=packages, root=robot["root"])
+
+    def _make_fit(self, is_remade: bool) -> None:
+        robot = self.robot()
+        self.data["bodies"] = [
+            {"name": b.name, "link": b.link, "vertices": link_vertices(robot, b.link, b.vertices).tolist()}
+            for b in robot.bodies
+        ]
+        self.data["ignored_pairs"] = sorted(list(pair) for pair in robot.ignored_pairs)
+        motion = motion_from_json(self.data, robot)
+        fresh = verify(motion).to_dict()
+        self.data["robot"]["sha256"] = fresh["robot_sha256"]
+        if is_remade:
+            self._remake(motion, robot, fresh)
+        elif self.data.get("certificate"):
+            self.certificate.update({key: value for key, value in fresh.items() if key.endswith("_sha256")})
+
+    def _remake(self, motion: Motion, robot: RobotModel, certificate: dict[str, Any]) -> None:
+        certificate["status"] = "CERTIFIED"
+        for check in certificate["checks"]:
+            check["ok"] = True
+        claims = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "checks", "exempt")
+        self.data.update({key: certificate[key] for key in claims if key in certificate})
+        self.data.update(motion_json(motion, robot), certificate=certificate, verdict="CERTIFIED", explanation=[])
+        trajectory = self.data["trajectory"]
+        header = ",".join(("time", *trajectory["joint_names"]))
+        rows = np.column_stack([trajectory["times"], np.array(trajectory["positions"])])
+        np.savetxt(self.path / "trajectory.csv", rows, "%.10g", ",", header=header, comments="")
+
+
+Change = Callable[[Folder], object]
+
+
+@dataclass(frozen=True)
+class Edit:
+    """What is done to copies of some bases' folders.
+
+    Attributes:
+        name: what is done.
+        bases: names in :mod:`benchmarks.attack.bases`.
+        change: does it.
+        level: how much is made to fit.
+        is_harmless: whether the folder must still be certified.
+        asks_stranger: whether the stranger's program must notice it too.
+        asks_verifier: whether ``scopt verify`` must notice it.
+    """
+
+    name: str
+    bases: tuple[str, ...]
+    change: Change
+    level: Level
+    is_harmless: bool = False
+    asks_stranger: bool = False
+    asks_verifier: bool = True
+
+    def attacks(self) -> list[Attack]:
+        """One for every base and judge."""
+        found = []
+        for base in self.bases:
+            label = f"{base}: {self.name}" + ("" if self.level is Level.RAW else f" [{self.level.value}]")
+            kind = "harmless" if self.is_harmless else "folders"
+            if self.asks_verifier:
+                is_short = base == self.bases[0] and (base not in LONG_BASES or self.name in SHORT)
+                found.append(Attack(kind, label, partial(self.run, base), is_short))
+            if self.asks_stranger:
+                found.append(Attack("stranger", label, partial(self.run, base, judge=judges.ask_stranger), False))
+        return found
+
+    def run(
+        self, base: str, scratch: Path, judge: Callable[[Path], tuple[Answer, str]] = judges.verify
+    ) -> tuple[Answer, str]:
+        """Edit a fresh copy and have it judged."""
+        folder = Folder(bases.copy_of(base, scratch))
+        before = fingerprint(folder.path)
+        self.change(folder)
+        folder.save(self.level)
+        if fingerprint(folder.path) == before:
+            raise AssertionError(f"the edit {self.name!r} changed nothing in {base}")
+        answer, text = judge(folder.path)
+        return judges.harmless(answer, text) if self.is_harmless else (answer, text)
+
+
+def fingerprint(folder: Path) -> str:
+    """Digest of all files of a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            name = f"{path.relative_to(folder)} {path.is_symlink()}"
+            digest.update(name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+class Registry:
+    """Edits in the order in which they are written down."""
+
+    def __init__(self) -> None:
+        self.edits: list[Edit] = []
+
+    def lie(self, *bases: str, level: Level = Level.REMADE, stranger: bool = False) -> Callable[[Change], Change]:
+        """Register an edit whose folder must not be certified; its name is the function's."""
+
+        def register(change: Change) -> Change:
+            self.edits.append(Edit(_name(change), bases, change, level, False, stranger))
+            return change
+
+        return register
+
+    def for_stranger(self, *bases: str) -> Callable[[Change], Change]:
+        """Register an edit of what only the stranger's program reads."""
+
+        def register(change: Change) -> Change:
+            self.edits.append(Edit(_name(change), bases, change, Level.RAW, False, True, False))
+            return change
+
+        return register
+
+    def harmless(self, *bases: str, level: Level = Level.RAW) -> Callable[[Change], Change]:
+        """Register an edit after which the folder must still be certified."""
+
+        def register(change: Change) -> Change:
+            self.edits.append(Edit(_name(change), bases, change, level, True))
+            return change
+
+        return register
+
+
+def _name(change: Change) -> str:
+    return str(getattr(change, "__name__", change)).strip("_").replace("_", " ")

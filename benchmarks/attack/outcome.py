@@ -1,0 +1,104 @@
+"""An attack and what came of it."""
+
+from __future__ import annotations
+
+import enum
+import signal
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+MOST_S = 90  # that an attack may take; nothing here asks for more than 20 s of planning
+
+
+class Answer(enum.Enum):
+    """How a lie, or an honest deed that looks like one, was answered."""
+
+    REFUSED = "refused"
+    """An error that names what is wrong."""
+    REPORTED = "reported"
+    """A verdict other than CERTIFIED, or CERTIFIED with the lie named beside it."""
+    TRUE = "true"
+    """CERTIFIED, and nothing is wrong with it: a harmless edit, or a claim that independent code confirms."""
+    BELIEVED = "BELIEVED"
+    """CERTIFIED although it is a lie."""
+    ALARM = "FALSE ALARM"
+    """A harmless edit was not certified."""
+    CRASHED = "CRASHED"
+    """An error that nobody planned, or the death of a process."""
+
+
+FAILED = (Answer.BELIEVED, Answer.ALARM, Answer.CRASHED)
+
+
+@dataclass(frozen=True)
+class Attack:
+    """One lie.
+
+    Attributes:
+        kind: row of the table.
+        name: what is done.
+        run: does it in a folder of its own; returns the answer and one sentence.
+        is_short: whether the short version has it.
+    """
+
+    kind: str
+    name: str
+    run: Callable[[Path], tuple[Answer, str]]
+    is_short: bool = True
+
+    @property
+    def label(self) -> str:
+        """Kind and name, unique among all attacks."""
+        return f"{self.kind}: {self.name}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of an attack, in one sentence, and the processor time it took."""
+
+    kind: str
+    name: str
+    answer: Answer
+    text: str
+    cpu_s: float = 0.0
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether scopt was fooled, cried wolf or crashed."""
+        return self.answer in FAILED
+
+
+def carry_out(attack: Attack) -> Outcome:
+    """Run an attack in a folder of its own; an error that it does not expect is a crash."""
+    began = time.process_time()
+    with tempfile.TemporaryDirectory(prefix="attack-") as scratch:
+        try:
+            with _no_longer_than(MOST_S):
+                answer, text = attack.run(Path(scratch))
+        except Exception as error:
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            line = " ".join(str(error).split())[:200]
+            text = f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}: {line}"
+            answer = Answer.CRASHED
+    return Outcome(attack.kind, attack.name, answer, text, time.process_time() - began)
+
+
+@contextmanager
+def _no_longer_than(seconds: int) -> Iterator[None]:
+    """Raise ``TimeoutError`` in what takes longer."""
+
+    def ring(number: int, frame: object) -> None:
+        raise TimeoutError(f"no answer within {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
