@@ -192,7 +192,7 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "what is not checked": (lambda data: data["waived"].append("balance"), "the checks that the record waives"),
     "a drawn ZMP": (lambda data: data.update(zmp=[data["zmp"][0]] * len(data["zmp"])), "zmp is not the motion's"),
     "a drawn centre of mass": (lambda data: data["com"][5].__setitem__(0, 0.0), "com is not"),
-    "a check's value": (lambda data: data["certificate"]["checks"][1].update(value=0.9), "checks of result.json and of"),
+    "a check's value": (lambda data: data["certificate"]["checks"][1].update(value=0.9), "checks of result.json and"),
     "a failed check": (_failed_check, "checks are not those of the motion"),
     "the pairs that touch": (_no_exempt, "exempt pairs are not those of the motion"),
     "what was left out": (_nothing_left_out, "coverage.left_out is not what the verifier leaves out"),
