@@ -15,7 +15,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify import Check, Motion, Phase, PlantedContact, Status, VerifyError, VerifySettings, verify
-from service.verify.limits import exported_speeds, timed_checks, timed_peaks
+from service.verify.limits import _roots, exported_speeds, timed_checks, timed_peaks
 from service.verify.timeline import phases_of, times_of
 
 # What a certified motion may exceed a speed limit by, relative; besides the last places of the numbers.
@@ -111,6 +111,35 @@ def test_the_executed_path_runs_through_the_points_of_a_law_whose_speeds_are_a_l
 def test_a_malformed_law_is_refused(times: list[float], path: list[float], speed: list[float], message: str) -> None:
     with pytest.raises(VerifyError, match=message):
         timed_peaks(LINE, TimeLaw(np.array(times), np.array(path), np.array(speed)))
+
+
+def test_the_ends_of_a_law_are_held_against_the_length_of_the_curve_not_against_where_it_lies() -> None:
+    far = Curve(1000.0 + LINE.knots, LINE.positions, LINE.tangents)
+    law = TimeLaw(np.array([0.0, 1.0]), np.array([1000.0, 1001.0]), np.ones(2))
+    timed_peaks(far, law)
+    with pytest.raises(VerifyError, match="not along the whole curve"):
+        timed_peaks(far, replace(law, path=np.array([1000.0 + 5e-9, 1001.0]), speed=np.full(2, 1.0 - 5e-9)))
+
+
+@pytest.mark.parametrize(
+    ("b", "roots"),
+    [
+        ((6.0, -5.0, 1.0), (2.0, 3.0)),
+        ((6.0, 5.0, 1.0), (-3.0, -2.0)),
+        ((-1.0, 0.0, 4.0), (-0.5, 0.5)),
+        ((1.0, -2.0, 1e-20), (0.5, 2e20)),
+        ((1.0, 2.0, 1e-20), (-2e20, -0.5)),
+        ((1.0, -2.0, 0.0), (0.0, 0.5)),
+        ((0.0, -2.0, 1.0), (0.0, 2.0)),
+        ((0.0, 0.0, 0.0), (0.0, 0.0)),
+        ((1.0, 0.0, 0.0), (0.0, 0.0)),
+    ],
+)
+def test_zeros_of_a_parabola_are_exact_however_flat_it_is(
+    b: tuple[float, float, float], roots: tuple[float, float]
+) -> None:
+    found = np.sort(np.concatenate(_roots(*(np.array([value]) for value in b))))
+    np.testing.assert_allclose(found, roots, rtol=1e-12)
 
 
 def test_a_law_may_wait_where_it_rests() -> None:
