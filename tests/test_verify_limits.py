@@ -203,13 +203,18 @@ def test_exported_speeds_are_differences_of_positions_over_those_of_times() -> N
     law = TimeLaw(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.25, 1.0]), np.array([0.0, 0.5, 1.0]))
     found = exported_speeds(LINE, law, np.array([0.0, 0.25, 1.0]))
     np.testing.assert_allclose(found, [[0.25], [0.75]], rtol=1e-12)
+    back = Curve(LINE.knots, -LINE.positions, -LINE.tangents)
+    np.testing.assert_allclose(exported_speeds(back, law, np.array([0.0, 0.25, 1.0])), found, rtol=1e-12)
 
 
 def test_what_rounding_makes_of_close_samples_is_no_speed() -> None:
     # Positions near 3000, path parameters near 700, times near 100 s: each may be the one whose last places show.
-    for offset, start, pace in ((3000.0, 0.0, 1.0), (0.0, 700.0, 1.0), (0.0, 0.0, 0.01)):
+    for offset, start, pace, way in (
+        (3000.0, 0.0, 1.0, 1.0), (-3000.0, 0.0, 1.0, 1.0), (0.0, 700.0, 1.0, 1.0), (0.0, 700.0, 1.0, -1.0),
+        (0.0, 0.0, 0.01, -1.0),
+    ):  # fmt: skip
         knots = start + np.arange(2.0)
-        curve = Curve(knots, offset + LINE.positions, LINE.tangents)
+        curve = Curve(knots, offset + way * LINE.positions, way * LINE.tangents)
         law = TimeLaw(np.arange(2.0) / pace, knots, np.full(2, pace))
         samples = np.unique(np.concatenate([knots, start + 0.99 + 1e-11 * np.arange(50)]))
         assert exported_speeds(curve, law, samples).max() <= pace * (1.0 + 1e-9)

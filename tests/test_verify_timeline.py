@@ -103,6 +103,12 @@ def test_edges_are_knots_and_borders_each_stretch_with_its_phase() -> None:
     np.testing.assert_array_equal(phase_edges(edges, Phase("d", 0.8 + 2e-9, 2.0 - 3e-9)), [1.0])
 
 
+def test_a_phase_far_along_the_curve_has_its_borders_but_for_their_digits() -> None:
+    edges = np.array([1000.0, 1500.0, 2000.0])
+    np.testing.assert_array_equal(phase_edges(edges, Phase("d", 1000.0 + 1e-6, 2000.0 - 1e-6)), edges)
+    np.testing.assert_array_equal(phase_edges(edges, Phase("d", 1000.0 + 1e-5, 2000.0 - 1e-5)), edges[1:2])
+
+
 @pytest.mark.parametrize(
     ("peak", "lower", "upper", "excess"),
     [(1.0, -2.0, 0.9, 0.1), (-1.0, -0.9, 2.0, 0.1), (1.0, -0.5, 1.5, 4.0 / 27.0 - 0.5), (1.0, -1.0, 1.0 - 5e-10, 5e-10),
