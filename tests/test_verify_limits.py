@@ -119,6 +119,9 @@ def test_the_ends_of_a_law_are_held_against_the_length_of_the_curve_not_against_
     timed_peaks(far, law)
     with pytest.raises(VerifyError, match="not along the whole curve"):
         timed_peaks(far, replace(law, path=np.array([1000.0 + 5e-9, 1001.0]), speed=np.full(2, 1.0 - 5e-9)))
+    short = Curve(0.1 * LINE.knots, LINE.positions, LINE.tangents)
+    with pytest.raises(VerifyError, match="not along the whole curve"):
+        timed_peaks(short, TimeLaw(np.array([0.0, 1.0]), np.array([0.0, 0.1 - 5e-10]), np.full(2, 0.1)))
 
 
 @pytest.mark.parametrize(
@@ -254,18 +257,21 @@ def test_one_joint_that_moves_where_the_robot_should_rest_is_enough() -> None:
     assert check["limits.rest"].ok
     assert check["limits.rest"].where is not None
     assert check["limits.rest"].where.s == 1.0
+    faster = replace(turned, tangents=-4.0 / 3.0 * turned.tangents)
+    check = _checks(Motion(_robot(3), Scene(), faster, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2))))
+    assert not check["limits.rest"].ok
 
 
 def test_speed_hidden_between_grid_points_where_contacts_change_is_found() -> None:
-    # At rest at 0, 1/2 m/s^2 from there on: a hundredth of the way on, the speed is a tenth, not a hundredth.
-    law = TimeLaw(np.array([0.0, 2.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    # At rest at 0, ever faster from there: a hundredth of the way on, the speed is a tenth of the last.
+    law = TimeLaw(np.array([0.0, 4.0]), np.array([0.0, 1.0]), np.array([0.0, 0.5]))
     planted = (PlantedContact("joint0", np.eye(4), np.zeros((1, 3))),)
     phases = (Phase("a", 0.0, 0.01, contacts=planted), Phase("b", 0.01, 1.0))
     curve = Curve(LINE.knots, 1e-5 * LINE.positions, 1e-5 * LINE.tangents)
     assert not _checks(Motion(_robot(1), Scene(), curve, law, phases))["limits.rest"].ok
     still = Curve(LINE.knots, LINE.positions, np.zeros((2, 1)))
     check = _checks(Motion(_robot(1), Scene(), still, law, phases))["limits.rest"]
-    assert check.value == pytest.approx((6 * 0.01 - 6 * 0.01**2) * 0.1)
+    assert check.value == pytest.approx((6 * 0.01 - 6 * 0.01**2) * 0.05)
 
 
 def _lie(rng: np.random.Generator, law: TimeLaw) -> TimeLaw:
