@@ -28,7 +28,7 @@ from scopt import Constraint, Cost, Problem, Sense
 from service.holds import DRIFT, Hold, projected
 from service.keep import KeptPose
 from service.start import sole
-from service.verify.ground import GROUND_TOLERANCE_M
+from service.verify.ground import STANDING_DEPTH_M
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]
@@ -180,7 +180,7 @@ class WholeBody:
     def standing_allowances(self) -> tuple[Allowance, ...]:
         """Planted links rest on the floor."""
         floors = [piece.name for piece in self.scene.pieces if piece.kind == "floor"]
-        return tuple(Allowance(foot.link, floor, GROUND_TOLERANCE_M) for foot in self.planted for floor in floors)
+        return tuple(Allowance(foot.link, floor, STANDING_DEPTH_M) for foot in self.planted for floor in floors)
 
     def problem(
         self,
