@@ -84,6 +84,20 @@ def test_a_wall_that_the_robots_file_fixes_to_the_world_is_an_obstacle(tmp_path:
     assert load_robot(urdf=tmp_path / "robot.urdf").ignored_pairs == frozenset()
 
 
+def test_a_wall_that_is_part_of_what_carries_the_robot_prevents_a_certificate(tmp_path: Path) -> None:
+    result = planned(tmp_path, dishonest.rail_arm_on_wall(), {"rail": 0.3, "lift": 0.0}, {"rail": 1.7, "lift": 0.0})
+    assert result.verdict is Verdict.FEASIBLE_AT_SAMPLES
+    assert "coverage.overlap.bar.world" in against(result)
+    over = planned(
+        tmp_path,
+        dishonest.rail_arm_on_wall(),
+        {"rail": 0.3, "lift": 0.5},
+        {"rail": 1.7, "lift": 0.5},
+        obstacles=(far_box(),),
+    )
+    assert over.verdict is Verdict.CERTIFIED
+
+
 def test_a_box_that_slides_through_one_fixed_to_the_world_goes_round_it(tmp_path: Path) -> None:
     start, goal = {"boxbot_x_joint": -1.9, "boxbot_y_joint": 0.0}, {"boxbot_x_joint": 1.9, "boxbot_y_joint": 0.5}
     result = planned(tmp_path, dishonest.boxbot(), start, goal)
