@@ -160,6 +160,14 @@ def test_nothing_is_called_proven_beside_a_refuted_or_unproven_pair(pages):
             assert "proven on the whole curve" not in page.read["says"], name
 
 
+def test_a_motion_that_starts_in_collision_says_so_first(pages):
+    page = pages["out of a block"]
+    assert page.result.verdict is Verdict.CERTIFIED
+    assert page.read["says"].startswith("starts in collision")
+    assert "clearance of pairs that may not touch" in page.read["says"]
+    assert "starts in collision" not in pages["past a post"].read["says"]
+
+
 def test_the_drawn_clearance_is_never_better_than_the_certificates(pages):
     for name, page in pages.items():
         checks = page.family("clearance")
