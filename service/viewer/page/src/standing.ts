@@ -68,13 +68,16 @@ export function basisTold(result: Result): string {
   const kinds: [string, string][] = [
     ["clearance", isAside ? "clearance of pairs that may not touch" : "clearance"], ["balance", "balance"], ["limits", "joint limits"], ["zmp", "ZMP"], ["torque", "torques"],
   ];
+  // Joints without a limit, links without a mass: a check that could not fail is none.
+  const isLeft = (text: string): boolean => result.not_checked.some((line) => line.startsWith(text));
   const named = (standing: Standing): string[] =>
-    kinds.filter(([name]) => family(result, name).length > 0 && weakest(family(result, name)) === standing).map(([, text]) => text);
+    kinds.filter(([name, text]) => family(result, name).length > 0 && !isLeft(text) && weakest(family(result, name)) === standing).map(([, text]) => text);
   const list = (names: string[]): string => (names.length > 1 ? `${names.slice(0, -1).join(", ")} and ${names.at(-1)}` : names[0]);
   const parts = [
     [named("proven"), "proven on the whole curve"], [named("at samples"), "checked at samples"], [named("unproven"), "unproven"],
   ] as const;
   const told = parts.filter(([names]) => names.length > 0).map(([names, how]) => `${list([...names])} ${how}`);
   if (family(result, "start").length > 0) told.unshift("starts in collision, which its first phase leaves");
+  if (result.not_checked.length > 0) told.push(`not checked: ${result.not_checked.join(", ")}`);
   return told.join("; ");
 }
