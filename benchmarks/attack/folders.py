@@ -107,7 +107,7 @@ SHORT = (
 
 def _substitute(base: str, changes: dict[str, Any]) -> Callable[[Path], tuple[Answer, str]]:
     def run(scratch: Path) -> tuple[Answer, str]:
-        request = bases.request_of(base, scratch / "files")
+        request = bases.request_of(base, bases.original(base) / "files")
         for path, value in changes.items():
             _set(request, path.split("."), value)
         bases.write_plan(request, scratch)
