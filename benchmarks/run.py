@@ -21,6 +21,7 @@ NAMES = (
     "cloud_pieces",
     "cloud_update",
     "cloud_detections",
+    "timing",
     "certificate",
     "attack_certificate",
     "executor",

@@ -29,7 +29,6 @@ from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan, warm_up
 
 N_SCENES, N_BOXES = 12, 120
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
-INTERRUPT_S = 0.03  # as a server's pool
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ def main() -> None:
     n = int(sys.argv[1]) if len(sys.argv) > 1 else N_SCENES
     scenes = (s for s in crowded_scenes(load_robot("atlas"), N_BOXES, is_pose=True) if not s.is_straight_enough)
     requests = [scene.request for scene in islice(scenes, n)]
-    with LocalPool(2, preload=PRELOAD, warm_up=warm_up, interrupt_s=INTERRUPT_S) as pool:
+    with LocalPool(2, preload=PRELOAD, warm_up=warm_up) as pool:
         pool.wait_ready()
         pairs = asyncio.run(_both(pool, requests))
     _print(pairs)

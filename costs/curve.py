@@ -60,6 +60,9 @@ class Curve:
 class TimeLaw:
     """When the curve is where: ``s(t)`` with constant ``d2s/dt2`` between grid points.
 
+    Times and path are what is executed.  Where the speeds do not lead from one point of the path to the next, they are
+    scaled step by step so that they do (:attr:`shares`); the verifier refuses a law whose shares are not all but 1.
+
     Attributes:
         times: (M,) strictly increasing [s].
         path: (M,) non-decreasing path parameter at those times.
@@ -70,11 +73,20 @@ class TimeLaw:
     path: Float[np.ndarray, "M"]
     speed: Float[np.ndarray, "M"]
 
+    @cached_property
+    def shares(self) -> Float[np.ndarray, "M-1"]:
+        """Length of each step over what speeds and times come to; 1 where both are 0, huge where only the latter."""
+        length, travelled = np.diff(self.path), 0.5 * (self.speed[:-1] + self.speed[1:]) * np.diff(self.times)
+        shares = np.where(length == 0.0, 1.0, np.finfo(float).max)
+        np.divide(length, travelled, out=shares, where=travelled > np.finfo(float).tiny * 1e16)
+        return np.asarray(shares)
+
     def at(self, t: Float[np.ndarray, "S"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Path parameter, its speed and its acceleration (right-sided) at times ``t`` [s]."""
         t = np.clip(np.atleast_1d(np.asarray(t, dtype=float)), self.times[0], self.times[-1])
         i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
-        acceleration = np.diff(self.speed)[i] / np.diff(self.times)[i]
-        dt = t - self.times[i]
-        path = self.path[i] + dt * (self.speed[i] + 0.5 * acceleration * dt)
-        return path, self.speed[i] + acceleration * dt, acceleration
+        share = self.shares[i]
+        acceleration = share * np.diff(self.speed)[i] / np.diff(self.times)[i]
+        dt, speed = t - self.times[i], share * self.speed[i]
+        path = self.path[i] + dt * (speed + 0.5 * acceleration * dt)
+        return path, speed + acceleration * dt, acceleration

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from costs.primitive import Primitive
+
 
 @dataclass(frozen=True)
 class ConvexPiece:
@@ -16,11 +18,13 @@ class ConvexPiece:
         name: unique in its scene.
         vertices: (V, 3) world coordinates [m]; at least one, all finite.
         kind: what it is (``obstacle``, ``floor``, ``wall``, ``plane``, ``clutter``, ``rim``, ``hub``).
+        exact: the round shape that was given, in the world, where ``vertices`` are a polytope around one.
     """
 
     name: str
     vertices: Float[np.ndarray, "V 3"]
     kind: str = "obstacle"
+    exact: Primitive | None = None
 
     @property
     def lower(self) -> Float[np.ndarray, "3"]:

@@ -1,6 +1,7 @@
 """Replay a certificate as a stranger would: `python examples/check_certificate.py out/valve` prints a table of claims.
 
-Only numpy and pinocchio: own placements and rotation bounds (`replayed_motion.py`), and for distances Wolfe's
+Only numpy and pinocchio: own placements and rotation bounds (`replayed_motion.py`), what the folder says twice
+(`replayed_record.py`), what the motion does (`replayed_targets.py`), and for distances Wolfe's
 minimum-norm-point algorithm (Math. Programming 11, 1976), which hands over a separating direction as its proof.
 """
 
@@ -15,6 +16,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from replayed_motion import Array, Replay, covers, read_model
+from replayed_record import hashes, samples, speeds
+from replayed_targets import target
 
 
 def closest(a: Array, b: Array, wanted: float) -> tuple[float, Array]:
@@ -69,15 +72,17 @@ def separation(a: Array, b: Array, wanted: float) -> float:
 
 def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
     """Every pair on the whole curve: by the certificate's rows where it has some, by bounding boxes elsewhere."""
-    solids, moved = {}, {m["name"] for m in data["movables"]}
+    solids, named, moved = {}, {}, {m["name"] for m in data["movables"]}
     for body in data["bodies"]:
         frame = replay.model.frames[replay.model.getFrameId(body["link"])]
         points = np.array(body["vertices"]) @ frame.placement.rotation.T + frame.placement.translation
         solids[body["name"]] = (body["link"], int(frame.parentJoint), points)
+        named[body["name"]] = ("robot", body["link"], body["name"])
     for movable in data["movables"]:
         joint = int(replay.model.getJointId(movable["joint"]))
         for body in movable["bodies"]:
             solids[body["name"]] = (movable["name"], joint, np.array(body["vertices"]) - movable["origin"])
+            named[body["name"]] = ("mechanism", movable["name"], body["name"])
     pieces = {p["name"]: ("", 0, np.array(p["vertices"])) for p in data["pieces"]}
     pairs = [(n, p) for n, (link, j, _) in solids.items() if j and link not in moved for p in pieces]
     for (n, (la, ja, _)), (m, (lb, jb, _)) in itertools.combinations(solids.items(), 2):
@@ -85,18 +90,22 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
         if ja != jb and la != lb and sorted((la, lb)) not in data["ignored_pairs"] and not is_apart:
             pairs.append((n, m))
     solids |= pieces
+    named |= {name: ("scene", None, name) for name in pieces}
+    listed = [data["bodies"], data["pieces"], *(m["bodies"] for m in data["movables"])]
+    if len(solids) < sum(map(len, listed)):
+        raise SystemExit("two bodies or pieces have one name, so that the certificate's pairs cannot be told apart")
     proof, rows, sweeps, failed, smallest, n_rows = data["certificate"]["stretches"], {}, {}, [], np.inf, 0
     edges = np.union1d(replay.edges, np.clip(proof["edges"], replay.edges[0], replay.edges[-1])).tolist()
     for p, *row in zip(*(proof[key] for key in ("pair", "first", "last", "distance")), strict=True):
         rows.setdefault(tuple(proof["pairs"][p]), []).append(row)
     for pair in pairs:
         pair = pair[::-1] if pair[::-1] in rows else pair
-        (lm, jm, mover), (lh, jh, holder) = solids[pair[0]], solids[pair[1]]
+        (_, jm, mover), (_, jh, holder) = solids[pair[0]], solids[pair[1]]
         chain, own = replay.chain(jh, jm, mover), sorted(rows.get(pair, []))
         seen = sweeps.setdefault((pair[0], jh), {})  # what all pairs of one mover and one frame share
         for a, b in itertools.pairwise(edges):
             phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
-            depths = [w["depth"] for w in phase["allowances"] if covers(w, (pair[0], lm), (pair[1], lh))]
+            depths = [w["depth"] for w in phase["allowances"] if covers(w, named[pair[0]], named[pair[1]])]
             need, at = -max(depths) if depths else (data["certificate"]["min_clearance_m"] or 0.0) - 1e-6, a
             todo = [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]
             while todo:
@@ -213,11 +222,14 @@ def main(folder: Path) -> int:
     if data["certificate"] is None:
         raise SystemExit(f"{folder}: the result holds no certificate (verdict {data['verdict']})")
     replay = Replay(read_model(folder, data), data)
-    claims = [("clearance", *clearance(replay, data))]
+    claims = [("hashes", *hashes(folder, data)), ("samples", *samples(folder, replay, data))]
+    claims += [("speeds", *speeds(replay, data)), ("clearance", *clearance(replay, data))]
     for phase in data["phases"]:
         claims += [(f"{phase['name']}: {c['link']}", *feet(replay, phase, c)) for c in phase["contacts"]]
         relative = [target for target in phase["targets"] if target["kind"] == "relative_pose"]
         claims += [(f"{phase['name']}: {t['frame']} kept", *kept(replay, phase, t)) for t in relative]
+        others = [target for target in phase["targets"] if target["kind"] != "relative_pose"]
+        claims += [(f"{phase['name']}: {t.get('frame', t.get('joint'))}", *target(replay, phase, t)) for t in others]
         claims += [(f"{phase['name']}: balance", *balance(replay, phase))] if phase["support"] else []
         claims += [(f"{phase['name']}: limits", *limits(replay, phase))]
     for name, is_ok, text in claims:

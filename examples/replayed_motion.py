@@ -16,6 +16,7 @@ import pinocchio as pin
 
 ROUNDING = 1e-8  # of a coordinate as written [rad, m]
 Array = np.ndarray
+Named = tuple[str, str | None, str]  # who has a body (robot, mechanism, scene), its link, its name
 
 
 def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
@@ -31,17 +32,20 @@ def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
     model = pin.buildModelFromXML(text, root) if is_floating else pin.buildModelFromXML(text)
     for m in data["movables"]:
         turn = pin.JointModelRevoluteUnaligned(np.array(m["axis"]))
-        model.addJoint(0, turn, pin.SE3(np.eye(3), np.array(m["origin"])), m["joint"])
+        joint = model.addJoint(0, turn, pin.SE3(np.eye(3), np.array(m["origin"])), m["joint"])
+        model.addFrame(pin.Frame(m["name"], joint, 0, pin.SE3.Identity(), pin.FrameType.BODY))
     if list(model.names)[1 + is_floating :] != data["curve"]["joint_names"][6 * is_floating :]:
         raise SystemExit("the URDF's joints are not the curve's")
     return model
 
 
-def covers(allowance: dict[str, Any], one: tuple[str, str], other: tuple[str, str]) -> bool:
-    def fits(pattern: str, names: tuple[str, str]) -> bool:
-        return any(n and (n == pattern or (pattern[-1] == "*" and n.startswith(pattern[:-1]))) for n in names)
+def covers(allowance: dict[str, Any], one: Named, other: Named) -> bool:
+    def fits(ref: dict[str, Any], named: Named) -> bool:
+        is_whole_link = ref["body"] is None and ref["owner"] != "scene"
+        return (ref["owner"], ref["link"]) == named[:2] and (is_whole_link or ref["body"] == named[2])
 
-    return any(fits(allowance["link"], x) and fits(allowance["other"], y) for x, y in ((one, other), (other, one)))
+    first, second = allowance["first"], allowance["second"]
+    return any(fits(first, x) and fits(second, y) for x, y in ((one, other), (other, one)))
 
 
 class Replay:
@@ -49,6 +53,7 @@ class Replay:
 
     def __init__(self, model: pin.Model, data: dict[str, Any]) -> None:
         self.model, curve, phases = model, data["curve"], data["phases"]
+        self.names = list(curve["joint_names"])
         self.knots, q, v = (np.array(curve[key], float) for key in ("knots", "positions", "tangents"))
         self.samples = np.array(curve["samples"], float)
         self.edges = np.unique([*self.knots, *(self.samples[p[end]] for p in phases for end in ("first", "last"))])

@@ -7,7 +7,7 @@ from perception.convex.pieces import Pieces, make_pieces
 from perception.detect import KINDS, detect, detect_each, detect_kinds
 from perception.detect.detection import Detection
 from perception.detect.valve import ValveDetection, detect_valves
-from perception.detect.valve_bodies import has_clear_spokes, stem_of, valve_bodies, wheel_points
+from perception.detect.valve_bodies import has_clear_spokes, rim_bodies, stem_of, valve_bodies, wheel_points
 from perception.detect.wheel import wheel_basis
 from perception.errors import CloudError, PerceptionError
 from perception.files.npz import write_npz
@@ -65,6 +65,7 @@ __all__ = [
     "read_cloud",
     "read_clouds",
     "rigid_pose",
+    "rim_bodies",
     "stem_of",
     "update",
     "valve_bodies",

@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
 from perception.clean import row_keys
+from perception.neighbours import nearest
 
 STARTS_APART = 0.1
 RADIUS = 0.03
@@ -87,11 +89,14 @@ def _support_in(
     directions = rays / np.maximum(ranges, 1e-9)[:, None]
     k = min(_NEIGHBOURS + 1, len(points))
     tree = cKDTree(directions, balanced_tree=False, compact_nodes=False)
-    neighbours = np.asarray(tree.query(directions[asked], k=np.arange(2, k + 1), workers=-1)[1])
+    neighbours = nearest(tree, directions[asked], np.arange(2, k + 1))[1]
+    poll()
     around = _Around.of(directions, ranges, asked, neighbours)
+    poll()
     eighth = around.aside[:, min(_EIGHTH, k - 2)]
     reach = np.maximum(2.0 * spacing_radius(ranges[asked]), _FAR_ASIDE * eighth)
     counted = (like[neighbours] | ~is_thin[:, None]) & (around.aside <= reach[:, None])
+    poll()
     noise = depth_noise(ranges[asked])
     level = np.maximum(noise, _SLANT / np.sqrt(2.0) * eighth)
     count = (counted & (np.abs(around.depth) <= level[:, None])).sum(axis=1)
@@ -141,6 +146,7 @@ def _on_slope(
     """How many counted rays ended on the plane that leads from each point to one neighbour; none where it does not
     go on, with most rays on one side of the point on it, well beyond the noise.
     """
+    poll()
     u, v, depth = around.u, around.v, around.depth
     flat = np.maximum(u[:, neighbour] ** 2 + v[:, neighbour] ** 2, 1e-12)
     slope = depth[:, neighbour] / flat
@@ -148,6 +154,7 @@ def _on_slope(
     on = (counted & (np.abs(depth - expected) <= noise[:, None])).astype(float)
     # Least squares of those near it, through the point; a little ridge keeps a row of rays from a slope across it.
     uu, vv, uv = (on * u * u).sum(axis=1) + 1e-6, (on * v * v).sum(axis=1) + 1e-6, (on * u * v).sum(axis=1)
+    poll()
     ud, vd = (on * u * depth).sum(axis=1), (on * v * depth).sum(axis=1)
     determinant = uu * vv - uv * uv
     slope_u, slope_v = (vv * ud - uv * vd) / determinant, (uu * vd - uv * ud) / determinant
@@ -155,6 +162,7 @@ def _on_slope(
     is_on = counted & (np.abs(depth - expected) <= noise[:, None])
     goes_on = np.zeros(len(u), dtype=bool)
     for towards in (expected, -expected):
+        poll()
         side = counted & (towards > 0.0)
         mine = is_on & side
         beyond = (mine & (towards > noise[:, None])).cumsum(axis=1)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
+from costs.stopping import poll
 from perception.errors import PerceptionError
 
 SELF_MARGIN = 0.025
@@ -77,6 +78,7 @@ def voxel_downsample(
 
 def row_keys(rows: Float[np.ndarray, "N K"]) -> Int[np.ndarray, "N"]:
     """A number for each row, the same for equal rows (and, once in 10^9 clouds of a million, for two others)."""
+    poll()
     words = (np.ascontiguousarray(rows, dtype=np.float64) + 0.0).view(np.uint64)  # + 0.0: there is one zero
     keys = np.full(len(rows), 0x9E3779B97F4A7C15, dtype=np.uint64)
     for column in words.T:
@@ -117,6 +119,7 @@ def inside_hulls(
         hulls: (V, 3) vertices each, in the frame of the points.
         margin: [m].
     """
+    poll()
     inside = np.zeros(len(points), dtype=bool)
     if not len(hulls) or not len(points):
         return inside

@@ -13,7 +13,3 @@ class CloudError(PerceptionError):
 
 class MeshError(PerceptionError):
     """A mesh or mesh file that cannot be used; one line: what, what is wrong with it, what would do."""
-
-
-class CancelledError(PerceptionError):
-    """Work that was asked to stop, and did."""

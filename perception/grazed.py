@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from perception.neighbours import nearest
+
 _NEIGHBOURS = 24
 _MOST_OFF = 0.005
 _ON_PLANE = 0.008
@@ -70,8 +72,8 @@ class _Nearest:
     @classmethod
     def of(cls, points: Float[np.ndarray, "K 3"], surface: Float[np.ndarray, "N 3"]) -> _Nearest:
         tree = cKDTree(surface, balanced_tree=False, compact_nodes=False)
-        distance, index = tree.query(points, k=np.arange(1, _NEIGHBOURS + 1), workers=-1)
-        return cls(np.asarray(distance), surface[index])
+        distance, index = nearest(tree, points, np.arange(1, _NEIGHBOURS + 1))
+        return cls(distance, surface[index])
 
     def among(self, chosen: Int[np.ndarray, "C"]) -> _Nearest:
         """Of the chosen points only."""
@@ -82,7 +84,7 @@ class _Nearest:
     ) -> Int[np.ndarray, "D"]:
         """Take in further points of the surface; which of the chosen ones have another set of nearest ones then."""
         k = np.arange(1, min(_NEIGHBOURS, len(new)) + 1)
-        distance, index = map(np.asarray, cKDTree(new).query(points[chosen], k=k))
+        distance, index = nearest(cKDTree(new), points[chosen], k)
         nearer = distance[:, 0] < self.distance[chosen, -1]
         chosen = chosen[nearer]
         all_distances = np.concatenate([self.distance[chosen], distance[nearer]], axis=1)

@@ -10,8 +10,10 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
 from perception.extent import convex_patches, pierced_cells
 from perception.floor import FloorPlane
+from perception.neighbours import nearest
 from perception.outlines import outlines_of
 from perception.patches import MAX_SLOPE_DEG, PATCH, Patches, candidates, least_squares, patches_of, plane_of
 from perception.unbroken import is_unbroken
@@ -107,6 +109,7 @@ def find_floors(
 
 def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.Generator) -> Iterator[_Level]:
     """Planes of the patches, the largest first, each with what no larger one has taken."""
+    poll()
     free = patches.is_upright | patches.is_bare
     normals, offsets = candidates(patches, rng)
     if not len(normals):
@@ -143,6 +146,7 @@ def _fitted(
     offset: float,
 ) -> tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, "K"]] | None:
     """The better least-squares plane of the points near the candidate, and their indices."""
+    poll()
     beside = np.abs(patches.centre @ normal - offset) < 2 * _BAND + PATCH
     usable = np.flatnonzero((free & beside)[patches.of_point])
     mine = points[usable]
@@ -166,6 +170,7 @@ def _seen(
     members: Int[np.ndarray, "K"],
 ) -> _Level | None:
     """The parts of a plane that are large enough to stand on; None without any, or where its patches tilt otherwise."""
+    poll()
     cells = np.floor(points[members, :2] / _CELL).astype(int)
     lower = cells.min(axis=0) - 2
     picture = np.zeros(cells.max(axis=0) - lower + 3, dtype=bool)
@@ -269,9 +274,9 @@ def _reached(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level
         here = open_ends.pop(0)
         tree = cKDTree(here.places[:, :2])
         for level in waiting:
-            apart, nearest = map(np.asarray, tree.query(level.places[:, :2], distance_upper_bound=_GAP))
+            apart, index = nearest(tree, level.places[:, :2], 1, within=_GAP)
             meet = np.isfinite(apart)
-            rise = np.abs(level.places[meet, 2] - here.places[nearest[meet], 2])
+            rise = np.abs(level.places[meet, 2] - here.places[index[meet], 2])
             is_ground = level.plane.area >= 4 * _LARGE and level.places[:, 2].max() < lowest
             if is_ground or (meet.any() and float(rise.min()) <= _STEP):
                 waiting = [other for other in waiting if other is not level]
@@ -303,7 +308,7 @@ def _outlined(
     is_member = np.zeros(len(points), dtype=bool)
     is_member[level.members] = True
     belongs = is_member[beside]
-    apart, _ = cKDTree((level.cells + 0.5) * _CELL).query(near[~belongs, :2], distance_upper_bound=_GOES_ON)
+    apart, _ = nearest(cKDTree((level.cells + 0.5) * _CELL), near[~belongs, :2], 1, within=_GOES_ON)
     goes_on = np.isfinite(apart)
     if level.plane.slope_deg > _LEVEL_DEG:
         across = np.array([-level.plane.normal[1], level.plane.normal[0]])

@@ -6,9 +6,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
 from perception.beside import RADIUS, RADIUS_SHARE, STARTS_APART, depth_noise, spacing_radius, support
 from perception.clean import row_keys, voxel_index
 from perception.grazed import on_grazed_surface
+from perception.neighbours import nearest
 
 _WIDE = 0.7
 _DEEP = 3.0
@@ -35,13 +37,9 @@ def inliers(
     kept = counts[voxel] > n_neighbours
     rest = np.flatnonzero(~kept)
     if len(rest):
-        distance, _ = _tree(points).query(
-            points[rest],
-            k=[n_neighbours + 1],
-            distance_upper_bound=float(radius[rest].max()) * (1.0 + 1e-9),
-            workers=-1,
-        )
-        kept[rest] = np.asarray(distance)[:, 0] <= radius[rest]
+        most = float(radius[rest].max()) * (1.0 + 1e-9)
+        distance, _ = nearest(_tree(points), points[rest], [n_neighbours + 1], within=most)
+        kept[rest] = distance[:, 0] <= radius[rest]
     return np.asarray(kept)
 
 
@@ -108,6 +106,7 @@ def _cones(
 ) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "V"]]:
     """Number of the piece of a narrow cone each point lies in, and counts: about a radius wide, three radii deep."""
     # The radius grows with the range; so many pieces, each _DEEP radii deep, lie before a range.
+    poll()
     before = np.log1p(ranges * (RADIUS_SHARE / RADIUS)) / (_DEEP * RADIUS_SHARE)
     level = np.floor(before)
     middle = (RADIUS / RADIUS_SHARE) * np.expm1((level + 0.5) * (_DEEP * RADIUS_SHARE))
@@ -124,6 +123,7 @@ def _cones(
 
 def _on_smooth_depth(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
     """Points whose voxel is explained by one plane over the rays, not too steep to them, and who lie on it."""
+    poll()
     rays = points - starts
     ranges = np.linalg.norm(rays, axis=1)
     voxel, counts = _cones(rays, ranges, starts)

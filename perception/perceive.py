@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece, Scene
+from costs.stopping import never, poll, stops_when
 from perception.clean import Reach, voxel_downsample
 from perception.clock import Clock
 from perception.cloud import Cloud
@@ -19,17 +20,17 @@ from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.unknown import unknown_pieces
 from perception.detect.valve import ValveDetection, detect_in
 from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
-from perception.errors import CancelledError
+from perception.errors import MeshError
 from perception.floor import FloorPlane, floor_pieces
-from perception.solids.decompose import Work
+from perception.neighbours import nearest
 from perception.solids.known import KnownMesh, located
 from perception.solids.match import MeshMatch
 from perception.solids.pieces import made_by_coacd
-from perception.solids.process import never
 from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]
 CONFIDENT = 0.5
+_LEAST_SHOWN = 0.25  # of a mesh's span, that of a scan which is to show it
 _MOST_SHOWN = 60_000
 _SHOWN_VOXEL = 0.01
 FRINGE = 5.0 / 3.0  # of the tolerance of three standard deviations
@@ -111,23 +112,39 @@ def perceive(
         method: ``planes`` (slabs, then hulls of the rest) or ``coacd`` (cells, then CoACD; slower and coarser).
         known: objects to look for, of unique names; points that one found with confidence explains are kept out of the
             pieces, and the object itself is not in the scene.
-        should_stop: asked between steps and while CoACD runs.
+        should_stop: asked at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
 
     Raises:
         MeshError: CoACD crashed or needs too much.
-        CancelledError: ``should_stop`` said so.
+        Stopped: it was asked to stop.
         CloudError: nothing of the cloud lies in reach.
     """
+    with stops_when(should_stop):
+        return _perceive(cloud, reach, robot_hulls, soles, hint, valve, unknown, seed, method, known)
+
+
+def _perceive(
+    cloud: Cloud,
+    reach: Reach,
+    robot_hulls: Sequence[Float[np.ndarray, "V 3"]],
+    soles: Sequence[Float[np.ndarray, "S 3"]],
+    hint: Float[np.ndarray, "3"] | None,
+    valve: bool,
+    unknown: Unknown,
+    seed: int,
+    method: Literal["planes", "coacd"],
+    known: Sequence[KnownMesh],
+) -> Perceived:
+    """As ``perceive``."""
     clock = Clock()
     view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, soles=soles, seed=seed)
     clock.lap("view")
     valves = tuple(detect_in(view, hint)) if valve else ()
     kept, stem = without_best(valves, view)
     clock.lap("valve")
-    matches = matched(known, view, clock, should_stop)
+    matches = matched(known, view, clock)
     kept = unexplained(view.obstacles, kept, matches)
-    stop_if(should_stop, "cloud")
-    made = _made(view, kept, method, Work(should_stop=should_stop))
+    made = _made(view, kept, method)
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
     if unknown == "occupied":
@@ -147,35 +164,42 @@ def without_best(valves: Sequence[ValveDetection], view: View) -> tuple[Int[np.n
     return kept[is_other], () if stem is None else (stem,)
 
 
-def matched(
-    known: Sequence[KnownMesh], view: View, clock: Clock, should_stop: Callable[[], bool] = never
-) -> dict[str, MeshMatch]:
-    """By name where each known mesh is."""
+def matched(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[str, MeshMatch]:
+    """By name where each known mesh is.
+
+    Raises:
+        MeshError: the whole scan is much smaller than one of them.
+    """
     matches: dict[str, MeshMatch] = {}
     for one in known:
-        stop_if(should_stop, one.name)
+        poll()
+        _check_span(one, view)
         matches[one.name] = located(one, view)
         clock.lap("known meshes")
     return matches
 
 
-def _made(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coacd"], work: Work) -> Pieces:
+def _check_span(known: KnownMesh, view: View) -> None:
+    """
+    Raises:
+        MeshError: the whole scan is much smaller than a mesh that it is to show.
+    """
+    vertices = np.concatenate([mesh.vertices for mesh in (*known.solid.closed, *known.solid.open)])
+    mesh_m, scan_m = (float(np.ptp(points, axis=0).max()) for points in (vertices, view.cloud.points))
+    if not known.is_placed and scan_m < _LEAST_SHOWN * mesh_m:
+        raise MeshError(
+            f"spans only {scan_m:.2g} m, and {known.name}, which it is to show, {mesh_m:.2g} m; is its unit right?"
+        )
+
+
+def _made(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coacd"]) -> Pieces:
     """Pieces of the kept obstacle points; ``pieces[i].points`` are indices into all of them."""
     points, starts = view.obstacles[kept], view.starts[kept]
     if method == "coacd":
-        made = made_by_coacd(points, starts, view.cloud.rays, work=work)
+        made = made_by_coacd(points, starts, view.cloud.rays)
     else:
         made = make_pieces(points, starts, view.cloud.rays, view.seed)
     return replace(made, pieces=tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces))
-
-
-def stop_if(should_stop: Callable[[], bool], name: str) -> None:
-    """
-    Raises:
-        CancelledError: it is to stop.
-    """
-    if should_stop():
-        raise CancelledError(f"{name}: perception was cancelled")
 
 
 def unexplained(
@@ -191,7 +215,7 @@ def unexplained(
         kept = kept[~match.explains(points[kept])]
         lone = match.explains(points[kept], FRINGE)
         if lone.any() and not lone.all():
-            lone[lone] = cKDTree(points[kept[~lone]]).query(points[kept[lone]])[0] > _LONE
+            lone[lone] = nearest(cKDTree(points[kept[~lone]]), points[kept[lone]], 1)[0] > _LONE
         kept = kept[~lone]
     return kept
 

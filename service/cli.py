@@ -11,6 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from costs.stopping import stops_when
+from costs.threads import use_all_cores
 from service.cli_remote import REMOTE_EXIT_CODES, request_command, review_command, top_command
 from service.cli_report import print_figures, print_findings, print_table, print_verdict
 from service.cli_run import cancellable, consoles, print_json, progress, run
@@ -86,10 +88,17 @@ def plan_command(
 @app.command("verify", epilog=EXIT_CODE_HELP)
 def verify_command(
     result: Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")],
+    request: Annotated[
+        Path | None, typer.Option(help="Request file the result is to answer; by default the one in the folder.")
+    ] = None,
+    cloud: Annotated[
+        list[Path] | None,
+        typer.Option(help="Cloud (or scene) file of that request, read again; repeat for several."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Check a result anew, without the planner."""
-    raise typer.Exit(run(lambda: _verify(result, as_json), as_json, has_verdict=True))
+    raise typer.Exit(run(lambda: _verify(result, request, cloud or [], as_json), as_json, has_verdict=True))
 
 
 @app.command("view")
@@ -152,6 +161,7 @@ def _plan(
         from service.result_json import summary_json
 
         check_folder(folder)
+        use_all_cores()
         result = plan(request, on_progress=report, should_stop=should_stop)
         report("write result", 1.0)
         files = write_result(result, folder)
@@ -167,14 +177,15 @@ def _plan(
     return str(result.verdict.value)
 
 
-def _verify(path: Path, as_json: bool) -> str:
+def _verify(path: Path, request: Path | None, clouds: list[Path], as_json: bool) -> str:
     out, err = consoles()
-    with progress(err, "read result") as report:
+    with progress(err, "read result") as report, cancellable(err) as should_stop:
         report("read result", 0.0)
         from service.replay import verify_result
 
         report("verify", 0.1)
-        summary = verify_result(path)
+        with stops_when(should_stop):
+            summary = verify_result(path, request, clouds)
     if as_json:
         print_json(summary)
     else:

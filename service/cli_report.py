@@ -11,6 +11,7 @@ from rich.text import Text
 
 SEEN_TOUCH_M = 1e-4  # feet that rest on a floor are that near to it
 HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
+NAMED_LINKS = 3  # links without shape that the verdict's line names
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
 _COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
 
@@ -37,12 +38,51 @@ def print_findings(out: Console, summary: Mapping[str, Any]) -> None:
 def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
     """The last line of a command, which starts with the verdict; then what stands in the way, or how it went."""
     verdict = str(summary["verdict"])
-    sentence = " ".join(next(iter(summary.get("explanation") or []), "").split())
+    sentence = _first_sentence(summary.get("explanation") or [])
     if not sentence:
         planned = f", planned in {summary['planning_time_s']:.2f} s" if "planning_time_s" in summary else ""
-        sentence = f"clearance {_millimetres(summary.get('min_clearance_m'))}{planned}"
+        held_to = f", {summary['held_to']}" if summary.get("held_to") else ""
+        sentence = f"clearance {_millimetres(summary.get('min_clearance_m'))}{planned}{held_to}"
+    sentence += uncovered(summary.get("coverage"))
     line = Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}")
     out.print(line.append(f"  {sentence}", style="not bold default"), soft_wrap=True)
+
+
+def uncovered(coverage: Mapping[str, Any] | None) -> str:
+    """What a verdict does not cover, as clauses that begin with a semicolon; empty where there is nothing to say.
+
+    Pairs of joint neighbours and of links that never move against each other are counted, no others expected.
+    """
+    if coverage is None:
+        return ""
+    clauses = []
+    left_out = coverage["left_out"]
+    others = [one for one in left_out if not one["is_neighbour"] and one["reason"] != "same joint"]
+    if left_out:
+        told = f", {len(others)} of them no neighbours" if others else ""
+        clauses.append(f"{_count(len(left_out), 'pair')} of links left out{told}")
+    shapeless = [one["link"] for one in coverage["shapeless"] if one["reach_m"] != 0.0]
+    if shapeless:
+        rest = len(shapeless) - NAMED_LINKS
+        more = f" and {rest} more" if rest > 0 else ""
+        clauses.append(f"{_count(len(shapeless), 'link')} without shape: {', '.join(shapeless[:NAMED_LINKS])}{more}")
+    if coverage["not_checked"]:
+        clauses.append(f"not checked: {', '.join(coverage['not_checked'])}")
+    return "".join(f"; {clause}" for clause in clauses)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _first_sentence(lines: Sequence[str]) -> str:
+    """What stands in the way in one line; a line that announces others is followed by them."""
+    said: list[str] = []
+    for line in lines:
+        said += line.split()
+        if not line.rstrip().endswith((":", ";")):
+            break
+    return " ".join(said)
 
 
 def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
@@ -92,7 +132,7 @@ def _tightest(checks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     kinds: dict[str, list[Mapping[str, Any]]] = {}
     shown: list[dict[str, Any]] = []
     for check in checks:
-        if check["ok"]:
+        if check["ok"] and check.get("basis") != "unproven":
             kinds.setdefault(_kind(str(check["name"])), []).append(check)
         else:
             shown.append(dict(check))
@@ -128,6 +168,8 @@ def _checks(checks: Sequence[Mapping[str, Any]]) -> Table:
     table.add_column("", overflow="fold")
     for check in checks:
         mark = Text("ok", style="green") if check["ok"] else Text("FAILS", style="bold red")
+        if check["ok"] and check.get("basis") == "unproven":
+            mark = Text("unproven", style="yellow")
         unit = str(check["unit"])
         table.add_row(
             Text(str(check["name"])),

@@ -8,12 +8,14 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from types import FrameType
 from typing import Any
 
 from rich.console import Console
 
+from costs.stopping import Stopped
 from service.cli_report import print_verdict
 from service.errors import ServiceError
 
@@ -80,7 +82,18 @@ def run(command: Callable[[], str | None], as_json: bool = False, has_verdict: b
     Wrong input is one line per problem on stderr. On stdout, such an end too is an object with ``as_json``, else, with
     ``has_verdict``, a line that starts with the verdict.
     """
-    out, err = consoles()
+
+    def tell(ended: EndedError) -> None:
+        """Say why there is no result."""
+        out, err = consoles()
+        for line in ended.lines:
+            err.print(line, style="red", markup=False, soft_wrap=True)
+        if as_json:
+            print_json(without_result(ended.verdict, ended.lines))
+        elif has_verdict:
+            print_verdict(out, {"verdict": ended.verdict, "explanation": ended.lines})
+
+    token = _TELL.set(tell)
     try:
         given = command()
         return 0 if given is None else EXIT_CODES[given]
@@ -88,8 +101,8 @@ def run(command: Callable[[], str | None], as_json: bool = False, has_verdict: b
         ended = error
     except ServiceError as error:
         ended = _ended("INVALID_REQUEST", *str(error).splitlines())
-    except KeyboardInterrupt:
-        ended = _ended("CANCELLED", "cancelled")
+    except (KeyboardInterrupt, Stopped):
+        ended = _CANCELLED
     except BrokenPipeError:
         # The reader of stdout has gone; nobody is left to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -99,12 +112,9 @@ def run(command: Callable[[], str | None], as_json: bool = False, has_verdict: b
             raise
         line = " ".join(f"internal error, please report it: {type(error).__name__}: {error}".split())
         ended = EndedError(INTERNAL_ERROR, (f"{line} ({TRACEBACK_VARIABLE}=1 shows where)",), EXIT_INTERNAL)
-    for line in ended.lines:
-        err.print(line, style="red", markup=False, soft_wrap=True)
-    if as_json:
-        print_json(without_result(ended.verdict, ended.lines))
-    elif has_verdict:
-        print_verdict(out, {"verdict": ended.verdict, "explanation": ended.lines})
+    finally:
+        _TELL.reset(token)
+    tell(ended)
     return ended.exit_code
 
 
@@ -112,17 +122,23 @@ def _ended(verdict: str, *lines: str) -> EndedError:
     return EndedError(verdict, lines, EXIT_CODES[verdict])
 
 
+_CANCELLED = _ended("CANCELLED", "cancelled")
+_TELL: ContextVar[Callable[[EndedError], None]] = ContextVar("tell", default=lambda _: None)
+
+
 @contextmanager
 def cancellable(err: Console) -> Iterator[Callable[[], bool]]:
-    """The first Ctrl-C asks the planner to stop and hand over its best; the second stops at once.
+    """The first Ctrl-C asks the work in the body to stop and hand over its best; the second ends this process.
 
-    Yields what the planner asks: whether to stop.
+    Neither raises anything where the work is: that could be in native code whose threads go on.
+
+    Yields what that work asks: whether to stop.
     """
     stop = threading.Event()
 
     def ask(signum: int, frame: FrameType | None) -> None:
         if stop.is_set():
-            raise KeyboardInterrupt
+            _end_at_once()
         stop.set()
         err.print("stopping; Ctrl-C again stops at once", style="yellow")
 
@@ -131,6 +147,13 @@ def cancellable(err: Console) -> Iterator[Callable[[], bool]]:
         yield stop.is_set
     finally:
         signal.signal(signal.SIGINT, earlier)
+
+
+def _end_at_once() -> None:
+    with suppress(RuntimeError, OSError):  # what is being written just now cannot be written into
+        _TELL.get()(_CANCELLED)
+        sys.stdout.flush()
+    os._exit(_CANCELLED.exit_code)
 
 
 @contextmanager

@@ -8,9 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
+from costs.stopping import stops_when
+from costs.threads import use_all_cores
 from service.cli_clouds import CloudOptions, with_cloud_options
 from service.cli_report import HIT_COLUMNS, MESH_COLUMNS, hit_row, mesh_row, print_table
-from service.cli_run import EXIT_CODES, EndedError, consoles, print_json, progress, run
+from service.cli_run import EXIT_CODES, EndedError, cancellable, consoles, print_json, progress, run
 from service.scan_choices import EVERY_KIND, KINDS, Method, Unknown
 
 KIND_HELP = f"{', '.join(KINDS)}, or {EVERY_KIND}"
@@ -115,7 +117,8 @@ def _scene(
 ) -> str | None:
     screen, err = consoles()
     update, given = before
-    with progress(err, "read cloud") as report:
+    use_all_cores()
+    with progress(err, "read cloud") as report, cancellable(err) as should_stop:
         from service.cloud_asked import cloud_asked
         from service.scene_before import read_before
         from service.scene_file import SceneAsked, on_top_of, see_files
@@ -130,7 +133,8 @@ def _scene(
             said = {name: option for name, option in _OF_BEFORE.items() if name in given}
             asked = on_top_of(read_before(update), asked, said, "--update")
         try:
-            seen = see_files(asked, lambda step: report(step, None), time_limit)
+            with stops_when(should_stop):
+                seen = see_files(asked, lambda step: report(step, None), time_limit)
         except OutOfTimeError as error:
             raise EndedError("TIME_LIMIT", (str(error),), EXIT_CODES["TIME_LIMIT"]) from None
         report("write pieces", None)
@@ -171,13 +175,16 @@ def _detect(
     as_json: bool,
 ) -> str | None:
     screen, err = consoles()
-    with progress(err, "read cloud") as report:
+    use_all_cores()
+    with progress(err, "read cloud") as report, cancellable(err) as should_stop:
         from service.cloud_asked import cloud_asked
         from service.detect_file import detect_file
         from service.time_limit import OutOfTimeError
 
         try:
-            found = detect_file(cloud_asked(clouds.asked()), kind, hint, lambda step: report(step, None), time_limit)
+            wanted = cloud_asked(clouds.asked())
+            with stops_when(should_stop):
+                found = detect_file(wanted, kind, hint, lambda step: report(step, None), time_limit)
         except OutOfTimeError as error:
             raise EndedError("TIME_LIMIT", (str(error),), EXIT_CODES["TIME_LIMIT"]) from None
     late = ", ".join(found["unfinished"])

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from service.errors import shown
 from service.motion_json import file_columns, file_positions, sample_times, samples_of
-from service.verify import Certificate, Motion
-from service.verify.certificate import link_vertices
+from service.verify import Certificate, Motion, Status
+from service.verify.certificate import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
 
 TOLERANCE = 1e-6  # of numbers written twice [m, rad, s]
 CLAIM_TOLERANCE = 1e-4  # of a clearance or balance margin proven on another machine [m]
@@ -25,17 +26,17 @@ def contradictions(
     """One sentence for everything in a result that does not fit the rest of it.
 
     Args:
-        data: the parsed ``result.json``.
+        data: the parsed ``result.json``, with a certificate.
         motion: the motion read from it.
-        certificate: of that motion, made anew.
+        certificate: made anew, of the motion as the request has it.
         table: its ``trajectory.csv``, if there is one.
 
     Raises:
         KeyError, TypeError, ValueError, IndexError: the data do not follow docs/result-format.md.
     """
-    recorded = data["certificate"] or {}
+    recorded = data["certificate"]
     return (
-        *_hashes(data, recorded, certificate),
+        *_hashes(data, recorded, motion),
         *_bodies(data, motion),
         *_samples(data, motion, table),
         *_promises(recorded, certificate),
@@ -43,15 +44,23 @@ def contradictions(
     )
 
 
-def _hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], certificate: Certificate) -> Iterator[str]:
-    for name in ("scene_sha256", "bodies_sha256", "robot_sha256", "promises_sha256"):
-        if recorded.get(name) not in (None, getattr(certificate, name)):
+def _hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: Motion) -> Iterator[str]:
+    made = {
+        "scene_sha256": scene_hash(motion.scene),
+        "bodies_sha256": bodies_hash(motion.robot),
+        "robot_sha256": robot_hash(motion.robot),
+        "promises_sha256": promises_hash(motion.phases),
+    }
+    for name, value in made.items():
+        if recorded[name] != value:
             yield f"{name} of the recorded certificate does not fit these files"
-    if data["robot"]["sha256"] != certificate.robot_sha256:
+    if data["robot"]["sha256"] != made["robot_sha256"]:
         yield "robot.sha256 does not fit the robot's file"
     canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))
     if data["request_hash"] != "sha256:" + hashlib.sha256(canonical.encode()).hexdigest():
         yield "request_hash does not fit the request"
+    if data["verdict"] == Status.CERTIFIED.value != recorded["status"]:
+        yield f"the verdict is CERTIFIED, and the recorded certificate says {shown(recorded['status'])}"
 
 
 def _bodies(data: Mapping[str, Any], motion: Motion) -> Iterator[str]:
@@ -60,7 +69,8 @@ def _bodies(data: Mapping[str, Any], motion: Motion) -> Iterator[str]:
     robot = motion.robot
     own = {b.name: link_vertices(robot, b.link, b.vertices) for b in robot.bodies if b.link not in moved}
     written = {body["name"]: np.array(body["vertices"], dtype=float) for body in data["bodies"]}
-    if own.keys() != written.keys() or not all(_agree(own[name], written[name]) for name in own):
+    is_told_once = len(written) == len(data["bodies"])
+    if not is_told_once or own.keys() != written.keys() or not all(_agree(own[name], written[name]) for name in own):
         yield "bodies are not those of the robot's files"
     pairs = {pair for pair in robot.ignored_pairs if moved.isdisjoint(pair)}
     if pairs != {tuple(pair) for pair in data["ignored_pairs"]}:
@@ -87,13 +97,16 @@ def _samples(data: Mapping[str, Any], motion: Motion, table: Path | None) -> Ite
 
 
 def _promises(recorded: Mapping[str, Any], certificate: Certificate) -> Iterator[str]:
-    """What was checked when the result was written is still asked for, and as strictly."""
-    asked = {check.name: check.limit for check in certificate.checks}
-    for check in recorded.get("checks", []):
-        if check["name"] not in asked:
-            yield f"check {check['name']} of the recorded certificate is no longer asked for"
-        elif check["limit"] is not None and not np.isclose(check["limit"], asked[check["name"]], rtol=TOLERANCE):
-            yield f"check {check['name']} has the limit {asked[check['name']]:.6g}, recorded is {check['limit']:.6g}"
+    """What was checked when the result was written is checked again, and as strictly."""
+    limits: dict[str, list[float]] = {}
+    for check in certificate.checks:
+        limits.setdefault(check.name, []).append(check.limit)
+    for check in recorded["checks"]:
+        name, limit = check["name"], check["limit"]
+        if name not in limits:
+            yield f"check {name} of the recorded certificate is no longer asked for"
+        elif limit is not None and not np.any(np.isclose(limit, limits[name], rtol=TOLERANCE)):
+            yield f"check {name} has the limit {limits[name][-1]:.6g}, recorded is {limit:.6g}"
 
 
 def _claims(claims: Mapping[str, Mapping[str, Any]], certificate: Certificate) -> Iterator[str]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import time
+import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,8 @@ from service.errors import RequestError, would_do
 from service.result_json import plain
 from service.scan_choices import EVERY_KIND, KINDS
 from service.time_limit import OutOfTimeError, TimeOver, at_most
+
+_LOG = logging.getLogger(__name__)
 
 FORMAT = "scopt-detections/1"
 _NEAR_HINT_M = 0.5
@@ -50,7 +55,7 @@ def detect_file(
             read = read_asked(asked, on_step)
             on_step("clean")
             view = make_view(read.cloud, reach=asked.reach, robot_hulls=read.hulls, soles=read.soles, seed=asked.seed)
-            looked = Search([], [])
+            looked = Search()
             look_for(kinds, view, hint, on_step, looked)
     except PerceptionError as error:
         raise RequestError(f"{asked.named}: {error}") from None
@@ -64,19 +69,43 @@ def detect_file(
         "format": FORMAT,
         "kind": kind,
         "searched": list(looked.kinds),
-        "unfinished": [one for one in kinds if one not in looked.kinds],
+        "unfinished": looked.unfinished(kinds),
         "hits": [hit_json(hit) for hit in hits],
         "figures": {**view_figures(read, view), "time_s": round(time.perf_counter() - started, 3)},
-        "notes": [*view.notes, *hint_notes(view, hint)],
+        "notes": [*view.notes, *hint_notes(view, hint), *looked.notes],
     }
 
 
 @dataclass(frozen=True)
 class Search:
-    """What was found so far, and the kinds that were looked for to the end."""
+    """What was found so far.
 
-    hits: list[Detection]
-    kinds: list[str]
+    Attributes:
+        hits: of all kinds.
+        kinds: those that were looked for to the end.
+        failed: by kind, what went wrong where a detector failed.
+    """
+
+    hits: list[Detection] = field(default_factory=list)
+    kinds: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+
+    def unfinished(self, asked: Sequence[str]) -> list[str]:
+        """The kinds that there was no time for."""
+        return [kind for kind in asked if kind not in self.kinds and kind not in self.failed]
+
+    @property
+    def notes(self) -> list[str]:
+        """A sentence for each detector that failed."""
+        return [f"the detector of {kind} failed, please report it: {why}" for kind, why in self.failed.items()]
+
+    def fail(self, kind: str, error: Exception) -> None:
+        """Note and log that a detector failed."""
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        self.failed[kind] = " ".join(f"{type(error).__name__}: {error}{place}".split())
+        _LOG.error("the detector of %s failed: %s", kind, self.failed[kind])
+        _LOG.debug("the detector of %s failed", kind, exc_info=error)
 
 
 def look_for(
@@ -86,9 +115,13 @@ def look_for(
     on_step: OnStep,
     search: Search,
 ) -> None:
-    """Add the hits of each kind, best first within it, and the kind itself to the search."""
+    """Add the hits of each kind, best first within it, and the kind itself to the search; a detector may fail alone."""
     place = None if hint is None else np.array(hint)
-    for kind, hits in detect_each(kinds, view, place, on_kind=lambda one: on_step(f"look for {one}")):
+
+    def tell(kind: str) -> None:
+        on_step(f"look for {kind}")
+
+    for kind, hits in detect_each(kinds, view, place, on_kind=tell, on_failure=search.fail):
         search.hits.extend(hits)
         search.kinds.append(kind)
 

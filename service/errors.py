@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 MAX_PROBLEMS = 10  # a file of garbage need not be listed to its end
 MAX_VALUE_CHARACTERS = 60
+_MOST_BITS = 1024  # an integer of more is shown in hexadecimals
 
 
 class ServiceError(Exception):
@@ -50,7 +51,19 @@ def _beginning(value: object, entries: Iterator[int]) -> object:
         return some if type(value) is list else tuple(some)
     if type(value) is dict:
         return {key: _beginning(one, entries) for (key, one), _ in zip(value.items(), entries, strict=False)}
+    if type(value) is int and value.bit_length() > _MOST_BITS:  # Python refuses to write it in decimals
+        return _Hexadecimal(value)
     return value
+
+
+class _Hexadecimal:
+    """An integer too long for decimals."""
+
+    def __init__(self, value: int) -> None:
+        self._text = hex(value)
+
+    def __repr__(self) -> str:
+        return self._text
 
 
 def would_do(name: object, known: Iterable[str], at_most: int = 6) -> str:

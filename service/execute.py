@@ -13,10 +13,15 @@ from service.phases import PlannedPhase, TaskPlan
 from service.spline import Path, Spline, make_spline
 from service.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Motion, Phase, PlantedContact, SupportPolygon
-from service.verify.timeline import time_of
+from service.verify.duties import BALANCE, TIMING
+from service.verify.timeline import times_of
 from service.whole_body import WholeBody
 
 SAMPLE_PERIOD_S = 0.01
+# Samples beside a rest, as shares of the knot interval: the robot leaves it at once, and a start that touches something
+# has no room for the chord of a whole sample period.
+BESIDE_REST = np.array([0.01, 0.03, 0.06])
+SAME_TIME_S = 1e-5  # no two samples are nearer to each other
 ZMP_RESERVE = 0.015  # how far inside the feet the motion is slowed to keep the ZMP [m]
 CHORD_TOLERANCE = 1e-3  # of an untimed path's samples, read linearly [rad, m]
 HELD_CHORD_SHARE = 0.05  # the same where something is held, of what that may drift: all joints of its chain add up
@@ -44,13 +49,20 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         curve=spline.curve,
         phases=phases,
         mechanism_links=body.robot.mechanism_links,
+        waived=frozenset(
+            {
+                *([TIMING] if timing is None else []),
+                *([BALANCE] if body.robot.is_floating and body.polygon is None else []),
+            }
+        ),
     )
     if timing is None:
         is_held = bool(body.holds()) or any(phase.holds for phase in plan.phases)
         chord = HELD_CHORD_SHARE * body.drift() if is_held else CHORD_TOLERANCE
         return replace(motion, samples=_path_samples(spline.curve, chord))
-    timing = replace(timing, support_links=tuple(foot.link for foot in body.planted))
-    motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing))
+    planted = tuple(foot.link for foot in body.planted)
+    timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
+    motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
     law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
     return replace(motion, law=law, samples=_samples(knots, law))
 
@@ -93,11 +105,17 @@ def _path_samples(curve: Curve, chord: float) -> Float[np.ndarray, "M"]:
 
 
 def _samples(knots: Float[np.ndarray, "K"], law: TimeLaw) -> Float[np.ndarray, "M"]:
-    """Path parameters of the exported samples: all knots, and between them at least one every sample period."""
-    times = np.array([time_of(law, float(knot)) for knot in knots])
+    """Path parameters of the exported samples: all knots, more beside rests, and one at least every sample period."""
+    times = times_of(law, knots)
+    is_rest = np.isin(knots, law.path[law.speed == 0.0])
     samples = [knots[:1]]
-    for first, last, s_last in zip(times[:-1], times[1:], knots[1:], strict=True):
-        count = max(int(np.ceil((last - first) / SAMPLE_PERIOD_S)), 1)
-        inner = law.at(np.linspace(first, last, count + 1)[1:-1])[0]
-        samples += [inner, np.array([s_last])]
+    for k, length in enumerate(np.diff(knots)):
+        count = max(int(np.ceil((times[k + 1] - times[k]) / (SAMPLE_PERIOD_S - SAME_TIME_S))), 1)
+        even = np.linspace(times[k], times[k + 1], count + 1)[1:-1]
+        beside = [knots[k : k + 1], knots[k + 1 : k + 2]]
+        beside += [knots[k] + length * BESIDE_REST] if is_rest[k] else []
+        beside += [knots[k + 1] - length * BESIDE_REST] if is_rest[k + 1] else []
+        extra = np.concatenate(beside)
+        is_apart = np.abs(even[:, None] - times_of(law, extra)).min(axis=1) > SAME_TIME_S
+        samples += [law.at(even[is_apart])[0], extra]
     return np.unique(np.concatenate(samples))

@@ -8,7 +8,7 @@ loaded first, and stays out where the rest still cannot be kept, neither from th
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -94,7 +94,8 @@ def explain(
         should_stop: asked often; True ends it early.
     """
     brief = replace(settings, **EFFORT)
-    run = _Run(brief, solved.body, should_stop, time.perf_counter() + time_limit_s)
+    began = time.perf_counter()
+    run = _Run(brief, solved.body, should_stop, began + time_limit_s)
     problem = required(solved.problem)
     least = run.solve(problem, solved.x)
     run.settings = replace(brief, max_iterations=TRIAL_STEPS)
@@ -109,7 +110,8 @@ def explain(
     else:
         kept, search = _reduced(run, problem, x, ranked)
     standing_on = tuple(foot.link for foot in solved.body.planted)
-    return Conflict(step, n_attempts, standing_on, tuple(group.demand for group in kept), search, run.n_solves)
+    spent = time.perf_counter() - began if search is Search.CUT_SHORT else None
+    return Conflict(step, n_attempts, standing_on, tuple(group.demand for group in kept), search, run.n_solves, spent)
 
 
 def _ranked(body: WholeBody, problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> list[Group]:
@@ -126,28 +128,38 @@ def _reduced(
     """The demands that are left by the deletion filter, and how far it came."""
     solutions: dict[tuple[DemandKind, str], Float[np.ndarray, "T n"]] = {}
     left_out: list[Group] = []
+    alone: set[tuple[DemandKind, str]] = set()  # those without which, and nothing else, all was kept
     starts = (x, _plain(run.body, problem, x))
     for group in reversed(ranked):
         trial = run.solve_from(_without(problem, [*left_out, group]), starts)
         if trial is None:
-            return [g for g in ranked if g not in left_out], Search.CUT_SHORT
+            return [_as_tried(g, alone) for g in ranked if g not in left_out], Search.CUT_SHORT
         if trial.is_feasible:
             solutions[group.key] = trial.x
+            alone |= {group.key} if not left_out else set()
         else:
             left_out.append(group)
     kept = [group for group in ranked if group not in left_out]
     if not kept:
         return list(ranked), Search.NO_HELP
-    decided = []
+    decided: list[Group] = []
     for group in kept:
         # With nothing else left out, the filter has tried just that.
         starts = (solutions[group.key], starts[-1])
-        alone = run.solve_from(group.give_up(problem), starts) if left_out else None
-        if left_out and alone is None:
-            return kept, Search.CUT_SHORT
-        is_decisive = alone is None or alone.is_feasible
-        decided.append(replace(group, demand=replace(group.demand, is_decisive=is_decisive)))
+        trial = run.solve_from(group.give_up(problem), starts) if left_out else None
+        if left_out and trial is None:
+            return [*decided, *(_as_tried(g, alone) for g in kept[len(decided) :])], Search.CUT_SHORT
+        decided.append(_decided(group, trial is None or trial.is_feasible))
     return decided, Search.REDUCED
+
+
+def _as_tried(group: Group, alone: Collection[tuple[DemandKind, str]]) -> Group:
+    """The demand as decisive if it was left out alone and all else was kept, as untried otherwise."""
+    return _decided(group, True) if group.key in alone else group
+
+
+def _decided(group: Group, is_decisive: bool) -> Group:
+    return replace(group, demand=replace(group.demand, is_decisive=is_decisive))
 
 
 def _plain(body: WholeBody, problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -63,6 +63,7 @@ class Conflict:
         demands: at least one, the most loaded first.
         search: how far they were narrowed down.
         n_solves: problems that were solved for it.
+        cut_short_after_s: seconds spent on it where the search was cut short, else None.
     """
 
     step: str
@@ -71,6 +72,7 @@ class Conflict:
     demands: tuple[Demand, ...]
     search: Search
     n_solves: int
+    cut_short_after_s: float | None = field(default=None, compare=False)
 
     def sentences(self) -> tuple[str, ...]:
         """For a person: where it failed, each demand, what leaving demands out does, and what this does not show."""
@@ -104,6 +106,7 @@ class Conflict:
             "standing_on": list(self.standing_on),
             "search": self.search.value,
             "solves": self.n_solves,
+            "cut_short_after_s": self.cut_short_after_s,
             "demands": [{**asdict(demand), "kind": demand.kind.value} for demand in self.demands],
         }
 
@@ -112,7 +115,7 @@ class Conflict:
         if self.search is Search.GIVES_WAY:
             return "Asked for nothing else, the robot kept all of it there: more options.starts may help."
         if self.search is Search.CUT_SHORT:
-            return "There was no time to find out which of them to give up."
+            return self._learnt_in_time()
         if self.search is Search.NO_HELP:
             return "Giving them up did not help within a few steps."
         decisive = [demand.name for demand in self.demands if demand.is_decisive]
@@ -124,6 +127,19 @@ class Conflict:
         if len(decisive) == len(self.demands):
             return f"Without {'either' if len(decisive) == 2 else 'any one'} of them everything else was kept."
         return f"Without {' or without '.join(decisive)} everything else was kept."
+
+    def _learnt_in_time(self) -> str:
+        """What was found before the search was cut short."""
+        if not self.n_solves:
+            return "There was no time to find out which of them to give up."
+        spent = f"{self.cut_short_after_s or 0.0:.1f} s"
+        decisive = [demand.name for demand in self.demands if demand.is_decisive]
+        if decisive:
+            return (
+                f"Without {' or without '.join(decisive)} everything else was kept; whether that is so of the others "
+                f"was not found out within {spent}."
+            )
+        return f"Which of them to give up was not found out within {spent}."
 
 
 def listed(words: tuple[str, ...] | list[str]) -> str:

@@ -1,152 +1,131 @@
 """Why no motion at all can reach a goal: reasons that hold for every configuration that keeps what is promised.
 
-Each reason is a sufficient condition. A goal without one may still be out of reach.
+Each reason is a sufficient condition, by the shapes as they were given. A goal without one may still be out of reach.
+Where only the hulls that stand for round shapes overlap, nothing is impossible, but nothing can be certified either.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
-import coal
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
-from costs.kinematics import frame_of
+from costs.kinematics import frame_of, planted_poses
+from costs.robot import BASE_NAMES
+from service.explain_goal_poses import Finding, How, given_poses, shift
 from service.reachability import beyond_reach, too_far_apart
-from service.start import Overlap, overlaps, penetration, placed_bodies
+from service.start import overlaps_and_unresolved
 from service.verify import JointTarget, PoseTarget, Target
-from service.verify.convex import convex_of
 from service.whole_body import WholeBody
 
-ROUNDING = 1e-5  # more than coal's distances are off [m]
-POINT = 1e-9  # radius of the ball that stands for a point [m]
+SAME_STANCE = 1e-3  # planted links that place the base within this agree [m, rad]
+STANCE_PLAY = 1e-2  # what a link may be moved by within the tolerance of the planted links [m]
 
 
-def never_reached(body: WholeBody, targets: Sequence[Target]) -> tuple[str, ...]:
-    """Sentences, one for each reason why no motion ends as promised; none if there may be one.
+@dataclass(frozen=True)
+class GoalReasons:
+    """What stands against a goal before anything is planned, in sentences.
+
+    Attributes:
+        impossible: reasons that hold for every motion.
+        unresolved: where the goal is clear by its shapes while the hulls that stand for them overlap, however the rest
+            of the robot stands: a motion may exist, and no plan made of these hulls can be certified.
+        notes: where the goal as it is given is in collision, and only its tolerance may free it.
+    """
+
+    impossible: tuple[str, ...]
+    unresolved: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def goal_reasons(body: WholeBody, targets: Sequence[Target]) -> GoalReasons:
+    """What stands against a goal.
 
     Args:
         body: the robot where it stands.
         targets: what the verifier will hold the end to.
     """
     poses = [target for target in targets if isinstance(target, PoseTarget)]
-    joints = {target.joint: target for target in targets if isinstance(target, JointTarget)}
-    return (
-        *_beyond_reach(body, poses),
-        *(f"the goal is in collision: {line}" for line in _given_joints_collide(body, joints)),
-        *(f"the goal is in collision: {line}" for line in _given_poses_collide(body, poses)),
+    joints = {target.joint: target.value for target in targets if isinstance(target, JointTarget)}
+    found = [*_given_joints(body, joints), *given_poses(body, poses)]
+    in_collision = tuple(f"the goal is in collision: {one.text}" for one in found if one.how is How.INSIDE)
+    return GoalReasons(
+        (*_beyond_reach(body, poses), *in_collision),
+        tuple(f"the goal is too near to plan to: {one.text}" for one in found if one.how is How.HULLS_ONLY),
+        tuple(f"{one.text}; only its tolerance can free it" for one in found if one.how is How.TOLERANCE),
     )
+
+
+def never_reached(body: WholeBody, targets: Sequence[Target]) -> tuple[str, ...]:
+    """Sentences, one for each reason why no motion ends as promised; none if there may be one."""
+    return goal_reasons(body, targets).impossible
 
 
 def _beyond_reach(body: WholeBody, poses: Sequence[PoseTarget]) -> Iterator[str]:
     for pose in poses:
-        reason = beyond_reach(body, pose.frame, pose.position, _shift(pose))
+        reason = beyond_reach(body, pose.frame, pose.position, shift(pose))
         if reason is not None:
             yield reason
     for one, other in combinations(poses, 2):
         ends = (one.frame, one.position), (other.frame, other.position)
-        reason = too_far_apart(body.robot, *ends, _shift(one) + _shift(other))
+        reason = too_far_apart(body.robot, *ends, shift(one) + shift(other))
         if reason is not None:
             yield reason
 
 
-def _shift(pose: PoseTarget) -> float:
-    """How far the frame's origin may be from its target [m]; infinite where an axis is free."""
-    return float(np.linalg.norm(pose.position_tolerance_m))
+def _given_joints(body: WholeBody, joints: Mapping[str, float]) -> Iterator[Finding]:
+    """Pairs that overlap however the joints stand that are not given.
 
-
-def _given_joints_collide(body: WholeBody, joints: Mapping[str, JointTarget]) -> Iterator[str]:
-    """Pairs that overlap however the joints stand that are not given, deeper than the given ones may be off."""
+    The values are taken as they are given: how far a motion may end from them is the certificate's own tolerance.
+    """
     robot = body.robot
     given = np.array([name in joints for name in robot.joint_names])
     if not given.any():
         return
     end = body.nominal.copy()
-    for name, target in joints.items():
-        end[robot.joint_names.index(name)] = target.value
-    tolerance = max(target.tolerance for target in joints.values())
+    for name, value in joints.items():
+        end[robot.joint_names.index(name)] = value
+    placed = given.copy()
+    base = _standing_base(body, end, given)
+    if base is not None:
+        end[: len(BASE_NAMES)], placed[: len(BASE_NAMES)] = base, True
     supports = body.engine.topology.supports
     joint_of = {one.link: one.joint for one in robot.bodies}
-    for overlap in overlaps(robot, end, body.scene, [foot.link for foot in body.planted]):
+    inside, near = overlaps_and_unresolved(robot, end, body.scene, [foot.link for foot in body.planted])
+    for overlap in (*inside, *near):
         chain = supports[joint_of[overlap.link]]
-        if not overlap.kind:
+        if overlap.kind is None:
             chain = chain ^ supports[joint_of[overlap.other]]
-        if (chain & ~given).any() or overlap.depth <= _play(body, end, overlap, chain, tolerance):
+        depth = overlap.depth if overlap.depth > 0.0 else overlap.hull_depth
+        rests_on_stance = bool((chain & ~given).any())
+        if (chain & ~placed).any() or (rests_on_stance and depth <= STANCE_PLAY):
             continue
-        yield str(overlap) if given.all() else f"{overlap}, wherever the other joints are"
+        text, how = (str(overlap), How.INSIDE) if overlap in inside else (overlap.nearness, How.HULLS_ONLY)
+        yield Finding(text if given.all() else f"{text}, wherever the other joints are", how)
 
 
-def _play(body: WholeBody, q: Float[np.ndarray, "n"], overlap: Overlap, chain: np.ndarray, tolerance: float) -> float:
-    """How far a point of the pair may move when each joint of its chain is off by at most the tolerance [m]."""
-    kinematics, robot = body.engine(q[None]), body.robot
-    vertices = np.concatenate(
-        [placed for one, placed in placed_bodies(robot, q) if one.link in (overlap.link, overlap.other)]
-    )
-    play = 0.0
-    for joint in range(1, robot.model.njoints):
-        if chain[robot.model.joints[joint].idx_v]:
-            # 1 rad moves a point by its distance from the axis at most, a sliding joint by 1 m for each metre.
-            reach = np.linalg.norm(vertices - kinematics.position[0, joint], axis=1).max()
-            play += tolerance * max(float(reach), 1.0)
-    return 1.1 * play  # the distances themselves change by a little
-
-
-def _given_poses_collide(body: WholeBody, poses: Sequence[PoseTarget]) -> Iterator[str]:
-    """Links at a given pose that are in a piece whatever the rest of the robot does."""
-    robot, planted = body.robot, {foot.link for foot in body.planted}
-    pieces = [(piece, convex_of(piece.vertices)) for piece in body.scene.pieces]
-    for pose in poses:
-        joint, pose_joint_frame = frame_of(robot, pose.frame)
-        carried = [one for one in robot.bodies if one.joint == joint > 0 and one.link not in planted]
-        for one in carried:
-            offset = one.vertices - pose_joint_frame[:3, 3]
-            reach = float(np.linalg.norm(offset, axis=1).max())
-            for piece, shape in pieces:
-                if np.linalg.norm(pose.position - np.clip(pose.position, piece.lower, piece.upper)) > reach:
-                    continue  # out of reach however it is turned
-                depth = _depth_as_turned(pose, offset @ pose_joint_frame[:3, :3], shape)
-                overlap = Overlap(one.link, piece.name, depth, piece.kind)
-                at = np.round(pose.position, 3).tolist()
-                if depth:
-                    yield f"with {pose.frame} at {at}, turned as asked, {overlap}"
-                elif _holds_anyhow(pose, offset, shape):
-                    yield f"with {pose.frame} at {at}, however it is turned, {one.link} is {overlap.where}"
-
-
-def _turn(pose: PoseTarget) -> float:
-    """How far the frame may be turned from its target [rad]; pi where an axis is free."""
-    if pose.rotation is None or not np.isfinite(pose.rotation_tolerance).all():
-        return float(np.pi)
-    sines = np.sin(np.minimum(pose.rotation_tolerance, 0.5 * np.pi))
-    return float(np.arcsin(min(float(np.linalg.norm(sines)), 1.0)))
-
-
-def _depth_as_turned(pose: PoseTarget, vertices: Float[np.ndarray, "V 3"], piece: coal.Convex) -> float:
-    """How deep a body of the frame is in a piece at the target, 0 if tolerances may free it [m].
-
-    A convex body cannot leave one it is ``d`` deep in while all of its points move by less than ``d``.
-    """
-    if pose.rotation is None:
-        return 0.0
-    radius = float(np.linalg.norm(vertices, axis=1).max())
-    placed = vertices @ pose.rotation.T + pose.position
-    depth = penetration(convex_of(placed), piece)
-    return depth if depth > _shift(pose) + _turn(pose) * radius + ROUNDING else 0.0
-
-
-def _holds_anyhow(pose: PoseTarget, offset: Float[np.ndarray, "V 3"], piece: coal.Convex) -> bool:
-    """Whether a body of the frame is in a piece for every rotation.
-
-    The body's point nearest to the frame's origin, or the ball about the origin that lies in the body, is in the piece
-    when the target is deeper in it than that point is far (or nearer to it than the ball reaches).
-    """
-    away = -_depth_of(np.zeros(3), convex_of(offset))
-    return _depth_of(pose.position, piece) > away + _shift(pose) + ROUNDING
-
-
-def _depth_of(point: Float[np.ndarray, "3"], convex: coal.Convex) -> float:
-    """How deep a point is in a convex, negative outside [m]."""
-    at, here = coal.Transform3s(np.eye(3), point), coal.Transform3s()
-    distance = coal.distance(coal.Sphere(POINT), at, convex, here, coal.DistanceRequest(), coal.DistanceResult())
-    return -float(distance)
+def _standing_base(
+    body: WholeBody, q: Float[np.ndarray, "n"], given: Bool[np.ndarray, "n"]
+) -> Float[np.ndarray, "6"] | None:
+    """Base coordinates that the planted links leave to a robot whose legs are given; None where they leave more."""
+    robot = body.robot
+    if not robot.is_floating:
+        return None
+    found: list[np.ndarray] = []
+    for foot in body.planted:
+        chain = body.engine.topology.supports[frame_of(robot, foot.link)[0]].copy()
+        chain[: len(BASE_NAMES)] = False
+        if (chain & ~given).any():
+            continue
+        at_zero = q.copy()
+        at_zero[: len(BASE_NAMES)] = 0.0
+        pose_base_foot = planted_poses(body.engine, at_zero, [foot.link])[foot.link]
+        pose = foot.pose_world_link @ np.linalg.inv(pose_base_foot)
+        found.append(np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX")]))
+    if not found or any(np.abs(other - found[0]).max() > SAME_STANCE for other in found[1:]):
+        return None
+    return found[0]

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from costs.collision import Contacts
 from costs.kinematics import KinematicsEngine
 from costs.state import MotionState
+from costs.stopping import poll
 from scopt import Residual
 
 Hold = Callable[[Int[np.ndarray, "S"]], Residual[MotionState]]
@@ -24,6 +25,7 @@ def linearized(
     engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
 ) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k n"]]:
     """Residuals and Jacobians of all holds at separate configurations."""
+    poll()
     state = MotionState(engine(q), Contacts.none())
     everywhere = np.arange(len(q))
     n = q.shape[1]
@@ -42,6 +44,7 @@ def linearized(
 
 def projected(engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]) -> Float[np.ndarray, "S n"]:
     """The nearest configurations that keep the holds (Gauss-Newton with least-norm steps)."""
+    poll()
     if not holds or not len(q):
         return q
     for _ in range(PROJECTION_STEPS):

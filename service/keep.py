@@ -14,12 +14,12 @@ from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose
 from scopt import Constraint, Residual, Sense
+from service.demands.kept import free_axis, wanted_pose
 from service.errors import RequestError
 from service.holds import DRIFT, Hold
 from service.request_keep import KeepRequest
 from service.verify import RelativePoseTarget
 
-AXES = {"x": 0, "y": 1, "z": 2}
 PLACE, TURN = (True,) * 3 + (False,) * 3, (False,) * 3 + (True,) * 3
 AT_WAYPOINTS = 1e-4  # per row, of the optimiser; the spline's projection does the rest [m, rad]
 START_SHARE = 0.5  # of the tolerances may be used up at the start, the rest is for the curve
@@ -119,19 +119,14 @@ def kept_poses(robot: RobotModel, start: Float[np.ndarray, "n"], keep: Sequence[
 
 def _kept_pose(robot: RobotModel, start: Float[np.ndarray, "n"], keep: KeepRequest) -> KeptPose:
     held = relative_pose(robot, start, keep.link, keep.relative_to)
-    wanted = held.copy()
-    if keep.position is not None:
-        wanted[:3, 3] = keep.position
-    if keep.quaternion_wxyz is not None:
-        wanted[:3, :3] = Rotation.from_quat(keep.quaternion_wxyz, scalar_first=True).as_matrix()
     return KeptPose(
         keep.link,
         keep.relative_to,
         held,
-        wanted,
+        wanted_pose(keep, held),
         keep.position_tolerance_m,
         float(np.deg2rad(keep.rotation_tolerance_deg)),
-        None if keep.free_axis == "none" else np.eye(3)[AXES[keep.free_axis]],
+        free_axis(keep),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from costs.robot import RobotError, StillShape, object_shapes
-from scopt import Status
 from service.errors import RequestError
-from service.monitor import Interrupted
 
 if TYPE_CHECKING:
     from perception.mesh import Mesh
@@ -56,7 +53,6 @@ def convex_parts(
     field: str,
     *,
     decompose: bool = True,
-    should_stop: Callable[[], bool] = lambda: False,
 ) -> list[Float[np.ndarray, "V 3"]]:
     """Vertices of convex parts that together contain a solid [m].
 
@@ -67,22 +63,18 @@ def convex_parts(
         name: what to call it in errors.
         field: of the request that names its file.
         decompose: whether to split it; else its hull is the one part.
-        should_stop: asked while CoACD runs, which is killed once it says so.
 
     Raises:
         RequestError: naming ``field``: CoACD crashed or needs too much.
-        Interrupted: ``should_stop`` said so.
+        Stopped: it was asked to stop.
     """
     from perception import PerceptionError
-    from perception.errors import CancelledError
     from perception.solids import decompose as solids
 
     try:
         if not decompose:
             return [solids.hull_part(solid)]
-        return list(solids.convex_parts(solid, work=solids.Work(should_stop=should_stop), name=name))
-    except CancelledError:
-        raise Interrupted(Status.CANCELLED) from None
+        return list(solids.convex_parts(solid, name=name))
     except PerceptionError as error:
         raise RequestError(f"{field}: {error}") from None
 

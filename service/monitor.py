@@ -75,6 +75,11 @@ class Monitor:
         if self.remaining_s() <= 0.0:
             raise Interrupted(Status.TIME_LIMIT)
 
+    def why_stopped(self) -> Status:
+        """Why a poll ended the plan; whoever surrounds it cancels it, too."""
+        is_cancelled = self.should_stop is not None and self.should_stop()
+        return Status.CANCELLED if is_cancelled or self.remaining_s() > 0.0 else Status.TIME_LIMIT
+
     def report(self, step: str, fraction: float) -> None:
         """Tell whoever watches."""
         if self.on_progress is not None:

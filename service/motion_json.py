@@ -15,8 +15,8 @@ from costs.rotation import quaternions_of
 from costs.scene import ConvexPiece, Scene
 from service.phase_json import phase_from_json, phase_json, sample_index
 from service.verify import Motion
-from service.verify.dynamics import forces
 from service.verify.timeline import times_of
+from service.zmp_json import zmp_json
 
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 
@@ -26,6 +26,8 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
     s = samples_of(motion)
     q = motion.curve(s)
     phases = [phase_json(phase, s) for phase in motion.phases]
+    zmp, zmp_of_phases = zmp_json(motion, s)
+    standing = [phase for phase in phases if phase["support"]]
     return {
         "trajectory": {
             "joint_names": list(file_columns(robot)),
@@ -35,12 +37,14 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "curve": _curve(motion, s),
         "waypoints": [sample_index(s, knot) for knot in motion.curve.knots],
         "phases": phases,
+        "waived": sorted(motion.waived or ()),
         "movables": [_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
         "support_polygons": [
-            {"first": phase["first"], "last": phase["last"], **phase["support"]} for phase in phases if phase["support"]
+            {"first": phase["first"], "last": phase["last"], **phase["support"], "zmp": zmp_of_phase}
+            for phase, zmp_of_phase in zip(standing, zmp_of_phases, strict=True)
         ],
         "com": _centres_of_mass(robot, q[:, : robot.n]),
-        "zmp": _zero_moment_points(motion, s),
+        "zmp": zmp,
     }
 
 
@@ -72,6 +76,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         phases=tuple(phase_from_json(phase, s) for phase in data["phases"]),
         samples=s,
         mechanism_links=robot.mechanism_links,
+        waived=frozenset(str(name) for name in data["waived"]),
     )
 
 
@@ -155,19 +160,3 @@ def _centres_of_mass(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> list[lis
         return [None] * len(q)
     data = robot.model.createData()
     return [pin.centerOfMass(robot.model, data, row).tolist() for row in q]
-
-
-def _zero_moment_points(motion: Motion, s: Float[np.ndarray, "S"]) -> list[list[float] | None]:
-    """ZMP of the full inverse dynamics at the samples, null where no phase stands on a support polygon."""
-    rows: list[list[float] | None] = [None] * len(s)
-    if motion.law is None:
-        return rows
-    times = sample_times(motion)
-    for phase in motion.phases:
-        inside = np.flatnonzero((s >= phase.first) & (s <= phase.last))
-        if phase.support is None or not len(inside):
-            continue
-        zmp = forces(motion, motion.law, phase, times[inside], torques=False).zmp(phase.support.height)
-        for row, point in zip(inside, zmp, strict=True):
-            rows[row] = point.tolist() if np.isfinite(point).all() else None
-    return rows

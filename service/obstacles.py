@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from costs.primitive import Primitive, round_shape
 from costs.robot import shapes
 from costs.scene import ConvexPiece
 from service.errors import RequestError
@@ -32,9 +33,6 @@ if TYPE_CHECKING:
     from perception.solids.closed import Solid
     from perception.solids.known import KnownMesh
     from perception.solids.match import MeshMatch
-
-FLOOR_HALF_WIDTH_M = 10.0
-FLOOR_THICKNESS_M = 0.2
 
 
 @dataclass(frozen=True)
@@ -63,18 +61,16 @@ def known_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
 def obstacles_of(
     request: PlanRequest,
     matches: Mapping[str, MeshMatch] = MappingProxyType({}),
-    should_stop: Callable[[], bool] = lambda: False,
 ) -> Obstacles:
     """All obstacles of a request; round shapes as polytopes around them, meshes as several pieces.
 
     Args:
         request: the request.
         matches: by name what the scan showed of meshes that were to be found in it; they stand where it shows them.
-        should_stop: asked while meshes are split.
 
     Raises:
         RequestError: a mesh file that cannot be used or is not found in the scan, or points without a volume.
-        Interrupted: ``should_stop`` said so.
+        Stopped: it was asked to stop.
     """
     pieces: list[ConvexPiece] = []
     notes: list[str] = []
@@ -93,13 +89,13 @@ def obstacles_of(
                 Path(obstacle.file).name,
                 f"{field}.file",
                 decompose=obstacle.decompose,
-                should_stop=should_stop,
             )
         else:
             parts = [_shape(obstacle, field)]
         for number, vertices in enumerate(parts, start=1):
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
-            pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3]))
+            exact = _round(obstacle, pose)
+            pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3], exact=exact))
     return Obstacles(tuple(pieces), tuple(notes))
 
 
@@ -126,13 +122,6 @@ def _pose(obstacle: ObstacleRequest) -> Float[np.ndarray, "4 4"]:
     return pose
 
 
-def flat_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
-    """A floor of 20 m by 20 m whose top is at ``height`` [m]."""
-    corners = shapes.box(np.array([2.0 * FLOOR_HALF_WIDTH_M, 2.0 * FLOOR_HALF_WIDTH_M, FLOOR_THICKNESS_M]))
-    centre = np.array([*centre_xy, height - 0.5 * FLOOR_THICKNESS_M])
-    return ConvexPiece("floor", corners + centre, "floor")
-
-
 def _shape(
     obstacle: BoxRequest | SphereRequest | CylinderRequest | CapsuleRequest | ConvexRequest, field: str
 ) -> Float[np.ndarray, "V 3"]:
@@ -148,6 +137,20 @@ def _shape(
             return shapes.capsule(obstacle.radius, obstacle.height)
         case ConvexRequest():
             return _hull(np.array(obstacle.points), f"{field}.points")
+
+
+def _round(obstacle: ObstacleRequest, pose: Float[np.ndarray, "4 4"]) -> Primitive | None:
+    """The round shape in the world that an obstacle is; None for the others, whose vertices are exact."""
+    match obstacle:
+        case SphereRequest():
+            given = round_shape("sphere", (obstacle.radius,))
+        case CylinderRequest():
+            given = round_shape("cylinder", (obstacle.radius, obstacle.height))
+        case CapsuleRequest():
+            given = round_shape("capsule", (obstacle.radius, obstacle.height))
+        case _:
+            return None
+    return None if given is None else given.moved(pose)
 
 
 def _hull(points: Float[np.ndarray, "V 3"], field: str) -> Float[np.ndarray, "W 3"]:

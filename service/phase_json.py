@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from service.verify import (
     AxisTarget,
     CircleTarget,
@@ -35,7 +35,7 @@ def phase_json(phase: Phase, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
         "first": sample_index(s, phase.first),
         "last": sample_index(s, phase.last),
         "contacts": [_contact(contact) for contact in phase.contacts],
-        "allowances": [{"link": a.link, "other": a.other, "depth": a.depth} for a in phase.allowances],
+        "allowances": [_allowance(allowance) for allowance in phase.allowances],
         "targets": [_target(target, s) for target in phase.targets],
         "support": None if phase.support is None else _support(phase.support),
     }
@@ -53,12 +53,27 @@ def phase_from_json(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Phase
         first=float(s[data["first"]]),
         last=float(s[data["last"]]),
         contacts=tuple(_read_contact(contact) for contact in data["contacts"]),
-        allowances=tuple(Allowance(a["link"], a["other"], float(a["depth"])) for a in data["allowances"]),
+        allowances=tuple(_read_allowance(allowance) for allowance in data["allowances"]),
         targets=tuple(_read_target(target, s) for target in data["targets"]),
         support=None
         if support is None
         else SupportPolygon(np.array(support["polygon"]), float(support["margin_m"]), float(support["height"])),
     )
+
+
+def _allowance(allowance: Allowance) -> dict[str, Any]:
+    first, second = ({"owner": r.owner, "link": r.link, "body": r.body} for r in (allowance.first, allowance.second))
+    return {"first": first, "second": second, "depth": allowance.depth}
+
+
+def _read_allowance(data: Mapping[str, Any]) -> Allowance:
+    first, second = (BodyRef(r["owner"], r["link"], r["body"]) for r in (data["first"], data["second"]))
+    return Allowance(first, second, float(data["depth"]))
+
+
+def targets_json(targets: Iterable[Target], s: Float[np.ndarray, "S"]) -> list[dict[str, Any]]:
+    """Targets as a phase holds them, their places on the path as indices of the samples ``s``."""
+    return [_target(target, s) for target in targets]
 
 
 def _contact(contact: PlantedContact) -> dict[str, Any]:

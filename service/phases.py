@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts
 from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
@@ -223,7 +223,7 @@ class PhaseSolver:
         body: the robot in its scene.
         monitor: of the plan.
         settings: of the optimiser.
-        overrides: ``(link, other, margin)`` for pairs that are asked for another clearance [m].
+        overrides: ``(one, other, margin)`` for pairs that are asked for another clearance [m].
         most_starts: starts of a reach that are tried at most.
         seed: of random draws.
         terms: of the caller's own, added to every pose and trajectory.
@@ -232,7 +232,7 @@ class PhaseSolver:
     body: WholeBody
     monitor: Monitor
     settings: Settings
-    overrides: tuple[tuple[str, str, float], ...] = ()
+    overrides: tuple[tuple[BodyRef, BodyRef, float], ...] = ()
     most_starts: int = MOST_STARTS
     seed: int = 0
     terms: Terms = lambda phase, robot, n_waypoints: ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import ThreadpoolController
 
 from costs.robot import RobotModel
+from costs.stopping import Stopped, stops_when
 from scopt import Settings
 from scopt import Status as SolveStatus
 from service.execute import make_motion
@@ -33,7 +34,9 @@ if TYPE_CHECKING:
     from perception import Perceived
 
 MAX_REPAIRS = 3
-EXPLAIN_TIME_S = 4.0  # wall time spent on narrowing down why nothing was found
+GRACE_S = 0.2  # after the time limit, for the motion of the best attempt; there is none where that takes longer
+# Wall time spent on narrowing down why nothing was found: as long as the search took, within these.
+EXPLAIN_LEAST_S, EXPLAIN_MOST_S = 10.0, 60.0
 RANK = {Status.VIOLATED: 0, Status.FEASIBLE_AT_SAMPLES: 1, Status.CERTIFIED: 2}
 VERDICT_OF_STATUS = {
     Status.CERTIFIED: Verdict.CERTIFIED,
@@ -107,11 +110,15 @@ def _plan(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PlanResult
         if setup.is_stopped:
             monitor.check()
             raise Interrupted(SolveStatus.CANCELLED)
-        _run(setup, monitor, attempt, terms)
-    except Interrupted as interruption:
-        verdict, text = VERDICT_OF_INTERRUPT[interruption.status]
+        with stops_when(monitor.is_over):
+            _run(setup, monitor, attempt, terms)
+    except (Interrupted, Stopped) as interruption:
+        status = interruption.status if isinstance(interruption, Interrupted) else monitor.why_stopped()
+        verdict, text = VERDICT_OF_INTERRUPT[status]
         step = next(reversed(monitor.timings), "set-up")
-        attempt.interrupted(verdict, text.format(limit=request.options.time_limit_s, step=step), request.options)
+        attempt.interrupted(verdict, text.format(limit=request.options.time_limit_s, step=step))
+        if verdict is Verdict.TIME_LIMIT:
+            _show_best(attempt, request.options, monitor)
     return attempt.result(setup, monitor)
 
 
@@ -125,6 +132,7 @@ class _Attempt:
     motion: Motion | None = None
     certificate: Certificate | None = None
     conflict: Conflict | None = None
+    unverified: tuple[TaskPlan, Motion] | None = None
 
     def begin(self, task: TaskPlan) -> None:
         """Turn to another plan of the task; until something is verified it is the one to be handed over."""
@@ -141,13 +149,10 @@ class _Attempt:
             self.verdict = VERDICT_OF_STATUS[certificate.status]
             self.explanation = shortfalls(certificate)
 
-    def interrupted(self, verdict: Verdict, reason: str, options: Options) -> None:
-        """End where time is up or nobody waits any longer; the best so far is still worth a look after a time limit."""
+    def interrupted(self, verdict: Verdict, reason: str) -> None:
+        """End where time is up or nobody waits any longer."""
         known = () if self.task is None else self.task.reasons
         self.verdict, self.explanation = verdict, (reason, *known)
-        if verdict is Verdict.TIME_LIMIT and self.motion is None and self.task is not None and self.task.phases:
-            self.motion = _motion(self.task, options)
-            self.certificate = verify(self.motion)
 
     def result(self, setup: PlanSetup, monitor: Monitor) -> PlanResult:
         task = self.task
@@ -167,8 +172,26 @@ class _Attempt:
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
             detections=detections_of(setup),
+            obstruction=self._obstruction(setup),
             cloud=setup.surroundings.points,
         )
+
+    def _obstruction(self, setup: PlanSetup) -> dict[str, Any] | None:
+        """The goal to look at where there is no motion, unless time was up."""
+        if self.motion is not None or self.verdict not in (Verdict.INFEASIBLE, Verdict.NOT_FOUND):
+            return None
+        from service.obstruction import obstruction_of  # few results need it
+
+        return obstruction_of(setup)
+
+
+def _show_best(attempt: _Attempt, options: Options, monitor: Monitor) -> None:
+    """Hand over the best motion when time is up, without a certificate: none is begun any more."""
+    if attempt.motion is None and attempt.unverified is not None:
+        attempt.task, attempt.motion = attempt.unverified
+    if attempt.motion is None and attempt.task is not None and attempt.task.phases:
+        with suppress(Stopped), stops_when(lambda: monitor.remaining_s() < -GRACE_S):
+            attempt.motion = _motion(attempt.task, options)
 
 
 def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt, terms: Terms | None) -> None:
@@ -185,6 +208,8 @@ def _run(setup: PlanSetup, monitor: Monitor, attempt: _Attempt, terms: Terms | N
             _certify(task, options, monitor, attempt)
         if attempt.verdict is Verdict.CERTIFIED:
             return
+        if attempt.certificate is not None and task.is_feasible and attempt.certificate.fails_by_description():
+            return  # no other motion would do better
     _explain(attempt, solver)
 
 
@@ -192,12 +217,14 @@ def _explain(attempt: _Attempt, solver: PhaseSolver) -> None:
     """Narrow down what stands in the way where a step had no solution, as far as the time allows."""
     task, monitor = attempt.task, solver.monitor
     stuck = None if task is None else task.stuck
-    left = min(EXPLAIN_TIME_S, monitor.remaining_s())
+    searched = time.perf_counter() - monitor.started
+    left = min(max(EXPLAIN_LEAST_S, searched), EXPLAIN_MOST_S, monitor.remaining_s())
     if task is None or stuck is None or left <= 0.0:
         return
     with monitor.step("explain", 0.95):
         count = monitor.attempts(stuck.step)
-        attempt.conflict = explain(stuck.step, stuck.best, count, solver.settings, left, monitor.should_stop)
+        with suppress(Stopped):  # the time that is left was for this
+            attempt.conflict = explain(stuck.step, stuck.best, count, solver.settings, left, monitor.should_stop)
     monitor.check_stop()  # half an explanation is none
     if attempt.conflict is not None:
         attempt.explanation = (*attempt.conflict.sentences(), *task.obstacle)
@@ -209,19 +236,15 @@ def _certify(task: TaskPlan, options: Options, monitor: Monitor, attempt: _Attem
     for _ in range(MAX_REPAIRS + 1):
         if mended is None:
             return
-        motion, certificate = _certified(mended, options, monitor)
+        with monitor.step("curve and timing", 0.75):
+            motion = _motion(mended, options)
+        attempt.unverified = mended, motion
+        with monitor.step("certificate", 0.85):
+            certificate = verify(motion)
         attempt.keep_better(mended, motion, certificate)
         if not mended.is_feasible or certificate.status is Status.CERTIFIED:
             return
         mended = repaired(mended, motion, certificate, monitor)
-
-
-def _certified(task: TaskPlan, options: Options, monitor: Monitor) -> tuple[Motion, Certificate]:
-    """The motion of a task's phases, and what the verifier says of it."""
-    with monitor.step("curve and timing", 0.75):
-        motion = _motion(task, options)
-    with monitor.step("certificate", 0.85):
-        return motion, verify(motion)
 
 
 def _motion(task: TaskPlan, options: Options) -> Motion:

@@ -11,7 +11,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, JsonValue, StrictInt
+from pydantic import Field, StrictInt
 from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
@@ -25,6 +25,7 @@ from service.request_fields import (
     Label,
     Name,
     Number,
+    PlainData,
     Point,
     Quaternion,
     Section,
@@ -191,7 +192,7 @@ class TaskRequest(Section):
     valve: ValveRequest | None = None
     door: DoorRequest | None = None
     egress: EgressRequest | None = None
-    trajopt: dict[str, JsonValue] | None = None
+    trajopt: PlainData | None = None
 
     def __post_init__(self) -> None:
         exactly_one(self, ("valve", "door", "egress", "trajopt"))

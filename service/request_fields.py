@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sized
+from collections.abc import Iterable, Mapping, Sized
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, StrictStr, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, JsonValue, StrictStr, model_validator
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from service.errors import shown, would_do
 
 QUATERNION_NORM_TOLERANCE = 1e-3  # what rounding to a few digits explains
 WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
+LARGEST_M = 100.0  # no obstacle near a robot is wider: beyond this its numbers are in another unit
 MAX_JOINTS = 1000  # of a robot that anybody plans for
+MAX_DEPTH = 30  # of plain data in a request
+MAX_BITS = 1023  # of an integer in plain data
 MAP_M = 1e8  # map coordinates are offset from zero by thousands of kilometres
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -53,9 +56,21 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
     return (w, x, y, z)
 
 
+def _in_metres(sizes: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    """Refuse a size that only another unit explains."""
+    for size in (sizes,) if isinstance(sizes, float) else sizes:
+        if size > LARGEST_M:
+            raise PydanticCustomError(
+                "unit",
+                "{size} m is larger than {most} m; are these millimetres? Use {metres}.",
+                {"size": f"{size:g}", "most": f"{LARGEST_M:g}", "metres": f"{size / 1000.0:g}"},
+            )
+    return sizes
+
+
 def _flag_or_height(value: object) -> object:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if isinstance(value, bool) or (is_number and abs(float(value)) <= WORKSPACE_M):  # type: ignore[arg-type]
+    if isinstance(value, bool) or (is_number and abs(value) <= WORKSPACE_M):  # type: ignore[arg-type]
         return value
     raise PydanticCustomError("floor", "true, false or a height in metres would do")
 
@@ -72,6 +87,39 @@ def _single_line(name: str) -> str:
     return name
 
 
+def _finite(data: dict[str, Any]) -> dict[str, Any]:
+    """Refuse numbers that JSON has no word for, and depths that nobody writes, anywhere in plain data."""
+    level: list[tuple[str, object]] = [("", data)]
+    for _ in range(MAX_DEPTH):
+        deeper: list[tuple[str, object]] = []
+        for path, value in level:
+            if isinstance(value, Mapping):
+                deeper += [(f"{path}.{key}" if path else str(key), one) for key, one in value.items()]
+            elif isinstance(value, list | tuple):
+                deeper += [(f"{path}[{k}]", one) for k, one in enumerate(value)]
+            elif _is_beyond_json(value):
+                raise PydanticCustomError(
+                    "plain_data",
+                    "a finite number is needed at {path}, got {value}",
+                    {"path": shown(path).strip("'\""), "value": shown(value)},
+                )
+        if not deeper:
+            return data
+        level = deeper
+    raise PydanticCustomError("plain_data", "nested deeper than {depth} levels", {"depth": MAX_DEPTH})
+
+
+def _is_beyond_json(value: object) -> bool:
+    """Whether a number is infinite, NaN, or an integer that no double comes near."""
+    if isinstance(value, float):
+        return not math.isfinite(value)
+    return isinstance(value, int) and value.bit_length() > MAX_BITS
+
+
+_Size = Annotated[Number, Field(gt=0.0)]
+Size = Annotated[_Size, AfterValidator(_in_metres)]
+Sizes = Annotated[tuple[_Size, _Size, _Size], AfterValidator(_in_metres)]
+PlainData = Annotated[dict[str, JsonValue], AfterValidator(_finite)]
 Joints = Annotated[dict[Name, Number], at_most(MAX_JOINTS)]
 Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
 Floor = Annotated[bool | float, BeforeValidator(_flag_or_height)]

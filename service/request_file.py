@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -50,7 +50,7 @@ _WORDS = {
     "string_too_short": "a text with at least {min_length} character is needed",
     "literal_error": "{expected} would do",
 }
-_SPEAK_FOR_THEMSELVES = {"unknown_key", "exactly_one", "quaternion"}
+_SPEAK_FOR_THEMSELVES = {"unknown_key", "exactly_one", "quaternion", "unit"}
 
 
 class _Loader(yaml.CSafeLoader):
@@ -149,6 +149,26 @@ def with_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:
     """The request with another cloud file, given relative to the working directory."""
     path = os.path.relpath(cloud.absolute(), request.folder.absolute())
     return dataclasses.replace(request, scene=dataclasses.replace(request.scene, cloud=path))
+
+
+def with_clouds(request: PlanRequest, clouds: Sequence[Path]) -> PlanRequest:
+    """The request with its own cloud files, or its scene's file, at other places relative to the working directory.
+
+    Raises:
+        RequestError: the request names another number of files.
+    """
+    paths = [os.path.relpath(path.absolute(), request.folder.absolute()) for path in clouds]
+    scene = request.scene
+    names = [scene.file] if scene.file is not None else [one.file for one in scene.cloud_files]
+    if len(paths) != len(names):
+        listed = ", ".join(shown(name) for name in names) or "no scan"
+        raise RequestError(f"--cloud: {len(paths)} files given; the request's scene has {listed}")
+    if scene.file is not None:
+        return dataclasses.replace(request, scene=dataclasses.replace(scene, file=paths[0]))
+    if isinstance(scene.cloud, str):
+        return dataclasses.replace(request, scene=dataclasses.replace(scene, cloud=paths[0]))
+    files = tuple(dataclasses.replace(one, file=path) for one, path in zip(scene.cloud_files, paths, strict=True))
+    return dataclasses.replace(request, scene=dataclasses.replace(scene, cloud=files))
 
 
 def to_json(request: PlanRequest) -> dict[str, Any]:

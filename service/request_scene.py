@@ -20,6 +20,8 @@ from service.request_fields import (
     Point,
     Quaternion,
     Section,
+    Size,
+    Sizes,
     at_most,
     repeated,
 )
@@ -41,7 +43,7 @@ class BoxRequest(_Placed):
     """A box with edge lengths ``size``, its centre at ``position``."""
 
     type: Literal["box"]
-    size: tuple[Length, Length, Length]
+    size: Sizes
 
 
 @dataclass(config=SECTION, kw_only=True)
@@ -49,7 +51,7 @@ class SphereRequest(_Placed):
     """A sphere."""
 
     type: Literal["sphere"]
-    radius: Length
+    radius: Size
 
 
 @dataclass(config=SECTION, kw_only=True)
@@ -57,8 +59,8 @@ class CylinderRequest(_Placed):
     """A cylinder of length ``height`` along its own z axis, its centre at ``position``."""
 
     type: Literal["cylinder"]
-    radius: Length
-    height: Length
+    radius: Size
+    height: Size
 
 
 @dataclass(config=SECTION, kw_only=True)
@@ -66,8 +68,8 @@ class CapsuleRequest(_Placed):
     """A cylinder of length ``height`` along its own z axis with a half sphere on either end."""
 
     type: Literal["capsule"]
-    radius: Length
-    height: Length
+    radius: Size
+    height: Size
 
 
 @dataclass(config=SECTION, kw_only=True)

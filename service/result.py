@@ -48,6 +48,7 @@ class PlanResult:
         notes: what was snapped, assumed or detected.
         planning_time_s: wall time of it all; ``timings`` maps its steps to seconds.
         figures: numbers the task reports (JSON-ready); detections: what perception found (JSON-ready).
+        obstruction: where a motion that was never planned should have ended (JSON-ready, ``service.obstruction``).
         cloud: (N, 3) obstacle points to draw [m].
     """
 
@@ -66,6 +67,7 @@ class PlanResult:
     timings: Mapping[str, float] = field(default_factory=dict)
     figures: Mapping[str, Any] = field(default_factory=dict)
     detections: tuple[Mapping[str, Any], ...] = ()
+    obstruction: Mapping[str, Any] | None = None
     cloud: Float[np.ndarray, "N 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:

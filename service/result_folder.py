@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ def read_result(path: str | Path) -> dict[str, Any]:
         size = path.stat().st_size
         if size > MAX_RESULT_BYTES:
             raise ResultError(f"{path} has {size} bytes; at most {MAX_RESULT_BYTES} are read")
-        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
     except OSError as error:
         raise ResultError(f"{path} cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
@@ -122,6 +123,15 @@ def _is_ours(path: Path) -> bool:
     """Whether a ``result.json`` begins as ours do, of whatever version."""
     with path.open("rb") as file:
         return file.read(len(BEGINNING)) == BEGINNING
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON whose keys differ: readers do not agree on which of two values counts."""
+    members = dict(pairs)
+    if len(members) < len(pairs):
+        repeated = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        raise ValueError(f"an object has the key {shown(repeated)} twice")
+    return members
 
 
 def _refuse_constant(name: str) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
@@ -38,6 +39,7 @@ def to_result_json(result: PlanResult) -> dict[str, Any]:
         "pieces": [piece_json(piece) for piece in result.scene.pieces],
         **(_at_rest(result) if result.motion is None else motion_json(result.motion, robot)),
         "certificate": None if result.certificate is None else result.certificate.to_dict(),
+        "obstruction": plain(result.obstruction),
         "cloud": _thinned(result.cloud).tolist(),
     }
 
@@ -68,6 +70,7 @@ def proof_summary(certificate: Certificate | None) -> dict[str, Any]:
         "min_balance_margin_m": proof.get("min_balance_margin_m"),
         "checks": proof.get("checks", []),
         "exempt": proof.get("exempt", []),
+        "coverage": proof.get("coverage"),
     }
 
 
@@ -124,7 +127,7 @@ def _at_rest(result: PlanResult) -> dict[str, Any]:
             "times": [0.0],
         },
         "curve": None,
-        **{key: [] for key in ("waypoints", "phases", "movables", "support_polygons", "com", "zmp")},
+        **{key: [] for key in ("waypoints", "phases", "waived", "movables", "support_polygons", "com", "zmp")},
     }
 
 
@@ -137,7 +140,15 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
         "package_dirs": ["robot"],
         "root": "floating" if robot.is_floating else "fixed",
         "sha256": robot_hash(robot),
+        "links_without_shape": links_without_shape(robot),
     }
+
+
+def links_without_shape(robot: RobotModel) -> list[str]:
+    """Links that have no collision shape, so that nothing of them is checked, in the robot's order."""
+    shaped = {body.link for body in robot.bodies}
+    frames = (frame for frame in robot.model.frames if frame.type == pin.FrameType.BODY)
+    return [frame.name for frame in frames if frame.name != "universe" and frame.name not in shaped]
 
 
 def _thinned(cloud: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "K 3"]:

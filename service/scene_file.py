@@ -113,7 +113,7 @@ def see_files(asked: SceneAsked, on_step: OnStep, time_limit_s: float | None = N
             if known:
                 on_step("split meshes")
             meshes = placed(known, asked.meshes, seen.matches)
-            search = Search([], [])
+            search = Search()
             look_for(kinds, seen.view, asked.hint, on_step, search)
     except PerceptionError as error:
         raise RequestError(f"{asked.clouds.named}: {error}") from None
@@ -131,11 +131,16 @@ def see_files(asked: SceneAsked, on_step: OnStep, time_limit_s: float | None = N
         **_pieces(asked, seen, meshes),
         "floor": [_level_json(level) for level in seen.view.floors],
         "searched": list(search.kinds),
-        "unfinished": [one for one in kinds if one not in search.kinds],
+        "unfinished": search.unfinished(kinds),
         "detections": [hit_json(hit) for hit in search.hits],
         "meshes": [one.to_json() for one in meshes],
         "timings": plain(dict(seen.timings)),
-        "notes": [*seen.notes, *hint_notes(seen.view, asked.hint), *(note for one in meshes for note in one.notes)],
+        "notes": [
+            *seen.notes,
+            *hint_notes(seen.view, asked.hint),
+            *(note for one in meshes for note in one.notes),
+            *search.notes,
+        ],
     }
     data["figures"] = {
         **view_figures(read, seen.view),

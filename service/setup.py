@@ -13,20 +13,25 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import RobotError, RobotModel, load_robot
-from costs.scene import ConvexPiece, Scene
+from costs.scene import Scene
+from costs.stopping import Stopped, poll, stops_when
 from service.attached import robot_with_attached
+from service.demands import compose_scene
 from service.errors import RequestError, would_do
+from service.footing import FLOOR_KIND, floor_at_soles, ground_problems
 from service.keep import KeptPose, kept_poses
-from service.monitor import Interrupted
-from service.obstacles import flat_floor, obstacles_of
+from service.masses import check_masses
+from service.names import TakenNames, check_names
+from service.obstacles import obstacles_of
 from service.request import PlanRequest
+from service.request_units import far_obstacles, unit_problems
 from service.start import (
     FEET_GROUP,
-    FLOOR_KIND,
     Overlap,
     beyond_limits,
+    hull_overlaps,
     no_way_out,
-    overlaps,
+    overlaps_and_unresolved,
     sole,
     standing_problems,
     start_configuration,
@@ -55,7 +60,9 @@ class PlanSetup:
         soles: for each planted link, the corners of its sole in the world at the start [m].
         kept: relative poses that hold along the whole motion.
         program: the problem file that is to be solved, or None.
-        overlaps: what the robot is in at its start, to be left first.
+        overlaps: what the hulls of the robot are in at its start, to be left first.
+        unresolved: sentences about what the robot is clear of at its start while the hulls that stand for them
+            overlap, so that nothing can be certified there.
         notes: what was assumed, snapped or noticed.
         timings: seconds by step.
         is_stopped: whether it was to stop before all of the scene was there; the scene is then empty.
@@ -73,6 +80,7 @@ class PlanSetup:
     notes: tuple[str, ...]
     timings: Mapping[str, float]
     is_stopped: bool = False
+    unresolved: tuple[str, ...] = ()
 
     @property
     def contacts(self) -> tuple[str, ...]:
@@ -105,6 +113,7 @@ def prepare(
     if robot is None:
         robot = _timed(timings, "load_robot", lambda: load_requested_robot(request))
     robot = robot_with_attached(robot, request)
+    check_masses(robot)
     return _prepare(request, robot, say, timings, should_stop, see)
 
 
@@ -116,29 +125,40 @@ def _prepare(
     should_stop: Callable[[], bool],
     see: Callable[..., Perceived] | None,
 ) -> PlanSetup:
-    start, notes, program = _start(robot, request)
+    check_names(request, robot, TakenNames.of(robot, request))
+    start, notes, program = start_of(robot, request)
     _check_goal(robot, request)
+    problems = unit_problems(request, robot, start)
+    if problems:
+        raise RequestError(problems)
+    notes += far_obstacles(request, robot, start)
     kept = _kept(robot, start, request)
     soles = _soles(robot, start, request, program)
     say("perceive scene")
     try:
-        about = _timed(timings, "perceive", lambda: surroundings(request, robot, start, soles, should_stop, see))
-        obstacles = _timed(timings, "build_scene", lambda: obstacles_of(request, about.matches, should_stop))
-    except Interrupted:
+        with stops_when(should_stop):
+            poll()
+            about = _timed(timings, "perceive", lambda: surroundings(request, robot, start, soles, see))
+            obstacles = _timed(timings, "build_scene", lambda: obstacles_of(request, about.matches))
+    except Stopped:
         empty = Scene(())
         return PlanSetup(
             request, robot, start, empty, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
         )
-    scene = _scene(request, robot, start, about.pieces, obstacles.pieces)
+    pieces, shifted = floor_at_soles(about.pieces, soles)
+    scene, renamed = compose_scene(request, robot, start, pieces, obstacles.pieces)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
-    inside = _timed(timings, "check_start", check)
-    notes += tuple(f"start is in collision: {one}; the first phase leaves it" for one in inside)
-    notes += obstacles.notes + about.notes
-    return PlanSetup(request, robot, start, scene, about, soles, kept, program, inside, notes, timings)
+    leaving, inside, near = _timed(timings, "check_start", check)
+    notes += tuple(f"{line}; the first phase leaves it" for line in (*inside, *near) if leaving)
+    notes += obstacles.notes + about.notes + shifted + renamed
+    unresolved_now = () if leaving else near
+    return PlanSetup(
+        request, robot, start, scene, about, soles, kept, program, leaving, notes, timings, unresolved=unresolved_now
+    )
 
 
-def _start(robot: RobotModel, request: PlanRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
+def start_of(robot: RobotModel, request: PlanRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
     """Start configuration, notes about it, and the problem file that may say more of it."""
     if request.task is None or request.task.trajopt is None:
         return *start_configuration(robot, request.start), None
@@ -247,30 +267,6 @@ def _soles(
     return {foot: sole(robot, start, foot) for foot in feet}
 
 
-def _scene(
-    request: PlanRequest,
-    robot: RobotModel,
-    start: Float[np.ndarray, "n"],
-    seen: tuple[ConvexPiece, ...],
-    obstacles: tuple[ConvexPiece, ...],
-) -> Scene:
-    """Obstacles first, then what was seen, then the floor; a floor given in the request replaces the one seen."""
-    pieces: list[ConvexPiece] = list(obstacles)
-    floor = request.scene.floor
-    pieces += [piece for piece in seen if floor is None or piece.kind != FLOOR_KIND]
-    if floor is None:
-        floor = robot.is_floating and not any(piece.kind == FLOOR_KIND for piece in pieces)
-    if floor is not False:
-        height = 0.0 if floor is True else float(floor)
-        pieces.append(flat_floor(height, start[:2] if robot.is_floating else np.zeros(2)))
-    try:
-        return Scene(tuple(pieces))
-    except ValueError as error:
-        raise RequestError(
-            f"scene.obstacles: {error}; the names 'floor' and those of the pieces that were seen are taken"
-        ) from None
-
-
 def _check_start(
     robot: RobotModel,
     start: Float[np.ndarray, "n"],
@@ -278,12 +274,24 @@ def _check_start(
     soles: Mapping[str, np.ndarray],
     request: PlanRequest,
     program: Program | None,
-) -> tuple[Overlap, ...]:
-    """What the robot is in at its start, which is nothing unless it may escape."""
+) -> tuple[tuple[Overlap, ...], tuple[str, ...], tuple[str, ...]]:
+    """Overlaps of hulls at the start that are to be left first; what it is in, and what it is too near to, in words.
+
+    Raises:
+        RequestError: the start is in collision and may not escape, or cannot; or it is out of balance.
+    """
     problems = []
-    inside = overlaps(robot, start, scene, tuple(soles))
-    obstacles = [no_way_out(robot, one, tuple(soles)) for one in inside]
-    if program is not None or not request.options.escape:
+    is_balanced = program is None or program.is_balanced
+    feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
+    grounded = dict(ground_problems(scene.pieces, feet)) if robot.is_floating else {}
+    # A sole in the floor is told once, as a floor too high.
+    inside, near = (
+        [one for one in pairs if one.kind != FLOOR_KIND or one.link not in grounded]
+        for pairs in overlaps_and_unresolved(robot, start, scene, tuple(soles))
+    )
+    may_leave = program is None and request.options.escape
+    obstacles = [no_way_out(one, tuple(soles)) for one in inside]
+    if not may_leave:
         problems = [f"start is in collision: {one}" for one in inside]
         if inside and program is None and not any(obstacles):
             problems.append("options.escape: false; true would plan a way out of the collision first")
@@ -292,8 +300,16 @@ def _check_start(
         problems = [f"start is in collision: {one}; {obstacle}" for one, obstacle in stuck]
     if problems and request.scene.file is not None:
         problems.append(OWN_POINTS)
-    if soles and (program is None or program.is_balanced):
+    if soles and not is_balanced:
+        problems += [f"start is not on the ground: {line}" for line in grounded.values()]
+    elif soles:
         problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]
     if problems:
         raise RequestError(problems)
-    return tuple(inside)
+    if any(no_way_out(one, tuple(soles)) for one in near):
+        may_leave = False
+    return (
+        tuple(hull_overlaps(robot, start, scene, tuple(soles))) if may_leave else (),
+        tuple(f"start is in collision: {one}" for one in inside),
+        tuple(f"the start is too near to plan from: {one.nearness}" for one in near),
+    )

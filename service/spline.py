@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
+from costs.stopping import poll
 from service.holds import DRIFT, Hold, largest, least_norm, linearized, projected
 
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
@@ -128,6 +129,7 @@ def _tangents(
     upper: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "T n"]:
     """dq/ds at the waypoints: three-point differences that neither overshoot nor break the holds; zero at the ends."""
+    poll()
     slopes = np.diff(q, axis=0) / np.diff(s)[:, None]
     tangents = np.zeros_like(q)
     h = np.diff(s)[:, None]

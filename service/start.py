@@ -4,56 +4,75 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import coal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from costs.allowance import BodyRef
 from costs.robot import BASE_NAMES, LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.support import SupportPolygon
 from service.errors import RequestError, would_do
+from service.exact import EXACT_ROUNDING_M, ExactShape
+from service.footing import FLOOR_KIND, ground_problems
 from service.request import StartRequest
-from service.verify.convex import convex_of
-from service.verify.solid import Solid
+from service.verify.ground import GROUND_TOLERANCE_M
 
 SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
 STANDING_POSTURE = "stand"
 FEET_GROUP = "feet"
 LARGEST_PITCH_DEG = 85.0
-SOLE_BAND_M = 0.005  # vertices this close to a foot's lowest one are its sole
-FLOOR_KIND = "floor"
-FLOOR_CONTACT_M = 0.03  # deepest a planted sole may stand in the floor at the start: a scanned floor is that uncertain
+SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
 TOUCH_M = 1e-6
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """A link inside a piece or inside another link.
+    """A link inside a piece or inside another link, by their shapes or by the hulls that stand for them alone.
 
     Attributes:
         link: the one.
         other: name of the piece or of the other link.
-        depth: how far one would have to be moved to be free [m].
-        kind: of the piece; empty for a link.
+        depth: how far one would have to be moved to be free [m]; negative where only the hulls overlap.
+        kind: of the piece; None for a link.
+        hull_depth: the same of the hulls that stand for them in planning [m].
     """
 
     link: str
     other: str
     depth: float
-    kind: str = ""
+    kind: str | None = None
+    hull_depth: float = 0.0
+
+    @property
+    def pair(self) -> tuple[BodyRef, BodyRef]:
+        """The link, and the piece or the other link."""
+        other = BodyRef.of_link(self.other) if self.kind is None else BodyRef.of_piece(self.other)
+        return BodyRef.of_link(self.link), other
 
     @property
     def where(self) -> str:
         """``inside shelf (obstacle)``."""
-        return f"inside {self.other}" if self.kind in ("", self.other) else f"inside {self.other} ({self.kind})"
+        return f"inside {self.other}" if self.kind in (None, "", self.other) else f"inside {self.other} ({self.kind})"
+
+    @property
+    def nearness(self) -> str:
+        """Where only the hulls overlap: ``l2 is 0.4 mm from ball (obstacle), nearer than ... hulls resolve ...``."""
+        if self.depth > 0.0:
+            return (
+                f"{self}, as far as tolerances allow, while the planner's hulls overlap by {_length(self.hull_depth)}"
+            )
+        kind = "" if self.kind in (None, "", self.other) else f" ({self.kind})"
+        return (
+            f"{self.link} is {_length(max(-self.depth, 0.0))} from {self.other}{kind}, nearer than the planner's hulls "
+            f"resolve, which overlap by {_length(self.hull_depth)}"
+        )
 
     def __str__(self) -> str:
-        depth = f"{self.depth:.3f} m" if self.depth >= 1e-3 else "less than 0.001 m"
-        return f"{self.link} is {depth} {self.where}"
+        return f"{self.link} is {_length(self.depth)} {self.where}"
 
 
 def start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
@@ -108,7 +127,7 @@ def placed_bodies(robot: RobotModel, q: Float[np.ndarray, "n"]) -> list[tuple[Li
 
 
 def sole(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
-    """Corners of a foot's sole in the world [m]: the link's vertices within 5 mm of its lowest one at ``q``."""
+    """Corners of a foot's sole in the world [m]: the link's vertices within 2 mm of its lowest one at ``q``."""
     vertices = np.vstack([v for body, v in placed_bodies(robot, q) if body.link == link])
     return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
 
@@ -119,53 +138,87 @@ def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, plant
 
 
 def overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
-    """Every pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
+    """Every pair that is in collision at ``q`` by its shapes, the deepest first; planted feet may touch the floor."""
+    return overlaps_and_unresolved(robot, q, scene, planted)[0]
+
+
+def overlaps_and_unresolved(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+) -> tuple[list[Overlap], list[Overlap]]:
+    """Pairs in collision by their shapes, and pairs of which only the hulls overlap; the deepest first."""
+    found = _hull_overlaps(robot, q, scene, planted)
+    inside = _deepest([one for one, is_inside in found if is_inside])
+    met = {frozenset(one.pair) for one in inside}
+    return inside, _deepest([one for one, _ in found if frozenset(one.pair) not in met])
+
+
+def hull_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
+    """Every pair whose hulls overlap at ``q``, with the hulls' depths, the deepest first."""
+    found = _hull_overlaps(robot, q, scene, planted)
+    return _deepest([replace(one, depth=one.hull_depth) for one, _ in found])
+
+
+def _hull_overlaps(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+) -> list[tuple[Overlap, bool]]:
+    """Bodies and what their hulls are deeper in than they may be, and whether that is so by their shapes too."""
     things: list[LinkBody | ConvexPiece] = [*robot.bodies, *scene.pieces]
-    solids = [Solid.of_body(body) for body in robot.bodies] + [Solid.of_piece(piece) for piece in scene.pieces]
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
-    places = [data.oMi[solid.joint] for solid in solids]
-    vertices = [s.vertices @ at.rotation.T + at.translation for s, at in zip(solids, places, strict=True)]
-    poses = [coal.Transform3s(at.rotation, at.translation) for at in places]
-    found: list[Overlap] = []
+    here = np.eye(4)
+    poses = [data.oMi[one.joint].homogeneous if isinstance(one, LinkBody) else here for one in things]
+    vertices = [one.vertices @ pose[:3, :3].T + pose[:3, 3] for one, pose in zip(things, poses, strict=True)]
+    found: list[tuple[Overlap, bool]] = []
     for k, j in _whose_boxes_meet(vertices, len(robot.bodies)):
         body, other = robot.bodies[k], things[j]
         allowed = _allowed_depth(robot, body, other, planted)
         if not np.isfinite(allowed):
             continue
-        depth = penetration(solids[k].convex, solids[j].convex, poses[k], poses[j])
-        if depth > allowed:
-            name, kind = (other.link, "") if isinstance(other, LinkBody) else (other.name, other.kind)
-            found.append(Overlap(body.link, name, depth, kind))
-    deepest: dict[tuple[str, str], Overlap] = {}
-    for overlap in sorted(found, key=lambda one: -one.depth):
-        pair = (overlap.link, overlap.other)
-        deepest.setdefault(pair if overlap.kind else (min(pair), max(pair)), overlap)
+        hull_depth = ExactShape.of_hull(body).depth_in(ExactShape.of_hull(other), poses[k], poses[j])
+        if hull_depth <= allowed:
+            continue
+        depth = hull_depth
+        if body.exact is not None or other.exact is not None:
+            allowed = max(allowed, EXACT_ROUNDING_M)
+            depth = min(ExactShape.of(body).depth_in(ExactShape.of(other), poses[k], poses[j]), hull_depth)
+        name, kind = (other.link, None) if isinstance(other, LinkBody) else (other.name, other.kind)
+        found.append((Overlap(body.link, name, depth, kind, hull_depth), depth > allowed))
+    return found
+
+
+def _deepest(found: Sequence[Overlap]) -> list[Overlap]:
+    """Of each pair the bodies that are deepest, the deepest pair first."""
+    deepest: dict[frozenset[BodyRef], Overlap] = {}
+    for overlap in sorted(found, key=lambda one: (-one.depth, -one.hull_depth)):
+        deepest.setdefault(frozenset(overlap.pair), overlap)
     return list(deepest.values())
 
 
-def no_way_out(robot: RobotModel, overlap: Overlap, planted: Sequence[str]) -> str:
-    """Why an overlap cannot be left, or left with a certificate that names it; empty when it can."""
-    names = [overlap.link] if overlap.kind else [overlap.link, overlap.other]
+def _length(metres: float) -> str:
+    """A length as it is told: ``7.6 mm``, ``23 mm``, ``1.250 m``."""
+    if metres >= 1.0:
+        return f"{metres:.3f} m"
+    if metres < 5e-5:
+        return "less than 0.1 mm"
+    return f"{1e3 * metres:.1f} mm" if metres < 9.95e-3 else f"{1e3 * metres:.0f} mm"
+
+
+def no_way_out(overlap: Overlap, planted: Sequence[str]) -> str:
+    """Why an overlap cannot be left; empty when it can."""
+    names = [overlap.link, overlap.other] if overlap.kind is None else [overlap.link]
     if all(name in planted for name in names):
         return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} planted and cannot leave"
-    if overlap.kind and overlap.other.endswith("*"):
-        return f"a piece named {overlap.other} cannot be told from others; another name, without the *, would do"
-    if overlap.kind and overlap.other in {name for body in robot.bodies for name in (body.name, body.link)}:
-        return f"a piece named {overlap.other} cannot be told from the link; another name would do"
     return ""
 
 
 def standing_problems(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> list[str]:
-    """One line for each planted foot that hangs in the air, and one when the centre of mass is outside the soles."""
-    floors = [convex_of(piece.vertices) for piece in scene.pieces if piece.kind == FLOOR_KIND]
-    problems = []
-    for link, corners in soles.items():
-        gap = min((-penetration(convex_of(corners), floor) for floor in floors), default=0.0)
-        if gap > FLOOR_CONTACT_M:
-            problems.append(f"the sole of {link} is {gap:.3f} m above the floor; lower start.base or leave it out")
+    """One line for each planted foot that stands on nothing, and one when the centre of mass is outside the soles."""
+    problems = [line for _, line in ground_problems(scene.pieces, soles)]
+    weightless = _weightless_links(robot)
+    if weightless:
+        return [*problems, f"{', '.join(weightless)} of {robot.name} have shapes and no mass; balance needs all masses"]
     com = pin.centerOfMass(robot.model, robot.model.createData(), q)
     try:
         margin = float(SupportPolygon.of_soles(list(soles.values())).margin(com[None, :2])[0])
@@ -177,6 +230,12 @@ def standing_problems(
             f"{', '.join(soles)}; move the base or lean the torso"
         )
     return problems
+
+
+def _weightless_links(robot: RobotModel) -> list[str]:
+    """A link with a shape for each joint that moves shapes without any mass."""
+    found = {b.joint: b.link for b in reversed(robot.bodies) if b.link not in robot.mechanism_links}
+    return [link for joint, link in sorted(found.items()) if joint and not robot.model.inertias[joint].mass > 0.0]
 
 
 def _posture(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
@@ -222,7 +281,7 @@ def _snapped(
 
 def _whose_boxes_meet(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
     """Bodies (the first sets) with a later set whose bounding box meets theirs."""
-    low, high = (np.array([end(points, axis=0) for points in vertices]) for end in (np.min, np.max))
+    low, high = (np.array([end(points, axis=0) for points in vertices]).reshape(-1, 3) for end in (np.min, np.max))
     meets = np.all((low[:n_bodies, None] <= high) & (low <= high[:n_bodies, None]), axis=2)
     return [(k, j) for k, j in np.argwhere(meets).tolist() if k < j]
 
@@ -234,19 +293,4 @@ def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPi
         return np.inf if body.joint == other.joint or pair in robot.ignored_pairs else TOUCH_M
     if body.link in robot.fixed_links:
         return np.inf
-    return FLOOR_CONTACT_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M
-
-
-def penetration(
-    first: coal.Convex,
-    second: coal.Convex,
-    pose_first: coal.Transform3s | None = None,
-    pose_second: coal.Transform3s | None = None,
-) -> float:
-    """How far one of two convexes would have to be moved to be free of the other, negative when apart [m].
-
-    The poses place them in the world; without one a convex is there already.
-    """
-    result, here = coal.DistanceResult(), coal.Transform3s()
-    poses = (pose_first or here, pose_second or here)
-    return -float(coal.distance(first, poses[0], second, poses[1], coal.DistanceRequest(), result))
+    return GROUND_TOLERANCE_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M

@@ -11,9 +11,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece
-from scopt import Status
 from service.errors import RequestError
-from service.monitor import Interrupted
 from service.obstacles import known_meshes
 from service.request import PlanRequest
 from service.start import placed_bodies
@@ -50,7 +48,6 @@ def surroundings(
     robot: RobotModel,
     start: Float[np.ndarray, "n"],
     soles: Mapping[str, np.ndarray],
-    should_stop: Callable[[], bool],
     see: Callable[..., Perceived] | None,
 ) -> Surroundings:
     """What the request's scan or scene file shows; nothing where it names none.
@@ -60,12 +57,11 @@ def surroundings(
         robot: the robot, which is left out of the scan where it stands.
         start: (n,) configuration.
         soles: for each planted link, the corners of its sole in the world [m].
-        should_stop: asked while the scan is looked at.
         see: ``perceive``, or what remembers its results.
 
     Raises:
         RequestError: a file that cannot be used.
-        Interrupted: ``should_stop`` said so.
+        Stopped: it was asked to stop.
     """
     scene, task = request.scene, None if request.task is None else request.task.valve
     hint = scene.hint if task is None or task.hint is None else task.hint
@@ -79,7 +75,7 @@ def surroundings(
         return Surroundings(given.pieces_without(valves[:1]), valves)
     if scene.cloud is None:
         return NOTHING
-    return _scanned(request, robot, start, list(soles.values()), hint, should_stop, see)
+    return _scanned(request, robot, start, list(soles.values()), hint, see)
 
 
 def _scanned(
@@ -88,11 +84,9 @@ def _scanned(
     start: Float[np.ndarray, "n"],
     soles: Sequence[np.ndarray],
     hint: tuple[float, float, float] | None,
-    should_stop: Callable[[], bool],
     see: Callable[..., Perceived] | None,
 ) -> Surroundings:
     from perception import PerceptionError, Reach, perceive, read_clouds  # takes a while, and most scenes need none
-    from perception.errors import CancelledError
 
     scene = request.scene
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
@@ -117,10 +111,7 @@ def _scanned(
             seed=request.options.seed,
             method=scene.method,
             known=known,
-            should_stop=should_stop,
         )
-    except CancelledError:
-        raise Interrupted(Status.CANCELLED) from None
     except PerceptionError as error:
         raise RequestError(f"scene.cloud: {error}") from None
     return Surroundings(seen.scene.pieces, seen.valves, seen.shown, seen.notes, seen.matches)

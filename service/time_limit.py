@@ -1,18 +1,17 @@
-"""A limit for the time of a command: what is at work when it is over is interrupted."""
+"""A limit for the time of a command: what is at work when it is over ends at its next poll."""
 
 from __future__ import annotations
 
-import signal
-import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import FrameType
 
+from costs.stopping import Stopped, poll, stops_when
 from service.errors import ServiceError
 
 
-class TimeOver(BaseException):
-    """The time is over; raised wherever the main thread is at work, and no error, which a library might catch."""
+class TimeOver(Exception):  # noqa: N818 - how a command ends early, not an error
+    """The time is over; raised by ``at_most`` once the work in its body has stopped."""
 
 
 class OutOfTimeError(ServiceError):
@@ -21,21 +20,19 @@ class OutOfTimeError(ServiceError):
 
 @contextmanager
 def at_most(seconds: float | None) -> Iterator[None]:
-    """Raise ``TimeOver`` in the body once so much time has gone; None: as long as it takes.
+    """Stop the body at its next poll once so much time has gone; None: as long as it takes.
 
-    Only in the main thread, where alone a signal can interrupt what is at work.
+    Raises:
+        TimeOver: the time was over.
+        Stopped: whatever surrounds the body asks to stop, too.
     """
-    if seconds is None or threading.current_thread() is not threading.main_thread():
+    if seconds is None:
         yield
         return
-
-    def end(signum: int, frame: FrameType | None) -> None:
-        raise TimeOver
-
-    earlier = signal.signal(signal.SIGALRM, end)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    end = time.monotonic() + seconds
     try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, earlier)
+        with stops_when(lambda: time.monotonic() >= end):
+            yield
+    except Stopped:
+        poll()
+        raise TimeOver from None

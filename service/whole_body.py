@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts, PairMargins, PoseChecker, SweptCollisionChecker
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import BASE_NAMES, RobotModel
@@ -25,6 +25,7 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Sense
+from service.demands.stance import standing_allowances
 from service.holds import DRIFT, Hold, projected
 from service.keep import KeptPose
 from service.start import sole
@@ -125,7 +126,7 @@ class WholeBody:
         self,
         allowances: Sequence[Allowance] = (),
         ends: Sequence[Float[np.ndarray, "n"]] = (),
-        overrides: Sequence[tuple[str, str, float]] = (),
+        overrides: Sequence[tuple[BodyRef, BodyRef, float]] = (),
     ) -> SweptCollisionChecker:
         """A checker whose margins fit the given fixed configurations.
 
@@ -178,8 +179,7 @@ class WholeBody:
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
         """Planted links rest on the floor."""
-        floors = [piece.name for piece in self.scene.pieces if piece.kind == "floor"]
-        return tuple(Allowance(foot.link, floor, 0.01) for foot in self.planted for floor in floors)
+        return standing_allowances([foot.link for foot in self.planted], self.scene)
 
     def problem(
         self,

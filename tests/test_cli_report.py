@@ -45,6 +45,18 @@ def test_every_failure_is_shown_and_of_the_rest_the_tightest_of_its_kind() -> No
     assert lines[-2:] == ["  a foot slips", "NOT_FOUND  a foot slips"]
 
 
+def test_demands_that_are_announced_follow_in_the_verdict_s_line() -> None:
+    told = [
+        "reach: the one attempt failed; at its end, 2 demands stand against each other:",
+        "a is in b;",
+        "c is at d.",
+    ]
+    lines = _printed(
+        {"verdict": "NOT_FOUND", "explanation": [*told, "Without either of them everything else was kept."]}
+    )
+    assert lines[-1] == f"NOT_FOUND  {' '.join(told)}"
+
+
 def test_brackets_in_names_are_printed_as_they_are() -> None:
     lines = _printed({"verdict": "INFEASIBLE", "explanation": ["piece [red]x[/red] is in the way"]})
     assert lines == ["  piece [red]x[/red] is in the way", "INFEASIBLE  piece [red]x[/red] is in the way"]

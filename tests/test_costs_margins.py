@@ -6,11 +6,13 @@ from convex_distance import box
 from swept_scenes import checker_of, state_of
 from tiny_robots import Segment, atlas, atlas_with_wheel, chain
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.collision import PairMargins, SweptCollisionChecker
 from costs.kinematics import KinematicsEngine
 from costs.scene import ConvexPiece, Scene
 
+LINK, PIECE = BodyRef.of_link, BodyRef.of_piece
+RIM = ("valve/rim/0", "valve/rim/1")
 SCENE = Scene(
     tuple(
         ConvexPiece(name, box(centre, [0.1, 0.1, 0.1]))
@@ -44,7 +46,7 @@ def test_all_pairs_are_asked_for_the_margin():
 
 def test_an_allowance_asks_for_no_more_than_its_depth_of_its_pairs_only():
     robot = atlas()
-    margins = PairMargins.of(robot, SCENE, 0.03, [Allowance("l_hand", "valve/rim/*", 0.005)])
+    margins = PairMargins.of(robot, SCENE, 0.03, [Allowance(LINK("l_hand"), PIECE(rim), 0.005) for rim in RIM])
     hand = body_index(robot, "l_hand")
     np.testing.assert_array_equal(margins.world[hand], [-0.005, -0.005, 0.03, 0.03])
     others = np.delete(margins.world, hand, axis=0)
@@ -56,25 +58,27 @@ def test_an_allowance_by_link_covers_all_its_bodies_and_one_by_body_only_that():
     robot = atlas()
     bodies = [k for k, body in enumerate(robot.bodies) if body.link == "utorso"]
     assert len(bodies) == 3
-    by_link = PairMargins.of(robot, SCENE, 0.03, [Allowance("utorso", "floor", 0.0)])
+    by_link = PairMargins.of(robot, SCENE, 0.03, [Allowance(LINK("utorso"), PIECE("floor"), 0.0)])
     np.testing.assert_array_equal(by_link.world[bodies, 3], [0.0, 0.0, 0.0])
-    by_body = PairMargins.of(robot, SCENE, 0.03, [Allowance("utorso/1", "floor", 0.0)])
+    second = BodyRef("robot", "utorso", "utorso/1")
+    by_body = PairMargins.of(robot, SCENE, 0.03, [Allowance(second, PIECE("floor"), 0.0)])
     np.testing.assert_array_equal(by_body.world[bodies, 3], [0.03, 0.0, 0.03])
 
 
 @pytest.mark.parametrize("names", [("l_hand", "r_hand"), ("r_hand", "l_hand")])
 def test_links_may_be_allowed_to_touch_in_either_order(names):
     robot = atlas()
-    margins = PairMargins.of(robot, SCENE, 0.03, [Allowance(*names, 0.002)])
+    margins = PairMargins.of(robot, SCENE, 0.03, [Allowance(*map(LINK, names), 0.002)])
     assert own_margin(robot, margins, "l_hand", "r_hand") == -0.002
     assert (margins.own != 0.03).sum() == 1
 
 
 def test_overrides_set_single_margins_and_allowances_win_over_them():
     robot = atlas()
-    overrides = [("head", "valve/*", 0.2), ("l_hand", "floor", 0.1), ("l_hand", "head", 0.05)]
-    margins = PairMargins.of(robot, SCENE, 0.03, [Allowance("l_hand", "floor", 0.01)], overrides)
-    np.testing.assert_array_equal(margins.world[body_index(robot, "head")], [0.2, 0.2, 0.2, 0.03])
+    head, hand, floor = LINK("head"), LINK("l_hand"), PIECE("floor")
+    overrides = [*((head, PIECE(rim), 0.2) for rim in RIM), (hand, floor, 0.1), (hand, head, 0.05)]
+    margins = PairMargins.of(robot, SCENE, 0.03, [Allowance(hand, floor, 0.01)], overrides)
+    np.testing.assert_array_equal(margins.world[body_index(robot, "head")], [0.2, 0.2, 0.03, 0.03])
     np.testing.assert_array_equal(margins.world[body_index(robot, "l_hand")], [0.03, 0.03, 0.03, -0.01])
     assert own_margin(robot, margins, "l_hand", "head") == 0.05
 
@@ -149,4 +153,4 @@ def test_margins_of_other_pairs_are_refused():
 @pytest.mark.parametrize("depth", [-0.01, np.inf, np.nan])
 def test_an_allowance_states_its_depth(depth):
     with pytest.raises(ValueError, match="depth must be finite and not negative"):
-        Allowance("l_hand", "floor", depth)
+        Allowance(LINK("l_hand"), PIECE("floor"), depth)

@@ -219,21 +219,38 @@ def test_a_job_that_does_not_stop_is_killed_and_its_worker_replaced(fn: object) 
         assert pool.stats().restarts == 1
 
 
-def test_a_job_that_does_not_look_is_interrupted_and_its_worker_stays() -> None:
+def test_a_worker_has_no_signal_handler_that_could_raise_in_a_job(pool: LocalPool) -> None:
+    assert pool.submit(jobs.signal_handlers).result(SOON_S) == []
+
+
+def test_a_job_that_raises_that_it_was_cancelled_is_answered_as_cancelled_and_its_worker_stays() -> None:
     events = Events()
-    with LocalPool(1, interrupt_s=0.01, grace_s=SOON_S) as pool:
-        job = pool.submit(jobs.never_asks, on_event=events)
+    with LocalPool(1, grace_s=SOON_S) as pool:
+        job = pool.submit(jobs.raise_when_stopped, on_event=events)
         worker = events.first()
         assert job.cancel()
-        with pytest.raises(JobCancelled, match="ended"):
+        with pytest.raises(JobCancelled, match="stopped by itself"):
             job.result(SOON_S)
         assert pool.submit(jobs.pid).result(SOON_S) == worker
         assert pool.stats().restarts == 0
 
 
-def test_an_interruption_leaves_no_event_half_way() -> None:
-    with LocalPool(1, interrupt_s=0.005, grace_s=SOON_S) as pool:
-        for _ in range(10):
+def test_a_job_that_stops_for_its_deadline_is_answered_as_late() -> None:
+    with LocalPool(1, grace_s=SOON_S) as pool:
+        assert pool.wait_ready(SOON_S)
+        job = pool.submit(jobs.raise_when_stopped, deadline=time.monotonic() + 1.0)
+        with pytest.raises(DeadlineExceeded):
+            job.result(SOON_S)
+
+
+def test_a_job_that_says_it_was_cancelled_and_was_not_has_failed(pool: LocalPool) -> None:
+    with pytest.raises(JobFailed, match="JobCancelled"):
+        pool.submit(jobs.raise_cancelled).result(SOON_S)
+
+
+def test_a_kill_leaves_no_event_half_way() -> None:
+    with LocalPool(1, grace_s=0.005) as pool:
+        for _ in range(3):
             sizes: list[int] = []
             job = pool.submit(jobs.report_for_ever, 200_000, on_event=lambda event, to=sizes: to.append(len(event)))
             assert until(lambda got=sizes: len(got) > 3)
@@ -241,11 +258,10 @@ def test_an_interruption_leaves_no_event_half_way() -> None:
             with pytest.raises(JobCancelled):
                 job.result(SOON_S)
             assert set(sizes) == {200_000}
-        assert pool.stats().restarts == 0
 
 
-def test_an_interruption_that_comes_late_leaves_the_next_job_alone() -> None:
-    with LocalPool(1, interrupt_s=0.0, grace_s=SOON_S) as pool:
+def test_a_cancel_that_comes_late_leaves_the_next_job_alone() -> None:
+    with LocalPool(1, grace_s=SOON_S) as pool:
         for i in range(40):
             events = Events()
             job = pool.submit(jobs.until_stopped, on_event=events)

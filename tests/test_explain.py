@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from service.explain import explain
 from service.explain_conflict import Conflict, Demand, DemandKind, Search
 from service.monitor import Monitor
 from service.phases import LEAST_CLEARANCE, PhaseSolver, straight
-from service.planner import plan, shortfalls
+from service.planner import _explain, plan, shortfalls
 from service.request import GoalRequest, PoseGoalRequest
 from service.request_file import parse_request
 from service.restore import restored
@@ -165,6 +166,36 @@ def test_without_time_demands_are_ranked_and_it_is_said(tmp_path):
     assert conflict.sentences()[-1].startswith("There was no time to find out which of them to give up.")
     stopped = explain("goal pose", solved, 2, Settings(), time_limit_s=60.0, should_stop=lambda: True)
     assert stopped.search is Search.CUT_SHORT
+
+
+def test_a_search_cut_short_tells_after_which_time_and_what_was_found_by_then():
+    found = conflict_of(None, None, search=Search.CUT_SHORT)
+    assert (
+        replace(found, cut_short_after_s=9.96)
+        .sentences()[-1]
+        .startswith("Which of them to give up was not found out within 10.0 s. ")
+    )
+    found = conflict_of(None, True, search=Search.CUT_SHORT)
+    assert (
+        replace(found, cut_short_after_s=17.8)
+        .sentences()[-1]
+        .startswith(
+            "Without box 1 everything else was kept; whether that is so of the others was not found out within 17.8 s. "
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("limit_s", "searched_s", "spent_s"), [(60.0, 18.0, 18.0), (900.0, 177.0, 60.0), (60.0, 1.0, 10.0), (6.0, 5.0, 1.0)]
+)
+def test_an_explanation_may_take_as_long_as_the_search_within_what_is_left(monkeypatch, limit_s, searched_s, spent_s):
+    given = []
+    monkeypatch.setattr("service.planner.explain", lambda *terms: given.append(terms[4]))
+    monkeypatch.setattr("time.perf_counter", lambda: 1000.0)
+    monitor = Monitor(limit_s, started=1000.0 - searched_s)
+    task = SimpleNamespace(stuck=SimpleNamespace(step="reach", best=None))
+    _explain(SimpleNamespace(task=task, conflict=None), SimpleNamespace(monitor=monitor, settings=None))
+    assert given == [pytest.approx(spent_s)]
 
 
 def test_equal_problems_are_explained_equally(tmp_path):

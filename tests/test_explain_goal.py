@@ -1,5 +1,7 @@
 """INFEASIBLE is said for reasons that no configuration gets around: each reason against many configurations."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +15,7 @@ from costs.collision.shapes import static_convex
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import load_robot
 from costs.scene import Scene
-from service.explain_goal import never_reached
+from service.explain_goal import GoalReasons, goal_reasons, never_reached
 from service.reachability import beyond_reach, chain_length
 from service.start import FEET_GROUP, overlaps, penetration
 from service.verify import JointTarget, PoseTarget
@@ -92,7 +94,7 @@ def test_what_the_given_joints_alone_bring_into_an_obstacle_stays_in_it_wherever
     block = box("block", (0.3, 0.03, 0.0), (0.03, 0.03, 0.1))
     body = standing(arm, block)
     (line,) = never_reached(body, joints(j0=0.0, j1=0.0))
-    assert line == "the goal is in collision: l1 is 0.020 m inside block (obstacle), wherever the other joints are"
+    assert line == "the goal is in collision: l1 is 20 mm inside block (obstacle), wherever the other joints are"
     for last in np.linspace(-3.0, 3.0, 50):
         inside = overlaps(arm, np.array([0.0, 0.0, last]), body.scene, ())
         assert "l1" in {overlap.link for overlap in inside}
@@ -101,9 +103,32 @@ def test_what_the_given_joints_alone_bring_into_an_obstacle_stays_in_it_wherever
     assert never_reached(standing(arm, box("block", (0.5, 0.0, 0.0), (0.03, 0.03, 0.1))), joints(j0=0.0, j1=0.0)) == ()
 
 
-def test_what_the_joints_tolerance_may_free_is_not_called_impossible(arm):
-    touching = box("block", (0.5, 0.0495, 0.0), (0.03, 0.03, 0.1))  # 0.5 mm deep; 1 mrad of j0 moves l2 by 0.5 mm
-    assert never_reached(standing(arm, touching), joints(j0=0.0, j1=0.0, j2=0.0)) == ()
+@pytest.mark.parametrize("depth_mm", [0.1, 0.2, 0.5, 2.0, 7.6])
+def test_given_joints_in_collision_are_told_with_the_depth_however_small_it_is(arm, depth_mm):
+    touching = box("block", (0.5, 0.05 - 1e-3 * depth_mm, 0.0), (0.03, 0.03, 0.1))
+    (line,) = never_reached(standing(arm, touching), joints(j0=0.0, j1=0.0, j2=0.0))
+    assert line == f"the goal is in collision: l2 is {depth_mm} mm inside block (obstacle)"
+
+
+def test_a_goal_that_touches_or_is_clear_by_little_is_not_called_impossible(arm):
+    for gap in (0.0, 1e-4, 5e-3):
+        beside = box("block", (0.5, 0.05 + gap, 0.0), (0.03, 0.03, 0.1))
+        reasons = goal_reasons(standing(arm, beside), joints(j0=0.0, j1=0.0, j2=0.0))
+        assert reasons == GoalReasons((), ())
+
+
+def test_legs_that_are_given_place_the_body_on_planted_feet():
+    robot = atlas()
+    q = robot.postures["stand"]
+    crate = box("crate", (0.3, 0.0, 1.4), (0.2, 0.2, 0.1))
+    body = standing(robot, crate, q=q, feet=robot.link_groups[FEET_GROUP])
+    first = robot.n - len(robot.joint_names[6:])
+    posture = joints(**{name: float(q[first + k]) for k, name in enumerate(robot.joint_names[first:])})
+    lines = never_reached(body, posture)
+    assert any(re.fullmatch(r"the goal is in collision: utorso is \d+ mm inside crate .*", line) for line in lines)
+    # with a leg's joint left out the body may be anywhere
+    free = [target for target in posture if not target.joint.endswith("leg_kny")]
+    assert never_reached(body, free) == ()
 
 
 def test_links_that_the_given_joints_cross_are_named_on_a_free_base():
@@ -113,7 +138,7 @@ def test_links_that_the_given_joints_cross_are_named_on_a_free_base():
     crossed = {name: float(q[robot.joint_names.index(name)]) for name in legs} | {"l_leg_hpx": -0.5}
     body = standing(robot, q=q, feet=robot.link_groups[FEET_GROUP])
     lines = never_reached(body, joints(**crossed))
-    assert any("l_lleg is 0.1" in line and "inside r_uleg, wherever the other joints are" in line for line in lines)
+    assert any("l_lleg is 1" in line and "inside r_uleg, wherever the other joints are" in line for line in lines)
     assert never_reached(body, joints(l_leg_hpx=-0.5)) == ()
 
 
@@ -171,4 +196,23 @@ def test_a_target_deep_in_an_obstacle_is_said_to_be_so_and_one_beside_it_is_not(
     assert never_reached(body, [at("l_tool", [0.75, 0.0, 0.93], down)]) == ()
     (line,) = never_reached(body, [at("l_tool", [0.75, 0.0, 0.93], up)])
     assert line.startswith("the goal is in collision: with l_tool at [0.75, 0.0, 0.93], turned as asked, l_h")
-    assert line.endswith("m inside table (obstacle)")
+    assert line.endswith(" mm inside table (obstacle)")
+
+
+def test_two_poses_that_put_links_into_each_other_are_told_with_both(arm):
+    poses = [at("l0", [0.0, 0.0, 0.0], np.eye(3), turn=1e-3), at("l2", [0.05, 0.03, 0.0], np.eye(3), turn=1e-3)]
+    lines = never_reached(standing(arm), poses)
+    told = "the goal is in collision: with l0 at [0.0, 0.0, 0.0] and l2 at [0.05, 0.03, 0.0], turned as asked,"
+    assert f"{told} l0 is 10 mm inside l2" in lines
+    apart = [poses[0], at("l2", [0.05, 0.05, 0.0], np.eye(3), turn=1e-3)]
+    assert not any("turned as asked" in line for line in never_reached(standing(arm), apart))
+
+
+def test_a_pose_that_only_its_tolerance_may_free_is_noted_and_not_called_impossible(arm):
+    beside = box("block", (0.5, 0.05 - 3e-3, 0.0), (0.03, 0.03, 0.1))
+    reasons = goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=2e-3)])
+    assert reasons.impossible == reasons.unresolved == ()
+    told = "with l2 at [0.4, 0.0, 0.0], turned as asked, l2 is 3.0 mm inside block (obstacle)"
+    assert reasons.notes == (f"{told}; only its tolerance can free it",)
+    exact = goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=1e-4, turn=1e-3)])
+    assert exact == GoalReasons((f"the goal is in collision: {told}",), ())

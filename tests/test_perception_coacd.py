@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from costs.stopping import Stopped, stops_when
 from perception import Cloud, make_view
 from perception.convex.pieces import Pieces
-from perception.errors import CancelledError, MeshError
+from perception.errors import MeshError
 from perception.mesh import Mesh
 from perception.simulate import Pose, Room, Scanner, box, scan, torus
 from perception.solids import decompose, process
@@ -197,8 +198,8 @@ def test_cancelling_kills_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process.subprocess, "Popen", noted)
     fine = solid_of(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
     asked = iter([False, False, False])
-    with pytest.raises(CancelledError, match="ring: splitting into convex parts was cancelled"):
-        run_coacd([fine], CoacdSettings(0.001).options(), Limits(), lambda: next(asked, True), "ring")
+    with pytest.raises(Stopped), stops_when(lambda: next(asked, True)):
+        run_coacd([fine], CoacdSettings(0.001).options(), Limits(), "ring")
     assert len(pids) == 1
     assert not _running(pids[0])
 

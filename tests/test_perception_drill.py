@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from perception import CONFIDENT, Cloud, View, make_view
+from perception import CONFIDENT, KINDS, Cloud, View, detect_kinds, make_view
 from perception.detect.drill import detect_drill
 from perception.detect.drill_shape import Shape, meet
 from perception.detect.sightlines import Sightlines
@@ -103,3 +103,21 @@ def test_a_ray_at_the_grip_meets_it_and_one_through_the_notch_does_not() -> None
     outside, depth = meet(rays, shape, 0.0)
     assert outside[0] < 0.0 < outside[1]
     assert depth[0] == pytest.approx(1.0 - 0.021, abs=1e-6)
+
+
+@pytest.mark.parametrize("thickness", [0.0, 0.02, 0.05, 0.1])
+def test_what_is_lower_than_the_layers_that_a_board_is_held_against_has_its_height_found(thickness: float) -> None:
+    rng = np.random.default_rng(0)
+    flat = np.column_stack([rng.uniform(0.5, 1.2, 4000), rng.uniform(-0.5, 0.5, 4000), rng.normal(TOP, 0.004, 4000)])
+    flat[:40, 2] += rng.uniform(0.0, thickness, 40)
+    (height,) = level_heights(flat)
+    assert height == pytest.approx(TOP, abs=0.01)
+
+
+@pytest.mark.parametrize("has_floor", [False, True])
+def test_every_detector_looks_at_a_flat_scene(has_floor: bool) -> None:
+    rng = np.random.default_rng(0)
+    top = np.column_stack([rng.uniform(0.6, 1.4, 3000), rng.uniform(-0.5, 0.5, 3000), rng.normal(TOP, 0.002, 3000)])
+    floor = np.column_stack([rng.uniform(-2.0, 2.0, (8000, 2)), rng.normal(0.0, 0.002, 8000)])
+    view = make_view(Cloud(np.concatenate([top, floor] if has_floor else [top]), np.array([0.0, 0.0, 1.6])))
+    assert all(hit.confidence < CONFIDENT for hit in detect_kinds(KINDS, view))

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from little_scan import little_scan
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from perception import make_view, perceive
+from perception import Cloud, make_view, perceive
 from perception.errors import MeshError
 from perception.mesh import Mesh
 from perception.perceive import unexplained
@@ -19,9 +20,12 @@ from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, solid_of, united
 from perception.solids.decompose import CoacdSettings, Work, convex_parts
+from perception.solids.fit import Pose as FitPose
+from perception.solids.fit import Region, fitted
 from perception.solids.known import KnownMesh, located
 from perception.solids.match import CONFIDENT, MeshMatch, match_mesh
 from perception.solids.read import read_mesh
+from perception.solids.surface import Surface
 from perception.view import View
 
 RING = torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 16, 8)
@@ -333,3 +337,23 @@ def test_bodies_that_overlap_have_their_inside_in_common() -> None:
     points = np.array([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5], [2.5, 0.5, 0.5], [3.5, 0.5, 0.5]])
     explained = MeshMatch(np.eye(4), 1.0, {}, pair, 0.01).explains(points)
     np.testing.assert_array_equal(explained, [True, True, True, False])
+
+
+def test_points_all_nearest_to_one_corner_leave_the_mesh_turned_as_it_is() -> None:
+    corner = -np.abs(np.random.default_rng(0).normal(0.0, 0.004, (200, 3))) - 5e-4
+    surface = Surface(solid_of(box((0, 0, 0), (0.3, 0.5, 0.6))).closed[0])
+    start = FitPose(np.eye(3), np.zeros(3))
+    found = fitted(surface, Region(corner, np.full((200, 3), -1.0)), start, [0.1])
+    np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-12)
+    assert np.isfinite(found.shift).all()
+
+
+@pytest.mark.parametrize("unit_m", [0.01, 0.001])
+def test_a_scan_much_smaller_than_a_mesh_that_it_is_to_show_is_refused(unit_m: float) -> None:
+    cloud = little_scan()
+    tiny = Cloud(unit_m * cloud.points, unit_m * np.asarray(cloud.origin))
+    crate = KnownMesh("crate", solid_of(box((0, 0, 0), (0.3, 0.5, 0.6))))
+    with pytest.raises(MeshError, match=r"spans only 0\.\d+ m, and crate, which it is to show, 0.6 m; is its unit"):
+        perceive(tiny, valve=False, known=[crate])
+    placed = KnownMesh("crate", crate.solid, np.eye(4), is_placed=True)
+    assert "crate" in perceive(tiny, valve=False, known=[placed]).matches

@@ -11,7 +11,7 @@ from small_plan import small_plan
 from small_robots import box
 from stranger import Stranger
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.robot import load_robot
 from costs.scene import Scene
 from service.cli_report import print_figures, print_findings, print_verdict
@@ -69,7 +69,7 @@ def test_a_start_in_collision_is_refused_with_pair_and_depth_and_told_what_would
     with pytest.raises(RequestError) as caught:
         prepare(arm_request(tmp_path))
     assert caught.value.problems == (
-        "start is in collision: l2 is 0.010 m inside block (obstacle)",
+        "start is in collision: l2 is 10 mm inside block (obstacle)",
         "options.escape: false; true would plan a way out of the collision first",
     )
 
@@ -79,7 +79,7 @@ def test_the_first_phase_leaves_and_the_rest_is_certified_as_ever(escaped):
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     first, second = result.motion.phases
     assert (first.name, second.name) == ("escape", "reach")
-    assert [(a.link, a.other) for a in first.allowances] == [("l2", "block")]
+    assert [(a.first, a.second) for a in first.allowances] == [(BodyRef.of_link("l2"), BodyRef.of_piece("block"))]
     assert first.allowances[0].depth == pytest.approx(0.01, abs=2e-4)
     assert second.allowances == ()
     (exempt,) = result.certificate.exempt
@@ -90,7 +90,7 @@ def test_the_first_phase_leaves_and_the_rest_is_certified_as_ever(escaped):
 
 def test_no_claim_of_the_result_calls_the_motion_clear(escaped):
     result, _ = escaped
-    assert "start is in collision: l2 is 0.010 m inside block (obstacle); the first phase leaves it" in result.notes
+    assert "start is in collision: l2 is 10 mm inside block (obstacle); the first phase leaves it" in result.notes
     (start,) = [check for check in result.certificate.checks if check.name.startswith("start.")]
     assert start.text == ("starts in collision: l2 is 10.0 mm inside block, which 'escape' allows down to 10.1 mm")
     assert start.value == pytest.approx(-0.01, abs=1e-6)
@@ -103,7 +103,7 @@ def test_no_claim_of_the_result_calls_the_motion_clear(escaped):
     print_verdict(screen, summary_json(result))
     printed = screen.file.getvalue()
     assert "l2 and block" in printed.split("CERTIFIED")[0]  # the table of pairs that may touch
-    assert "note: start is in collision: l2 is 0.010 m inside block" in printed
+    assert "note: start is in collision: l2 is 10 mm inside block" in printed
     assert ", pairs that may touch aside" in printed.split("clearance     ")[-1]
 
 
@@ -134,7 +134,8 @@ def test_a_stranger_finds_the_start_in_the_block_and_the_second_phase_clear(esca
 def test_without_its_allowance_or_with_a_smaller_one_the_same_motion_is_refuted(escaped):
     result, _ = escaped
     first, second = result.motion.phases
-    for allowances in ((), (Allowance("l2", "block", 0.009),), (Allowance("l1", "block", 0.02),)):
+    l1, l2, block = BodyRef.of_link("l1"), BodyRef.of_link("l2"), BodyRef.of_piece("block")
+    for allowances in ((), (Allowance(l2, block, 0.009),), (Allowance(l1, block, 0.02),)):
         certificate = verify(replace(result.motion, phases=(replace(first, allowances=allowances), second)))
         assert certificate.status is Status.VIOLATED
         line = next(line for line in shortfalls(certificate) if line.startswith("l2 penetrates block by "))
@@ -149,7 +150,7 @@ def test_links_that_are_in_each_other_at_the_start_come_apart():
         exempt for exempt in result.certificate.exempt if exempt.pair != ("l_foot", "floor") and exempt.deepest_m > 1e-6
     ]
     assert [(set(exempt.pair), exempt.phase) for exempt in own] == [({"l_uarm", "l_ufarm"}, "escape")]
-    assert "start is in collision: l_uarm is 0.003 m inside l_ufarm; the first phase leaves it" in result.notes
+    assert "start is in collision: l_uarm is 2.5 mm inside l_ufarm; the first phase leaves it" in result.notes
     assert [check.where.names for check in result.certificate.checks if check.name.startswith("start.")] == [
         own[0].pair
     ]
@@ -183,17 +184,12 @@ def test_what_is_caught_for_good_is_not_found_and_told(tmp_path):
     assert result.explanation[0].startswith("escape: ")
 
 
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        ("block*", "a piece named block* cannot be told from others; another name, without the *, would do"),
-        ("l0", "a piece named l0 cannot be told from the link; another name would do"),
-    ],
-)
-def test_a_pair_that_an_allowance_cannot_name_is_refused(tmp_path, name, why):
+def test_a_piece_may_be_called_anything_that_no_link_is_called(tmp_path):
+    result = plan(arm_request(tmp_path, block={**BLOCK, "name": "l*"}, escape=True))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
     with pytest.raises(RequestError) as caught:
-        prepare(arm_request(tmp_path, block={**BLOCK, "name": name}, escape=True))
-    assert caught.value.problems == (f"start is in collision: l2 is 0.010 m inside {name} (obstacle); {why}",)
+        prepare(arm_request(tmp_path, block={**BLOCK, "name": "l0"}, escape=True))
+    assert caught.value.problems == ("scene.obstacles[0].name: 'l0' is a link of arm; another name would do",)
 
 
 def test_a_planted_foot_cannot_leave_the_floor():
@@ -208,7 +204,8 @@ def test_a_planted_foot_cannot_leave_the_floor():
     with pytest.raises(RequestError) as caught:
         prepare(request)
     assert caught.value.problems == tuple(
-        f"start is in collision: {foot} is 0.050 m inside floor; {foot} is planted and cannot leave"
+        f"start is out of balance: the floor is 50.0 mm above the sole of {foot}; at most 3 mm would do: "
+        "move start.base, or leave it out"
         for foot in ("l_foot", "r_foot")
     )
 
@@ -216,11 +213,11 @@ def test_a_planted_foot_cannot_leave_the_floor():
 def test_feet_that_stand_in_a_scanned_floor_are_not_told_as_a_collision():
     motion = small_plan().motion
     floor = next(piece for piece in motion.scene.pieces if piece.name == "floor")
-    raised = replace(floor, vertices=floor.vertices + np.array([0.0, 0.0, 0.005]))
+    raised = replace(floor, vertices=floor.vertices + np.array([0.0, 0.0, 0.0025]))
     pieces = tuple(raised if piece is floor else piece for piece in motion.scene.pieces)
     certificate = verify(replace(motion, scene=Scene(pieces)))
     assert certificate.status is Status.CERTIFIED
-    assert max(exempt.deepest_m for exempt in certificate.exempt) > 4e-3
+    assert max(exempt.deepest_m for exempt in certificate.exempt) > 2e-3
     assert not any(check.name.startswith("start.") for check in certificate.checks)
     (clearance,) = [check for check in certificate.checks if check.name == "clearance"]
     assert "aside" not in clearance.text

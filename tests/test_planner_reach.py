@@ -5,6 +5,8 @@ import pytest
 from planar_arm import write_planar_arm
 from stranger import Stranger
 
+from service import planner
+from service import verify as verifier
 from service.monitor import Monitor
 from service.output import write_result
 from service.planner import plan
@@ -130,16 +132,56 @@ def test_a_slot_too_narrow_for_the_hand_names_link_and_board_and_comes_with_the_
     assert result.certificate.failed()
 
 
-def test_a_late_plan_comes_with_its_best_attempt_and_reasons(monkeypatch):
+@pytest.fixture
+def late_after_an_attempt(monkeypatch):
+    """Time is up as soon as a task's planner has handed over its first plan, whatever the clock says."""
+    begun, begin = [], planner._Attempt.begin
+
+    def note(self, task):
+        begin(self, task)
+        begun.append(task)
+
+    monkeypatch.setattr(planner._Attempt, "begin", note)
+    monkeypatch.setattr(Monitor, "remaining_s", lambda self: -1.0 if begun else 60.0)
+
+
+def test_a_late_plan_comes_with_its_best_attempt_and_reasons_and_without_a_certificate(
+    late_after_an_attempt, monkeypatch
+):
     boards = ({"name": f"{name} board", "type": "box", "size": [0.4, 0.6, 0.02], "position": [0.7, 0.2, z]}
               for name, z in (("lower", 1.03), ("upper", 1.07)))  # fmt: skip
-    monkeypatch.setattr(Monitor, "remaining_s", lambda self: 1.0 if len(self.history) < 8 else -1.0)
+    monkeypatch.setattr(planner, "GRACE_S", 60.0)  # however busy the machine is
+    monkeypatch.setattr(planner, "verify", lambda motion: pytest.fail("a certificate was begun after the limit"))
     result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
     assert result.verdict is Verdict.TIME_LIMIT
     assert result.explanation[0].startswith("the time limit of")
     assert any("board" in line for line in result.explanation[1:]), result.explanation
     assert result.motion is not None
-    assert result.certificate.failed()
+    assert result.certificate is None
+
+
+def test_a_verification_that_runs_into_the_limit_gives_the_motion_and_no_certificate(monkeypatch):
+    is_verifying = []
+
+    def verify(motion):
+        is_verifying.append(motion)
+        return verifier.verify(motion)
+
+    monkeypatch.setattr(planner, "verify", verify)
+    monkeypatch.setattr(Monitor, "remaining_s", lambda self: -1.0 if is_verifying else 60.0)
+    result = plan(atlas(tool_at([0.55, 0.3, 1.2])))
+    assert result.verdict is Verdict.TIME_LIMIT
+    assert "during 'certificate'" in result.explanation[0]
+    assert result.motion is is_verifying[0]
+    assert result.certificate is None
+
+
+def test_a_late_plan_has_no_motion_where_that_takes_longer_than_there_is(late_after_an_attempt, monkeypatch):
+    monkeypatch.setattr(planner, "GRACE_S", 0.0)
+    result = plan(atlas(tool_at([0.55, 0.3, 1.2])))
+    assert result.verdict is Verdict.TIME_LIMIT
+    assert result.motion is None
+    assert result.certificate is None
 
 
 def test_a_start_outside_the_margin_settles_first():
@@ -252,7 +294,7 @@ def test_a_goal_in_collision_is_infeasible_and_names_pair_and_depth(tmp_path):
     goal = {"j0": 0.0, "j1": 0.0, "j2": 0.0}
     result = plan(small_arm(tmp_path, goal, [block("block", [0.5, 0.06, 0.0])]))
     assert result.verdict is Verdict.INFEASIBLE
-    assert result.explanation == ("the goal is in collision: l2 is 0.010 m inside block (obstacle)",)
+    assert result.explanation == ("the goal is in collision: l2 is 10 mm inside block (obstacle)",)
 
 
 def test_a_robot_without_masses_is_written_and_has_no_centre_of_mass(tmp_path):

@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 import perception
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
+from service.demands.world import flat_floor
 from service.errors import RequestError
 from service.motion_json import file_positions
-from service.obstacles import flat_floor, obstacles_of
+from service.obstacles import obstacles_of
 from service.request_file import parse_request
 from service.setup import PlanSetup, prepare
 from service.start import collisions, sole, standing_problems, start_configuration
@@ -156,7 +157,7 @@ def test_a_goal_beyond_a_limit_is_refused() -> None:
 def test_a_start_in_collision_names_pair_and_depth() -> None:
     # The pelvis of the standing Atlas is at (0, 0, 0.9); a box in it.
     lines = _problems(scene={"obstacles": [{"name": "crate", "position": [0.0, 0.0, 0.9], **BOX}]})
-    assert any(line.startswith("start is in collision: pelvis is 0.") and "m inside crate" in line for line in lines)
+    assert any(line.startswith("start is in collision: pelvis is ") and "mm inside crate" in line for line in lines)
     links = [line.split()[4] for line in lines]
     assert len(set(links)) == len(links)  # a link of several bodies is named once
 
@@ -166,13 +167,13 @@ def test_depth_of_a_start_in_collision_is_the_penetration(atlas: RobotModel) -> 
     q = atlas.postures["stand"]
     lines = collisions(atlas, q, Scene((flat_floor(0.05, q[:2]),)), ("l_foot", "r_foot"))
     assert {line.split(" is ")[0] for line in lines} == {"l_foot", "r_foot"}
-    assert all("is 0.050 m inside floor" in line for line in lines)
+    assert all("is 50 mm inside floor" in line for line in lines)
 
 
 def test_crossed_legs_are_in_collision() -> None:
     lines = _problems(start={"joints": {"l_leg_hpx": -0.5}})
-    assert lines[0].startswith("start is in collision: l_lleg is 0.1")
-    assert lines[0].endswith("m inside r_uleg")
+    assert lines[0].startswith("start is in collision: l_lleg is 1")
+    assert lines[0].endswith(" mm inside r_uleg")
 
 
 def test_a_centre_of_mass_beyond_the_feet_is_told_in_metres(atlas: RobotModel) -> None:
@@ -193,7 +194,7 @@ def test_one_planted_foot_under_a_middle_stance_is_refused() -> None:
 def test_feet_in_the_air_are_refused(atlas: RobotModel) -> None:
     height = float(atlas.postures["stand"][2]) + 0.1
     lines = _problems(start={"base": {"position": [0, 0, height]}})
-    assert "start is out of balance: the sole of l_foot is 0.100 m above the floor" in lines[0]
+    assert "start is out of balance: the floor is 100.0 mm below the sole of l_foot; at most 3 mm would do" in lines[0]
 
 
 @pytest.mark.parametrize(
@@ -298,3 +299,35 @@ def test_what_is_attached_is_a_link_that_goals_and_what_is_kept_may_name() -> No
 
 
 GOAL_OF_BEAM = {"link": "beam", "position": [0.5, 0.0, 1.2]}
+
+
+def _post(folder: Path, inertial: str) -> Path:
+    """A post with an arm on a foot."""
+    links = "".join(
+        f'<link name="{name}">{inertial}<collision><origin xyz="0 0 {z}"/><geometry><box size="{size}"/></geometry>'
+        "</collision></link>"
+        for name, z, size in (("foot", 0.05, "0.4 0.4 0.1"), ("post", 0.3, "0.1 0.1 0.5"))
+    )
+    joint = (
+        '<joint name="turn" type="revolute"><parent link="foot"/><child link="post"/><origin xyz="0 0 0.12"/>'
+        '<axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="1" effort="100"/></joint>'
+    )
+    path = folder / "post.urdf"
+    path.write_text(f'<robot name="stele">{links}{joint}</robot>')
+    return path
+
+
+NO_MASS = '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
+@pytest.mark.parametrize("inertial", ["", NO_MASS])
+def test_a_robot_that_has_to_balance_and_weighs_nothing_is_refused(tmp_path: Path, inertial: str) -> None:
+    asked = {"robot": {"urdf": str(_post(tmp_path, inertial)), "root": "floating"}, "goal": {"joints": {"turn": 0.5}}}
+    asked["options"] = {"feet": ["foot"]}
+    (line,) = _problems(tmp_path, **asked)
+    assert line.startswith("robot.urdf: the links of stele have 0 kg in all")
+
+
+def test_a_robot_that_is_bolted_down_needs_no_masses(tmp_path: Path) -> None:
+    robot = {"urdf": str(_post(tmp_path, "")), "root": "fixed"}
+    assert not _prepare(tmp_path, robot=robot, goal={"joints": {"turn": 0.5}}).robot.is_floating

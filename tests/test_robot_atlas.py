@@ -264,7 +264,7 @@ def test_groups_are_in_the_order_of_the_coordinates(atlas: RobotModel) -> None:
 
 def test_meshes_are_closed_surfaces_that_face_outwards() -> None:
     paths = sorted((FOLDER / "meshes").glob("*.obj"))
-    assert len(paths) == 31
+    assert len(paths) == 33
     for path in paths:
         lines = [line.split() for line in path.read_text().splitlines()]
         points = np.array([[float(word) for word in words[1:]] for words in lines if words[0] == "v"])

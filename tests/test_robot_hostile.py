@@ -43,6 +43,14 @@ def _star(count: int) -> str:
         (robot(link("a")), "at least one joint must move"),
         (robot(link("a"), link("a")), "link name 'a' is used twice"),
         (robot(link("a"), link("b"), link("c"), joint("j", "a", "b"), joint("j", "b", "c")), "joint name 'j' is used"),
+        (
+            robot(link("a"), link("b"), joint("b", "a", "b")),
+            "'b' is the name of a link and of a joint; rename the joint",
+        ),
+        (
+            robot(link("a"), link("b"), joint("a", "a", "b")),
+            "'a' is the name of a link and of a joint; rename the joint",
+        ),
         (robot(link("a"), link("universe"), joint("j", "a", "universe")), "'universe' is reserved"),
         (robot(link("a"), link("b"), joint("j", "a", "bb")), "unknown child link 'bb'; did you mean 'b'"),
         (robot(link("a"), link("b")), "one root link is needed, found 'a', 'b'"),

@@ -11,7 +11,8 @@ from small_robots import CUBE, box
 
 from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
-from service.start import FLOOR_CONTACT_M, overlaps, placed_bodies
+from service.start import overlaps, placed_bodies
+from service.verify.ground import GROUND_TOLERANCE_M
 
 FEET = ("l_foot", "r_foot")
 
@@ -54,8 +55,8 @@ def test_a_planted_foot_may_stand_in_the_floor_and_nothing_else_may(atlas: Robot
     def floor(depth: float, kind: str) -> Scene:
         return Scene((ConvexPiece("ground", CUBE * [3.0, 3.0, 0.1] + [0.0, 0.0, lowest + depth - 0.1], kind),))
 
-    assert overlaps(atlas, q, floor(FLOOR_CONTACT_M - 1e-3, "floor"), FEET) == []
-    assert {o.link for o in overlaps(atlas, q, floor(FLOOR_CONTACT_M - 1e-3, "floor"), FEET[:1])} == {"r_foot"}
-    assert {o.link for o in overlaps(atlas, q, floor(FLOOR_CONTACT_M - 1e-3, "table"), FEET)} == set(FEET)
-    (deep, _) = overlaps(atlas, q, floor(FLOOR_CONTACT_M + 1e-3, "floor"), FEET)
-    assert deep.depth == pytest.approx(FLOOR_CONTACT_M + 1e-3, abs=1e-6)
+    assert overlaps(atlas, q, floor(GROUND_TOLERANCE_M - 1e-3, "floor"), FEET) == []
+    assert {o.link for o in overlaps(atlas, q, floor(GROUND_TOLERANCE_M - 1e-3, "floor"), FEET[:1])} == {"r_foot"}
+    assert {o.link for o in overlaps(atlas, q, floor(GROUND_TOLERANCE_M - 1e-3, "table"), FEET)} == set(FEET)
+    (deep, _) = overlaps(atlas, q, floor(GROUND_TOLERANCE_M + 1e-3, "floor"), FEET)
+    assert deep.depth == pytest.approx(GROUND_TOLERANCE_M + 1e-3, abs=1e-6)

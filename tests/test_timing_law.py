@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pinocchio as pin
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_robots import floating_joint, random_curve, random_model, robot_of
 
+from benchmarks.timing_reference import chain, fastest_duration, spline_through, timing_problems
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.scene import Scene
@@ -39,6 +41,34 @@ def test_a_straight_line_takes_the_time_of_the_trapezoid() -> None:
     law = time_curve(_robot(1), curve)
     assert law.times[-1] == pytest.approx(2.5, rel=0.01)
     assert law.times[-1] >= 2.5 - 1e-9
+
+
+@pytest.mark.parametrize("n_waypoints", [2, 3, 5, 8, 12, 20, 30])
+@pytest.mark.parametrize(("velocity", "acceleration"), [(0.5, 10.0), (0.5, 3.0), (0.5, 0.5)])
+def test_a_plan_along_a_line_takes_at_most_four_percent_longer_than_the_trapezoid(
+    n_waypoints: int, velocity: float, acceleration: float
+) -> None:
+    robot = chain(np.array([velocity]), np.array([acceleration]))
+    law = time_curve(robot, spline_through(robot, np.linspace(0.0, 2.0, n_waypoints)[:, None]))
+    fastest = 2.0 / velocity + velocity / acceleration
+    assert fastest - 1e-9 <= law.times[-1] <= 1.04 * fastest
+
+
+def test_laws_of_random_plans_are_within_six_percent_of_the_fastest() -> None:
+    ratios = []
+    for problem in islice(timing_problems(1), 15):
+        robot, curve = problem.robot, problem.curve
+        fastest = fastest_duration(curve, robot.velocity, robot.acceleration, cells=30)
+        ratios.append(time_curve(robot, curve).times[-1] / fastest)
+    assert max(ratios) < 1.06
+    assert np.mean(ratios) < 1.03
+    assert min(ratios) > 0.995  # the reference's own grid
+
+
+def test_a_rest_within_the_curve_costs_what_stopping_costs() -> None:
+    robot = chain(np.array([1.0]), np.array([2.0]))
+    curve = Curve(np.array([0.0, 1.0]), np.array([[0.0], [2.0]]), np.full((2, 1), 2.0))
+    assert time_curve(robot, curve, [0.5]).times[-1] == pytest.approx(3.0, rel=0.005)
 
 
 def test_scales_slow_the_line_down() -> None:
@@ -161,3 +191,76 @@ def test_a_robot_that_falls_even_at_rest_is_left_for_the_verifier_to_refuse() ->
     motion = _swing()
     away = replace(motion, phases=(replace(motion.phases[0], support=SupportPolygon(SQUARE + 1.0)),))
     assert slow_until_zmp_inside(away) is motion.law
+
+
+def test_a_law_that_knows_the_polygon_keeps_the_zmp_and_is_faster_than_one_slowed_as_a_whole() -> None:
+    motion = _swing()
+    robot, curve, phases = motion.robot, motion.curve, motion.phases
+    law = time_curve(robot, curve, settings=TimingSettings(zmp_reserve_m=0.01), phases=phases)
+    own = replace(motion, law=law)
+    assert slow_until_zmp_inside(own, reserve_m=0.01) is law
+    check = next(check for check in verify(own).checks if check.name == "zmp.swing")
+    assert 0.01 <= check.value < 0.02
+    slowed = slow_until_zmp_inside(motion, reserve_m=0.01)
+    assert law.times[-1] < 0.95 * slowed.times[-1]
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_every_edge_of_the_polygon_holds_the_zmp(turn: int) -> None:
+    # The same swing towards +y, -x, -y within a polygon that is not centred, on a plane that is not at 0.
+    motion = _swing()
+    angle = 0.5 * np.pi * turn
+    matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+    def turned(rows: np.ndarray) -> np.ndarray:
+        result = rows.copy()
+        result[:, :2] = rows[:, :2] @ matrix.T + (matrix @ [0.5, 0.2] if rows is motion.curve.positions else 0.0)
+        return result
+
+    curve = Curve(motion.curve.knots, turned(motion.curve.positions), turned(motion.curve.tangents))
+    corners = np.array([[-0.1, -0.1], [0.1, -0.1], [0.12, 0.1], [-0.1, 0.1]])
+    phase = Phase("swing", 0.0, 5.0, support=SupportPolygon((corners + np.array([0.5, 0.2])) @ matrix.T, 0.0, 0.3))
+    law = time_curve(motion.robot, curve, phases=(phase,))
+    plain = time_curve(motion.robot, motion.curve, phases=(replace(phase, support=SupportPolygon(corners, 0.0, 0.3)),))
+    assert law.times[-1] == pytest.approx(plain.times[-1], rel=1e-9)
+    moved = Motion(motion.robot, Scene(), curve, law, (phase,))
+    check = next(check for check in verify(moved).checks if check.name == "zmp.swing")
+    assert -1e-3 < check.value < 3e-3
+    assert slow_until_zmp_inside(moved).times[-1] <= 1.05 * law.times[-1]
+
+
+def test_the_reserve_gives_way_where_the_robot_rests_nearer_to_the_edge() -> None:
+    # At rest the mass ends 4 mm inside: a reserve of 15 mm cannot be had there, and 2 mm are kept.
+    motion = _swing()
+    near = replace(motion.phases[0], support=SupportPolygon(SQUARE - [0.036, 0.0]))
+    law = time_curve(motion.robot, motion.curve, settings=TimingSettings(zmp_reserve_m=0.015), phases=(near,))
+    motion = replace(motion, law=law, phases=(near,))
+    check = next(check for check in verify(motion).checks if check.name == "zmp.swing")
+    assert 0.002 <= check.value <= 0.004
+    assert slow_until_zmp_inside(motion, reserve_m=0.015) is law
+    assert law.times[-1] < 5.0
+
+
+def test_a_polygon_that_covers_only_part_of_a_stretch_is_left_to_the_slowing() -> None:
+    motion = _swing()
+    halves = (Phase("a", 0.0, 2.5), replace(motion.phases[0], name="b", first=2.5))
+    law = time_curve(motion.robot, motion.curve, phases=halves)
+    assert motion.law is not None
+    np.testing.assert_allclose(law.times, motion.law.times)
+    slowed = slow_until_zmp_inside(replace(motion, phases=halves))
+    assert slowed.times[-1] > law.times[-1]
+
+
+def test_torques_and_accelerations_hold_at_once_on_a_curved_path() -> None:
+    rng = np.random.default_rng(5)
+    model = random_model(rng, 4, is_floating=False, branches=False)
+    robot = replace(robot_of(model, []), velocity=np.full(4, 5.0), acceleration=np.full(4, 30.0))
+    curve = random_curve(rng, 4, 5, spread=0.6)
+    still = pin.Data(model)
+    weight = np.array([np.abs(pin.computeGeneralizedGravity(model, still, q)) for q in curve(np.linspace(0, 4, 50))])
+    robot = replace(robot, effort=1.5 * weight.max(axis=0) + 0.5)
+    law = time_curve(robot, curve)
+    check = next(check for check in verify(Motion(robot, Scene(), curve, law)).checks if check.name == "torque.motion")
+    assert 0.95 < check.value < 1.005
+    free = time_curve(robot, curve, settings=TimingSettings(use_torques=False))
+    assert free.times[-1] < 0.99 * law.times[-1]

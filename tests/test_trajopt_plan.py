@@ -23,6 +23,7 @@ from service.planner import plan
 from service.replay import verify_result
 from service.request_file import parse_request
 from service.result import PlanResult, Verdict
+from service.start import placed_bodies
 from service.tasks.program import ProgramPhase
 
 ARM = ("--robot", EXAMPLES / "arm7.urdf", "--srdf", EXAMPLES / "arm7.srdf")
@@ -156,7 +157,7 @@ def test_an_arm_of_atlas_moves_alone_and_nothing_is_said_of_balance() -> None:
     moved = {atlas().joint_names[i] for i in np.flatnonzero(np.ptp(q, axis=0))}
     assert moved <= set(atlas().groups["left_arm"])
     assert result.certificate is not None
-    assert "balance was not checked in trajopt" in result.certificate.notes
+    assert "not checked: balance in 'trajopt'" in result.certificate.notes
 
 
 def test_a_goal_in_the_table_or_out_of_reach_is_infeasible() -> None:
@@ -327,3 +328,16 @@ def test_a_mistyped_key_ends_in_one_line_with_its_path_and_no_traceback(
         result.stderr
     )
     assert "Traceback" not in result.output
+
+
+def test_a_fixed_waypoint_nearer_than_the_hulls_resolve_is_told_and_not_infeasible() -> None:
+    robot, q = arm(), np.array([0.0, 0.2, 0.0, 0.2, 0.0, 0.0, 0.0])
+    tip = max((placed for _, placed in placed_bodies(robot, q)), key=lambda placed: placed[:, 0].max())
+    x, y, z = tip[tip[:, 0].argmax()]
+    ball = {"name": "ball", "type": "sphere", "radius": 10.0, "position": [x + 10.012, y, z]}
+    data = document(constraints=[term("joint", vals=q.tolist())])
+    start = dict(zip(robot.joint_names, [-1.5, 0.9, 0.0, 0.9, 0.0, 0.0, 0.0], strict=True))
+    result = of_arm(data, scene={"obstacles": [ball]}, start={"joints": start})
+    assert result.verdict is Verdict.NOT_FOUND
+    assert result.explanation[0].startswith("waypoint 4, which is fixed, is too near to plan through: ")
+    assert "from ball (obstacle), nearer than the planner's hulls resolve" in result.explanation[0]

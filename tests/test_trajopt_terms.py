@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from swept_scenes import checker_of, random_motion, random_scene, state_of
 from tiny_robots import PLANAR, SPATIAL, atlas, chain, contact_free_state, random_configurations
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts
 from costs.kinematics import KinematicsEngine
 from costs.scene import ConvexPiece, Scene
@@ -136,10 +136,11 @@ def test_a_pair_may_be_asked_for_something_else_or_nothing_or_no_more_than_it_ha
     checker = checker_of(robot, scene, 0.2)
     state = state_of(robot, checker)(np.array([[0.0], [0.0]]))
     usual = Asked(np.array([0.05]), np.array([1.0]))
-    special = [("link1", "box", Asked(np.array([0.07]), np.array([2.0])))]
+    link1, above = BodyRef.of_link("link1"), BodyRef.of_piece("box")
+    special = [(link1, above, Asked(np.array([0.07]), np.array([2.0])))]
     value = PairClearance(robot, AskedOfPairs.of(checker, usual, special)).value(state)
     np.testing.assert_allclose(value, [0.08], atol=1e-9)
-    exempt = AskedOfPairs.of(checker, usual, exempt=[Allowance("link1", "box", 0.0)])
+    exempt = AskedOfPairs.of(checker, usual, exempt=[Allowance(link1, above, 0.0)])
     assert len(PairClearance(robot, exempt).value(state)) == 0
     relaxed = AskedOfPairs.of(checker, usual).relaxed_to(state.contacts, 0.01)
     np.testing.assert_allclose(PairClearance(robot, relaxed).value(state), [-0.01], atol=1e-9)
@@ -155,7 +156,13 @@ def test_pose_clearance_gradient_against_differences(n_waypoints):
     asked = AskedOfPairs.of(
         checker,
         Asked(np.full(n_waypoints, 0.5), np.zeros(n_waypoints)),
-        [("link4", "tip", Asked(np.full(n_waypoints, 0.5), np.arange(1.0, n_waypoints + 1.0)))],
+        [
+            (
+                BodyRef.of_link("link4"),
+                BodyRef.of_piece("tip"),
+                Asked(np.full(n_waypoints, 0.5), np.arange(1.0, n_waypoints + 1.0)),
+            )
+        ],
     )
     term = PairClearance(robot, asked, poses=checker)
     dense = check_jacobian(term, state_of(robot, checker), x, tolerance=1e-4)

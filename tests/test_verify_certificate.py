@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import json
 import subprocess
@@ -19,7 +20,7 @@ from small_robots import box
 
 from costs.curve import Curve
 from costs.robot import load_robot, with_revolute
-from costs.scene import Scene
+from costs.scene import ConvexPiece, Scene
 from service.motion_json import motion_json
 from service.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Certificate, Motion, Phase, PlantedContact, Status, SupportPolygon, VerifyError, verify
@@ -69,11 +70,13 @@ def _wave() -> Motion:
         corners.append(sole @ pose[:3, :3].T + pose[:3, 3])
     ground = np.vstack(corners)
     polygon = ground[ConvexHull(ground[:, :2]).vertices, :2]
-    support = SupportPolygon(polygon, 0.02, float(ground[:, 2].mean()))
+    height = float(ground[:, 2].mean())
+    support = SupportPolygon(polygon, 0.02, height)
     law = time_curve(robot, curve, settings=TimingSettings(0.3, 0.3, support_links=FEET))
     hand = next(body for body in robot.bodies if body.link == "l_hand")
     centre = _hand_half_way(robot, curve, hand.joint, hand.vertices)
-    scene = Scene((box("post", (centre[0] + 0.5, centre[1], centre[2]), (0.1, 0.1, 0.3)),))
+    floor = ConvexPiece("floor", box("", (0.0, 0.0, height - 0.102), (2.0, 2.0, 0.1)).vertices, "floor")
+    scene = Scene((box("post", (centre[0] + 0.5, centre[1], centre[2]), (0.1, 0.1, 0.3)), floor))
     phases = (
         Phase("raise", 0.0, 2.0, tuple(contacts), support=support),
         Phase("lower", 2.0, 3.0, tuple(contacts), support=support),
@@ -105,6 +108,8 @@ def result(motion: Motion, certificate: Certificate) -> dict[str, Any]:
     robot = load_robot("atlas")
     return {
         "verdict": certificate.status.value,
+        "request": {},
+        "request_hash": "sha256:" + hashlib.sha256(b"{}").hexdigest(),
         "robot": {"urdf": "robot.urdf", "root": "floating"},
         "bodies": [
             {"name": b.name, "link": b.link, "vertices": link_vertices(robot, b.link, b.vertices).tolist()}
@@ -120,6 +125,8 @@ def result(motion: Motion, certificate: Certificate) -> dict[str, Any]:
 def _replay(folder: Path, result: dict[str, Any]) -> subprocess.CompletedProcess[str]:
     (folder / "result.json").write_text(json.dumps(result))
     (folder / "robot.urdf").write_text(load_robot("atlas").source.urdf)
+    table = np.column_stack([result["trajectory"]["times"], result["trajectory"]["positions"]])
+    np.savetxt(folder / "trajectory.csv", table, fmt="%.10g", delimiter=",", header="time", comments="")
     command = [sys.executable, str(EXAMPLES / "check_certificate.py"), str(folder)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 

@@ -12,11 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_robots import CUBE, box, random_curve, random_model, robot_of
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.curve import Curve
 from costs.robot.model import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.verify import Basis, Certificate, Motion, Phase, Status, VerifyError, VerifySettings, verify
+
+SLIDER, WALL = BodyRef.of_link("slider"), BodyRef.of_piece("wall")
 
 
 def _slider(half: tuple[float, float, float] = (0.05, 0.05, 0.05)) -> RobotModel:
@@ -122,19 +124,19 @@ def test_touching_is_neither_certified_nor_refuted() -> None:
 def test_a_touch_within_its_allowance_is_certified_and_listed() -> None:
     wall = Scene((box("wall", (1.0, 0.0, 0.0), (0.1, 1.0, 1.0)),))
     curve = _line([0.0], [0.855])
-    allowed = (Phase("push", 0.0, 1.0, allowances=(Allowance("slider", "wal*", 0.006),)),)
+    allowed = (Phase("push", 0.0, 1.0, allowances=(Allowance(SLIDER, WALL, 0.006),)),)
     certificate = verify(Motion(_slider(), wall, curve, phases=allowed))
     assert certificate.status is Status.CERTIFIED
     assert certificate.exempt[0].pair == ("slider", "wall")
     assert certificate.exempt[0].deepest_m == pytest.approx(0.005, abs=1e-6)
     assert 0.005 - 1e-6 <= certificate.exempt[0].proven_m <= 0.006
-    shallow = (Phase("push", 0.0, 1.0, allowances=(Allowance("slider", "wall", 0.004),)),)
+    shallow = (Phase("push", 0.0, 1.0, allowances=(Allowance(SLIDER, WALL, 0.004),)),)
     assert verify(Motion(_slider(), wall, curve, phases=shallow)).status is Status.VIOLATED
 
 
 def test_an_allowance_ends_with_its_phase() -> None:
     wall = Scene((box("wall", (1.0, 0.0, 0.0), (0.1, 1.0, 1.0)),))
-    touch = (Allowance("slider", "wall", 0.01),)
+    touch = (Allowance(SLIDER, WALL, 0.01),)
     curve = Curve(np.arange(4.0), np.array([[0.0], [0.855], [0.855], [0.0]]), np.zeros((4, 1)))
     good = (Phase("push", 0.0, 3.0, allowances=touch),)
     late = (Phase("push", 0.0, 2.0, allowances=touch), Phase("leave", 2.0, 3.0))
@@ -160,7 +162,11 @@ def test_two_links_that_pass_through_each_other_are_refuted() -> None:
     assert certificate.status is Status.CERTIFIED
     assert certificate.min_clearance_m == pytest.approx(0.096, abs=1e-8)
     ignored = robot_of(model, bodies, ignored=frozenset({("left", "right")}))
-    assert verify(Motion(ignored, Scene(), curve)).status is Status.CERTIFIED
+    passed_through = verify(Motion(ignored, Scene(), curve))
+    check = next(check for check in passed_through.checks if check.name == "coverage.overlap.left.right")
+    assert check.value == pytest.approx(-0.004, abs=1e-4)
+    assert passed_through.status is Status.FEASIBLE_AT_SAMPLES
+    assert {check.name for check in passed_through.checks} >= {"coverage.pairs"}
 
 
 def test_a_mechanism_is_checked_against_the_robot_and_not_against_pieces() -> None:

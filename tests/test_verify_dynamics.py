@@ -73,7 +73,9 @@ def test_the_legs_carry_their_foot_s_share_and_the_arms_none(atlas: RobotModel) 
 def test_a_phase_that_stands_on_nothing_has_no_wrench(atlas: RobotModel) -> None:
     motion = _squat(atlas, ())
     assert motion.law is not None
-    assert np.all(np.isnan(forces(motion, motion.law, motion.phases[0], TIMES).wrench))
+    wrench = forces(motion, motion.law, motion.phases[0], TIMES).wrench
+    assert wrench.shape == (len(TIMES), 6)
+    assert np.all(np.isnan(wrench))
 
 
 def test_times_of_path_parameters_are_those_of_the_law(atlas: RobotModel) -> None:

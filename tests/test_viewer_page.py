@@ -76,6 +76,8 @@ def test_the_page_draws_every_kind_of_thing_without_complaint(browser, pages):
         "targets": 2,
         "balance": 1,
         "contacts": 2,
+        "goal": 0,
+        "shapeless": 0,
         "checks": 0,
         "cloud": 500,
         "floor": 1,
@@ -144,6 +146,14 @@ def test_a_check_of_a_moved_joint_leads_to_what_moves(browser, tmp_path):
     assert browser.run("window.__viewer.time") == pytest.approx(5.0)
     np.testing.assert_allclose(browser.run("window.__viewer.camera")[3:], VALVE, atol=1e-6)
     assert browser.run("document.querySelector('.label.good:not([hidden])').textContent") == "joint limits 5.73°"
+
+
+def test_a_phase_tells_on_one_line_what_may_be_touched_alike(browser, pages):
+    browser.open(pages["certified"] + "#t=5")
+    rows = browser.run("[...document.querySelectorAll('.now dd')].map((e) => e.textContent)")
+    assert "l_hand ↔ rim/0 … rim/1 (2), to 4 mm" in rows
+    browser.open(pages["certified"] + "#t=1")
+    assert "may touch" not in browser.run("document.querySelector('.now').textContent")
 
 
 def test_an_unsolved_result_says_what_stands_in_the_way(browser, pages):

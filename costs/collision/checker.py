@@ -15,6 +15,7 @@ from costs.collision.sweep import BodyVertices, extent, share_gradient
 from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
 from costs.scene import Scene
+from costs.stopping import poll
 
 _IDENTITY = coal.Transform3s()
 
@@ -72,6 +73,7 @@ class SweptCollisionChecker:
     def _world_contacts(
         self, world: Float[np.ndarray, "T B V 3"], first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> Contacts:
+        poll()
         if not self._pieces:
             return Contacts.none()
         low, high = extent(world)
@@ -108,6 +110,7 @@ class SweptCollisionChecker:
         first: Int[np.ndarray, "I"],
         second: Int[np.ndarray, "I"],
     ) -> Contacts:
+        poll()
         interval, pair = self._near_pairs(kinematics, first, second)
         still, moving = self._pairs[pair].T
         joint = self._bodies.joint[still]
@@ -156,6 +159,7 @@ class SweptCollisionChecker:
         self, kinematics: Kinematics, first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
         """Intervals and self pairs whose bounding spheres come near while the relative centre moves on its chord."""
+        poll()
         if not len(self._pairs):
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
         bodies = self._bodies

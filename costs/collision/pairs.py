@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision.contacts import Contacts
 from costs.robot.model import RobotModel
 from costs.scene import Scene
@@ -34,7 +34,7 @@ class PairMargins:
         scene: Scene,
         margin: float,
         allowances: Sequence[Allowance] = (),
-        overrides: Sequence[tuple[str, str, float]] = (),
+        overrides: Sequence[tuple[BodyRef, BodyRef, float]] = (),
         self_margin: float | None = None,
     ) -> PairMargins:
         """Margins of all pairs of a robot in a scene.
@@ -44,22 +44,18 @@ class PairMargins:
             scene: the pieces.
             margin: distance asked of a link and a piece [m].
             allowances: pairs that may touch; asked of them is minus the depth they may reach.
-            overrides: ``(link, other, margin)`` for single pairs, names as in an allowance.
+            overrides: ``(one, other, margin)`` for single pairs; the last that covers a pair counts.
             self_margin: distance asked of two links; ``margin`` if None.
         """
-        rules = [(Allowance(link, other, 0.0), value) for link, other, value in overrides]
-        rules += [(allowance, -allowance.depth) for allowance in allowances]
-        bodies = [(body.name, body.link) for body in robot.bodies]
-        pieces = [(piece.name, "") for piece in scene.pieces]
-        world = np.full((len(bodies), len(pieces)), margin)
-        self_pairs = _pairs_of(robot)
-        own = np.full(len(self_pairs), margin if self_margin is None else self_margin)
-        for rule, value in rules:
-            link, other = _named(rule, bodies)
-            link_piece, other_piece = _named(rule, pieces)
-            world[(link[:, None] & other_piece) | (other[:, None] & link_piece)] = value
-            first, second = self_pairs.T
-            own[(link[first] & other[second]) | (link[second] & other[first])] = value
+        index = BodyIndex(robot.bodies, robot.mechanism_links, scene.pieces)
+        asked = np.full(index.shape, margin if self_margin is None else self_margin)
+        asked[:, index.n_bodies :] = margin
+        for first, second, value in overrides:
+            index.fill(asked, first, second, value)
+        for allowance in allowances:
+            index.fill(asked, allowance.first, allowance.second, -allowance.depth)
+        world, self_pairs = asked[:, index.n_bodies :].copy(), _pairs_of(robot)
+        own = asked[self_pairs[:, 0], self_pairs[:, 1]]
         exempt = robot.fixed_links | robot.mechanism_links
         world[[body.link in exempt for body in robot.bodies]] = -np.inf
         return PairMargins(world, self_pairs, own)
@@ -91,9 +87,3 @@ def _pairs_of(robot: RobotModel) -> Int[np.ndarray, "K 2"]:
     first, second = np.triu_indices(len(robot.bodies), 1)
     is_checked = (joint[first] != joint[second]) & ~ignored[number[first], number[second]]
     return np.stack([first[is_checked], second[is_checked]], axis=1)
-
-
-def _named(rule: Allowance, things: Sequence[tuple[str, str]]) -> tuple[Bool[np.ndarray, "B"], Bool[np.ndarray, "B"]]:
-    """Which bodies or pieces (name, link) a rule names as its link, and which as its other."""
-    link = np.array([rule.names_link(*thing) for thing in things], dtype=bool)
-    return link, np.array([rule.names_other(*thing) for thing in things], dtype=bool)

@@ -18,10 +18,16 @@ EXHAUSTIVE_LIMIT = 32  # up to here coal scans all points of a convex, above it 
 
 
 def static_convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
-    """The hull of fixed vertices."""
+    """The hull of fixed vertices, to be read only: the same one for many vertices that are equal."""
     if MIN_POINTS <= len(vertices) <= EXHAUSTIVE_LIMIT:
         return coal.Convex(_points(vertices), _rewritable_topology(len(vertices)))
-    vertices = np.unique(np.asarray(vertices, dtype=float), axis=0)
+    return _hull_of(np.ascontiguousarray(vertices, dtype=float).tobytes())
+
+
+@lru_cache(maxsize=512)
+def _hull_of(points: bytes) -> coal.Convex:
+    """The hull of (V, 3) vertices given as bytes; remembered, since every checker of a plan asks for the same ones."""
+    vertices = np.unique(np.frombuffer(points).reshape(-1, 3), axis=0)
     if len(vertices) < MIN_POINTS:  # coal corrupts memory when a triangle names a vertex twice
         vertices = vertices[np.arange(MIN_POINTS) % len(vertices)]
     try:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
+from costs.stopping import poll
 
 SUPPORT_BAND = 1e-3  # vertices within this of the support plane are averaged, as in TrajOpt [m]
 
@@ -50,6 +51,7 @@ class BodyVertices:
 
     def in_world(self, kinematics: Kinematics) -> Float[np.ndarray, "T B V 3"]:
         """World coordinates of all vertices at all waypoints."""
+        poll()
         rotation = kinematics.rotation[:, self.joint]
         return np.asarray(
             np.matmul(self.local, rotation.transpose(0, 1, 3, 2)) + kinematics.position[:, self.joint, None]

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from lxml import etree
 
+from costs.primitive import round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError, suggest
 from costs.robot.hull import hull_vertices
@@ -69,9 +70,16 @@ def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotM
         frame = body_frame(model, one.name)
         points = _points(one) @ frame.placement.rotation.T + frame.placement.translation
         vertices = hull_vertices(points, f"attached body '{one.name}'")
-        bodies.append(LinkBody(one.name, one.name, int(frame.parentJoint), vertices, outer_hull(vertices)))
+        given = round_shape(one.kind, one.size)
+        exact = None if given is None else given.moved(frame.placement.homogeneous)
+        outer = outer_hull(vertices) if exact is None else shapes.swept_hull(exact, vertices)
+        bodies.append(LinkBody(one.name, one.name, int(frame.parentJoint), vertices, outer, exact))
     held = {link_pair(one.name, link) for one in attached for link in (one.link, *one.touching)}
     ignored = robot.ignored_pairs | same_joint_pairs(bodies) | held
+    # They stand in its SRDF from now on.
+    words = {"adjacent": "Adjacent", "same joint": "Adjacent", "derived": "Always"}
+    said = {pair: robot.ignored_reasons.get(pair, "User").removeprefix("srdf").strip(" ()") for pair in ignored}
+    said = {pair: words.get(word, word or "User") for pair, word in said.items()}
     still = {one.name for one in attached if int(body_frame(model, one.name).parentJoint) == 0}
     return replace(
         robot,
@@ -79,7 +87,8 @@ def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotM
         bodies=tuple(bodies),
         ignored_pairs=ignored,
         fixed_links=robot.fixed_links | still,
-        source=RobotSource(urdf_text(urdf), _srdf_text(robot, ignored), robot.source.files),
+        source=RobotSource(urdf_text(urdf), _srdf_text(robot, said), robot.source.files),
+        ignored_reasons={pair: f"srdf ({word})" for pair, word in said.items()},
     )
 
 
@@ -97,7 +106,7 @@ def _points(one: AttachedBody) -> Float[np.ndarray, "V 3"]:
         case "box":
             return shapes.box(np.array(one.size))
         case "sphere":
-            return shapes.sphere(*one.size)
+            return shapes.sphere(one.size[0])
         case "cylinder":
             return shapes.cylinder(*one.size)
 
@@ -138,12 +147,12 @@ def _joint_element(one: AttachedBody) -> etree._Element:
     return joint
 
 
-def _srdf_text(robot: RobotModel, ignored: frozenset[tuple[str, str]]) -> str:
-    """The robot's SRDF (or a new one) that lists every pair which is not checked."""
+def _srdf_text(robot: RobotModel, said: Mapping[tuple[str, str], str]) -> str:
+    """The robot's SRDF (or a new one) that lists every pair which is not checked, with a reason each."""
     source = robot.source.srdf or f'<robot name="{robot.name}"/>'
     tree = parse_xml(source, robot.name, "robot")
     for element in tree.findall("disable_collisions"):
         tree.remove(element)
-    for first, second in sorted(ignored):
-        etree.SubElement(tree, "disable_collisions", link1=first, link2=second, reason="User")
+    for (first, second), reason in sorted(said.items()):
+        etree.SubElement(tree, "disable_collisions", link1=first, link2=second, reason=reason)
     return str(etree.tostring(tree, encoding="unicode"))

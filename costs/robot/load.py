@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from costs.primitive import round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError
 from costs.robot.hull import hull_vertices
@@ -56,9 +57,11 @@ def build_robot(
     limits = _limits(urdf, names)
     bodies, files = _bodies(urdf, model, roots, urdf_where)
     if srdf.disabled_pairs:
-        ignored = srdf.disabled_pairs | same_joint_pairs(bodies)
+        reasons = dict.fromkeys(same_joint_pairs(bodies), "same joint")
+        reasons |= {pair: f"srdf ({said})" if said else "srdf" for pair, said in srdf.disabled_pairs.items()}
     else:
-        ignored = frozenset(derive_ignored_pairs(model, bodies, limits["lower"], limits["upper"]))
+        derived = derive_ignored_pairs(model, bodies, limits["lower"], limits["upper"])
+        reasons = {pair: "derived" if reason == "Always" else "adjacent" for pair, reason in derived.items()}
     return RobotModel(
         name=urdf.name,
         model=model,
@@ -69,10 +72,11 @@ def build_robot(
         groups={name: tuple(j for j in names if j in joints) for name, joints in srdf.groups.items() if joints},
         link_groups=srdf.link_groups,
         postures={name: _posture(srdf, name, names, limits) for name in srdf.states},
-        ignored_pairs=ignored,
+        ignored_pairs=frozenset(reasons),
         fixed_links=frozenset(link for link in urdf.links if body_frame(model, link).parentJoint == 0),
         mechanism_links=frozenset(),
         source=RobotSource(urdf_text(urdf), srdf_source, files),
+        ignored_reasons=reasons,
     )
 
 
@@ -136,9 +140,11 @@ def _bodies(
             points = _shape_points(shape, roots, files, inside)
             pose = frame.placement.homogeneous @ shape.pose_link_shape
             vertices = hull_vertices(points @ pose[:3, :3].T + pose[:3, 3], inside)
-            outer = outer_hull(vertices)
             name = link if index == 0 else f"{link}/{index}"
-            bodies.append(LinkBody(name, link, int(frame.parentJoint), vertices, outer))
+            given = round_shape(shape.kind, shape.size)
+            exact = None if given is None else given.moved(pose)
+            outer = outer_hull(vertices) if exact is None else shapes.swept_hull(exact, vertices)
+            bodies.append(LinkBody(name, link, int(frame.parentJoint), vertices, outer, exact))
     names = [body.name for body in bodies]
     if len(set(names)) != len(names):
         repeated = next(name for name in names if names.count(name) > 1)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
+
+from costs.primitive import Primitive
 
 BASE_NAMES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 
@@ -22,8 +24,9 @@ class LinkBody:
         link: the link it belongs to.
         joint: index of the pinocchio joint that carries it (0: fixed to the world).
         vertices: (V, 3) hull in the frame of that joint [m].
-        outer: (W, 3) at most 48 vertices whose hull contains ``vertices``, for the optimiser's sweeps [m] (the same
-            array when the hull has no more than 32).
+        outer: (W, 3) vertices whose hull contains ``vertices``, for the optimiser's sweeps [m]: at most 48, or 127 of a
+            round shape (the same array when the hull has no more than 32, or no more than 127 of a round shape).
+        exact: the round shape that was given, in the frame of that joint, where ``vertices`` are a polytope around one.
     """
 
     name: str
@@ -31,6 +34,7 @@ class LinkBody:
     joint: int
     vertices: Float[np.ndarray, "V 3"]
     outer: Float[np.ndarray, "W 3"]
+    exact: Primitive | None = None
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,8 @@ class RobotModel:
         mechanism_links: links of a task's mechanism (``with_revolute``), not part of the robot's mass; not checked
             against the scene.
         source: the files it came from.
+        ignored_reasons: why each of ``ignored_pairs`` is one: ``srdf (what it says)``, ``adjacent``, ``derived`` (they
+            overlap in nearly all poses), ``same joint``; told to people, believed by no check.
     """
 
     name: str
@@ -87,6 +93,7 @@ class RobotModel:
     fixed_links: frozenset[str]
     mechanism_links: frozenset[str]
     source: RobotSource
+    ignored_reasons: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
     @property
     def n(self) -> int:

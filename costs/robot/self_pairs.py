@@ -15,6 +15,7 @@ from costs.robot.model import LinkBody
 
 N_POSES = 500
 ALWAYS_FRACTION = 0.95
+JOINT_SIZE_M = 0.25  # what is fixed to a link and all within this of its joint counts as part of the joint
 
 
 def link_pair(a: str, b: str) -> tuple[str, str]:
@@ -29,18 +30,77 @@ def same_joint_pairs(bodies: Sequence[LinkBody]) -> frozenset[tuple[str, str]]:
 
 
 def adjacent_pairs(model: pin.Model, bodies: Sequence[LinkBody]) -> frozenset[tuple[str, str]]:
-    """Pairs of links joined by one joint, or by several with no body between them."""
-    links_of: dict[int, set[str]] = {}
-    for body in bodies:
-        links_of.setdefault(body.joint, set()).add(body.link)
-    pairs: set[tuple[str, str]] = set()
-    for joint, links in links_of.items():
-        parent = int(model.parents[joint]) if joint > 0 else 0
-        while parent > 0 and parent not in links_of:
-            parent = int(model.parents[parent])
-        if joint > 0:
-            pairs.update(link_pair(a, b) for a in links for b in links_of.get(parent, ()))
+    """Pairs of joint neighbours: a link and the nearest link above it in the tree that has a body.
+
+    What is fixed to either of the two counts as part of it only where all of it is near the joint; what is fixed to
+    the world is a neighbour of nothing but what it carries.
+    """
+    joint_of = {body.link: body.joint for body in bodies}
+    above = links_above(model, joint_of)
+    mounts = {link: _first_with_body(above, link, joint_of) for link in joint_of}
+    pairs = {link_pair(link, mount) for link, mount in mounts.items() if mount is not None}
+    for joint in sorted(set(joint_of.values()) - {0}):
+        hinge, parent = joint, int(model.parents[joint])
+        while parent > 0 and parent not in joint_of.values():
+            hinge, parent = parent, int(model.parents[parent])
+        if parent == 0:
+            continue
+        heads = {
+            link: mount
+            for link, mount in mounts.items()
+            if joint_of[link] == joint and mount and joint_of[mount] == parent
+        }
+        near = _near(bodies, joint, np.zeros(3)) | set(heads)
+        others = _near(bodies, parent, model.jointPlacements[hinge].translation) | set(heads.values())
+        pairs.update(link_pair(a, b) for a in near for b in others)
     return frozenset(pairs)
+
+
+def _first_with_body(above: Mapping[str, str | None], link: str, joint_of: Mapping[str, int]) -> str | None:
+    """The nearest link above one that has a body."""
+    mount = above[link]
+    while mount is not None and mount not in joint_of:
+        mount = above[mount]
+    return mount
+
+
+def _near(bodies: Sequence[LinkBody], joint: int, origin: Float[np.ndarray, "3"]) -> set[str]:
+    """Links of a joint all of whose vertices are near a point of its frame."""
+    links = {body.link for body in bodies if body.joint == joint}
+    far = {
+        b.link for b in bodies if b.joint == joint and np.linalg.norm(b.vertices - origin, axis=1).max() > JOINT_SIZE_M
+    }
+    return links - far
+
+
+def links_above(model: pin.Model, joint_of: Mapping[str, int]) -> dict[str, str | None]:
+    """The link that carries each link, None for the root.
+
+    Links are the model's body frames; a link of ``joint_of`` (joint by name) that has no frame is carried by the first
+    one that moves with the nearest joint above.
+    """
+    above: dict[str, str | None] = {}
+    frames = model.frames
+    for frame in frames:
+        if frame.type == pin.FrameType.BODY and frame.name != "universe":
+            carrier = frames[frame.parentFrame]
+            while carrier.type != pin.FrameType.BODY and carrier.name != "universe":
+                carrier = frames[carrier.parentFrame]
+            above[frame.name] = None if carrier.name == "universe" else str(carrier.name)
+    first_at: dict[int, str] = {}
+    for frame in frames:
+        if frame.name in above:
+            first_at.setdefault(int(frame.parentJoint), frame.name)
+    for link, joint in joint_of.items():
+        first_at.setdefault(joint, link)
+    for link, joint in joint_of.items():
+        if link in above:
+            continue
+        above[link] = first_at[joint] if first_at[joint] != link else None
+        while above[link] is None and joint > 0:
+            joint = int(model.parents[joint])
+            above[link] = first_at.get(joint)
+    return above
 
 
 def contact_counts(
@@ -92,7 +152,7 @@ def derive_ignored_pairs(
     upper: Float[np.ndarray, "n"],
     n_poses: int = N_POSES,
 ) -> Mapping[tuple[str, str], str]:
-    """Link pairs not to check, with the reason: ``Adjacent`` or ``Always`` (overlap in nearly all poses)."""
+    """Link pairs not to check, with the reason: ``Adjacent`` or ``Always`` (they overlap in nearly all poses)."""
     fixed = same_joint_pairs(bodies) | adjacent_pairs(model, bodies)
     reasons = dict.fromkeys(sorted(fixed), "Adjacent")
     links = sorted({body.link for body in bodies})

@@ -23,17 +23,17 @@ class Srdf:
         link_groups: link names by group, for groups that name links or chains.
         states: joint values by state name (a floating virtual joint: x y z qx qy qz qw).
         virtual_joint: name of the joint between world and root link, or "".
-        disabled_pairs: link pairs (sorted) not to check.
+        disabled_pairs: link pairs (sorted) not to check, with the reason that the file gives ("" if none).
     """
 
     groups: Mapping[str, frozenset[str]]
     link_groups: Mapping[str, tuple[str, ...]]
     states: Mapping[str, Mapping[str, tuple[float, ...]]]
     virtual_joint: str
-    disabled_pairs: frozenset[tuple[str, str]]
+    disabled_pairs: Mapping[tuple[str, str], str]
 
 
-EMPTY = Srdf({}, {}, {}, "", frozenset())
+EMPTY = Srdf({}, {}, {}, "", {})
 
 
 def parse_srdf(text: str, where: str, urdf: Urdf) -> Srdf:
@@ -52,7 +52,9 @@ def parse_srdf(text: str, where: str, urdf: Urdf) -> Srdf:
         link_groups={name: links for name in names if (links := reader.links(name, ()))},
         states=_states(tree, where, urdf, virtual_name),
         virtual_joint=virtual_name,
-        disabled_pairs=frozenset(_pair(element, where, urdf) for element in tree.findall("disable_collisions")),
+        disabled_pairs={
+            _pair(element, where, urdf): element.get("reason", "") for element in tree.findall("disable_collisions")
+        },
     )
 
 

@@ -17,6 +17,7 @@ from costs.robot.xmlfile import number, parse_xml, required
 
 MAX_LINKS = 512
 MAX_DEPTH = 128
+INERTIA_ROUNDING = 1e-2  # of files that write few digits: principal moments this far below zero, of the largest
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,11 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float]) -> Urd
         raise RobotError(f"{where}: no <link>; a robot has at least one")
     if len(link_elements) > MAX_LINKS:
         raise RobotError(f"{where}: {len(link_elements)} links; at most {MAX_LINKS} are read")
-    _refuse_repeated(where, "link", [required(element, "name", where) for element in link_elements])
-    _refuse_repeated(where, "joint", [required(element, "name", where) for element in tree.findall("joint")])
+    link_names = [required(element, "name", where) for element in link_elements]
+    joint_names = [required(element, "name", where) for element in tree.findall("joint")]
+    _refuse_repeated(where, "link", link_names)
+    _refuse_repeated(where, "joint", joint_names)
+    _refuse_shared(where, link_names, joint_names)
     joints = {}
     for element in tree.findall("joint"):
         joint = parse_joint(element, where)
@@ -106,6 +110,13 @@ def _refuse_repeated(where: str, tag: str, names: list[str]) -> None:
             raise RobotError(f"{where}: {tag} name '{name}' is reserved; rename it")
 
 
+def _refuse_shared(where: str, links: list[str], joints: list[str]) -> None:
+    """Refuse joints that are named as links are: pinocchio could not tell their frames apart."""
+    shared = sorted(set(links) & set(joints))
+    if shared:
+        raise RobotError(f"{where}: '{shared[0]}' is the name of a link and of a joint; rename the joint")
+
+
 def _check_inertia(element: etree._Element, where: str) -> None:
     inertial = element.find("inertial")
     if inertial is None:
@@ -117,8 +128,18 @@ def _check_inertia(element: etree._Element, where: str) -> None:
         raise RobotError(f"{where}: <inertial> needs <mass> and <inertia>")
     if number(required(mass, "value", where), f"{where}: mass") < 0.0:
         raise RobotError(f"{where}: mass {mass.get('value')} is negative")
-    for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
-        number(required(inertia, key, where), f"{where}: inertia {key}")
+    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    values = {key: number(required(inertia, key, where), f"{where}: inertia {key}") for key in keys}
+    for key in ("ixx", "iyy", "izz"):
+        if values[key] < 0.0:
+            raise RobotError(f"{where}: inertia {key} is {values[key]:g}; a moment of inertia is never negative")
+    ixx, ixy, ixz, iyy, iyz, izz = values.values()
+    least, *_, most = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    if least < -INERTIA_ROUNDING * most:
+        raise RobotError(
+            f"{where}: inertia has the principal moments {least:.3g} to {most:.3g}; none may be negative: "
+            "ixy, ixz or iyz is too large"
+        )
 
 
 def _check_tree(links: Mapping[str, object], joints: Mapping[str, Joint], where: str) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
 from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
@@ -51,7 +51,7 @@ class AskedOfPairs:
     def of(
         checker: SweptCollisionChecker,
         everywhere: Asked,
-        pairs: Sequence[tuple[str, str, Asked]] = (),
+        pairs: Sequence[tuple[BodyRef, BodyRef, Asked]] = (),
         exempt: Sequence[Allowance] = (),
     ) -> AskedOfPairs:
         """The same of all pairs that a checker looks at, but for some.
@@ -59,23 +59,17 @@ class AskedOfPairs:
         Args:
             checker: whose robot and scene it is.
             everywhere: asked of all other pairs.
-            pairs: ``(link, other, asked)``; names as in an allowance, the last that covers a pair counts.
+            pairs: ``(one, other, asked)``; the last that covers a pair counts.
             exempt: pairs of which nothing is asked.
         """
         robot, scene = checker.robot, checker.scene
-        bodies = robot.bodies
-        world = np.zeros((len(bodies), len(scene.pieces)), dtype=int)
-        own = np.zeros((len(bodies), len(bodies)), dtype=int)
-        rules = [(Allowance(link, other, 0.0), index) for index, (link, other, _) in enumerate(pairs, start=1)]
-        rules += [(allowance, -1) for allowance in exempt]
-        for rule, index in rules:
-            for b, body in enumerate(bodies):
-                for p, piece in enumerate(scene.pieces):
-                    if rule.covers(body.name, body.link, piece.name):
-                        world[b, p] = index
-                for c, other in enumerate(bodies):
-                    if rule.covers(body.name, body.link, other.name, other.link):
-                        own[b, c] = index
+        index = BodyIndex(robot.bodies, robot.mechanism_links, scene.pieces)
+        which = np.zeros(index.shape, dtype=int)
+        for row, (one, other, _) in enumerate(pairs, start=1):
+            index.fill(which, one, other, row)
+        for allowance in exempt:
+            index.fill(which, allowance.first, allowance.second, -1)
+        own, world = which[:, : index.n_bodies], which[:, index.n_bodies :]
         asked = (everywhere, *(each for _, _, each in pairs))
         return AskedOfPairs(asked, world, own, np.full(world.shape, np.inf), np.full(own.shape, np.inf))
 

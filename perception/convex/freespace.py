@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.stopping import poll
 from perception.clean import row_keys
 
 _END_MARGIN = 0.05
@@ -40,6 +41,7 @@ class FreeSpace:
 
     def cells_in(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Float[np.ndarray, "M 3"]:
         """Centres of the free cells in an axis-aligned box [m]."""
+        poll()
         first = np.maximum(np.ceil((lower - self.lower) / self.size - 0.5), 0).astype(int)
         last = np.minimum(np.floor((upper - self.lower) / self.size - 0.5), np.array(self.free.shape) - 1).astype(int)
         if (last < first).any():
@@ -49,6 +51,7 @@ class FreeSpace:
 
     def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
         """Which points lie in a free cell."""
+        poll()
         cells = np.floor((points - self.lower) / self.size).astype(int)
         known = ((cells >= 0) & (cells < self.free.shape)).all(axis=1)
         inside = np.zeros(len(points), dtype=bool)
@@ -72,6 +75,7 @@ class FreeSpace:
             margin: [m].
             most: the count may end as soon as it is above this.
         """
+        poll()
         cells = self.cells_in(corners.min(axis=0), corners.max(axis=0))
         count = 0
         # A body that holds many free cells shows it in any few of them.
@@ -152,6 +156,7 @@ class Crossing:
         blocks = None if boxes is None else _blocks(boxes, self.lower, self.size, self.shape)
         nearest = float(self.rays.enter.min(initial=np.inf))
         for near in np.arange(0.0, float(self.rays.leave.max(initial=0.0)), _BLOCK):
+            poll()
             if nearest >= near + _BLOCK:
                 continue
             chosen = self.rays.under_way(near, near + _BLOCK, self.size)
@@ -194,6 +199,7 @@ class _Rays:
         size: float,
     ) -> _Rays:
         """The rays clipped to the grid (slab method), without the last 5 cm of each."""
+        poll()
         one = bool(len(starts)) and (starts.strides[0] == 0 or bool((starts == starts[0]).all()))
         start = starts[:1].T if one else starts.T
         direction = np.subtract(ends.T, start, order="C")
@@ -224,6 +230,7 @@ class _Rays:
 
     def under_way(self, near: float, far: float, size: float) -> Int[np.ndarray, "K"]:
         """Rays in the grid between two distances, of those less than a cell apart there only the longest."""
+        poll()
         first = int(np.searchsorted(self.leave, np.float32(near), side="right"))
         chosen = first + np.flatnonzero(self.enter[first:] < far)
         n_bins = int(np.ceil(2.0 * far / (_BIN * size)))
@@ -287,11 +294,13 @@ def _meet(
     rays: _Rays, chosen: Int[np.ndarray, "K"], near: float, blocks: Bool[np.ndarray, "X Y Z"]
 ) -> Bool[np.ndarray, "K"]:
     """Which of the chosen rays pass any of these blocks in one block of distances, told by its middle."""
+    poll()
     is_there = np.zeros(len(chosen), dtype=bool)
     middle = np.float32(near + _BLOCK / 2)
     _, ny, nz = blocks.shape
     flat = blocks.ravel()
     for first in range(0, len(chosen), _MEETING):
+        poll()
         some = chosen[first : first + _MEETING]
         start = rays.start if rays.start.shape[1] == 1 else rays.start[:, some]
         at = np.minimum(np.maximum(rays.enter[some], middle), rays.leave[some])
@@ -311,10 +320,12 @@ def _march(
     free: Bool[np.ndarray, "C"],
 ) -> None:
     """Mark the cells that the chosen rays pass in one block of distances."""
+    poll()
     _, ny, nz = (int(n) for n in shape)
     step = _STEP * size
     distances = np.arange(near + step / 2, near + _BLOCK, step).astype(np.float32)[:, None]
     for first in range(0, len(chosen), _MARCHING):
+        poll()
         some = chosen[first : first + _MARCHING]
         start = rays.start if rays.start.shape[1] == 1 else rays.start[:, some]
         at = np.minimum(np.maximum(rays.enter[some], distances), rays.leave[some])

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
+from costs.stopping import poll
 from perception.clean import row_keys
 
 MAX_VERTICES = 64
@@ -54,6 +55,7 @@ class Hull:
 
     def is_within(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
         """Which points lie behind all faces or at most ``margin`` before them."""
+        poll()
         left = np.arange(len(points))
         # Few points are left after few faces.
         for first in range(0, len(self.faces), _FACES):
@@ -66,6 +68,7 @@ class Hull:
 
 def hull_of(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"]) -> Hull:
     """Hull of the points; flat ones are given a skin of 5 mm."""
+    poll()
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
@@ -86,6 +89,7 @@ def limited(vertices: Float[np.ndarray, "V 3"], most: int = MAX_VERTICES) -> Flo
 
     The extreme vertices in evenly spread directions are kept and scaled about their centre until they hold the rest.
     """
+    poll()
     vertices = vertices[ConvexHull(vertices).vertices]
     if len(vertices) <= most:
         return vertices

@@ -9,6 +9,9 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
+from perception.neighbours import nearest
+
 _CELL = 0.04
 _AT_A_TIME = 16
 
@@ -86,9 +89,11 @@ def point_normals(
 ) -> Float[np.ndarray, "N 3"]:
     """Unit normals by principal components of the nearest neighbours, turned to where each point's ray started."""
     k = min(n_neighbours, len(points))
-    _, neighbours = cKDTree(points).query(points, k=k, workers=-1)
+    _, neighbours = nearest(cKDTree(points), points, k)
+    poll()
     near = points[np.reshape(neighbours, (len(points), k))]
     near = near - near.mean(axis=1, keepdims=True)
+    poll()
     normals = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))[1][:, :, 0]
     away = ((starts - points) * normals).sum(axis=1) < 0.0
     normals[away] *= -1.0
@@ -146,6 +151,7 @@ def _best_region(
     settings: PlaneSettings,
 ) -> Int[np.ndarray, "M"] | None:
     """The connected members of the plane that most of a sample agrees on; None when too few or too thin."""
+    poll()
     sample = left if len(left) <= 3000 else rng.choice(left, 3000, replace=False)
     seeds = rng.choice(left, min(settings.n_candidates, len(left)), replace=False)
     agree = _agreeing(points, normals, sample, seeds, settings)
@@ -179,6 +185,7 @@ def _agreeing(
     agree = np.zeros((len(seeds), len(sample)), dtype=bool)
     # A few at a time: what is worked on then stays in the cache of one core.
     for first in range(0, len(seeds), _AT_A_TIME):
+        poll()
         some = slice(first, first + _AT_A_TIME)
         distance = through[some] @ places
         distance -= offsets[some, None]
@@ -199,6 +206,7 @@ def _settled(
 
     A single normal is off by many degrees where points are few, and its plane is a strip of the true one.
     """
+    poll()
     count = 0
     places, directions = points[among], normals[among]
     for _ in range(settings.n_refits):
@@ -224,6 +232,7 @@ def _consistent(
 
     Half of the noise of a face 3 cm behind lies within 2 cm of the plane; its mean gives it away.
     """
+    poll()
     if not len(plane.members):
         return plane.members
     distance = points[around] @ plane.normal - plane.offset
@@ -239,6 +248,7 @@ def _consistent(
 
 def _fit(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "3"], float]:
     """Least-squares plane; its normal points to where most of the rays came from."""
+    poll()
     centre = points.mean(axis=0)
     relative = points - centre
     normal = np.linalg.eigh(relative.T @ relative)[1][:, 0]
@@ -307,6 +317,7 @@ def _counts(
     cells: Int[np.ndarray, "N 2"], weights: np.ndarray, shape: Int[np.ndarray, "2"]
 ) -> Float[np.ndarray, "U V"]:
     """Points per cell, averaged over the cell and its eight neighbours."""
+    poll()
     flat = np.ravel_multi_index(tuple(cells.T), tuple(shape))
     counts = np.bincount(flat, weights, minlength=int(np.prod(shape))).reshape(shape)
     return np.asarray(ndimage.uniform_filter(counts, size=3, mode="constant"))
@@ -316,6 +327,7 @@ def _largest_connected(
     points: Float[np.ndarray, "N 3"], region: Int[np.ndarray, "K"], plane: Plane, starts: Float[np.ndarray, "N 3"]
 ) -> Int[np.ndarray, "M"]:
     """Members of the largest patch, linked over max(5 cm, 4.5 % of range) in the plane."""
+    poll()
     if not len(region):
         return region
     flat = points[region] @ plane.basis.T

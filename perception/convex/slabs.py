@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
+from costs.stopping import poll
 from perception.convex.freespace import FreeSpace
 from perception.convex.planes import Plane
 
@@ -102,6 +103,7 @@ def _crossings(
     plane: Plane, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"]
 ) -> Float[np.ndarray, "K 2"]:
     """Where rays went through the plane, either way: a scan from behind sees an opening as well."""
+    poll()
     before, after = starts @ plane.normal - plane.offset, ends @ plane.normal - plane.offset
     through = np.flatnonzero((np.minimum(before, after) < -_BEHIND) & (np.maximum(before, after) > _BEHIND))
     first, last = starts, ends[through]
@@ -140,6 +142,7 @@ def _outline(
     flat: Float[np.ndarray, "N 2"], pad: float = 0.0
 ) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "F 3"]]:
     """Corners, counter-clockwise, and half-planes of the hull; ``pad`` is added on all sides."""
+    poll()
     if pad > 0.0:
         flat = _padded(flat, pad)
     try:

@@ -6,9 +6,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
 from perception.beside import STARTS_APART, depth_noise
 from perception.clean import row_keys
 from perception.convex.nearby import nearby
+from perception.neighbours import nearest
 
 _NEIGHBOURS = 24
 # Neighbours are looked for in a body that is so many times as long along the ray as it is wide.
@@ -45,17 +47,21 @@ def smoothed(
     ranges = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
     along = rays / ranges[:, None]
     neighbours = _beside(along, ranges, starts, chosen)
+    poll()
     mine, along = points[chosen], along[chosen]
     apart = np.append(points, points[:1], axis=0)[neighbours] - mine[:, None]
     right = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=1)])
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-9)
+    poll()
     ahead, u, v = (np.einsum("nki,ni->nk", apart, axis) for axis in (along, right, np.cross(along, right)))
     aside = u * u + v * v
+    poll()
     weight = np.append(counts, 0)[neighbours] * np.exp(-0.5 * aside / _ASIDE**2)
     weight *= (aside <= _FAR_ASIDE**2) & (np.abs(ahead) <= _AHEAD * depth_noise(ranges[chosen])[:, None])
     weight /= weight.sum(axis=1, keepdims=True)
 
     def mean(values: Float[np.ndarray, "C K"]) -> Float[np.ndarray, "C"]:
+        poll()
         return np.asarray(np.einsum("nk,nk->n", weight, values))
 
     # Least squares of the depth over (u, v); a little ridge keeps a single scan line from having any slope across it.
@@ -86,8 +92,5 @@ def _beside(
     if (sensors != sensors[0]).any():
         places[:, 0] += _APART * np.unique(sensors, return_inverse=True)[1]
     k = np.arange(1, min(_NEIGHBOURS, len(along)) + 1)
-    return np.asarray(
-        cKDTree(places, balanced_tree=False, compact_nodes=False).query(
-            places[chosen], k=k, distance_upper_bound=0.5 * _APART, workers=-1
-        )[1]
-    )
+    tree = cKDTree(places, balanced_tree=False, compact_nodes=False)
+    return nearest(tree, places[chosen], k, within=0.5 * _APART)[1]

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from perception.convex.nearby import nearby
+from perception.neighbours import nearest
 
 _FOURTH = 4
 _MOST_OF_RANGE = 0.025
@@ -28,5 +29,5 @@ def spacing_of(
     most = _MOST_OF_RANGE * np.linalg.norm(mine - starts[chosen], axis=1)
     near = points[nearby(points, chosen, float(most.max(initial=0.0)) + 1e-6)]
     tree = cKDTree(near, balanced_tree=False, compact_nodes=False)
-    fourth = np.asarray(tree.query(mine, k=[_FOURTH + 1], workers=-1)[0])[:, 0]
+    fourth = nearest(tree, mine, [_FOURTH + 1])[0][:, 0]
     return np.asarray(np.minimum(fourth, most))

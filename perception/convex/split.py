@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from perception.convex.freespace import FreeSpace
 from perception.convex.hulls import Hull, hull_of, thickened
+from perception.neighbours import nearest
 
 _SMALLEST = 0.03
 _NEIGHBOURS = 10
@@ -45,10 +46,10 @@ def clusters(
     if len(points) == 1:
         return [np.array([0])]
     k = min(_NEIGHBOURS, len(points))
-    distance, neighbour = cKDTree(points).query(points, k=np.arange(1, k + 1), workers=-1)
+    distance, neighbour = nearest(cKDTree(points), points, np.arange(1, k + 1))
     link = np.maximum(floor_of_link, 0.045 * np.linalg.norm(points - starts, axis=1))
-    row, column = np.nonzero(np.asarray(distance) <= link[:, None])
-    links = np.ones(len(row), dtype=bool), (row, np.asarray(neighbour)[row, column])
+    row, column = np.nonzero(distance <= link[:, None])
+    links = np.ones(len(row), dtype=bool), (row, neighbour[row, column])
     graph = sparse.csr_matrix(links, shape=(len(points), len(points)))
     _, labels = sparse.csgraph.connected_components(graph, directed=False)
     order = np.argsort(labels, kind="stable")

@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial import HalfspaceIntersection
 
 from costs.scene import ConvexPiece
+from costs.stopping import poll
 from perception.clean import Reach, inside_hulls
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import MAX_VERTICES, Hull, hull_of
@@ -88,6 +89,7 @@ def _hidden(
 def _bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Float[np.ndarray, "V 3"]]:
     """Convex bodies in the hidden cells, the thickest first; they may overlap."""
     # Edge lengths of the largest cube about each cell: 2 d - 1.
+    poll()
     depth = ndimage.distance_transform_cdt(np.pad(hidden, 1), metric="chessboard")[1:-1, 1:-1, 1:-1].astype(np.int64)
     score = np.where(depth >= 2, depth, 0)
     left = hidden.copy()
@@ -116,6 +118,7 @@ def _inflated(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hu
     The nearest wall cell, by the ellipsoid's measure, gives a face, which hides what lies behind it, and so on: the
     inflation of a sphere in Deits and Tedrake, WAFR 2014, with a given ellipsoid.
     """
+    poll()
     centre, half = 0.5 * (box.lower + box.upper), 0.5 * (box.upper - box.lower)
     lower, upper = seen.lower, seen.lower + seen.size * np.array(seen.free.shape)
     scaled = (walls - centre) / half
@@ -146,6 +149,7 @@ def _inflated(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hu
 
 def _cells_of(body: Hull, seen: FreeSpace) -> tuple[tuple[slice, ...], Bool[np.ndarray, "A B C"]]:
     """Cells whose middle is in the body: a block of the grid, and which of its cells."""
+    poll()
     first = np.maximum(np.floor((body.lower - seen.lower) / seen.size).astype(int), 0)
     last = np.minimum(np.ceil((body.upper - seen.lower) / seen.size).astype(int), seen.free.shape)
     x, y, z = (seen.lower[i] + (np.arange(first[i], last[i]) + 0.5) * seen.size for i in range(3))
@@ -167,6 +171,7 @@ def _grown(
     hidden: Bool[np.ndarray, "X Y Z"], first: Int[np.ndarray, "3"], last: Int[np.ndarray, "3"]
 ) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
     """The box moved outwards side by side, a layer at a time, as long as a layer is hidden."""
+    poll()
     first, last = first.copy(), last.copy()
     growing = [(axis, sign) for axis in range(3) for sign in (-1, 1)]
     while growing:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from costs.stopping import Stopped
 from perception.detect.any_valve import detect_valve
 from perception.detect.beam import detect_beam
 from perception.detect.detection import Detection
@@ -76,17 +77,32 @@ def detect_each(
     view: View,
     hint: Float[np.ndarray, "3"] | None = None,
     on_kind: Callable[[str], None] = lambda _: None,
+    on_failure: Callable[[str, Exception], None] | None = None,
 ) -> Iterator[tuple[str, list[Detection]]]:
-    """As ``detect_kinds``, each kind with its objects as soon as they are found."""
+    """As ``detect_kinds``, each kind with its objects as soon as they are found.
+
+    Args:
+        kinds, view, hint, on_kind: as there.
+        on_failure: gets the kind and the error of a detector that fails; the other kinds are looked for all the same.
+            None: the error is raised.
+    """
     for kind in kinds:
         if kind not in _DETECTORS:
             raise PerceptionError(f"unknown kind '{kind}'; one of {', '.join(KINDS)} is needed")
     seen: FacesInSight | None = None
     for kind in kinds:
         on_kind(kind)
-        if kind in _ON_FACES:
-            seen = seen or FacesInSight.of(view, hint)
-            hits = _ON_FACES[kind](view, hint, seen)
-        else:
-            hits = _DETECTORS[kind](view, hint)
+        try:
+            if kind in _ON_FACES:
+                seen = seen or FacesInSight.of(view, hint)
+                hits = _ON_FACES[kind](view, hint, seen)
+            else:
+                hits = _DETECTORS[kind](view, hint)
+        except Stopped:
+            raise
+        except Exception as error:
+            if on_failure is None:
+                raise
+            on_failure(kind, error)
+            continue
         yield kind, sorted(hits, key=lambda one: -one.confidence)

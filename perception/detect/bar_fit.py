@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from costs.stopping import poll
 from perception.detect.bars import (
     LEAST_SLOPE,
     SIGMA_DEPTH,
@@ -213,6 +214,7 @@ def _linearized(
     An edge on the right side of a ray has no residual; its derivative is told up to ``slack`` from the ray [m], in
     units that grow with the distance.
     """
+    poll()
     start = state.frames @ rays.start.T - (state.frames @ state.centres[:, :, None])
     way = state.frames @ rays.direction.T
     p0, p1, p2 = start[:, 0], start[:, 1], start[:, 2]

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.stopping import poll
 from perception.detect.sightlines import Sightlines
 
 SIGMA_DEPTH = 0.01
@@ -112,6 +113,7 @@ def cross_sections(
     section: Section,
 ) -> Crossing:
     """All bars of one section at once, given as frames, centres [m] and half sizes [m]."""
+    poll()
     start = frames @ rays.start.T - frames @ centres[:, :, None]
     way = frames @ rays.direction.T
     p, d = start[:, 1:], way[:, 1:]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.stopping import poll
 from perception.detect.vectors import cross
 
 _NEAR = 0.02
@@ -59,6 +60,7 @@ class Agreement:
 
 def agreement(points: Float[np.ndarray, "N 3"], circles: Circles) -> Agreement:
     """Which of the points lie within 2 cm of each circle."""
+    poll()
     centres, axes = circles.centres, circles.axes
     # Squares of the points' heights over each circle's plane and of their distances from its axis.
     places = np.column_stack([points, np.ones(len(points)), (points**2).sum(axis=1)]).T
@@ -66,9 +68,11 @@ def agreement(points: Float[np.ndarray, "N 3"], circles: Circles) -> Agreement:
     height *= height
     distance = np.column_stack([-2.0 * centres, (centres**2).sum(axis=1), np.ones(len(centres))]) @ places
     distance -= height
+    poll()
     np.sqrt(np.maximum(distance, 0.0, out=distance), out=distance)
     distance -= circles.radii[:, None]
     n_disc = np.count_nonzero((distance < _AROUND) & (height < _AROUND**2), axis=1)
+    poll()
     distance *= distance
     distance += height
     on = distance < _NEAR**2
@@ -94,11 +98,13 @@ def refitted(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreeme
 
     The axis of a circle through three points of a small noisy rim is off by tens of degrees.
     """
+    poll()
     middle = points.mean(axis=0)
     local = points - middle
     square = (local**2).sum(axis=1)
     # All moments of all circles' points in one product.
     pairs = local[:, [0, 0, 0, 1, 1, 2]] * local[:, [0, 1, 2, 1, 2, 2]]
+    poll()
     moments = agreed.on.astype(float) @ np.column_stack([local, pairs, square[:, None] * local, square])
     n = np.maximum(agreed.count, 1).astype(float)[:, None]
     moments /= n
@@ -125,6 +131,7 @@ def _coverage(
     points: Float[np.ndarray, "K 3"], circles: Circles, on: Bool[np.ndarray, "C K"]
 ) -> Float[np.ndarray, "C"]:
     """Share of each circle's sectors with one of the points that lie on it."""
+    poll()
     axes = circles.axes
     first = cross(np.eye(3)[np.argmin(np.abs(axes), axis=1)], axes)
     first /= np.sqrt((first**2).sum(axis=1))[:, None]

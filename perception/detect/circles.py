@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
 from perception.detect.circle_fit import Agreement, Circles, agreement, refitted, scores
 from perception.detect.slim import slim_places
 from perception.detect.vectors import cross
@@ -58,6 +59,7 @@ def find_circles(
         return []
     found: list[Circle] = []
     for i, seed in enumerate(_seeds(points, rng, n_seeds)):
+        poll()
         square = ((points - points[seed]) ** 2).sum(axis=1)
         for ball, n_points, n_triples, every in _BALLS:
             near = np.flatnonzero(square <= ball**2)
@@ -92,6 +94,7 @@ def _best_in(
 
     Among many other things, two more points on the rim that a seed lies on are drawn sooner than three.
     """
+    poll()
     pairs = local[rng.integers(len(local), size=(n_triples, 2))]
     circles = _circles_through(np.concatenate([np.broadcast_to(seed, (n_triples, 1, 3)), pairs], axis=1))
     circles = circles.selected((circles.radii >= radii[0]) & (circles.radii <= radii[1]))

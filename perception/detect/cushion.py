@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from costs.stopping import poll
 from perception.detect.level import YAWS, Patch, is_inside
 
 USUAL_WIDTH, USUAL_DEPTH = 0.5, 0.46
@@ -68,6 +69,7 @@ def surround_of(
     ends: Float[np.ndarray, "R 3"],
 ) -> Surround:
     """What points and rays (R, 3) tell of the place about a patch."""
+    poll()
     low, high = patch.centre[:2] - _REACH, patch.centre[:2] + _REACH
     level = patch.centre[2] - _UNDER[0]
     down = np.flatnonzero((ends[:, 2] < patch.centre[2] - _UNDER[1]) & (starts[:, 2] > level))
@@ -83,6 +85,7 @@ def surround_of(
 
 def _cells(flat: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "C 2"]:
     """Middles of the cells that hold something."""
+    poll()
     return np.asarray((np.unique(np.floor(flat / _CELL).astype(np.int64), axis=0) + 0.5) * _CELL).reshape(-1, 2)
 
 
@@ -114,6 +117,7 @@ def _costs(
     few: Float[np.ndarray, "K 2"], opened: Float[np.ndarray, "J 2"], yaws: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "A"]:
     """How much is open in the rectangle about the patch at each yaw, and a little of its area [m^2]."""
+    poll()
     ways = _ways(yaws)
     low, high = np.percentile(few @ ways, _ENDS, axis=1)
     places = opened @ ways

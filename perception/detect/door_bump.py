@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from costs.stopping import poll
 from perception.detect.profile import Rays
 from perception.detect.upright import Upright
 
@@ -142,6 +143,7 @@ def _summed(face: Face, seen: Towards, votes: Float[np.ndarray, "R"]) -> Float[n
 
 def _best_box(grid: Float[np.ndarray, "U V"], face: Face, zone: str, out: float) -> Bump | None:
     """The box with the greatest sum among those where a handle can be."""
+    poll()
     sums = np.pad(np.cumsum(np.cumsum(grid, 0), 1), ((1, 0), (1, 0)))
     best: tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "2"]] | None = None
     sizes = [(share * face.width, t) for share, t in _PANICS] if zone == "across" else [*_BARS, *_PULLS]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from costs.stopping import poll
 from perception.detect.sightlines import Sightlines
 
 # Usual half sizes: of the battery's foot, and radii of body and grip; its base is as high as the foot [m].
@@ -84,6 +85,7 @@ def solids_of(shape: Shape) -> Solids:
 
 def meet(rays: Sightlines, shape: Shape, level: float) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
     """How far outside the drill each ray passes (negative inside), and how deep along it the nearest part lies [m]."""
+    poll()
     rotation = about_up(-shape.yaw)
     start = (rays.start - (shape.x, shape.y, level)) @ rotation.T
     way = rays.direction @ rotation.T
@@ -112,6 +114,7 @@ def _rays_to_segments(
     last: Float[np.ndarray, "S 3"],
 ) -> tuple[Float[np.ndarray, "S N"], Float[np.ndarray, "S N"]]:
     """Distance of each ray from each segment, and where along the ray it is nearest [m]."""
+    poll()
     side = last - first
     a, b = side @ way.T, (side**2).sum(axis=1)[:, None]
     c = (way * start).sum(axis=1) - first @ way.T

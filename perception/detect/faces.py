@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from threadpoolctl import threadpool_limits
 
+from costs.stopping import poll
 from perception.clean import voxel_downsample, voxel_index
 from perception.convex.planes import PlaneSettings, find_planes
 from perception.detect.sightlines import SightIndex, Sightlines, sight_index
@@ -116,6 +117,7 @@ def _is_near(face: Face, hint: Float[np.ndarray, "3"]) -> bool:
 def _find_faces(
     view: View, index: SightIndex, hint: Float[np.ndarray, "3"] | None, rng: np.random.Generator
 ) -> list[Face]:
+    poll()
     points, starts = view.obstacles, view.starts
     near = np.linalg.norm(points - starts, axis=1) < _RANGE
     if hint is not None:
@@ -161,6 +163,7 @@ def _parallel(
 
 def _patches(points: Float[np.ndarray, "N 3"]) -> list[Int[np.ndarray, "K"]]:
     """Indices of the points of each connected lump, large ones first."""
+    poll()
     if not len(points):
         return []
     cells = np.floor((points - points.min(axis=0)) / _LINK).astype(np.int64)

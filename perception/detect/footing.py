@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from perception.detect.sightlines import SightIndex
 from perception.detect.supports import StandingCluster
+from perception.neighbours import nearest
 
 _FOOT_HEIGHT = 0.05
 _BESIDE = (0.015, 0.06)
@@ -34,6 +35,6 @@ def support_share(index: SightIndex, cluster: StandingCluster) -> float:
     if not len(rays):
         return 1.0
     crossing = (cluster.level - rays.start[:, 2]) / rays.direction[:, 2]
-    beside, _ = cKDTree(foot).query(rays.start[:, :2] + crossing[:, None] * rays.direction[:, :2])
+    beside, _ = nearest(cKDTree(foot), rays.start[:, :2] + crossing[:, None] * rays.direction[:, :2], 1)
     height = height[(beside > _BESIDE[0]) & (beside < _BESIDE[1])]
     return float((height > -_UNDER).mean()) if len(height) >= _FEWEST else 1.0

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from costs.stopping import poll
 from perception.detect.confidence import rising
+from perception.detect.layers import sum_about
 from perception.detect.level import filled_cells, is_inside
 
 # Of a cushion over the vehicle's floor.
@@ -82,6 +84,7 @@ def footwell_of(
 
 def _height(width: float, front: float, local: Float[np.ndarray, "N 3"]) -> float:
     """Of the floor over the cushion's top; NaN: not seen [m]."""
+    poll()
     down = is_inside(
         local,
         np.array([front - 0.1, -0.5 * width - _ASIDE, -SEAT_HEIGHT[1]]),
@@ -94,7 +97,7 @@ def _height(width: float, front: float, local: Float[np.ndarray, "N 3"]) -> floa
     layer = np.floor((height + SEAT_HEIGHT[1]) / _LAYER).astype(int)
     cell = np.floor(flat / _CELL).astype(int)
     places = np.unique(np.column_stack([layer, cell]), axis=0)[:, 0]
-    votes = np.convolve(np.bincount(places, minlength=int(layer.max()) + 2), [1.0, 1.0, 1.0], mode="same")
+    votes = sum_about(np.bincount(places, minlength=int(layer.max()) + 2), (1.0, 1.0, 1.0))
     best = int(np.argmax(votes))
     if votes[best] * _CELL**2 < _LEAST_FLOOR:
         return np.nan
@@ -106,6 +109,7 @@ def _passing(
     starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], level: float
 ) -> Float[np.ndarray, "K 2"]:
     """Where rays that end below a level went down past it [m]."""
+    poll()
     at = level - _UNDER[0]
     down = (ends[:, 2] < level - _UNDER[1]) & (starts[:, 2] > at)
     start, end = starts[down], ends[down]

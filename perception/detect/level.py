@@ -8,6 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
+from costs.stopping import poll
+from perception.detect.layers import sum_about
+
 _CELL = 0.03
 _LAYER = 0.015
 _THICK = 0.03
@@ -64,7 +67,7 @@ def _levels(
     inside = (layer >= 0) & (layer < n_layers)
     pairs = np.unique(column[inside].astype(np.int64) * n_layers + layer[inside])
     votes = np.bincount(pairs % n_layers, minlength=n_layers).astype(float)
-    votes = np.convolve(votes, [1.0, 1.0, 1.0], mode="same")
+    votes = sum_about(votes, (1.0, 1.0, 1.0))
     levels = []
     for _ in range(_MOST_LEVELS):
         best = int(np.argmax(votes))
@@ -175,6 +178,7 @@ def is_inside(
     local: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "N"]:
     """Which points lie in a box of their own coordinates."""
+    poll()
     return np.asarray(((local > low) & (local < high)).all(axis=1))
 
 
@@ -192,6 +196,7 @@ def filled_cells(
         shape: (2,) how many cells.
         cell: their edges [m].
     """
+    poll()
     grid = np.zeros(tuple(shape), dtype=bool)
     index = np.floor((places - low) / cell).astype(int)
     index = index[((index >= 0) & (index < shape)).all(axis=1)]

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
 from perception.detect.slim import slim_places
 
 _BALL = 0.32
@@ -114,6 +115,7 @@ def _at_seed(
     way: Float[np.ndarray, "3"] | None,
 ) -> list[tuple[float, Line]]:
     """The best line through a seed for each radius."""
+    poll()
     if len(local) > _MOST_NEAR:
         local = np.sort(rng.choice(local, _MOST_NEAR, replace=False))
     offset = points[local] - points[seed]
@@ -151,6 +153,7 @@ def _contrast(share: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
 
 def _grown(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
     """The line refitted to its points and extended as far as they go on; None when too few are left."""
+    poll()
     if not len(line.members):
         return None
     _, apart = _about(points, line.place, line.axis)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
+from perception.detect.layers import sum_about
 from perception.detect.level import filled_cells, is_inside
 
 # How far from the vehicle's side its roof's edge may be.
@@ -59,7 +60,7 @@ def _outermost(mine: Float[np.ndarray, "K 3"], near: float, far: float, least: f
     place = np.floor(mine[:, [0, 2]] / _CELL).astype(int)
     layer = np.floor((mine[:, 1] - near) / _SIDE_BIN).astype(int)
     cells = np.unique(np.column_stack([layer, place]), axis=0)[:, 0]
-    votes = np.convolve(np.bincount(cells, minlength=int((far - near) / _SIDE_BIN) + 2), [1.0, 1.0, 1.0], mode="same")
+    votes = sum_about(np.bincount(cells, minlength=int((far - near) / _SIDE_BIN) + 2), (1.0, 1.0, 1.0))
     strong = np.flatnonzero(votes >= max(0.3 * votes.max(), least))
     if not len(strong):
         return None

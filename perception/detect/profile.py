@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.stopping import poll
 from perception.detect.upright import Upright
 
 BIN = 0.02
@@ -105,6 +106,7 @@ def take_profile(
     plane: Upright, points: Float[np.ndarray, "N 3"], rays: Rays, low: float, high: float, window: float = _WINDOW
 ) -> Profile:
     """The profile of the band of heights between ``low`` and ``high``."""
+    poll()
     local = plane.local(points)
     band = (local[:, 1] > low) & (local[:, 1] < high) & (np.abs(local[:, 2]) < window)
     local = local[band]

@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import fft2, ifft2, next_fast_len
 
+from costs.stopping import poll
+
 _CELL = 0.004
 _RADII = np.arange(0.008, 0.061, 0.004)
 _LEAST_HEIGHT = 0.005
@@ -105,6 +107,7 @@ def _best(
     sigma: float,
 ) -> Disc | None:
     """The disc of greatest gain, ``(sum of heights)^2 / (2 n sigma^2)``, over all centres and radii."""
+    poll()
     shape = kernels.shape
     cell = np.floor((points[:, :2] - low) / _CELL).astype(int)
     inside = ((cell >= 0) & (cell < shape)).all(axis=1)
@@ -153,6 +156,7 @@ def _sharpened(
 
 def _measured(points: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "2"], radius: float, gain: float) -> Disc:
     """What a disc's points and its surroundings look like."""
+    poll()
     apart = np.linalg.norm(points[:, :2] - centre, axis=1)
     mine = apart < radius
     height = float(np.mean(points[mine, 2])) if mine.any() else 0.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from costs.stopping import poll
 from perception.detect.sightlines import Sightlines
 from perception.detect.wheel import Gate, Ring, cross_ring, pass_ring, rim_hits
 
@@ -94,6 +95,7 @@ def linearized(
 ) -> tuple[Float[np.ndarray, "M"], Float[np.ndarray, "8 M"]]:
     """Residuals in standard deviations and their derivatives by the unknowns of :func:`moved_ring`: depth of the hits,
     edge of hits and misses on the wrong side of it, and what is usual of a rim's thickness."""
+    poll()
     met = cross_ring(rays, ring)
     a, b = ring.half_width, ring.half_depth
     far, steep, outward, along = met.across / a, met.slope / b, met.outward / a, met.along

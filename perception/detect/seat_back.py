@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from costs.stopping import poll
 from perception.detect.confidence import rising
 from perception.detect.level import is_inside
 
@@ -53,6 +54,7 @@ def back_of(
         local: (N, 3) points in the seat's frame [m].
         starts, ends: (R, 3) of all rays, in the seat's frame [m].
     """
+    poll()
     n_across = max(round((width - 0.04) / _OPEN_CELL), 1)
     n_up = round((_BACK[1] - _BACK[0]) / _OPEN_CELL)
     low = np.array([-0.5 * depth - 0.3, -0.5 * n_across * _OPEN_CELL, _BACK[0]])

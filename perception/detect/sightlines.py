@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.stopping import poll
 from perception.cloud import Cloud
 
 _MOST_ORIGINS = 12
@@ -98,6 +99,7 @@ def _in_cones(
         offset: (K, 3) of the places from where the rays start [m].
         radius: [m].
     """
+    poll()
     distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-6)
     towards = offset / distance[:, None]
     half = np.arcsin(np.minimum(radius / distance, 1.0))
@@ -110,7 +112,10 @@ def _in_cones(
     near, least = directions.take(inside, 0), np.cos(half)
     # In blocks that stay in the processor's cache.
     size = max(1, _BLOCK // len(offset))
-    blocks = [(near[i : i + size] @ towards.T >= least).any(axis=1) for i in range(0, len(near), size)]
+    blocks = []
+    for i in range(0, len(near), size):
+        poll()
+        blocks.append((near[i : i + size] @ towards.T >= least).any(axis=1))
     return np.asarray(inside[np.concatenate([np.zeros(0, dtype=bool), *blocks])])
 
 

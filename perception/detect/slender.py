@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
+from costs.stopping import poll
+
 _CELL = 0.075
 _MOST_CELLS = 3_000_000
 _FLAT_WIDE, _FLAT_THICK = 0.25, 3e-4
@@ -63,10 +65,12 @@ def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Fl
     covariance = np.zeros((len(points), 3, 3))
     for (i, j), products in zip(pairs, moments[4:], strict=True):
         covariance[:, i, j] = covariance[:, j, i] = products / n - mean[i] * mean[j]
+    poll()
     return np.asarray(np.linalg.eigvalsh(covariance))
 
 
 def _around(cell: np.ndarray, weight: Float[np.ndarray, "N"], shape: tuple[int, ...]) -> Float[np.ndarray, "N"]:
     """Sum of the weights in the cells about each point's cell."""
+    poll()
     total = np.bincount(cell, weight, minlength=int(np.prod(shape))).reshape(shape)
     return np.asarray(ndimage.uniform_filter(total, size=3, mode="constant").reshape(-1)[cell] * 27.0)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
 from perception.detect.slender import is_slender, variances_about
 from perception.detect.vectors import cross
 
@@ -137,6 +138,7 @@ def _at_seed(
     points: Float[np.ndarray, "N 3"], seed: int, local: Int[np.ndarray, "K"], rng: np.random.Generator
 ) -> _Start | None:
     """The best strip through a seed: score, axis, normal, and between which places across it lies [m]."""
+    poll()
     if len(local) < _FEWEST_NEAR:
         return None
     if len(local) > _MOST_NEAR:
@@ -204,6 +206,7 @@ def _grown(
     towards: Float[np.ndarray, "3"],
 ) -> tuple[Strip, Int[np.ndarray, "K"]] | None:
     """The strip fitted to its points and followed as far as they go on, and which points those are."""
+    poll()
     side = cross(normal, axis)
     # The axis' sign in _at_seed: across is measured along normal x axis.
     place = seed + 0.5 * (edges[0] + edges[1]) * side

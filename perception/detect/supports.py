@@ -11,7 +11,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
 from perception.clean import voxel_downsample
+from perception.detect.layers import sum_about
 from perception.view import View
 
 _VOXEL = 0.012
@@ -59,6 +61,7 @@ def standing_clusters(view: View) -> list[StandingCluster]:
 
 def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray, "N"]:
     """Points of the level surface itself: near its height, where it is wide."""
+    poll()
     near = np.flatnonzero(np.abs(points[:, 2] - level) < _OVER[0])
     mask = np.zeros(len(points), dtype=bool)
     if not len(near):
@@ -74,6 +77,7 @@ def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray
 
 def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
     """Heights at which points fill a level area of some 4 square decimetres, from below [m]."""
+    poll()
     if not len(points):
         return []
     bottom = float(points[:, 2].min())
@@ -82,8 +86,8 @@ def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
     distinct = np.unique(np.column_stack([layer, cells]), axis=0)
     area = np.bincount(distinct[:, 0], minlength=int(layer.max()) + 1).astype(float)
     # Range noise spreads a surface over two or three layers; walls fill all layers alike.
-    thick = np.convolve(area, np.ones(3), mode="same")
-    beyond = np.convolve(area, np.concatenate([np.ones(3), np.zeros(5), np.ones(3)]) / 2.0, mode="same")
+    thick = sum_about(area, (1.0, 1.0, 1.0))
+    beyond = sum_about(area, (0.5, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5))
     excess = thick - 1.5 * beyond
     heights: list[float] = []
     for i in np.argsort(-excess, kind="stable").tolist():
@@ -98,6 +102,7 @@ def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
 
 def _linked(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
     """Groups of points within 3 cm of a neighbour, 12 cm above or below it: what overhangs hides what is under it."""
+    poll()
     if len(points) < _LEAST_POINTS:
         return []
     pairs = _pairs(points)
@@ -109,6 +114,7 @@ def _linked(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
 
 def _pairs(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
     """Indices of the points that are linked."""
+    poll()
     return np.asarray(cKDTree(points * (1.0, 1.0, _LINK / _LINK_UP)).query_pairs(_LINK, output_type="ndarray"))
 
 

@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
+from costs.stopping import poll
+
 _BALL = 0.17
 _DEPTH = 0.06
 _BEYOND = 0.012
@@ -50,6 +52,7 @@ def find_tips(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "K 3"]
     tree, ways = cKDTree(points), spread_directions(_DIRECTIONS)
     found: list[Tip] = []
     for block in np.array_split(places, -(-len(places) // _BLOCK)):
+        poll()
         distance, near = tree.query(block, _MOST_NEAR, distance_upper_bound=_BALL)
         is_near = np.isfinite(distance)
         offset = np.where(is_near[:, :, None], points[np.minimum(near, len(points) - 1)] - block[:, None], 0.0)
@@ -60,6 +63,7 @@ def find_tips(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "K 3"]
     found.sort(key=lambda tip: -tip.n_points)
     kept: list[Tip] = []
     for tip in found:
+        poll()
         if all(np.linalg.norm(tip.place - one.place) > _APART or tip.axis @ one.axis < _ALIKE for one in kept):
             kept.append(tip)
     return kept
@@ -73,10 +77,12 @@ def _in_block(
     widest: float,
 ) -> list[Tip]:
     """The tips at some places."""
+    poll()
     ahead = np.where(is_near[:, None], np.einsum("kmi,di->kdm", offset, ways), -np.inf)
     of_place, of_way = np.nonzero(ahead.max(axis=2) < _BEYOND)
     found = []
     for i, j in zip(of_place.tolist(), of_way.tolist(), strict=True):
+        poll()
         cap = offset[i][ahead[i, j] > -_DEPTH]
         if len(cap) < _LEAST_POINTS:
             continue

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
+from costs.stopping import poll
 from perception.detect.sightlines import Sightlines
 
 # How far behind its mouth an end is taken to be straight and without a collar [m].
@@ -65,6 +66,7 @@ class Meeting:
 
 def meet_tubes(rays: Sightlines, tubes: Sequence[Tube]) -> Meeting:
     """How each ray meets each tube."""
+    poll()
     mouth, axis = np.stack([tube.mouth for tube in tubes]), np.stack([tube.axis for tube in tubes])
     radius = np.array([tube.radius for tube in tubes])[:, None]
     start = rays.start[None] - mouth[:, None]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from costs.stopping import poll
 from perception.clean import voxel_downsample, voxel_index
 
 _VOXEL = 0.04
@@ -35,6 +36,7 @@ class Upright:
 
     def local(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         """Along the plane, up (world z), and out of it towards the sensor [m]."""
+        poll()
         return np.column_stack([points @ self.along, points[:, 2], points @ self.normal - self.offset])
 
     def place(self, along: float, height: float = 0.0, out: float = 0.0) -> Float[np.ndarray, "3"]:

@@ -31,7 +31,7 @@ def valve_bodies(
         n_segments: of the rim, at least 3.
         margin: added all round [m].
     """
-    bodies = {f"rim/{i}": _segment(detection, i, n_segments, margin) for i in range(n_segments)}
+    bodies = rim_bodies(detection, n_segments, margin)
     inner = max(detection.rim_radius - detection.tube_radius, 0.0)
     if not has_clear_spokes(detection):
         return bodies | {"hub": _disc(detection, max(inner, 0.01) + margin, margin)}
@@ -39,6 +39,13 @@ def valve_bodies(
     for i, angle in enumerate(detection.spoke_angles):
         bodies[f"spoke/{i}"] = _spoke(detection, angle, margin)
     return bodies
+
+
+def rim_bodies(
+    detection: ValveDetection, n_segments: int = 20, margin: float = 0.004
+) -> dict[str, Float[np.ndarray, "V 3"]]:
+    """Those of ``valve_bodies`` that are the rim, ``rim/0`` ..., world coordinates [m]."""
+    return {f"rim/{i}": _segment(detection, i, n_segments, margin) for i in range(n_segments)}
 
 
 def has_clear_spokes(detection: ValveDetection) -> bool:

@@ -9,17 +9,21 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
+from costs.stopping import poll
 from perception.errors import CloudError
 from perception.files import child
 from perception.files.bag import Message
 from perception.files.scan import Scan
 from perception.limits import MAX_PARSER_BYTES, MAX_PARSER_CPU_S, MAX_PARSER_WALL_S
+
+_LOOK_S = 0.05  # how often a running process is looked after
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,7 @@ def parse_in_worker(
 
     Raises:
         CloudError: naming the file, what is wrong and what would do.
+        Stopped: it was asked to stop; the process is killed.
     """
     task = {
         "file": str(path),
@@ -68,7 +73,7 @@ def parse_in_worker(
     raise CloudError(f"{path}: {_how_it_ended(code, limits)}")
 
 
-def _run(task: bytes, answer: IO[bytes], max_wall_s: float) -> int:
+def _run(task: bytes | None, answer: IO[bytes], max_wall_s: float) -> int:
     # Threads of numerical libraries cost address space and have nothing to do.
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     process = subprocess.Popen(
@@ -79,14 +84,26 @@ def _run(task: bytes, answer: IO[bytes], max_wall_s: float) -> int:
         env=environment,
         start_new_session=True,
     )
+    end = time.monotonic() + max_wall_s
     try:
-        process.communicate(task, timeout=max_wall_s)
-    except subprocess.TimeoutExpired:
-        return -signal.SIGALRM
+        while not _has_ended(process, task):
+            task = None  # it has it by now
+            poll()
+            if time.monotonic() > end:
+                return -signal.SIGALRM
     finally:
         process.kill()
         process.wait()
     return process.returncode
+
+
+def _has_ended(process: subprocess.Popen[bytes], task: bytes | None) -> bool:
+    """Wait for it a while, handing it its task the first time."""
+    try:
+        process.communicate(task, timeout=_LOOK_S)
+    except subprocess.TimeoutExpired:
+        return False
+    return True
 
 
 def _scan(head: dict[str, object], body: IO[bytes], path: Path, limits: Limits) -> Scan:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 
@@ -17,7 +17,7 @@ from perception.errors import MeshError
 from perception.mesh import Mesh
 from perception.solids.cache import Parts, PartsCache
 from perception.solids.closed import Solid
-from perception.solids.process import Limits, never, run_coacd
+from perception.solids.process import Limits, run_coacd
 from perception.solids.simplify import simplified
 from perception.solids.voxels import shell_of
 
@@ -61,17 +61,15 @@ class CoacdSettings:
 
 @dataclass(frozen=True)
 class Work:
-    """Where results are kept, what the process may use, and who may stop it.
+    """Where results are kept, and what the process may use.
 
     Attributes:
         cache: of results; None keeps none.
         limits: of the process.
-        should_stop: asked while the process runs.
     """
 
     cache: PartsCache | None = field(default_factory=PartsCache.of_user)
     limits: Limits = field(default_factory=Limits)
-    should_stop: Callable[[], bool] = never
 
 
 def convex_parts(
@@ -82,12 +80,12 @@ def convex_parts(
     Args:
         solid: closed parts are split as they are, open ones as shells.
         settings: of CoACD.
-        work: cache, limits and cancelling.
+        work: cache and limits.
         name: what to call the mesh in errors.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
-        CancelledError: ``work.should_stop`` said so.
+        Stopped: it was asked to stop.
     """
     stray = (settings or CoacdSettings()).threshold_m / 10.0
     whole = [simplified(mesh, ENOUGH_TRIANGLES, stray) for mesh in solid.closed]
@@ -110,7 +108,7 @@ def decompose(
     """Convex parts of each closed mesh; what the cache does not know is asked of one process.
 
     Raises:
-        MeshError, CancelledError: as ``convex_parts``.
+        MeshError, Stopped: as ``convex_parts``.
     """
     settings, work = settings or CoacdSettings(), work or Work()
     answers: list[Parts | None] = [_if_convex(mesh) for mesh in meshes]
@@ -119,7 +117,7 @@ def decompose(
         answers = [work.cache.get(key) if answer is None else answer for key, answer in zip(keys, answers, strict=True)]
     missing = [i for i, answer in enumerate(answers) if answer is None]
     if missing:
-        fresh = run_coacd([meshes[i] for i in missing], settings.options(), work.limits, work.should_stop, name)
+        fresh = run_coacd([meshes[i] for i in missing], settings.options(), work.limits, name)
         for i, parts in zip(missing, fresh, strict=True):
             answers[i] = parts = _solid_ones(parts)
             if work.cache is not None and parts:

@@ -15,6 +15,7 @@ _FACING = 0.05  # cosine
 _FEWEST = 12
 _MOST_TURN = 0.3  # [rad] in one step
 _DAMPING = 1e-3
+_LEAST_SIZE = 1e-3  # of what points are held against [m]
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,8 @@ def _step(
     middle = place.mean(axis=0)
     J = np.concatenate([np.cross(place - middle, normal), normal], axis=1)
     residual = (normal * offset).sum(axis=1)
-    size = float(np.linalg.norm(place - middle, axis=1).mean())
+    # Points that are all nearest to one corner tell nothing of how the mesh is turned.
+    size = max(float(np.linalg.norm(place - middle, axis=1).mean()), _LEAST_SIZE)
     damping = _DAMPING * weight.sum() * np.diag([size**2] * 3 + [1.0] * 3)
     step = np.linalg.solve(J.T @ (weight[:, None] * J) + damping, J.T @ (weight * residual))
     turn = step[:3] * min(1.0, _MOST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))

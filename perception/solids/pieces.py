@@ -20,6 +20,7 @@ from perception.convex.pieces import Pieces
 from perception.convex.smooth import smoothed
 from perception.convex.split import is_free_of
 from perception.mesh import Mesh
+from perception.neighbours import nearest
 from perception.solids.cache import Parts
 from perception.solids.decompose import CoacdSettings, Work, decompose
 from perception.solids.voxels import surface_of
@@ -60,11 +61,11 @@ def pieces_by_coacd(view: View, settings: VoxelSettings | None = None, work: Wor
     Args:
         view: the scan, made ready.
         settings: cells, thresholds.
-        work: cache, limits and cancelling of the CoACD process.
+        work: cache, and limits of the CoACD process.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
-        CancelledError: ``work.should_stop`` said so.
+        Stopped: it was asked to stop.
     """
     return made_by_coacd(view.obstacles, view.starts, view.cloud.rays, settings, work)
 
@@ -152,7 +153,7 @@ def _between(
     if len(points) < 2:
         return points
     k = np.arange(2, min(_NEIGHBOURS + 1, len(points)) + 1)
-    distance, neighbour = cKDTree(points).query(points, k=k)
+    distance, neighbour = nearest(cKDTree(points), points, k)
     link = np.maximum(_LINK, _LINK_PER_RANGE * np.linalg.norm(points - starts, axis=1))
     row, column = np.nonzero(np.asarray(distance) <= link[:, None])
     ends = points[np.asarray(neighbour)[row, column]]

@@ -9,13 +9,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from perception.errors import CancelledError, MeshError
+from costs.stopping import poll
+from perception.errors import MeshError
 from perception.mesh import Mesh
 from perception.solids import child
 from perception.solids.cache import Parts
@@ -37,16 +38,10 @@ class Limits:
     max_s: float = 120.0
 
 
-def never() -> bool:
-    """Nobody asks to stop."""
-    return False
-
-
 def run_coacd(
     meshes: Sequence[Mesh],
     options: Mapping[str, object],
     limits: Limits,
-    should_stop: Callable[[], bool] = never,
     name: str = "mesh",
 ) -> list[Parts]:
     """Convex parts of each mesh as CoACD gives them.
@@ -55,22 +50,19 @@ def run_coacd(
         meshes: closed, wound outwards, finite.
         options: keyword arguments of ``coacd.run_coacd``.
         limits: of the process.
-        should_stop: asked fifty times a second; once it says so the process is killed.
         name: what to call the meshes in errors.
 
     Raises:
         MeshError: it crashed, or needs more memory or time than it may.
-        CancelledError: ``should_stop`` said so.
+        Stopped: it was asked to stop; the process is killed. Asked fifty times a second.
     """
     with tempfile.TemporaryDirectory(prefix="scopt-coacd-") as scratch:
         folder = Path(scratch)
         _ask(folder, meshes, options, limits)
-        code, said = _run(folder, limits, should_stop)
+        code, said = _run(folder, limits)
         if code == 0:
             with np.load(folder / child.ANSWER, allow_pickle=False) as answer:
                 return [_parts(answer[f"parts_{i}"], answer[f"counts_{i}"]) for i in range(len(meshes))]
-    if code is None:
-        raise CancelledError(f"{name}: splitting into convex parts was cancelled")
     raise MeshError(f"{name}: {_how_it_ended(code, said, limits)}")
 
 
@@ -81,8 +73,8 @@ def _ask(folder: Path, meshes: Sequence[Mesh], options: Mapping[str, object], li
     np.savez(folder / child.QUESTION, allow_pickle=False, task=np.array(json.dumps(task)), **arrays)
 
 
-def _run(folder: Path, limits: Limits, should_stop: Callable[[], bool]) -> tuple[int | None, bytes]:
-    """Its exit code, None when it was to stop, and the end of what it said."""
+def _run(folder: Path, limits: Limits) -> tuple[int, bytes]:
+    """Its exit code, and the end of what it said."""
     complaints = folder / "stderr"
     with complaints.open("wb") as said:
         process = subprocess.Popen(
@@ -95,8 +87,7 @@ def _run(folder: Path, limits: Limits, should_stop: Callable[[], bool]) -> tuple
         end = time.monotonic() + limits.max_s
         try:
             while process.poll() is None:
-                if should_stop():
-                    return None, b""
+                poll()
                 if time.monotonic() > end:
                     return -signal.SIGALRM, b""
                 try:

@@ -47,5 +47,5 @@ def _proof(certificate: Certificate) -> dict[str, Any]:
         proof = json.loads(certificate.json) if certificate.json else {}
     except (ValueError, RecursionError):
         raise PlannerError(grpc.StatusCode.DATA_LOSS, "the certificate is no JSON") from None
-    figures = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m")
+    figures = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "coverage")
     return {**{key: proof.get(key) for key in figures}, **{key: proof.get(key, []) for key in ("checks", "exempt")}}

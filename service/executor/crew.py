@@ -212,20 +212,14 @@ class Crew(ABC):
         elif is_starting and frame.kind is Kind.UNREADY:
             self._start_failed(frame.payload.decode(errors="replace"))
             self._end_worker(worker)
-        elif frame.kind in (Kind.EVENT, Kind.RETURNED, Kind.RAISED, Kind.INTERRUPTED):
+        elif frame.kind in (Kind.EVENT, Kind.RETURNED, Kind.RAISED):
             self._on_frame(worker, frame)
         elif worker.state is not WorkerState.STOPPING:
             raise ValueError(f"{frame.kind.name} of a worker that is {worker.state.value}")
 
-    def _interrupt(self, worker: Worker) -> None:
-        """Interrupt what a worker does; it goes on where that has ended."""
-        worker.interrupt_at = None
-        if self._nursery is not None:
-            self._nursery.interrupt(worker)
-
     def _end_worker(self, worker: Worker) -> None:
         """Have a worker killed that owes nothing; it is out of the way as soon as that is heard."""
-        worker.state, worker.interrupt_at, worker.kill_at = WorkerState.STOPPING, None, None
+        worker.state, worker.kill_at = WorkerState.STOPPING, None
         self._unregister(worker.sock)
         self._kill(worker)
 

@@ -17,6 +17,11 @@ _KILLED: dict[Ending, Callable[[], ExecutorError]] = {
     Ending.DEADLINE: lambda: DeadlineExceeded("the deadline passed; it did not stop by itself and was ended"),
 }
 
+_STOPPED: dict[Ending, Callable[[], ExecutorError]] = {
+    Ending.CANCELLED: lambda: JobCancelled("cancelled; it stopped by itself"),
+    Ending.DEADLINE: lambda: DeadlineExceeded("the deadline passed; it stopped by itself"),
+}
+
 
 class Desk:
     """Answers a backlog's tasks; of one thread, but for callers that cancel what has not begun."""
@@ -65,6 +70,8 @@ class Desk:
         except Exception as unread:
             self.fail(task, _unreadable(unread))
             return
+        if isinstance(error, JobCancelled):
+            error = None if task.ending is None else _STOPPED[task.ending]()
         raised: Exception = JobFailed(said) if error is None else error
         raised.__cause__ = RemoteTraceback(trace)
         self.fail(task, raised)

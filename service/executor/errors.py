@@ -14,11 +14,11 @@ class PoolClosed(ExecutorError, RuntimeError):  # noqa: N818 - named for what is
 
 
 class JobCancelled(ExecutorError, CancelledError):  # noqa: N818
-    """The job was cancelled while it ran and did not stop by itself; its worker was killed."""
+    """The job was cancelled while it ran: its function raised this, or did not stop and its worker was killed."""
 
 
 class DeadlineExceeded(ExecutorError):  # noqa: N818
-    """The deadline passed before the job began, or it did not stop by itself when it passed."""
+    """The deadline passed before the job began, or while it ran and had no result to hand over."""
 
 
 class JobFailed(ExecutorError):  # noqa: N818

@@ -26,7 +26,6 @@ class Kind(enum.IntEnum):
     EVENT = 6  # what a job reports
     RETURNED = 7
     RAISED = 8
-    INTERRUPTED = 9  # it was asked to stop, did not look, and was interrupted
 
 
 class Frame(NamedTuple):

@@ -24,8 +24,8 @@ class Control(Protocol):
     def should_stop(self) -> bool:
         """Whether the job was cancelled or its deadline has passed; cheap, to be asked every iteration.
 
-        A function that is told so returns what it has, or raises. One that does not look is interrupted ``interrupt_s``
-        later (by a ``BaseException``, where the pool does so), and its worker killed after ``grace_s``.
+        A function that is told so returns what it has, or raises ``JobCancelled``. Nothing is raised in one that does
+        not look; its worker is killed after ``grace_s``.
         """
         ...
 

@@ -25,7 +25,6 @@ class LocalPool(Pool):
         *,
         warm_up: Callable[[], object] | None = None,
         preload: tuple[str, ...] = (),
-        interrupt_s: float | None = None,
         grace_s: float = 0.25,
         max_bytes: int | None = None,
         recycle_after: int | None = None,
@@ -38,8 +37,6 @@ class LocalPool(Pool):
             warm_up: top-level function, called once in each worker before it takes jobs.
             preload: modules that are imported once and shared by all workers; where one starts threads, every worker
                 imports them for itself.
-            interrupt_s: from asking a job to stop to interrupting it wherever it is in its Python code; None for never:
-                then all the time until it is killed is its own [s].
             grace_s: from asking a job to stop to killing its worker [s].
             max_bytes: address space of a worker; None for no limit.
             recycle_after: jobs after which a worker is replaced; None for never.
@@ -47,7 +44,7 @@ class LocalPool(Pool):
         """
         check_workers(workers)
         check_callable(warm_up)
-        settings = Settings(warm_up, tuple(preload), grace_s, max_bytes, recycle_after, start_timeout_s, interrupt_s)
+        settings = Settings(warm_up, tuple(preload), grace_s, max_bytes, recycle_after, start_timeout_s)
         backlog = Backlog()
         self._local = Supervisor(workers, settings, backlog)
         super().__init__(backlog, self._local)

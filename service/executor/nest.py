@@ -81,10 +81,6 @@ class Nursery:
         """Have a worker killed; it has ended already is no error."""
         self._say({"kill": worker.number})
 
-    def interrupt(self, worker: Worker) -> None:
-        """Have what a worker does interrupted."""
-        self._say({"interrupt": worker.number})
-
     def hear(self) -> dict[str, Any] | None:
         """The next message, which must be there; None when it is gone."""
         try:
@@ -117,7 +113,6 @@ class Worker:
         state: what it is doing.
         pid: None until it has said so.
         task: what it runs.
-        interrupt_at: when its job is interrupted unless it stops by itself, on the same clock; None for never.
         kill_at: when it is killed unless it stops by itself, on the clock of ``time.monotonic`` [s].
         jobs_done: how many it has answered.
         is_lost: it says no more, or what makes no sense.
@@ -130,7 +125,6 @@ class Worker:
         self.state = WorkerState.STARTING
         self.pid: int | None = None
         self.task: Task | None = None
-        self.interrupt_at: float | None = None
         self.kill_at: float | None = None
         self.jobs_done = 0
         self.is_lost = self.is_tired = False
@@ -160,7 +154,7 @@ class Worker:
 
     def run(self, task: Task) -> None:
         """Have a job run; ``flush`` sends it."""
-        self.state, self.task, self.interrupt_at, self.kill_at = WorkerState.BUSY, task, None, None
+        self.state, self.task, self.kill_at = WorkerState.BUSY, task, None
         self._outbox.put(Frame(Kind.RUN, task.job.number, task.payload))
 
     def flush(self) -> bool:
@@ -172,10 +166,10 @@ class Worker:
         yield from self._inbox.read(everything)
         self.is_lost |= self._inbox.is_closed
 
-    def ask_to_stop(self, task: Task, interrupt_at: float | None, kill_at: float) -> None:
+    def ask_to_stop(self, task: Task, kill_at: float) -> None:
         """Tell its function to stop, and remember when patience ends."""
         self._cell.value = task.job.number
-        self.interrupt_at, self.kill_at = interrupt_at, kill_at
+        self.kill_at = kill_at
 
     def close(self) -> None:
         """Let go of it once it has ended."""

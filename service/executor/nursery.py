@@ -76,9 +76,8 @@ class _Nursery:
         wish = json.loads(message)
         if "start" in wish:
             self._start(wish["start"], fds, selector)
-        for word, number in (("kill", signal.SIGKILL), ("interrupt", signal.SIGUSR1)):
-            for pid in [pid for pid, worker in self._workers.items() if worker == wish.get(word)]:
-                os.kill(pid, number)
+        for pid in [pid for pid, worker in self._workers.items() if worker == wish.get("kill")]:
+            os.kill(pid, signal.SIGKILL)
         return True
 
     def _start(self, worker: int, fds: list[int], selector: selectors.BaseSelector) -> None:
@@ -106,7 +105,6 @@ class _Nursery:
         linux.name_process("scopt-worker")
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # until there is a job
         for own in (self._control, self._heard, self._rung):
             own.close()
         sock, cell, stderr = fds

@@ -16,7 +16,6 @@ class Settings:
         grace_s: from asking a job to stop to killing its worker [s].
         max_bytes: address space of a worker; None for no limit.
         recycle_after: jobs after which a worker is replaced; None for never.
-        interrupt_s: from asking a job to stop to interrupting it; None for never [s].
         start_timeout_s: in which modules are imported, and in which a worker becomes ready [s].
     """
 
@@ -26,4 +25,3 @@ class Settings:
     max_bytes: int | None = None
     recycle_after: int | None = None
     start_timeout_s: float = 120.0
-    interrupt_s: float | None = None

@@ -63,8 +63,6 @@ class Supervisor(Crew, Overseer):
         for task in self._backlog.take_late(now):
             self._stop(task, Ending.DEADLINE)
         for worker in self.workers:
-            if worker.interrupt_at is not None and worker.interrupt_at <= now:
-                self._interrupt(worker)
             if worker.kill_at is not None and worker.kill_at <= now:
                 self._lose_patience(worker)
         self._keep_crew(now)
@@ -85,12 +83,11 @@ class Supervisor(Crew, Overseer):
     def _ask_to_stop(self, task: Task) -> bool:
         worker = next((worker for worker in self.workers if worker.task is task), None)
         if worker is not None:
-            now, interrupt_s = time.monotonic(), self._settings.interrupt_s
-            worker.ask_to_stop(task, None if interrupt_s is None else now + interrupt_s, now + self._settings.grace_s)
+            worker.ask_to_stop(task, time.monotonic() + self._settings.grace_s)
         return worker is not None
 
     def _impatient_at(self) -> list[float | None]:
-        return [at for worker in self.workers for at in (worker.interrupt_at, worker.kill_at)]
+        return [worker.kill_at for worker in self.workers]
 
     def _lose_patience(self, worker: Worker) -> None:
         """Kill the worker of a job that was asked to stop and did not."""
@@ -115,15 +112,13 @@ class Supervisor(Crew, Overseer):
         if frame.kind is Kind.EVENT:
             self._desk.hand_on(task, frame.payload)
             return
-        worker.task, worker.interrupt_at, worker.kill_at, worker.state = None, None, None, WorkerState.IDLE
+        worker.task, worker.kill_at, worker.state = None, None, WorkerState.IDLE
         worker.jobs_done += 1
         limit = self._settings.recycle_after
         if limit is not None and worker.jobs_done >= limit:
             worker.is_tired = not any(other.is_tired for other in self.workers)  # one at a time
         if frame.kind is Kind.RETURNED:
             self._desk.returned(task, frame.payload)
-        elif frame.kind is Kind.INTERRUPTED:
-            self._desk.killed(task)
         else:
             self._desk.raised(task, frame.payload)
 

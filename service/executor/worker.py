@@ -10,7 +10,6 @@ import inspect
 import mmap
 import os
 import pickle
-import signal
 import socket
 import sys
 import threading
@@ -87,10 +86,6 @@ class JobControl:
         return time.monotonic() + self._caller_is_ahead_s
 
 
-class JobInterrupted(BaseException):
-    """Raised in the midst of a job that was asked to stop and did not look."""
-
-
 class Worker:
     """One worker."""
 
@@ -98,27 +93,19 @@ class Worker:
         self._channel = Channel(sock)
         self._cell = cell
         self._sending = threading.Lock()  # a function may report from threads of its own
-        self._running: JobControl | None = None  # what may be interrupted
-        self._is_sending = self._is_due = False
 
     def work(self) -> None:
         """Serve until the pool is gone."""
         faulthandler.enable()  # a crash tells where, on standard error
         be_first_out_of_memory()
         let_others_go_first()
-        signal.signal(signal.SIGUSR1, lambda *_: self._interrupt())
         self._send(Kind.BORN, 0, str(os.getpid()).encode())
         setup = self._channel.receive()
         if setup is None or not self._become_ready(setup.payload):
             return
         while (frame := self._channel.receive()) is not None:
             control = JobControl(frame.job, self._cell, self._send)
-            try:
-                self._running = control
-                kind, answer = run_call(frame.payload, control)
-                self._running = None
-            except JobInterrupted:
-                kind, answer = Kind.INTERRUPTED, b""
+            kind, answer = run_call(frame.payload, control)
             self._send(kind, frame.job, answer)
 
     def _become_ready(self, payload: bytes) -> bool:
@@ -139,21 +126,7 @@ class Worker:
 
     def _send(self, kind: Kind, job: int, payload: bytes) -> None:
         with self._sending:
-            self._is_sending = True
-            try:
-                self._channel.send(kind, job, payload)
-            finally:
-                self._is_sending = False
-        if self._is_due and threading.current_thread() is threading.main_thread():
-            self._interrupt()
-
-    def _interrupt(self) -> None:
-        """What the signal does: end the job that is meant, but leave no message half-way."""
-        self._is_due = self._is_sending
-        if self._is_sending or self._running is None or not self._running.should_stop():
-            return  # soon, or it has ended meanwhile
-        self._running = None
-        raise JobInterrupted
+            self._channel.send(kind, job, payload)
 
 
 def run_call(payload: bytes | bytearray, control: JobControl) -> tuple[Kind, bytes]:
@@ -164,8 +137,6 @@ def run_call(payload: bytes | bytearray, control: JobControl) -> tuple[Kind, byt
         if _takes_control(fn):
             kwargs["control"] = control
         return Kind.RETURNED, _pickled(fn(*args, **kwargs))
-    except JobInterrupted:
-        raise
     except BaseException as error:
         return Kind.RAISED, carried(error)
     finally:

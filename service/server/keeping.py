@@ -138,6 +138,7 @@ class Keeping:
             checks=checks_to_messages(found["checks"]),
             min_clearance_m=found["min_clearance_m"],
             min_balance_margin_m=found["min_balance_margin_m"],
+            held_to=found["held_to"] or "",
         )
 
     async def robots(self, message: wire.ListRobotsRequest, context: Context) -> wire.ListRobotsResponse:

@@ -18,7 +18,6 @@ from service.server.settings import BUDGETS_S, KINDS, ServerSettings
 from service.trust import ClientLimits, Limits, TlsFiles, Tokens, listen_problems
 from service.work.plan import warm_up
 
-INTERRUPT_S = 0.03  # a solve that is told to stop does so after an iteration; perception and certificate do not look
 LOCAL, RAY = "local", "ray://"
 BURST_S = 5.0  # of a client's rate that may come at once
 SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_ENDPOINT"  # of OpenTelemetry: where spans go, if anywhere
@@ -104,13 +103,7 @@ def _executor(name: str, settings: ServerSettings) -> CancellableExecutor:
     if name == LOCAL:
         from service.executor.local_pool import LocalPool
 
-        return LocalPool(
-            settings.workers,
-            warm_up=warm_up,
-            preload=PRELOAD,
-            interrupt_s=INTERRUPT_S,
-            max_bytes=settings.worker_bytes,
-        )
+        return LocalPool(settings.workers, warm_up=warm_up, preload=PRELOAD, max_bytes=settings.worker_bytes)
     if name.startswith(RAY):
         try:
             from service.executor.ray_pool import RayPool

@@ -21,6 +21,9 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     Raises:
         RequestError: the request asks for nothing that is known here.
     """
+    if setup.unresolved:
+        yield TaskPlan(solver.body, (), setup.unresolved)
+        return
     if setup.program is not None:  # says itself where its waypoints are, the first among them
         from service.tasks.program import plan_program  # what few requests need is read when it is needed
 

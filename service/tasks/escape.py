@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem
@@ -46,7 +46,7 @@ class LeavingBody(WholeBody):
         self,
         allowances: Sequence[Allowance] = (),
         ends: Sequence[Float[np.ndarray, "n"]] = (),
-        overrides: Sequence[tuple[str, str, float]] = (),
+        overrides: Sequence[tuple[BodyRef, BodyRef, float]] = (),
     ) -> SweptCollisionChecker:
         """As ever, but what overlaps at the start is asked for its whole margin all the same."""
         asked = super().checker(allowances, (), overrides).margins
@@ -93,17 +93,10 @@ class LeavingBody(WholeBody):
     @cached_property
     def _depths(self) -> Float[np.ndarray, "B B+P"]:
         """Depth at the start by body and by other body or piece [m]; NaN where there is none."""
-        bodies, pieces = self.robot.bodies, self.scene.pieces
-        depths = np.full((len(bodies), len(bodies) + len(pieces)), np.nan)
+        index = BodyIndex(self.robot.bodies, self.robot.mechanism_links, self.scene.pieces)
+        depths = np.full(index.shape, np.nan)
         for overlap in self.overlaps:
-            one = [b for b, body in enumerate(bodies) if body.link == overlap.link]
-            if overlap.kind:
-                other = [len(bodies) + p for p, piece in enumerate(pieces) if piece.name == overlap.other]
-                depths[np.ix_(one, other)] = overlap.depth
-            else:
-                other = [b for b, body in enumerate(bodies) if body.link == overlap.other]
-                depths[np.ix_(one, other)] = overlap.depth
-                depths[np.ix_(other, one)] = overlap.depth
+            index.fill(depths, *overlap.pair, overlap.depth)
         return depths
 
 
@@ -121,7 +114,7 @@ def escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
         if free.is_feasible:
             line = straight(body.nominal, free.x[0], WAYPOINTS - 1)
             out = _out(leaving, np.concatenate([line, line[-1:]]))
-    allowances = tuple(Allowance(one.link, one.other, one.depth + DEPTH_ROUNDING) for one in overlaps)
+    allowances = tuple(Allowance(*one.pair, one.depth + DEPTH_ROUNDING) for one in overlaps)
     phase = PlannedPhase(
         STEP,
         out.x if len(out.x) > 1 else np.stack([body.nominal, out.x[0]]),

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
-from service.explain_goal import never_reached
+from service.demands.goals import AXES, goal_joints, goal_targets, rotation_of
+from service.explain_goal import GoalReasons, goal_reasons
 from service.explain_keep import never_kept
 from service.request import GoalRequest, PoseGoalRequest
-from service.verify import AxisTarget, JointTarget, PoseTarget, Target
+from service.verify import Target
 from service.whole_body import WholeBody
 
-JOINT_TOLERANCE = 1e-3  # promised at the goal [rad, m]
-SMALLEST_SHIFT, SMALLEST_TURN = 1e-4, 1e-3  # tolerances below these are beyond the optimiser's [m, rad]
 AIM = 0.5  # the optimiser keeps to this share of a pose's tolerance, the rest is for the curve and the certificate
-AXES = {"x": 0, "y": 1, "z": 2}
 
 
 @dataclass(frozen=True)
@@ -31,24 +27,23 @@ class Goal:
 
     Attributes:
         body: the robot in its scene.
+        request: the goal as it was asked for.
         joints: value by coordinate index.
-        poses: of links.
     """
 
     body: WholeBody
+    request: GoalRequest
     joints: Mapping[int, float]
-    poses: tuple[PoseGoalRequest, ...]
+
+    @property
+    def poses(self) -> tuple[PoseGoalRequest, ...]:
+        """Poses of links."""
+        return self.request.poses
 
     @staticmethod
     def of(body: WholeBody, request: GoalRequest) -> Goal:
         """The goal of a request; a posture's base stays free, since the feet stand where they stand."""
-        robot = body.robot
-        if request.posture is None:
-            joints = {robot.joint_names.index(name): value for name, value in request.joints.items()}
-            return Goal(body, joints, request.poses)
-        posture = robot.postures[request.posture]
-        first = len(BASE_NAMES) if robot.is_floating else 0
-        return Goal(body, {index: float(posture[index]) for index in range(first, robot.n)}, request.poses)
+        return Goal(body, request, goal_joints(body.robot, request))
 
     @property
     def is_complete(self) -> bool:
@@ -72,23 +67,13 @@ class Goal:
 
     def targets(self, s_last: float) -> tuple[Target, ...]:
         """What the verifier holds the end of the reach to."""
-        named = self.body.robot.joint_names
-        return (
-            *(JointTarget(named[index], value, JOINT_TOLERANCE, s_last) for index, value in self.joints.items()),
-            *(target for pose in self.poses for target in _pose_targets(pose, s_last)),
-        )
+        return goal_targets(self.body.robot, self.request, s_last)
 
-    def impossible(self) -> tuple[str, ...]:
-        """Reasons that hold for every motion."""
+    def reasons(self) -> GoalReasons:
+        """What stands against it before anything is planned."""
         targets = self.targets(0.0)
-        return (*never_reached(self.body, targets), *never_kept(self.body, targets))
-
-
-def rotation_of(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
-    """Rotation_world_link asked for; None where the orientation is free."""
-    if pose.quaternion_wxyz is None:
-        return None
-    return np.asarray(Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix())
+        reasons = goal_reasons(self.body, targets)
+        return replace(reasons, impossible=(*reasons.impossible, *never_kept(self.body, targets)))
 
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
@@ -116,18 +101,3 @@ def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> 
 def _within(name: str, residual: FramePose | AxisDirection, tolerance: float, unit: str) -> Constraint[MotionState]:
     reserve = max((1.0 - AIM) * tolerance, 1e-5)
     return Constraint(name, WithinTolerance(residual, AIM * tolerance), tolerance=reserve, unit=unit)
-
-
-def _pose_targets(pose: PoseGoalRequest, at: float) -> tuple[Target, ...]:
-    """What the verifier holds the end to: a pose, or a place and the direction of the axis that is not free."""
-    rotation = rotation_of(pose)
-    turn = max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
-    place = np.full(3, max(pose.position_tolerance_m, SMALLEST_SHIFT))
-    position = np.asarray(pose.position, dtype=float)
-    if rotation is None or pose.free_axis == "none":
-        return (PoseTarget(pose.link, position, rotation, place, np.full(3, turn), at),)
-    axis = np.eye(3)[AXES[pose.free_axis]]
-    return (
-        PoseTarget(pose.link, position, None, place, np.full(3, np.inf), at),
-        AxisTarget(pose.link, axis, rotation @ axis, turn, at),
-    )

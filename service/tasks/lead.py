@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from costs.kinematics import planted_poses
 from costs.terms import AxisDirection, FramePose
+from service.demands.goals import AXES, rotation_of
 from service.holds import Hold, least_norm, linearized
 from service.request import PoseGoalRequest
-from service.tasks.goal import AXES, Goal, rotation_of
+from service.tasks.goal import Goal
 from service.whole_body import WholeBody
 
 STEPS = 8  # of the projection from one waypoint onto what holds at the next

@@ -14,7 +14,7 @@ from service.errors import RequestError
 from service.phases import LEAST_CLEARANCE, PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, guesses, straight, via
 from service.reachability import beyond_reach
 from service.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
-from service.start import collisions
+from service.start import collisions, overlaps_and_unresolved
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.trajopt.fields import did_you_mean
 from service.trajopt.problem import CollisionTerm, PoseTerm
@@ -44,6 +44,10 @@ def plan_program(solver: PhaseSolver, program: Program) -> Iterator[TaskPlan]:
     impossible = _impossible(program, body)
     if impossible:
         yield TaskPlan(body, (), impossible, is_impossible=True, notes=program.notes)
+        return
+    unresolved = _unresolved(program, body)
+    if unresolved:
+        yield TaskPlan(body, (), unresolved, notes=program.notes)
         return
     settings = {"min_improvement_feasible": LEAST_GAIN, **program.problem.opt.settings}
     search = _Search(replace(solver, body=body).with_settings(**settings), program, Promises.of(program, body.robot))
@@ -107,6 +111,17 @@ def _impossible(program: Program, body: WholeBody) -> tuple[str, ...]:
             reason = beyond_reach(body, term.frame, np.array(term.xyz), program.problem.opt.tolerance)
             lines += [] if reason is None else [f"{term.path}: {reason}"]
     return tuple(lines)
+
+
+def _unresolved(program: Program, body: WholeBody) -> tuple[str, ...]:
+    """Fixed waypoints that are clear while hulls overlap there, so that no motion through them can be certified."""
+    planted = [foot.link for foot in body.planted]
+    return tuple(
+        f"waypoint {step}, which is fixed, is too near to plan through: {overlap.nearness}"
+        for step, q in sorted(program.fixed.items())
+        if step
+        for overlap in overlaps_and_unresolved(body.robot, q, body.scene, planted)[1]
+    )
 
 
 @dataclass(frozen=True)

@@ -54,11 +54,11 @@ def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | Non
     """One phase from the start to the goal, as often as a start leads there; one that falls short if none does."""
     body = solver.body
     goal = Goal.of(body, request)
-    impossible = goal.impossible()
-    if impossible:
-        yield TaskPlan(body, (), impossible, is_impossible=True)
+    reasons = goal.reasons()
+    if reasons.impossible or reasons.unresolved:
+        yield TaskPlan(body, (), reasons.impossible or reasons.unresolved, is_impossible=bool(reasons.impossible))
         return
-    search = _Search(solver, goal, n_waypoints)
+    search = _Search(solver, goal, n_waypoints, reasons.notes)
     best: tuple[str, Solved] | None = None
     is_found = False
     try:
@@ -83,6 +83,7 @@ class _Search:
     solver: PhaseSolver
     goal: Goal
     n_waypoints: int | None
+    notes: tuple[str, ...] = ()
 
     def solutions(self) -> Iterator[tuple[str, Solved]]:
         """Solved starts by name, feasible or not; every one asked for costs its solve."""
@@ -136,7 +137,7 @@ class _Search:
             "reach", q, solved.is_feasible, targets=self.goal.targets, resolve=partial(_resolve, self.solver)
         )
         stuck = Stuck.at("goal pose" if is_pose else "reach", solved)
-        return TaskPlan(self.solver.body, (phase,), stuck=stuck, found_from=name)
+        return TaskPlan(self.solver.body, (phase,), stuck=stuck, found_from=name, notes=self.notes)
 
     def _count(self, end: Float[np.ndarray, "n"]) -> int:
         """Waypoints on the way to an end."""

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from costs.scene import Scene
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint, Sense
+from service.demands.wheel import HAND_AXIS, Hand, Wheel
 from service.phases import PhaseSolver
-from service.tasks.wheel import HAND_AXIS, Hand, Wheel
 
 SHIFTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # [m]
 ANGLES = np.deg2rad([0.0, 120.0, 240.0])

@@ -14,14 +14,16 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.kinematics import planted_poses
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint, Sense
+from service.demands.wheel import HAND_AXIS, Hand, Wheel, hook_allowances, stroke_targets
 from service.errors import RequestError
 from service.holds import Hold
+from service.names import VALVE_LINK
 from service.phases import (
     Bounds,
     PhaseSolver,
@@ -34,30 +36,16 @@ from service.phases import (
     straight,
     via,
 )
-from service.tasks.wheel import (
-    HAND_AXIS,
-    RIM_PREFIX,
-    VALVE_JOINT,
-    VALVE_LINK,
-    Hand,
-    Wheel,
-    tool_positions,
-    turned_angle,
-    with_wheel,
-)
-from service.verify import CircleTarget, JointTarget, Motion, Target
+from service.tasks.wheel import tool_positions, turned_angle, with_wheel, wrist_of
+from service.verify import Motion, Target
 from service.whole_body import LIMIT_RESERVE, WholeBody
 
 Mode = Literal["hook", "grasp"]
 
 STANDOFF = 0.07  # of the tool from the wheel's plane before it is inserted, beyond the rim's tube [m]
 TURN_STEP = np.deg2rad(20.0)  # between waypoints
-RIM_TOLERANCE = 5e-3  # of the tool from the rim's centre line, as promised [m]
-AXIS_TOLERANCE = np.deg2rad(3.0)  # of the hand axis from the valve's, as promised
 AXIS_AIM = np.deg2rad(1.0)  # what the optimiser keeps to at the waypoints
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
-ANGLE_TOLERANCE = 1e-3  # of the hand about its axis in a grasp, and of the wheel at the end [rad]
-TOUCH_RESERVE = 0.015  # the hook may be this much deeper in the rim than its half thickness [m]
 HOOK_MARGIN = 5e-3  # asked of the hook and the wheel it reaches into [m]
 WRIST_RESERVE = 0.1  # kept from the wrist's limits in a grasp, for the lean of the hand axis [rad]
 MOST_GAPS = 3  # tried with each hand, the nearest first
@@ -114,13 +102,13 @@ class ValveTurn:
     @property
     def touching(self) -> tuple[Allowance, ...]:
         """The hook may touch the rim, and nothing else may."""
-        return (Allowance(self.hand.hook, f"{RIM_PREFIX}*", self.wheel.tube_radius + TOUCH_RESERVE),)
+        return hook_allowances(self.wheel, self.hand)
 
     def strokes(self) -> tuple[Stroke, ...]:
         """As few equal strokes as the wrist's range allows; one in hook mode."""
         count = 1
         if self.mode == "grasp":
-            column, _ = self.hand.wrist(self.robot)
+            column, _ = wrist_of(self.hand, self.robot)
             usable = self.robot.upper[column] - self.robot.lower[column] - 2.0 * WRIST_RESERVE
             count = int(np.ceil(abs(self.turn) / usable))
         edges = np.linspace(0.0, self.turn, count + 1)
@@ -175,7 +163,7 @@ class ValveTurn:
         """The hook at its point of the rim as the stroke begins; in a grasp with the wrist at its limit."""
         fixed = {self.robot.n - 1: stroke.first}
         if self.mode == "grasp":
-            column, sense = self.hand.wrist(self.robot)
+            column, sense = wrist_of(self.hand, self.robot)
             # The tool's z axis points against the wheel's: a positive turn needs the wrist to go against its sense.
             rises = np.sign(stroke.last - stroke.first) * sense < 0.0
             reserve = max(WRIST_RESERVE, LIMIT_RESERVE)
@@ -225,7 +213,7 @@ class ValveTurn:
         angles = np.linspace(stroke.first, stroke.last, n_waypoints)
         start = np.tile(pose, (n_waypoints, 1))
         start[:, -1] = angles
-        column, sense = self.hand.wrist(self.robot)
+        column, sense = wrist_of(self.hand, self.robot)
         if self.mode == "grasp":
             start[:, column] -= sense * (angles - stroke.first)
 
@@ -277,18 +265,8 @@ class ValveTurn:
         return self.solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]}, bounds=_wheel_still(q[0, -1]))
 
     def _targets(self, stroke: Stroke) -> Targets:
-        circle = CircleTarget(
-            self.hand.tool,
-            self.wheel.centre,
-            self.wheel.axis,
-            self.wheel.radius,
-            RIM_TOLERANCE,
-            -HAND_AXIS,
-            AXIS_TOLERANCE,
-        )
-
         def targets(s_last: float) -> tuple[Target, ...]:
-            return circle, JointTarget(VALVE_JOINT, stroke.last, ANGLE_TOLERANCE, s_last)
+            return stroke_targets(self.wheel, self.hand, self.entry, stroke.last, s_last)
 
         return targets
 
@@ -325,7 +303,7 @@ def _touching_at_start(body: WholeBody) -> tuple[str, ...]:
     for row in np.flatnonzero(contacts.is_self & (contacts.distance < 0.0)):
         pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
         if any(one.link == VALVE_LINK for one in pair):
-            link, part = sorted((one.name for one in pair), key=lambda name: name.startswith(VALVE_LINK))
+            link, part = (one.name for one in sorted(pair, key=lambda one: one.link == VALVE_LINK))
             depth = -float(contacts.distance[row])
             lines.append(f"start is in collision: {link} is {depth:.3f} m inside {part}; start farther away")
     return tuple(lines)
@@ -344,10 +322,11 @@ def plan_turn(
     Raises:
         RequestError: a link of the robot is in the wheel before anything has moved.
     """
+    wheel_body = BodyRef("mechanism", VALVE_LINK)
     solver = replace(
         solver,
         body=with_wheel(solver.body, wheel),
-        overrides=tuple((hand.hook, f"{VALVE_LINK}/*", HOOK_MARGIN) for hand in hands),
+        overrides=tuple((BodyRef.of_link(hand.hook), wheel_body, HOOK_MARGIN) for hand in hands),
     )
     touching = _touching_at_start(solver.body)
     if touching:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from costs.kinematics import planted_poses
-from perception import ValveDetection, has_clear_spokes, valve_bodies, wheel_basis
+from perception import ValveDetection, has_clear_spokes
+from service.demands.wheel import HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, wheel_of
 from service.errors import RequestError
 from service.phases import PhaseSolver, TaskPlan
 from service.reachability import beyond_reach
@@ -16,15 +16,11 @@ from service.request import ValveRequest
 from service.scene_given import wheel_of_circle
 from service.setup import PlanSetup
 from service.tasks.stance import stance_advice
-from service.tasks.valve import RIM_TOLERANCE, plan_turn
-from service.tasks.wheel import HANDS, VALVE_LINK, Hand, Wheel
+from service.tasks.valve import plan_turn
 from service.whole_body import WholeBody
 
 SURE = 0.5  # confidence from which a detection is acted on
-HOOK_ROOM = 0.03  # from the rim's centre line inwards, taken as open where the spokes were not seen clearly [m]
-MIN_HUB = 0.01  # [m]
 TUBE_RADIUS = 0.015  # of a valve given by its circle alone [m]
-GAPS_WITHOUT_SPOKES = np.deg2rad([0.0, 90.0, 180.0, 270.0])
 
 
 def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> TaskPlan:
@@ -52,13 +48,24 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
     return replace(plan, obstacle=(*plan.obstacle, stance_advice(solver, wheel, hands[0])), notes=(note, *plan.notes))
 
 
+def given_valve(request: ValveRequest) -> ValveDetection | None:
+    """The valve that a request gives by its circle; None where it is to be found in the scan.
+
+    Raises:
+        RequestError: some of centre, axis and radius are missing.
+    """
+    if all(value is None for value in (request.centre, request.axis, request.radius)):
+        return None
+    if request.centre is None or request.axis is None or request.radius is None:
+        raise RequestError("task.valve: centre, axis and radius come together; give all three or none")
+    return wheel_of_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
+
+
 def _valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
     """The valve to turn, or a sentence that says why there is none."""
-    given = (request.centre, request.axis, request.radius)
-    if any(value is not None for value in given):
-        if request.centre is None or request.axis is None or request.radius is None:
-            raise RequestError("task.valve: centre, axis and radius come together; give all three or none")
-        return wheel_of_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
+    given = given_valve(request)
+    if given is not None:
+        return given
     scene = setup.request.scene
     if scene.cloud is None and scene.file is None:
         raise RequestError("task.valve: no scan to find it in; give scene.cloud, or centre, axis and radius")
@@ -91,30 +98,7 @@ def _hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> lis
 
 def _wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
     """The wheel as a mechanism, its gaps ordered by how near they are to the hand."""
-    first, _, axis = wheel_basis(valve.axis)
-    solids = valve_bodies(valve)
-    if not has_clear_spokes(valve):
-        solids["hub"] = _within(solids["hub"], valve, max(valve.rim_radius - HOOK_ROOM, MIN_HUB))
-    bodies = {f"{VALVE_LINK}/{name}": vertices for name, vertices in solids.items()}
-    wheel = Wheel(valve.centre, axis, valve.rim_radius, valve.tube_radius, first, (), bodies)
+    wheel = wheel_of(valve)
     at = planted_poses(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
-    gaps = sorted(_gaps(valve), key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
+    gaps = sorted(wheel.gaps, key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
     return replace(wheel, gaps=tuple(gaps))
-
-
-def _within(disc: Float[np.ndarray, "V 3"], valve: ValveDetection, radius: float) -> Float[np.ndarray, "V 3"]:
-    """A body of the wheel, drawn in towards the axis until it fits within a radius."""
-    offset = disc - valve.centre
-    height = (offset @ valve.axis)[:, None] * valve.axis
-    flat = offset - height
-    largest = float(np.linalg.norm(flat, axis=1).max())
-    return np.asarray(valve.centre + height + flat * min(1.0, radius / largest))
-
-
-def _gaps(valve: ValveDetection) -> list[float]:
-    """Angles half-way between neighbouring spokes."""
-    if not valve.spoke_angles:
-        return [float(angle) for angle in GAPS_WITHOUT_SPOKES]
-    spokes = np.sort(np.mod(valve.spoke_angles, 2.0 * np.pi))
-    widths = np.diff(np.append(spokes, spokes[0] + 2.0 * np.pi))
-    return [float(angle) for angle in spokes + 0.5 * widths]

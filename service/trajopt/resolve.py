@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from costs.kinematics import KinematicsEngine, frame_of, planted_poses
 from costs.robot import RobotModel
 from service.request import StartRequest
+from service.trajopt.demanded import pose_matrix
 from service.trajopt.fields import did_you_mean
 from service.trajopt.manip import manip_columns
 from service.trajopt.problem import (
@@ -26,7 +27,7 @@ from service.trajopt.problem import (
     ZmpTerm,
 )
 from service.trajopt.program import JointRange, Program
-from service.trajopt.standing import Standing, pose_matrix, standing
+from service.trajopt.standing import Standing, standing
 
 SAME_START = 1e-4  # as in TrajOpt: the robot and the first row of the file agree up to this [rad, m]
 WORLD_FRAMES = ("world", "universe", "map")

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from costs.kinematics import KinematicsEngine, Topology, frame_of, planted_poses
 from costs.robot import RobotModel
 from service.start import FEET_GROUP
-from service.trajopt.problem import PoseTerm, Problem, Vector, ZmpTerm
+from service.trajopt.demanded import pose_matrix
+from service.trajopt.problem import PoseTerm, Problem, ZmpTerm
 
 SHIFT, TURN = 1e-3, np.deg2rad(0.5)  # a foot that is to stay may be written as roughly as this [m, rad]
 
@@ -95,14 +96,6 @@ def held_alike(problem: Problem) -> list[list[PoseTerm]]:
             groups[(term.frame, *where, *axes)].append(term)
     wanted = set(range(1, problem.basic.n_steps))
     return [terms for terms in groups.values() if {term.step for term in terms} >= wanted]
-
-
-def pose_matrix(xyz: Vector, wxyz: Vector) -> Float[np.ndarray, "4 4"]:
-    """A pose as the file writes it."""
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
-    pose[:3, 3] = xyz
-    return pose
 
 
 def _held(problem: Problem) -> dict[str, list[PoseTerm]]:

@@ -15,14 +15,13 @@ from costs.state import MotionState
 from costs.terms import FramePose, Masked
 from scopt import Residual
 from service.holds import Hold
+from service.trajopt.demanded import joint_target, pose_matrix, pose_targets
 from service.trajopt.problem import JointTerm, PoseTerm
 from service.trajopt.program import Program, Timeline
-from service.trajopt.standing import held_alike, pose_matrix
+from service.trajopt.standing import held_alike
 from service.trajopt.terms import turn_residual
-from service.verify import AxisTarget, JointTarget, PoseTarget, Target
+from service.verify import Target
 
-JOINT_TOLERANCE = 1e-3  # promised of joint values at waypoints [rad, m]
-PLACE_TOLERANCE, TURN_TOLERANCE = 1e-3, float(np.deg2rad(0.5))  # promised of poses [m, rad]
 HELD_AT_START = 1e-4  # a pose that is asked for throughout is held in between if it holds at the start, too [m, rad]
 
 
@@ -75,12 +74,7 @@ class Promises:
         at = [float(s[row]) for row in timeline.rows.tolist()]
         names = self.robot.joint_names
         joints = [
-            JointTarget(
-                names[column],
-                0.5 * (asked.lower + asked.upper),
-                0.5 * (asked.upper - asked.lower) + JOINT_TOLERANCE,
-                at[step],
-            )
+            joint_target(names[column], asked, at[step])
             for step, ranges in sorted(self.program.ranges.items())
             for column, asked in sorted(ranges.items())
         ]
@@ -91,27 +85,6 @@ class Promises:
             for target in pose_targets(term, at[term.step])
         ]
         return (*joints, *poses)
-
-
-def pose_targets(term: PoseTerm, at: float | None) -> tuple[Target, ...]:
-    """A pose constraint as the verifier knows them; none where it cannot tell (see the conditions)."""
-    places, turns = [c > 0.0 for c in term.pos_coeffs], [c > 0.0 for c in term.rot_coeffs]
-    target, offset = pose_matrix(term.xyz, term.wxyz), pose_matrix(term.offset_xyz, term.offset_wxyz)
-    is_whole = all(places) and all(turns)
-    is_moved, is_turned = np.any(offset[:3, 3] != 0.0), np.any(offset[:3, :3] != np.eye(3))
-    is_beyond = any(places) and not is_whole and (is_moved or (is_turned and not all(places)))
-    if term.reference is not None or sum(turns) == 1 or is_beyond:
-        return ()
-    wanted = target @ np.linalg.inv(offset)
-    place = np.where(places, PLACE_TOLERANCE, np.inf)
-    turn = np.full(3, TURN_TOLERANCE if all(turns) else np.inf)
-    found: list[Target] = []
-    if any(places) or all(turns):
-        found.append(PoseTarget(term.frame, wanted[:3, 3], wanted[:3, :3], place, turn, at))
-    if sum(turns) == 2:
-        free = turns.index(False)
-        found.append(AxisTarget(term.frame, offset[:3, free], target[:3, free], TURN_TOLERANCE, at))
-    return tuple(found)
 
 
 def _residuals(robot: RobotModel, term: PoseTerm, waypoints: Int[np.ndarray, "S"]) -> list[Residual[MotionState]]:

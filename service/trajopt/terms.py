@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from costs.allowance import BodyRef
 from costs.collision import SweptCollisionChecker
 from costs.robot import RobotModel
 from costs.state import MotionState
@@ -29,6 +30,7 @@ from costs.terms import (
 )
 from scopt import Constraint, Cost, Penalty, Residual, Sense
 from service.start import sole
+from service.trajopt.demanded import pose_matrix
 from service.trajopt.problem import (
     CartVelTerm,
     CollisionTerm,
@@ -40,7 +42,6 @@ from service.trajopt.problem import (
     ZmpTerm,
 )
 from service.trajopt.program import Program, Timeline
-from service.trajopt.standing import pose_matrix
 from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
 DISTANCE_TOLERANCE = 1e-3  # by which a clearance that is a constraint may fall short [m]
@@ -239,7 +240,7 @@ class Builder:
         """What a collision term asks: as a cost weighed, as a constraint without weights and no more than can be."""
         everywhere = self._over_time(term, term.dist_pen, term.coeffs, is_cost)
         pairs = [
-            (pair.link, other, self._over_time(term, pair.dist_pen, pair.coeffs, is_cost))
+            (BodyRef.of_link(pair.link), self._named(other), self._over_time(term, pair.dist_pen, pair.coeffs, is_cost))
             for pair in term.pairs
             for other in pair.others
         ]
@@ -250,6 +251,14 @@ class Builder:
             contacts = self.checker(self.body.engine(q[None]))
             asked = asked.relaxed_to(contacts, CLEARANCE_TOLERANCE)
         return asked
+
+    def _named(self, name: str) -> BodyRef:
+        """What a pair of the file names: a link, a body of one, or else a piece of the scene."""
+        bodies = self.robot.bodies
+        if any(body.link == name for body in bodies):
+            return BodyRef.of_link(name)
+        own = (BodyRef.of_body(body, self.robot.mechanism_links) for body in bodies if body.name == name)
+        return next(own, BodyRef.of_piece(name))
 
     def _over_time(self, term: CollisionTerm, dist_pen: Vector, coeffs: Vector, is_cost: bool) -> Asked:
         """Per interval between waypoints (per waypoint, for poses); none where the term does not reach."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
+import pinocchio as pin
 
 from service.verify.errors import VerifyError
 from service.verify.motion import (
@@ -29,9 +31,10 @@ def admit(motion: Motion) -> None:
 
     Raises:
         VerifyError: for wrong shapes, values that are not finite, samples out of order, rotations that are none, axes
-            that are not of unit length, targets outside their phase.
+            that are not of unit length, targets outside their phase, names that two bodies or pieces have.
     """
     _admit_curve(motion)
+    _admit_names(motion)
     for body in motion.robot.bodies:
         _points(f"vertices of body '{body.name}'", body.vertices, 3)
     for piece in motion.scene.pieces:
@@ -54,6 +57,24 @@ def _admit_curve(motion: Motion) -> None:
         _finite("samples", motion.samples)
         if np.any(np.diff(motion.samples) <= 0.0):
             raise VerifyError("samples must increase strictly")
+
+
+def _admit_names(motion: Motion) -> None:
+    """Names tell robot, mechanism and scene apart: nothing of one is called like a body or link of another."""
+    bodies, pieces, model = motion.robot.bodies, motion.scene.pieces, motion.robot.model
+    for what, names in (("bodies", [body.name for body in bodies]), ("pieces", [piece.name for piece in pieces])):
+        repeated = [name for name, count in Counter(names).items() if count > 1]
+        if repeated:
+            raise VerifyError(f"two {what} are called '{repeated[0]}'; names must be unique")
+    links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+    owners: dict[str, str] = dict.fromkeys(links - motion.mechanism_links, "robot")
+    owned = [("mechanism", link) for link in motion.mechanism_links]
+    for body in bodies:
+        owner = "mechanism" if body.link in motion.mechanism_links else "robot"
+        owned += [(owner, body.link), (owner, body.name)]
+    for owner, name in (*owned, *(("scene", piece.name) for piece in pieces)):
+        if owners.setdefault(name, owner) != owner:
+            raise VerifyError(f"'{name}' is a name in the {owners[name]} and in the {owner}; names must be unique")
 
 
 def _admit_phase(phase: Phase) -> None:

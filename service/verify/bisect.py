@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from costs.stopping import poll
+
 # (first (I,), last (I,)) -> upper bounds over the stretches (I,), values at their first ends (I,) and last ends (I,)
 Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
@@ -49,6 +51,7 @@ def largest(
     bound, sampled, where, n_stretches = -np.inf, -np.inf, float(edges[0]), 0
     is_proven = True
     for halving in range(max_halvings + 1):
+        poll()
         upper, at_first, at_last = evaluate(first, last)
         n_stretches += len(first)
         samples = np.maximum(at_first, at_last)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
+from costs.stopping import poll
 from service.verify.chain import Chain
 from service.verify.couples import Couples
 from service.verify.forward import Placements
@@ -23,6 +24,7 @@ def refined(
     track: Track, couples: Couples, edges: Float[np.ndarray, "E"], phase: Int[np.ndarray, "E-1"]
 ) -> tuple[Float[np.ndarray, "I+1"], Int[np.ndarray, "I"]]:
     """Edges so dense that boxes and first looks tell something, and the phase of each stretch between two of them."""
+    poll()
     stretch, body = (index.ravel() for index in np.indices((len(edges) - 1, couples.n_bodies)))
     over, chains = track.over(edges[:-1], edges[1:]).take(stretch), Chain.stack(couples.world).take(body)
     leaving = chains.deviation(over).reshape(len(edges) - 1, couples.n_bodies).max(axis=1, initial=0.0)
@@ -76,6 +78,7 @@ def _leaving(
     settings: VerifySettings,
 ) -> Float[np.ndarray, "I S"]:
     """How far the points of each solid may leave their chords in the world [m]."""
+    poll()
     leaving = np.zeros((len(middles), len(couples.solids)))
     stretch, body = (index.ravel() for index in np.indices((len(middles), couples.n_bodies)))
     over, chains = track.over(edges[:-1], edges[1:]).take(stretch), Chain.stack(couples.world).take(body)
@@ -86,6 +89,7 @@ def _leaving(
 
 def _box_gaps(couples: Couples, placed: Placements, ends: Int[np.ndarray, "I+1"]) -> Float[np.ndarray, "I C"]:
     """Gap between the bounding boxes of both members of every pair, which change linearly along the chords [m]."""
+    poll()
     low, high = np.empty((2, 3, len(ends), len(couples.solids)))
     for k, solid in enumerate(couples.solids):
         if solid.joint == 0:
@@ -108,6 +112,7 @@ def _sphere_gaps(
     couples: Couples, chosen: Int[np.ndarray, "K"], placed: Placements, ends: Int[np.ndarray, "I+1"]
 ) -> Float[np.ndarray, "I K"]:
     """Gap between the spheres around both members of the chosen pairs, whose centres run along their chords [m]."""
+    poll()
     at = ends[:, None], couples.joint[: couples.n_bodies]
     world = (placed.rotation[at] @ couples.centre[..., None])[..., 0] + placed.translation[at]
     mover, holder = couples.mover[chosen], couples.holder[chosen]

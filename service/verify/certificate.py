@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import orjson
 from jaxtyping import Float
 
+from costs.allowance import BodyRef
 from costs.robot.model import RobotModel
 from costs.scene import Scene
+from service.verify.coverage import Coverage
 from service.verify.errors import VerifyError
-from service.verify.motion import Phase, RelativePoseTarget
+from service.verify.gaps import Gaps
+from service.verify.motion import Phase
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 FORMAT = "scopt-certificate/1"
+HASH_OFFSET = 0.381966  # of a micrometre
 
 
 class Status(Enum):
@@ -118,8 +125,10 @@ class Certificate:
         exempt: pairs allowed to touch that came near enough to matter.
         stretches: the clearance proof.
         scene_sha256, bodies_sha256, robot_sha256: of the pieces, the bodies with the ignored pairs, and the URDF text.
-        promises_sha256: of what the phases allow and keep: allowances, planted links, support polygons, relative poses.
+        promises_sha256: of what the phases promise: borders, allowances, planted links, support polygons, targets.
         notes: what the verdict rests on besides proof.
+        gaps: where the clearance proof leaves a pair open; empty in a certified motion.
+        coverage: what was checked, and what was not.
     """
 
     status: Status
@@ -134,10 +143,18 @@ class Certificate:
     robot_sha256: str
     promises_sha256: str
     notes: tuple[str, ...] = field(default=())
+    gaps: Gaps = field(default_factory=Gaps)
+    coverage: Coverage = field(default_factory=Coverage)
 
     def failed(self) -> tuple[Check, ...]:
         """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.ok)
+
+    def fails_by_description(self) -> bool:
+        """Whether all that is missing is due to the robot's description or the request, and to no motion."""
+        open_checks = [check for check in self.checks if not check.ok or check.basis is Basis.UNPROVEN]
+        kinds = ("coverage.shape.", "coverage.pairs", "coverage.missing.")
+        return bool(open_checks) and all(check.name.startswith(kinds) for check in open_checks)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; NaN and infinity become None."""
@@ -174,6 +191,8 @@ class Certificate:
             data["robot_sha256"],
             data["promises_sha256"],
             tuple(data["notes"]),
+            gaps=_gaps(data.get("gaps") or {}),
+            coverage=Coverage.from_dict(data["coverage"]) if "coverage" in data else Coverage(),
         )
 
 
@@ -195,20 +214,19 @@ def robot_hash(robot: RobotModel) -> str:
 
 
 def promises_hash(phases: Iterable[Phase]) -> str:
-    """``sha256:`` of each phase's name, allowances, planted links, support polygon and kept relative poses."""
-    named: list[tuple[str, np.ndarray]] = []
+    """``sha256:`` of everything the phases promise (docs/result-format.md says how it is made)."""
+    digest = hashlib.sha256()
     for phase in phases:
-        named.append((f"phase {phase.name}", np.empty((0, 1))))
-        named += [(f"allowance {a.link}|{a.other}", np.array([[a.depth]])) for a in phase.allowances]
-        named += [(f"planted {c.link}", np.array([[c.tolerance_m, c.knot_tolerance_m]])) for c in phase.contacts]
+        _add(digest, "phase", phase.name, np.array([phase.first, phase.last]))
+        for allowance in phase.allowances:
+            _add(digest, "allowance", *_parts(allowance))
+        for contact in phase.contacts:
+            _add(digest, "contact", *_parts(contact))
         if phase.support is not None:
-            named.append((f"support {phase.support.margin_m:.6f}", phase.support.polygon))
-        for kept in (target for target in phase.targets if isinstance(target, RelativePoseTarget)):
-            free = np.zeros(3) if kept.free_axis is None else kept.free_axis
-            tolerances = np.array([kept.position_tolerance_m, kept.rotation_tolerance_rad, 0.0])
-            rows = np.stack([kept.position, *kept.rotation, free, tolerances])
-            named.append((f"keep {kept.frame}|{kept.reference or ''}", rows))
-    return _hash(named)
+            _add(digest, "support", *_parts(phase.support))
+        for target in phase.targets:
+            _add(digest, type(target).__name__, *_parts(target))
+    return "sha256:" + digest.hexdigest()
 
 
 def link_vertices(robot: RobotModel, link: str, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
@@ -225,6 +243,26 @@ def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
         digest.update(name.encode() + b"\0" + len(vertices).to_bytes(8, "little"))
         digest.update(np.rint(vertices * 1e6).astype("<i8").tobytes())
     return "sha256:" + digest.hexdigest()
+
+
+def _parts(promise: DataclassInstance) -> Iterator[str | np.ndarray]:
+    """The fields of a promise in their order: texts, references to bodies, numbers; none where it is None."""
+    for item in fields(promise):
+        value = getattr(promise, item.name)
+        if isinstance(value, BodyRef):
+            yield from _parts(value)
+        else:
+            yield value if isinstance(value, str) else np.empty(0) if value is None else np.asarray(value, dtype=float)
+
+
+def _add(digest: hashlib._Hash, *parts: str | np.ndarray) -> None:
+    for part in parts:
+        if isinstance(part, str):
+            digest.update(b"t" + part.encode() + b"\0")
+            continue
+        # Steps of a micrometre whose borders lie where written decimals do not; what is infinite counts as -1.
+        steps = np.floor(np.where(np.isinf(part), -1.0, part).ravel() * 1e6 + HASH_OFFSET)
+        digest.update(b"n" + steps.size.to_bytes(8, "little") + steps.astype("<i8").tobytes())
 
 
 def _number(value: float | None) -> float:
@@ -249,3 +287,9 @@ def _check(data: dict[str, Any]) -> Check:
 def _stretches(data: dict[str, Any]) -> Stretches:
     columns = {key: tuple(data[key]) for key in ("edges", "floors", "pair", "first", "last", "distance", "bound")}
     return Stretches(tuple((a, b) for a, b in data["pairs"]), **columns)
+
+
+def _gaps(data: dict[str, Any]) -> Gaps:
+    pairs = tuple((a, b) for a, b in data.get("pairs", ()))
+    columns = {key: tuple(data.get(key, ())) for key in ("pair", "first", "last")}
+    return Gaps(pairs, **columns, lower=tuple(_number(value) for value in data.get("lower", ())))

@@ -21,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Bool, Float, Int
 
+from costs.stopping import poll
 from service.verify.errors import VerifyError
 from service.verify.rates import Intervals
 
@@ -150,6 +151,7 @@ class JointTree:
 
     def chain(self, holder: int, mover: int, points: Float[np.ndarray, "V 3"]) -> Chain:
         """The joints that move ``points`` (in the frame of joint ``mover``) in the frame of joint ``holder``."""
+        poll()
         up, down = self.ancestors(holder), self.ancestors(mover)
         while up and down and up[-1] == down[-1]:
             up.pop()

@@ -11,9 +11,10 @@ from service.verify.beginning import rests_on_floor, start_checks
 from service.verify.broad import clearance_floors, open_stretches, refined
 from service.verify.certificate import Basis, Check, Exempt, Stretches, Where
 from service.verify.couples import Couples, collect
+from service.verify.gaps import Gaps, gaps_of
 from service.verify.motion import Motion, Phase
 from service.verify.samples import Meeting
-from service.verify.search import ClearanceProof, search
+from service.verify.search import ClearanceProof, Shown, search
 from service.verify.settings import VerifySettings
 from service.verify.timeline import edges_of, time_of
 from service.verify.track import Track
@@ -29,6 +30,8 @@ class Clearance:
         pair: the pair that has it, or None when all are beyond the horizon.
         exempt: pairs allowed to touch that came near enough to matter.
         stretches: the proof.
+        gaps: what it leaves open.
+        couples: the pairs of bodies that were looked at.
     """
 
     checks: tuple[Check, ...]
@@ -36,6 +39,8 @@ class Clearance:
     pair: tuple[str, str] | None
     exempt: tuple[Exempt, ...]
     stretches: Stretches
+    gaps: Gaps
+    couples: Couples
 
 
 def clearance_of(track: Track, phases: tuple[Phase, ...], settings: VerifySettings) -> Clearance:
@@ -51,7 +56,8 @@ def clearance_of(track: Track, phases: tuple[Phase, ...], settings: VerifySettin
     checks = _checks(track.motion, couples, proof, phases, smallest, pair)
     checks += start_checks(track, couples, phases[0], settings)
     columns = _columns(couples, proof, edges, lowest)
-    return Clearance(tuple(checks), smallest, pair, _exempt(couples, proof, phases), columns)
+    gaps = gaps_of(couples, Shown.join([proof.unproven, proof.abandoned]))
+    return Clearance(tuple(checks), smallest, pair, _exempt(couples, proof, phases), columns, gaps, couples)
 
 
 def _min_clearance(

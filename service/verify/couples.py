@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyIndex
 from service.verify.chain import Chain, JointTree
 from service.verify.motion import Motion
 from service.verify.solid import Solid
@@ -102,7 +102,8 @@ def collect(motion: Motion, tree: JointTree) -> Couples:
     apart &= ~(is_mechanism[i] & is_mechanism[j])
     mover = np.concatenate([np.repeat(moving, len(pieces)), i[apart]])
     holder = np.concatenate([np.tile(np.arange(len(bodies), len(solids)), len(moving)), j[apart]])
-    phases = [_allowed(phase.allowances, solids, mover, holder) for phase in motion.phases]
+    index = BodyIndex(motion.robot.bodies, motion.mechanism_links, motion.scene.pieces)
+    phases = [_allowed(phase.allowances, index)[mover, holder] for phase in motion.phases]
     allowed = np.stack(phases, axis=1) if phases else np.full((len(mover), 1), np.nan)
     world = tuple(tree.chain(0, solid.joint, solid.vertices) for solid in bodies)
     return Couples(solids, len(bodies), mover, holder, allowed, world, np.full(len(mover), -1), Chain.stack(()))
@@ -121,14 +122,9 @@ def _are_ignored(bodies: Sequence[Solid], pairs: frozenset[tuple[str, str]]) -> 
     return np.asarray(ignored[np.ix_(link, link)])
 
 
-def _allowed(
-    allowances: Sequence[Allowance], solids: Sequence[Solid], mover: Int[np.ndarray, "C"], holder: Int[np.ndarray, "C"]
-) -> Float[np.ndarray, "C"]:
-    """Greatest allowed depth per pair, NaN without an allowance."""
-    depth = np.full(len(mover), np.nan)
-    for allowance in allowances:
-        link = np.array([allowance.names_link(solid.name, solid.link) for solid in solids], dtype=bool)
-        other = np.array([allowance.names_other(solid.name, solid.link) for solid in solids], dtype=bool)
-        covered = (link[mover] & other[holder]) | (link[holder] & other[mover])
-        depth[covered] = np.fmax(depth[covered], allowance.depth)
+def _allowed(allowances: Sequence[Allowance], index: BodyIndex) -> Float[np.ndarray, "B B+P"]:
+    """Greatest allowed depth per body and other body or piece [m], NaN without an allowance."""
+    depth = np.full(index.shape, np.nan)
+    for allowance in sorted(allowances, key=lambda one: one.depth):  # the deepest of a pair's counts
+        index.fill(depth, allowance.first, allowance.second, allowance.depth)
     return depth

@@ -10,6 +10,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.curve import TimeLaw
+from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
 from service.verify.motion import Motion, Phase
 from service.verify.paths import mechanism_joints
@@ -75,6 +76,7 @@ def forces(
     wrench = np.zeros((len(times), 6)) if stands else np.full((len(times), 6), np.nan)
     jacobians = np.empty((len(times) if shares else 0, 6, model.nv))
     for k in range(len(times)):
+        poll()
         if shares:
             jacobians[k] = pin.computeJointJacobians(model, data, q[k]).reshape(6, model.nv)
         torque[k] = pin.rnea(model, data, q[k], v[k], a[k])

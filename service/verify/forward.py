@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from costs.stopping import poll
 from service.verify.errors import VerifyError
 
 
@@ -65,6 +66,7 @@ class Forward:
             raise VerifyError(f"configurations must be finite and have {model.nq} columns, got shape {q.shape}")
         block = np.empty((len(q), model.njoints, 12))
         for row, configuration in zip(block, q, strict=True):
+            poll()
             pin.forwardKinematics(model, data, configuration)
             row[:] = view
         rotation = np.swapaxes(block[..., :9].reshape(len(q), model.njoints, 3, 3), -1, -2)

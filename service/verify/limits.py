@@ -1,4 +1,4 @@
-"""Joint limits of the curve and of its timing: positions and accelerations exactly, speeds from above."""
+"""Joint limits of the curve and of its timing: positions, speeds and accelerations exactly."""
 
 from __future__ import annotations
 
@@ -14,8 +14,15 @@ from service.verify.certificate import Basis, Check, Where
 from service.verify.errors import VerifyError
 from service.verify.motion import Motion, Phase
 from service.verify.settings import VerifySettings
-from service.verify.timeline import time_of
+from service.verify.timeline import time_of, times_of
 from service.verify.track import Track
+
+# A step of the time law may be this much longer or shorter than its speeds and times come to, relative to its length.
+_STEP_TOLERANCE = 1e-6
+# How far the law's ends may lie from the curve's, relative to the curve's length.
+_END_TOLERANCE = 1e-9
+# Errors of the rounded numbers that a difference of two samples is made of, in units of their last place.
+_ROUNDINGS = 16.0
 
 
 @dataclass(frozen=True)
@@ -24,7 +31,7 @@ class TimedPeaks:
 
     Attributes:
         s: (C,) path parameter where each cell begins.
-        speed: (C, n) upper bound of ``|dq/dt|``.
+        speed: (C, n) largest ``|dq/dt|``, exact.
         acceleration: (C, n) largest ``|d2q/dt2|``, exact.
     """
 
@@ -36,8 +43,9 @@ class TimedPeaks:
 def timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
     """Peaks of speed and acceleration along the timed curve.
 
-    Between two grid points ``d2s/dt2 = u`` is constant, so ``(ds/dt)^2`` is linear in s and ``q' u + q'' (ds/dt)^2`` is
-    a parabola in s for a cubic: ends and vertex hold its extremes.
+    Between two grid points ``d2s/dt2 = u`` is constant, so ``(ds/dt)^2`` is linear in s and the acceleration
+    ``q' u + q'' (ds/dt)^2`` is a parabola in s for a cubic: ends and vertex hold its extremes.  The speed is extreme at
+    ends and where the acceleration vanishes.  A cell knows its own second derivatives, so both sides of a knot count.
 
     Raises:
         VerifyError: when the law is inconsistent or does not run from the curve's first knot to its last.
@@ -48,19 +56,41 @@ def timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
     first, last = grid[:-1], grid[1:]
     owner = moving[np.clip(np.searchsorted(law.path[moving + 1], 0.5 * (first + last)), 0, len(moving) - 1)]
     square = law.speed**2
-    u = 0.5 * (square[owner + 1] - square[owner]) / (law.path[owner + 1] - law.path[owner])
-    x = np.maximum(square[owner] + 2.0 * u * (first - law.path[owner]), 0.0)
-    x_last = np.maximum(x + 2.0 * u * (last - first), 0.0)
+    share = law.shares[owner] ** 2
+    u = share * 0.5 * (square[owner + 1] - square[owner]) / (law.path[owner + 1] - law.path[owner])
+    x = np.maximum(share * square[owner] + 2.0 * u * (first - law.path[owner]), 0.0)
     piece = np.clip(np.searchsorted(curve.knots, 0.5 * (first + last), side="right") - 1, 0, len(curve.knots) - 2)
     _, c1, c2, c3 = curve.coefficients()[:, piece]
     v = (first - curve.knots[piece])[:, None]
     # q' = a0 + a1 w + a2 w^2 with w counted from the cell's beginning.
     a0, a1, a2 = c1 + 2.0 * c2 * v + 3.0 * c3 * v**2, 2.0 * c2 + 6.0 * c3 * v, 3.0 * c3
-    width = (last - first)[:, None]
-    speed = _parabola_peak(a0, a1, a2, width) * np.sqrt(np.maximum(x, x_last))[:, None]
-    gain, start = u[:, None], x[:, None]
+    width, gain, start = (last - first)[:, None], u[:, None], x[:, None]
     b0, b1, b2 = gain * a0 + a1 * start, 3.0 * gain * a1 + 2.0 * a2 * start, 5.0 * gain * a2
-    return TimedPeaks(first, speed, _parabola_peak(b0, b1, b2, width))
+
+    def speed(w: np.ndarray) -> np.ndarray:
+        return np.asarray(np.abs(a0 + w * (a1 + w * a2)) * np.sqrt(np.maximum(start + 2.0 * gain * w, 0.0)))
+
+    turns = (np.clip(root, 0.0, width) for root in _roots(b0, b1, b2))
+    fastest = np.maximum.reduce([speed(w) for w in (np.zeros_like(width), width, *turns)])
+    return TimedPeaks(first, fastest, _parabola_peak(b0, b1, b2, width))
+
+
+def exported_speeds(curve: Curve, law: TimeLaw, s: Float[np.ndarray, "M"]) -> Float[np.ndarray, "M-1 n"]:
+    """Speeds between neighbouring exported samples, as a reader of times and positions sees them [rad/s, m/s].
+
+    What the rounding of the numbers can make of a difference is left out; inf where a joint moves in no time.
+    """
+    q, times = curve(s), times_of(law, s)
+    length, duration = np.abs(np.diff(q, axis=0)), np.diff(times)[:, None]
+    last_place = np.finfo(float).eps * np.maximum(np.abs(q[1:]), np.abs(q[:-1]))
+    # Samples and times are as exact as the largest number that they were made of.
+    slope = np.maximum(np.abs(curve(s[1:], 1)), np.abs(curve(s[:-1], 1)))
+    last_place = last_place + slope * np.spacing(np.abs(s).max())
+    length = np.maximum(length - _ROUNDINGS * last_place, 0.0)
+    speeds = np.where(length > 0.0, np.inf, 0.0)
+    blurred = duration + _ROUNDINGS * np.spacing(np.abs(times).max())
+    np.divide(length, blurred, out=speeds, where=duration > 0.0)
+    return np.asarray(speeds)
 
 
 def position_check(track: Track) -> Check:
@@ -79,20 +109,26 @@ def position_check(track: Track) -> Check:
 
 
 def timed_checks(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...], settings: VerifySettings) -> Iterator[Check]:
-    """Speed and acceleration limits, and rest at the ends and where contacts change."""
+    """Speed and acceleration limits, on the curve and between the samples, and rest at ends and contact changes."""
     peaks = timed_peaks(motion.curve, law)
-    for kind, values, limits in (
-        ("speed", peaks.speed, motion.robot.velocity),
-        ("acceleration", peaks.acceleration, motion.robot.acceleration),
-    ):
-        ratio = values / limits
-        cell, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
-        value, name = float(ratio[cell, column]), motion.robot.joint_names[column]
-        text = f"{name} reaches {100.0 * value:.1f} % of its {kind} limit"
-        where = _at(motion, float(peaks.s[cell]), (name,))
-        is_ok = value <= 1.0 + settings.limit_tolerance
-        yield Check(f"limits.{kind}", is_ok, value, 1.0, "1", text, where, Basis.PROOF)
+    robot = motion.robot
+    yield _limit_check(motion, "speed", peaks.speed / robot.velocity, peaks.s, settings)
+    yield _limit_check(motion, "acceleration", peaks.acceleration / robot.acceleration, peaks.s, settings)
+    if motion.samples is not None:
+        ratio = exported_speeds(motion.curve, law, motion.samples) / robot.velocity
+        yield _limit_check(motion, "exported", ratio, motion.samples, settings)
     yield _rest_check(motion, law, phases)
+
+
+def _limit_check(
+    motion: Motion, kind: str, ratio: Float[np.ndarray, "C n"], s: Float[np.ndarray, "S"], settings: VerifySettings
+) -> Check:
+    cell, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+    value, name = float(ratio[cell, column]), motion.robot.joint_names[column]
+    of = "speed limit between exported samples" if kind == "exported" else f"{kind} limit"
+    text = f"{name} reaches {100.0 * value:.1f} % of its {of}"
+    where = _at(motion, float(s[cell]), (name,))
+    return Check(f"limits.{kind}", value <= 1.0 + settings.limit_tolerance, value, 1.0, "1", text, where, Basis.PROOF)
 
 
 def _rest_check(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...]) -> Check:
@@ -104,7 +140,8 @@ def _rest_check(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...]) -> Chec
         if {c.link for c in before.contacts} != {c.link for c in after.contacts}
     ]
     rests = np.array(ends + changes)
-    speed = np.interp(rests, law.path, law.speed)
+    # The square of the speed is linear in the path.
+    speed = np.sqrt(np.interp(rests, law.path, law.speed**2))
     fastest = np.abs(motion.curve(rests, 1) * speed[:, None]).max(axis=1)
     worst = int(fastest.argmax())
     value = float(fastest[worst])
@@ -126,12 +163,28 @@ def _parabola_peak(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, width: np.nda
     return np.asarray(np.maximum(np.maximum(np.abs(a0), np.abs(a0 + width * (a1 + width * a2))), inner))
 
 
+def _roots(b0: np.ndarray, b1: np.ndarray, b2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both zeros of ``b0 + b1 w + b2 w^2``, without cancellation; 0 where there is none."""
+    lean = -0.5 * (b1 + np.where(b1 >= 0.0, 1.0, -1.0) * np.sqrt(np.maximum(b1**2 - 4.0 * b0 * b2, 0.0)))
+    far = np.divide(lean, b2, out=np.zeros_like(b0), where=np.abs(b2) > 1e-300)
+    near = np.divide(b0, lean, out=np.zeros_like(b0), where=np.abs(lean) > 1e-300)
+    return far, near
+
+
 def _check_law(curve: Curve, law: TimeLaw) -> None:
-    if not np.all(np.diff(law.times) > 0.0) or not np.all(np.diff(law.path) >= 0.0) or np.any(law.speed < 0.0):
+    if not len(law.times) == len(law.path) == len(law.speed) >= 2:
+        counts = f"{len(law.times)}, {len(law.path)} and {len(law.speed)}"
+        raise VerifyError(f"the time law needs as many times, path parameters and speeds, at least 2, got {counts}")
+    if not np.all(np.diff(law.times) > 0.0) or not np.all(np.diff(law.path) >= 0.0) or not np.all(law.speed >= 0.0):
         raise VerifyError("the time law needs increasing times, a path that does not run back and speeds >= 0")
     scale = float(curve.knots[-1] - curve.knots[0])
-    if max(abs(law.path[0] - curve.knots[0]), abs(law.path[-1] - curve.knots[-1])) > 1e-9 * scale:
+    if not max(abs(law.path[0] - curve.knots[0]), abs(law.path[-1] - curve.knots[-1])) <= _END_TOLERANCE * scale:
         raise VerifyError(f"the time law runs from {law.path[0]} to {law.path[-1]}, not along the whole curve")
-    travelled = 0.5 * (law.speed[:-1] + law.speed[1:]) * np.diff(law.times)
-    if np.max(np.abs(travelled - np.diff(law.path))) > 1e-6 * scale:
-        raise VerifyError("the time law's path does not follow from its speeds and times")
+    # Relative to the step: errors that are small beside the whole curve would add up over many steps.
+    error = np.abs(law.shares - 1.0)
+    step = int(np.argmax(error))
+    if not error[step] <= _STEP_TOLERANCE:
+        raise VerifyError(
+            f"the time law's path does not follow from its speeds and times: step {step} (at {law.times[step]} s) is "
+            f"{law.shares[step]:.9g} times as long as they come to, expected 1 within {_STEP_TOLERANCE:g}"
+        )

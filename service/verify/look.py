@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from costs.stopping import poll
 from service.verify.chain import Chain
 from service.verify.couples import Couples
 from service.verify.forward import Placements
@@ -59,6 +60,7 @@ class Look:
     def at(track: Track, couples: Couples, stretches: Stretches, settings: VerifySettings) -> Look:
         """Poses and bounds of these stretches."""
         # Many pairs share a stretch.
+        poll()
         ends, where = np.unique(stretches.first + 1j * stretches.last, return_inverse=True)
         first, last = ends.real, ends.imag
         s = np.stack([first, last, 0.5 * (first + last)], axis=1)
@@ -93,6 +95,7 @@ class Look:
 
         ``direction`` are unit vectors from mover to holder in the holder's frame; those that are not finite give -inf.
         """
+        poll()
         turned = direction[:, None, None, :] @ self.rotation[rows, :MIDDLE]
         mover, n = self.mover[rows], len(rows)
         which = np.concatenate([mover, mover, self.holder[rows]])
@@ -137,6 +140,7 @@ def stretch_bounds(
 
     ``chains`` and ``over`` have a row for each, ``middle`` are the rows of ``placed`` that hold the stretches' middles.
     """
+    poll()
     joint = couples.joint[mover]
     world = (placed.rotation[middle, joint] @ couples.centre[mover][..., None])[..., 0]
     world += placed.translation[middle, joint]

@@ -182,6 +182,8 @@ class Motion:
         phases: together they cover the curve; none overlaps another.
         samples: (M,) path parameters of the exported samples, all knots among them; None if only the curve counts.
         mechanism_links: links that move with the task (a valve's wheel): checked against the robot, not against pieces.
+        waived: what the request does not ask for: ``timing``, ``balance``; all else must be checked. None where nobody
+            says what was asked: then what is not checked is only named.
     """
 
     robot: RobotModel
@@ -191,3 +193,4 @@ class Motion:
     phases: tuple[Phase, ...] = ()
     samples: Float[np.ndarray, "M"] | None = None
     mechanism_links: frozenset[str] = field(default_factory=frozenset)
+    waived: frozenset[str] | None = None

@@ -9,6 +9,8 @@ import coal
 import numpy as np
 from jaxtyping import Float
 
+from costs.stopping import poll
+
 
 def _request() -> coal.DistanceRequest:
     request = coal.DistanceRequest()
@@ -36,6 +38,7 @@ class Narrow:
         distance, direction = np.empty(len(movers)), np.empty((len(movers), 3))
         result, request, identity = self._result, self._request, self._identity
         for row, (mover, turned, moved, holder) in enumerate(zip(movers, rotation, translation, holders, strict=True)):
+            poll()
             result.clear()
             distance[row] = coal.distance(mover, coal.Transform3s(turned, moved), holder, identity, request, result)
             direction[row] = result.normal

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.stopping import poll
 from service.verify.couples import Couples
 from service.verify.look import FIRST, LAST, MIDDLE, ROUNDING_M, Look
 from service.verify.samples import Meeting, Samples
@@ -58,6 +59,7 @@ class ClearanceProof:
     Attributes:
         proven: stretches on which the pair keeps clear, or within its allowed depth.
         unproven: stretches that resisted.
+        abandoned: stretches that were left because a pose of their phase refutes their pair.
         refuted: by pair and phase, the deepest pose found that penetrates deeper than allowed.
         deepest: by pair and phase, the smallest sampled distance of a pair allowed to touch [m].
         looked: pairs and stretches of the broad phase that were looked at.
@@ -65,6 +67,7 @@ class ClearanceProof:
 
     proven: Shown
     unproven: Shown
+    abandoned: Shown
     refuted: Mapping[tuple[int, int], Meeting]
     deepest: Mapping[tuple[int, int], float]
     looked: Stretches
@@ -83,8 +86,8 @@ def search(track: Track, couples: Couples, start: Stretches, settings: VerifySet
         left = rounds.run(Stretches.join([looked[-1], left]))
     while len(left):
         left = rounds.run(left)
-    proven, unproven = Shown.join(rounds.proven), Shown.join(rounds.unproven)
-    return ClearanceProof(proven, unproven, samples.refuted, samples.deepest, Stretches.join(looked))
+    proven, unproven, abandoned = (Shown.join(part) for part in (rounds.proven, rounds.unproven, rounds.abandoned))
+    return ClearanceProof(proven, unproven, abandoned, samples.refuted, samples.deepest, Stretches.join(looked))
 
 
 def _nearest_first(start: Stretches) -> Iterator[Stretches]:
@@ -100,11 +103,13 @@ class _Rounds:
     def __init__(self, track: Track, couples: Couples, settings: VerifySettings, samples: Samples) -> None:
         self.proven: list[Shown] = []
         self.unproven: list[Shown] = []
+        self.abandoned: list[Shown] = []
         self._track, self._couples, self._settings, self._samples = track, couples, settings, samples
         self._n_stretches = 0
 
     def run(self, stretches: Stretches) -> Stretches:
         """Decide every stretch; returns the halves of those that are left."""
+        poll()
         if len(stretches) == 0:
             return stretches
         settings, is_new = self._settings, stretches.halved == 0
@@ -118,7 +123,9 @@ class _Rounds:
         is_proven, is_blurred = attempt.is_proven, attempt.is_blurred
         self.proven.append(attempt.shown(is_proven & ~is_blurred))
         # Where a pair is refuted once, the rest of its phase need not be settled.
-        is_open = ~is_proven & ~self._are_refuted(look, ~is_proven)
+        is_refuted = ~is_proven & self._are_refuted(look, ~is_proven)
+        is_open = ~is_proven & ~is_refuted
+        self.abandoned.append(attempt.shown(is_refuted))
         self.unproven.append(attempt.shown(is_open & attempt.is_last))
         return attempt.halves((is_open | is_blurred) & ~attempt.is_last)
 
@@ -175,6 +182,7 @@ class _Attempt:
 
     def measure(self, of: Bool[np.ndarray, "E"], columns: tuple[int, ...]) -> None:
         """Sample poses of these stretches where that may decide them, or must, and try the directions found there."""
+        poll()
         is_settled = self.is_proven & (self._lower >= np.where(self._may_touch, 0.0, self._wanted))
         # A pair allowed to touch is sampled wherever it may, to know how deep it does.
         rows = np.flatnonzero(of & ~is_settled & (self._may_help | self._may_touch | self.is_last))
@@ -185,6 +193,7 @@ class _Attempt:
 
     def _try(self, rows: Int[np.ndarray, "R"], directions: Float[np.ndarray, "R D 3"]) -> None:
         """Raise the bounds of these rows where one of their directions separates better than what was tried before."""
+        poll()
         count = directions.shape[1]
         found = self._look.separation(np.repeat(rows, count), directions.reshape(-1, 3)).reshape(-1, count)
         best = found.argmax(axis=1)
@@ -202,6 +211,7 @@ class _Attempt:
 
     def halves(self, chosen: Bool[np.ndarray, "E"]) -> Stretches:
         """The halves of these rows, with what is known of them."""
+        poll()
         stretches = replace(self._look.stretches, ends=self._sampled[:, [FIRST, LAST]])
         return stretches.take(chosen).halves(self._direction[chosen], self._sampled[chosen, MIDDLE])
 

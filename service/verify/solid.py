@@ -43,6 +43,20 @@ class Solid:
         """The solid for coal."""
         return convex_of(self.vertices)
 
+    def distances(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
+        """Distance of points in the solid's frame from it, 0 inside [m]."""
+        dot, here, request, result = (
+            coal.Sphere(1e-9),
+            coal.Transform3s(),
+            coal.DistanceRequest(),
+            coal.DistanceResult(),
+        )
+        found = []
+        for point in points:
+            result.clear()
+            found.append(coal.distance(dot, coal.Transform3s(np.eye(3), point), self.convex, here, request, result))
+        return np.asarray(np.maximum(np.array(found), 0.0))
+
     @staticmethod
     def of_body(body: LinkBody) -> Solid:
         """The solid of a body, made once while the body lives."""

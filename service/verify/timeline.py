@@ -19,7 +19,7 @@ def times_of(law: TimeLaw, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
     """First times at which path parameters are reached [s]."""
     i = np.minimum(np.maximum(np.searchsorted(law.path, s, side="left") - 1, 0), len(law.path) - 2)
     duration = law.times[i + 1] - law.times[i]
-    speed, gain = law.speed[i], (law.speed[i + 1] - law.speed[i]) / duration
+    speed, gain = law.shares[i] * law.speed[i], law.shares[i] * (law.speed[i + 1] - law.speed[i]) / duration
     ahead = np.maximum(s - law.path[i], 0.0)
     mean = 0.5 * (speed + np.sqrt(np.maximum(speed**2 + 2.0 * gain * ahead, 0.0)))
     step = np.divide(ahead, mean, out=np.zeros_like(ahead), where=mean > 0.0)

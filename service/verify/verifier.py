@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from costs.stopping import never, stops_when
 from service.verify.admission import admit
 from service.verify.certificate import (
     Basis,
@@ -14,7 +17,11 @@ from service.verify.certificate import (
     scene_hash,
 )
 from service.verify.clearance import clearance_of
+from service.verify.coverage import Coverage
+from service.verify.covering import cover
+from service.verify.duties import own_joints
 from service.verify.dynamics import dynamics_checks
+from service.verify.ground import ground_checks
 from service.verify.limits import position_check, timed_checks
 from service.verify.motion import Motion, Phase
 from service.verify.promises import PhaseChecks
@@ -23,16 +30,28 @@ from service.verify.timeline import edges_of, phases_of
 from service.verify.track import Track
 
 
-def verify(motion: Motion, settings: VerifySettings | None = None) -> Certificate:
+def verify(
+    motion: Motion, settings: VerifySettings | None = None, should_stop: Callable[[], bool] = never
+) -> Certificate:
     """Prove or refute what the motion promises.
 
     Clearance, balance, planted feet, targets, position, speed and acceleration limits hold on the whole curve (and,
     with ``motion.samples``, on the exported samples read linearly); ZMP and torques hold at samples.
 
+    Args:
+        motion: the motion.
+        settings: of the proofs.
+        should_stop: asked at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
+
     Raises:
         VerifyError: when the motion is malformed (phases that leave a gap, an unknown frame, an inconsistent law).
+        Stopped: it was asked to stop; there is no certificate.
     """
-    settings = settings or VerifySettings()
+    with stops_when(should_stop):
+        return _verify(motion, settings or VerifySettings())
+
+
+def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
     admit(motion)
     phases = phases_of(motion)
     track = Track(motion)
@@ -42,10 +61,13 @@ def verify(motion: Motion, settings: VerifySettings | None = None) -> Certificat
     promises = PhaseChecks(track, edges_of(motion, phases)[0], settings)
     for phase in phases:
         checks += promises.run(phase)
+        checks += ground_checks(motion, phase)
         if motion.law is not None:
             checks += dynamics_checks(motion, motion.law, phase, settings)
     clearance = clearance_of(track, phases, settings)
     checks += clearance.checks
+    coverage, against = cover(track, clearance.couples, phases, checks, settings)
+    checks += against
     balance = [check.value for check in checks if check.name.startswith("balance.")]
     return Certificate(
         _status(checks),
@@ -59,7 +81,9 @@ def verify(motion: Motion, settings: VerifySettings | None = None) -> Certificat
         bodies_hash(motion.robot),
         robot_hash(motion.robot),
         promises_hash(phases),
-        _notes(motion, phases),
+        _notes(motion, phases, coverage),
+        gaps=clearance.gaps,
+        coverage=coverage,
     )
 
 
@@ -70,19 +94,16 @@ def _status(checks: list[Check]) -> Status:
     return Status.CERTIFIED if is_proven else Status.FEASIBLE_AT_SAMPLES
 
 
-def _notes(motion: Motion, phases: tuple[Phase, ...]) -> tuple[str, ...]:
+def _notes(motion: Motion, phases: tuple[Phase, ...], coverage: Coverage) -> tuple[str, ...]:
     notes = ["ZMP and joint torques are checked at samples of the timed curve, not proven between them"]
     if motion.law is None:
-        notes = ["the motion is untimed: speeds, accelerations and forces were not checked"]
+        notes = []
     if motion.samples is None:
         notes.append("the curve itself is certified; no exported samples were given")
-    if motion.robot.ignored_pairs:
-        notes.append(
-            f"{len(motion.robot.ignored_pairs)} pairs of links are not checked against each other: ignored_pairs"
-        )
+    unlimited, n_joints = coverage.joints_without_torque_limit, len(own_joints(motion))
+    if motion.law is not None and 0 < len(unlimited) < n_joints:
+        notes.append(f"torque not checked for {', '.join(unlimited)}: their limit is 0 or missing")
     if motion.robot.is_floating:
-        without = [phase.name for phase in phases if phase.support is None]
-        notes += [f"balance was not checked in {', '.join(without)}"] if without else []
         given = [phase.name for phase in phases if phase.support is not None and not phase.contacts]
         notes += [f"the support polygon was taken as given in {', '.join(given)}"] if given else []
-    return tuple(notes)
+    return (*notes, *coverage.sentences())

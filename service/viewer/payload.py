@@ -41,6 +41,9 @@ def payload_of(result: Mapping[str, Any], placements: LinkPlacements) -> dict[st
         **_summary(result),
         "checks": _placed_checks(result, proof),
         "clearance": packed(_track_rows(proof), "f4"),
+        "gaps": [] if proof is None else [{"names": list(g.pair), "start": g.start, "end": g.end} for g in proof.gaps],
+        "obstruction": result.get("obstruction"),
+        "shapeless": _shapeless(result, placements),
         "times": packed(times[kept], "f4"),
         "links": list(placements.links),
         "positions": quantized(poses[..., :3]),
@@ -50,9 +53,8 @@ def payload_of(result: Mapping[str, Any], placements: LinkPlacements) -> dict[st
         "movables": [_movable(movable, len(times), kept) for movable in _list(result, "movables")],
         "waypoints": np.searchsorted(kept, [i for i in waypoints if 0 <= i < len(times)]).tolist(),
         "phases": [_timed(phase, times) for phase in phases],
-        "support": [_timed(polygon, times) for polygon in _list(result, "support_polygons")],
+        "support": [_support(polygon, times) for polygon in _list(result, "support_polygons")],
         "com": packed(_rows(result, "com", len(times), 3)[kept], "f4"),
-        "zmp": packed(_rows(result, "zmp", len(times), 2)[kept], "f4"),
         "cloud": quantized(_cloud(result)),
     }
 
@@ -98,13 +100,15 @@ def json_safe(value: Any) -> Any:
 def _summary(result: Mapping[str, Any]) -> dict[str, Any]:
     request = result.get("request") or {}
     task = (request.get("task") or request.get("goal")) if isinstance(request, Mapping) else None
-    robot = result.get("robot") or {}
+    robot, certificate, curve = (result.get(key) or {} for key in ("robot", "certificate", "curve"))
     return {
         "verdict": result.get("verdict", ""),
         "robot": robot.get("name", ""),
         "task": _task_name(task) if isinstance(task, Mapping) else "",
         "explanation": _list(result, "explanation"),
         "notes": _list(result, "notes"),
+        "rests_on": [note for note in _list(certificate, "notes") if note not in _list(result, "notes")],
+        "is_timed": not curve or curve.get("law") is not None,
         "figures": result.get("figures") or {},
         "timings": result.get("timings") or {},
         "planning_time_s": result.get("planning_time_s"),
@@ -122,10 +126,16 @@ def _task_name(task: Mapping[str, Any]) -> str:
 
 
 def _placed_checks(result: Mapping[str, Any], proof: ClearanceTrack | None) -> list[Mapping[str, Any]]:
-    """The checks; the clearance of the whole curve is shown where its proof has least to spare."""
+    """The checks; the clearance of the whole curve is shown where its proof has least to spare.
+
+    Of an untimed motion the path parameter stands for the time, as in its samples.
+    """
+    is_untimed = bool(result.get("curve")) and result["curve"].get("law") is None
     checks: list[Mapping[str, Any]] = []
     for check in _list(result, "checks"):
         where = check.get("where") or {}
+        if is_untimed and where:
+            where = {**where, "time_s": where.get("s")}
         if check["name"] == "clearance" and where.get("time_s") is None and proof is not None and proof.pair:
             where = {"time_s": proof.time_s, "position": None, "names": list(proof.pair)}
         checks.append({**check, "where": where})
@@ -134,6 +144,12 @@ def _placed_checks(result: Mapping[str, Any], proof: ClearanceTrack | None) -> l
 
 def _track_rows(proof: ClearanceTrack | None) -> Float[np.ndarray, "N 2"]:
     return np.empty((0, 2)) if proof is None else np.column_stack([proof.times, proof.clearance])
+
+
+def _shapeless(result: Mapping[str, Any], placements: LinkPlacements) -> list[str]:
+    """Links without a collision shape that there is a place for."""
+    named = (result.get("robot") or {}).get("links_without_shape") or []
+    return [link for link in named if link in placements.links or not placements.links]
 
 
 def _list(result: Mapping[str, Any], key: str) -> Sequence[Any]:
@@ -165,6 +181,13 @@ def _timed(entry: Mapping[str, Any], times: Float[np.ndarray, "S"]) -> dict[str,
         return {**rest, "start": 0.0, "end": 0.0}
     first, last = (int(np.clip(entry[end], 0, len(times) - 1)) for end in ("first", "last"))
     return {**rest, "start": float(times[first]), "end": float(times[last])}
+
+
+def _support(entry: Mapping[str, Any], times: Float[np.ndarray, "S"]) -> dict[str, Any]:
+    """A support polygon with its ZMP as rows of time, x and y; NaN where nothing presses on the ground."""
+    zmp = entry.get("zmp") or {"times": [], "points": []}
+    rows = [[time, *(point or (np.nan, np.nan))] for time, point in zip(zmp["times"], zmp["points"], strict=True)]
+    return {**_timed(entry, times), "zmp": packed(np.array(rows).reshape(-1, 3), "f8")}
 
 
 def _rows(result: Mapping[str, Any], key: str, n_samples: int, width: int) -> Float[np.ndarray, "S w"]:

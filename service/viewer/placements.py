@@ -54,13 +54,14 @@ def placements_of(robot: RobotModel, q: Float[np.ndarray, "S n"], links: Sequenc
 
 
 def drawn_frames(robot: RobotModel, result: Mapping[str, Any]) -> tuple[str, ...]:
-    """Links and frames a viewer needs of a result: those with bodies, those aimed at, and those its checks speak of.
+    """Links and frames a viewer needs of a result: all links, those aimed at, and those its checks speak of.
 
     A joint counts as the frame of its name, so that a check of a joint can be shown at the joint.
     """
     names = [body["link"] for body in result.get("bodies") or []]
-    for phase in result.get("phases") or []:
-        names.extend(target["frame"] for target in phase.get("targets") or [] if target.get("frame"))
+    names.extend((result.get("robot") or {}).get("links_without_shape") or [])
+    for aimed in (*(result.get("phases") or []), result.get("obstruction") or {}):
+        names.extend(target["frame"] for target in aimed.get("targets") or [] if target.get("frame"))
     for check in result.get("checks") or []:
         names.extend((check.get("where") or {}).get("names") or [])
     return tuple(dict.fromkeys(name for name in names if robot.model.existFrame(name)))

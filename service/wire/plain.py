@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, cast
 
-from google.protobuf import json_format
 from google.protobuf.descriptor import EnumDescriptor, FieldDescriptor
 from google.protobuf.message import Message
-from google.protobuf.struct_pb2 import Struct
+from google.protobuf.struct_pb2 import Struct, Value
 
 from service.errors import RequestError, shown, would_do
 
@@ -30,7 +29,7 @@ _REAL = {FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT}
 def to_plain(message: Message) -> Any:
     """Mappings, lists and scalars: what a request file that says the same would be read to."""
     if isinstance(message, Struct):
-        return _whole(json_format.MessageToDict(message))
+        return {key: _of_struct(value) for key, value in message.fields.items()}
     data = {field.name: _value_to_plain(field, value) for field, value in message.ListFields()}
     if _stands_for_value(message):
         return data[VALUE] if VALUE in data else next(iter(data.values()), [])
@@ -74,13 +73,25 @@ def enum_number(enum: EnumDescriptor, name: str) -> int | None:
     return None if value is None else int(value.number)
 
 
-def _whole(data: Any) -> Any:
-    """JSON data in which whole numbers, all of which a ``Struct`` keeps as doubles, are whole again."""
-    if isinstance(data, dict):
-        return {key: _whole(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return [_whole(value) for value in data]
-    return int(data) if isinstance(data, float) and data.is_integer() and abs(data) < 2**53 else data
+def _of_struct(value: Value) -> Any:
+    """JSON data, and what it has no word for: NaN and infinity stay, for whoever checks the data to refuse.
+
+    Whole numbers, all of which a ``Struct`` keeps as doubles, are whole again.
+    """
+    match value.WhichOneof("kind"):
+        case "struct_value":
+            return {key: _of_struct(one) for key, one in value.struct_value.fields.items()}
+        case "list_value":
+            return [_of_struct(one) for one in value.list_value.values]
+        case "number_value":
+            number = value.number_value
+            return int(number) if number.is_integer() and abs(number) < 2**53 else number
+        case "string_value":
+            return value.string_value
+        case "bool_value":
+            return value.bool_value
+        case _:
+            return None
 
 
 def _prefix(enum: EnumDescriptor) -> str:

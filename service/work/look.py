@@ -16,6 +16,7 @@ from service.executor import Control
 from service.request import GoalRequest, PlanRequest, RobotRequest
 from service.request_known import KnownMeshRequest
 from service.work.plan import Refused, warm_robots
+from service.work.stopping import stops_with
 
 # Of a server's own robot, for those who know the other.
 IN_PLACE = " (this server's own, in place of the one of that name that comes with scopt)"
@@ -54,10 +55,11 @@ def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
     meshes = tuple(mesh_requested(one, path) for one, path in task.meshes)
     asked = SceneAsked(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
     try:
-        if task.update is not None:
-            before = replace(read_before(task.update[0]), path=Path(task.update[1]))
-            asked = on_top_of(before, asked, task.said, "update")
-        return json.dumps(see_files(asked, control.report).data, allow_nan=False).encode()
+        with stops_with(control):
+            if task.update is not None:
+                before = replace(read_before(task.update[0]), path=Path(task.update[1]))
+                asked = on_top_of(before, asked, task.said, "update")
+            return json.dumps(see_files(asked, control.report).data, allow_nan=False).encode()
     except RequestError as error:
         return Refused(error.problems)
 
@@ -69,16 +71,18 @@ def detect(
     from service.detect_file import detect_file
 
     try:
-        return detect_file(clouds, kind, hint, control.report)
+        with stops_with(control):
+            return detect_file(clouds, kind, hint, control.report)
     except RequestError as error:
         return Refused(error.problems)
 
 
-def verify(files: Mapping[str, bytes]) -> Mapping[str, Any] | Refused:
+def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | Refused:
     """What ``scopt verify`` prints.
 
     Args:
         files: of a result folder, by their path in it.
+        control: says when to stop.
     """
     from service.replay import verify_result
 
@@ -94,7 +98,8 @@ def verify(files: Mapping[str, bytes]) -> Mapping[str, Any] | Refused:
             except (OSError, ValueError):
                 return Refused((f"files: {shown(name)} is no path of a file",))
         try:
-            return verify_result(folder)
+            with stops_with(control):
+                return verify_result(folder)
         except (ResultError, RequestError) as error:
             # Speak of the files as the client named them, not of where they lie for a moment.
             lines = (line.removeprefix(f"{folder}: ").replace(f"{folder}/", "") for line in str(error).splitlines())

@@ -24,6 +24,7 @@ from service.request import PlanRequest
 from service.result import PlanResult
 from service.wire.results import result_to_message
 from service.work.robots import WarmRobots
+from service.work.stopping import stops_with
 
 REPORT_EVERY_S = 0.02  # iterations are told no more often than this: nobody sees more, and every one is a message
 LEAST_TIME_S = 0.01
@@ -91,11 +92,13 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     request = task.request
     teller = _Teller(control, task.with_waypoints)
     try:
+        with stops_with(control):
+            robot = _ROBOTS.get(request)
         result = plan(
             request if task.until is None else _in_time(request, task.until - control.now()),
             on_progress=teller.step,
             should_stop=control.should_stop,
-            robot=_ROBOTS.get(request),
+            robot=robot,
             on_iteration=teller.iteration,
             see=see,
         )

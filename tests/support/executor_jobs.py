@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from service.executor import Control
+from service.executor import Control, JobCancelled
 
 WARMED_UP: list[str] = []
 
@@ -97,6 +97,22 @@ def never_asks(control: Control) -> None:
     control.report(os.getpid())
     while True:
         time.sleep(0.01)
+
+
+def raise_when_stopped(control: Control) -> None:
+    control.report(os.getpid())
+    while not control.should_stop():
+        time.sleep(0.001)
+    raise JobCancelled("as asked")
+
+
+def raise_cancelled() -> None:
+    raise JobCancelled("by nobody")
+
+
+def signal_handlers() -> list[str]:
+    """Signals that run Python code of ours."""
+    return [one.name for one in signal.valid_signals() if callable(signal.getsignal(one))]
 
 
 def report_for_ever(size: int, control: Control) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from costs.allowance import Allowance
+from costs.allowance import Allowance, BodyRef
 from costs.curve import Curve, TimeLaw
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import RobotModel, with_revolute
@@ -84,7 +84,7 @@ def _motion(setup: PlanSetup) -> Motion:
         PlantedContact(link, pose, (setup.soles[link] - pose[:3, 3]) @ pose[:3, :3]) for link, pose in poses.items()
     )
     support = SupportPolygon(FeetHull.of_soles(list(setup.soles.values())).vertices, 0.02)
-    allowances = tuple(Allowance(link, "floor", 0.01) for link in poses)
+    allowances = tuple(Allowance(BodyRef.of_link(link), BodyRef.of_piece("floor"), 0.01) for link in poses)
     up, far = np.array([0.0, 0.0, 1.0]), np.full(3, np.inf)
     poses_of = planted_poses(KinematicsEngine(setup.robot), setup.start, ["utorso", "r_hand"])
     chest = poses_of["utorso"]

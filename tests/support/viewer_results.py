@@ -54,6 +54,12 @@ def placements(n_samples: int) -> LinkPlacements:
     return LinkPlacements(LINKS, continuous(poses))
 
 
+def _may_touch(rim: str) -> dict[str, Any]:
+    """An allowance for the left hand and a body of the wheel."""
+    hand = {"owner": "robot", "link": "l_hand", "body": None}
+    return {"first": hand, "second": {"owner": "mechanism", "link": "valve", "body": rim}, "depth": 0.004}
+
+
 def make_result(
     n_samples: int = 61, duration: float = 6.0, verdict: str = "CERTIFIED"
 ) -> tuple[dict[str, Any], LinkPlacements]:
@@ -102,7 +108,7 @@ def make_result(
                 "first": half,
                 "last": last,
                 "contacts": _contacts(),
-                "allowances": [{"link": "l_hand", "other": "rim/*", "depth": 0.004}],
+                "allowances": [_may_touch(f"rim/{k}") for k in range(2)],
                 "targets": [_circle()],
             },
         ],

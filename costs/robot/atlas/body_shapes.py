@@ -51,6 +51,9 @@ _CENTRE: Mapping[str, tuple[Points, ...]] = {
         _stack("z", (-0.095, -0.10, 0.02, -0.014, 0.014), (-0.02, -0.12, 0.07, -0.020, 0.020),
                (0.08, -0.12, 0.09, -0.025, 0.025), corners=_SQUARE),
     ),
+    # Inside the pelvis, up to the pitch axis of the back; pelvis and mtorso overlap around it in every pose.
+    "ltorso": (_stack("z", (0.085, -0.080, 0.080, -0.080, 0.080), (0.125, -0.080, 0.080, -0.080, 0.080),
+                      (0.165, -0.055, 0.055, -0.060, 0.060)),),
     "mtorso": (_stack("z", (-0.05, -0.075, 0.065, -0.07, 0.07), (0.08, -0.075, 0.065, -0.07, 0.07)),),
     "utorso": (
         # Chest, backpack, neck.
@@ -64,6 +67,8 @@ _CENTRE: Mapping[str, tuple[Points, ...]] = {
         _stack("x", (-0.115, -0.05, 0.05, -0.02, 0.13), (-0.07, -0.07, 0.07, -0.05, 0.155),
                (0.00, -0.07, 0.07, -0.05, 0.13), (0.035, -0.05, 0.05, -0.03, 0.06)),
     ),
+    # The spinning lidar before the head.
+    "hokuyo_link": (_stack("z", (-0.035, 0.000, 0.065, -0.032, 0.032), (0.027, 0.000, 0.065, -0.032, 0.032)),),
 }
 
 _LEFT: Mapping[str, tuple[Points, ...]] = {

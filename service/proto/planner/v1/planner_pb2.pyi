@@ -315,20 +315,22 @@ class VerifyRequest(_message.Message):
     def __init__(self, plan_id: _Optional[str] = ..., files: _Optional[_Iterable[_Union[_result_pb2.FileChunk, _Mapping]]] = ...) -> None: ...
 
 class VerifyResponse(_message.Message):
-    __slots__ = ("verdict", "explanation", "notes", "checks", "min_clearance_m", "min_balance_margin_m")
+    __slots__ = ("verdict", "explanation", "notes", "checks", "min_clearance_m", "min_balance_margin_m", "held_to")
     VERDICT_FIELD_NUMBER: _ClassVar[int]
     EXPLANATION_FIELD_NUMBER: _ClassVar[int]
     NOTES_FIELD_NUMBER: _ClassVar[int]
     CHECKS_FIELD_NUMBER: _ClassVar[int]
     MIN_CLEARANCE_M_FIELD_NUMBER: _ClassVar[int]
     MIN_BALANCE_MARGIN_M_FIELD_NUMBER: _ClassVar[int]
+    HELD_TO_FIELD_NUMBER: _ClassVar[int]
     verdict: _result_pb2.Verdict
     explanation: _containers.RepeatedScalarFieldContainer[str]
     notes: _containers.RepeatedScalarFieldContainer[str]
     checks: _containers.RepeatedCompositeFieldContainer[_result_pb2.Check]
     min_clearance_m: float
     min_balance_margin_m: float
-    def __init__(self, verdict: _Optional[_Union[_result_pb2.Verdict, str]] = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., checks: _Optional[_Iterable[_Union[_result_pb2.Check, _Mapping]]] = ..., min_clearance_m: _Optional[float] = ..., min_balance_margin_m: _Optional[float] = ...) -> None: ...
+    held_to: str
+    def __init__(self, verdict: _Optional[_Union[_result_pb2.Verdict, str]] = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., checks: _Optional[_Iterable[_Union[_result_pb2.Check, _Mapping]]] = ..., min_clearance_m: _Optional[float] = ..., min_balance_margin_m: _Optional[float] = ..., held_to: _Optional[str] = ...) -> None: ...
 
 class ListRobotsRequest(_message.Message):
     __slots__ = ()

@@ -2,8 +2,9 @@
 import { Box3, Mesh, Vector3 } from "three";
 import { Balance } from "./balance";
 import { Movable, Result, readPayload, spanAt } from "./data";
-import { el } from "./dom";
+import { el, tellTimes } from "./dom";
 import { Ghosts } from "./ghosts";
+import { Goal } from "./goal";
 import { Header, makeHeader, makeHelp, tone } from "./header";
 import { Labels } from "./labels";
 import { Layer } from "./layer";
@@ -11,6 +12,7 @@ import { Marks } from "./marks";
 import { Motion } from "./motion";
 import { Panel } from "./panel";
 import { Robot } from "./robot";
+import { Shapeless } from "./shapeless";
 import { Stage, Subject, View } from "./stage";
 import { Contacts, Targets } from "./targets";
 import { THEMES } from "./theme";
@@ -27,6 +29,7 @@ export class App implements Player {
   readonly pieces: Pieces;
   readonly movables: Movables;
   readonly marks: Marks;
+  readonly goal: Goal;
   readonly labels: Labels;
   readonly help: HTMLElement;
   readonly tip = el("div", "tip");
@@ -37,7 +40,7 @@ export class App implements Player {
   isXray = false;
   isFollowing = false;
   theme: "dark" | "light";
-  private readonly timeline: Timeline;
+  readonly timeline: Timeline;
   private readonly panel: Panel;
   private readonly header: Header;
   private readonly hand: number;
@@ -45,6 +48,7 @@ export class App implements Player {
 
   constructor() {
     const { result, motion } = this;
+    tellTimes(result.is_timed);
     this.time = motion.start;
     this.hand = this.workingHand();
     const viewport = el("main", "viewport");
@@ -59,6 +63,7 @@ export class App implements Player {
     document.body.append(this.header.element, viewport);
 
     const z = floorHeight(result);
+    this.goal = new Goal(result, motion);
     const subject = this.subject(z);
     this.stage = new Stage(viewport, subject);
     this.robot = new Robot(result.bodies, motion);
@@ -70,10 +75,11 @@ export class App implements Player {
     const centre = subject.box.getCenter(new Vector3());
     const reach = Math.max(6, subject.box.getSize(new Vector3()).length() * 2.2);
     this.layers = [
-      this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result), this.marks,
+      this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result), this.goal,
+      new Shapeless(result.shapeless, motion), this.marks,
       new Cloud(result.cloud), new Floor(result, z, centre, reach),
     ];
-    for (const label of [...targets.labels, ...this.movables.labels]) this.labels.add(label);
+    for (const label of [...targets.labels, ...this.movables.labels, ...this.goal.labels]) this.labels.add(label);
     for (const layer of this.layers) this.stage.scene.add(layer.group);
     this.panel = new Panel(result, this.layers, (index) => this.chooseCheck(index), (layer) => this.toggle(layer));
     this.timeline = new Timeline(result, this, this.ghosts.times);
@@ -98,6 +104,7 @@ export class App implements Player {
   solids(): { name: string; mesh: Mesh }[] {
     return [
       ...this.robot.meshes.map((mesh) => ({ name: mesh.name, mesh })), ...this.pieces.solids, ...this.movables.solids,
+      ...this.goal.solids,
     ];
   }
 
@@ -140,6 +147,7 @@ export class App implements Player {
     for (const body of box.isEmpty() ? [...scene, ...result.pieces] : scene) {
       for (let i = 0; i < body.hull.vertices.length; i += 3) box.expandByPoint(p.fromArray(body.hull.vertices, i));
     }
+    box.union(this.goal.box);
     if (box.isEmpty()) box.set(new Vector3(-1, -1, 0), new Vector3(1, 1, 1));
     box.min.z = Math.min(box.min.z, z);
     const heading = new Vector3(1, 0, 0);
@@ -173,6 +181,7 @@ export class App implements Player {
 
   setLayer(layer: Layer, isVisible: boolean): void {
     layer.group.visible = isVisible;
+    layer.update?.(this.time);
     this.panel.setLayer(layer);
     this.marks.refresh();
     this.stage.draw();

@@ -8,13 +8,21 @@ import { filledPolygon, ribbon, shrunk, tube } from "./geometry";
 import { Layer } from "./layer";
 import { Colours } from "./theme";
 
-function rows(table: Float32Array, width: number): number[][] {
+function rows(table: Float32Array | Float64Array, width: number): number[][] {
   const out: number[][] = [];
   for (let i = 0; i + width <= table.length; i += width) {
     const row = Array.from(table.subarray(i, i + width));
     if (row.every(Number.isFinite)) out.push(row);
   }
   return out;
+}
+
+// The ZMP at a time, of rows of time, x and y; it jumps where the acceleration does, so the last one seen counts.
+function zmpAt(table: Float64Array, t: number): [number, number] | undefined {
+  let row = 0;
+  while (3 * (row + 1) < table.length && table[3 * (row + 1)] <= t) row++;
+  const [x, y] = [table[3 * row + 1], table[3 * row + 2]];
+  return Number.isFinite(x) ? [x, y] : undefined;
 }
 
 // The field's centre-of-mass mark: a ball with light and dark octants.
@@ -71,12 +79,11 @@ export class Balance implements Layer {
       const ground = com.map(([x, y]) => new Vector2(x, y));
       this.put(this.group, ribbon(ground, z + 0.005, 0.012, false, true), this.traces, 8);
     }
-    const zmp = rows(result.zmp, 2).map(([x, y]) => new Vector2(x, y));
+    const zmp = result.support.flatMap((support) => rows(support.zmp, 3)).map(([, x, y]) => new Vector2(x, y));
     if (zmp.length > 1) this.put(this.group, ribbon(zmp, z + 0.004, 0.006, false, false), this.zmp, 7);
     for (const mesh of [this.plumb, this.dot]) mesh.renderOrder = 9;
     this.ball.renderOrder = 10;
     this.ball.visible = this.plumb.visible = com.length > 0;
-    this.dot.visible = zmp.length > 0;
     this.group.add(this.ball, this.plumb, this.dot);
   }
 
@@ -101,10 +108,9 @@ export class Balance implements Layer {
       this.plumb.position.set(x, y, (z + this.z) / 2);
       this.plumb.scale.z = Math.max(z - this.z, 1e-3);
     }
-    if (this.dot.visible) {
-      const [x, y] = rowAt(this.result.times, this.result.zmp, 2, t);
-      this.dot.position.set(x, y, this.z + 0.006);
-    }
+    const zmp = current && zmpAt(current.zmp, t);
+    this.dot.visible = zmp !== undefined;
+    if (zmp) this.dot.position.set(zmp[0], zmp[1], this.z + 0.006);
   }
 
   recolour(colours: Colours): void {

@@ -1,62 +1,116 @@
 // What is left over time: the clearance that the certificate proves, and how far COM and ZMP are inside the support.
-import { Result, Support, rowAt, spanAt } from "./data";
-import { el, figure, svg } from "./dom";
+import { Result, frameAt } from "./data";
+import { el, svg } from "./dom";
 import { insideBy } from "./geometry";
+import { Told, clearanceTold, family, insideTold, standingOf } from "./standing";
 
-interface Line { points: [number, number][]; kind: "value" | "second" | "limit" }
+type Point = [number, number];
+export interface Line { name: string; points: Point[]; kind: "value" | "second" | "limit" | "refuted" | "unproven" }
+export interface Plot { element: HTMLElement; lines: Line[] }
+interface Band { start: number; end: number; title: string; kind: "gap" | "gap bad" }
 
-const least = (line: Line): number => Math.min(...line.points.map(([, value]) => value));
+const finite = (lines: Line[]): number[] => lines.flatMap((line) => line.points.map(([, value]) => value)).filter(Number.isFinite);
 
-function plot(lines: Line[], start: number, end: number, note: string): HTMLElement {
-  const values = lines.flatMap((line) => line.points.map(([, value]) => value));
+function plot(lines: Line[], bands: Band[], start: number, end: number, note: string, standing: string): Plot {
+  const values = finite(lines);
   const top = Math.max(...values, 1e-3) * 1.15;
   const bottom = Math.min(0, ...values);
-  const x = (t: number): string => ((1000 * (t - start)) / Math.max(end - start, 1e-9)).toFixed(1);
+  const at = (t: number): number => (1000 * (t - start)) / Math.max(end - start, 1e-9);
+  const x = (t: number): string => at(t).toFixed(1);
   const y = (value: number): string => (29 - (28 * (value - bottom)) / (top - bottom)).toFixed(2);
   const curve = svg("svg", { viewBox: "0 0 1000 30", preserveAspectRatio: "none", "aria-hidden": "true" });
+  for (const band of bands) {
+    const width = Math.max(at(band.end) - at(band.start), 1).toFixed(1);
+    const box = svg("rect", { x: x(band.start), y: "0", width, height: "30", class: band.kind });
+    const title = svg("title", {});
+    title.textContent = band.title;
+    box.append(title);
+    curve.append(box);
+  }
   for (const { points, kind } of lines) {
-    const d = points.map(([t, value], i) => `${i ? "L" : "M"}${x(t)} ${y(value)}`).join("");
-    if (kind === "value") {
-      const close = `L${x(points.at(-1)![0])} ${y(bottom)}L${x(points[0][0])} ${y(bottom)}Z`;
-      curve.append(svg("path", { d: d + close, class: "area" }));
+    if (kind === "refuted" || kind === "unproven") {
+      for (const [t, value] of points) curve.append(svg("path", { d: `M${x(t)} ${y(0)}L${x(t)} ${y(value)}`, class: kind }));
+      continue;
     }
-    curve.append(svg("path", { d, class: kind }));
+    for (const run of runs(points)) {
+      const d = run.map(([t, value], i) => `${i ? "L" : "M"}${x(t)} ${y(value)}`).join("");
+      if (kind === "value") {
+        const close = `L${x(run.at(-1)![0])} ${y(bottom)}L${x(run[0][0])} ${y(bottom)}Z`;
+        curve.append(svg("path", { d: d + close, class: "area" }));
+      }
+      curve.append(svg("path", { d, class: kind }));
+    }
   }
-  return el("div", "curve", curve, el("span", "note", note));
+  return { element: el("div", "curve", curve, el("span", `note ${standing.replaceAll(" ", "-")}`, note)), lines };
 }
 
-function clearance(result: Result, start: number, end: number): HTMLElement[] {
-  const points: [number, number][] = [];
+// The stretches of a line between points that have no value.
+function runs(points: Point[]): Point[][] {
+  const found: Point[][] = [[]];
+  for (const point of points) {
+    if (Number.isFinite(point[1])) found.at(-1)!.push(point);
+    else if (found.at(-1)!.length > 0) found.push([]);
+  }
+  return found.filter((run) => run.length > 0);
+}
+
+function clearance(result: Result, start: number, end: number): Plot[] {
+  const told = clearanceTold(result);
+  const points: Point[] = [];
   for (let i = 0; i < result.clearance.length; i += 2) points.push([result.clearance[i], result.clearance[i + 1]]);
-  if (points.length < 2) return [];
-  const line: Line = { points, kind: "value" };
-  const element = plot([line], start, end, `clearance ${figure(least(line), "m")} at least, proven`);
-  element.classList.add("clearance");
-  return [element];
+  if (!told || points.length < 2) return [];
+  // Where a pair's clearance is not shown there is no bound of all pairs.
+  const isOpen = (t: number): boolean => result.gaps.some((gap) => t >= gap.start && t <= gap.end);
+  const proven: Line = { name: "clearance", kind: "value", points: points.map(([t, value]) => [t, isOpen(t) ? NaN : value]) };
+  const marks = (["refuted", "unproven"] as const).map((kind): Line => ({
+    name: kind, kind,
+    points: family(result, "clearance").filter((check) => standingOf(check) === kind && typeof check.where?.time_s === "number")
+      .map((check) => [check.where!.time_s!, check.value ?? 0]),
+  }));
+  const isRefuted = (names: string[]): boolean => family(result, "clearance").some((check) =>
+    standingOf(check) === "refuted" && [...(check.where?.names ?? [])].sort().join() === [...names].sort().join());
+  const bands = result.gaps.map((gap): Band => ({
+    ...gap, kind: isRefuted(gap.names) ? "gap bad" : "gap",
+    title: `clearance of ${gap.names.join(" and ")} ${isRefuted(gap.names) ? "refuted here or in this phase" : "unproven"}`,
+  }));
+  const drawn = plot([proven, ...marks.filter((line) => line.points.length > 0)], bands, start, end, told.text, told.standing);
+  drawn.element.classList.add("clearance");
+  return [drawn];
 }
 
-function balance(result: Result, start: number, end: number): HTMLElement[] {
-  const { support, times } = result;
-  if (support.length === 0 || times.length < 2) return [];
-  const com: Line = { points: [], kind: "value" };
-  const zmp: Line = { points: [], kind: "second" };
-  const wanted: Line = { points: [], kind: "limit" };
-  for (let i = 0; i <= 240; i++) {
-    const t = start + (i / 240) * (end - start);
-    const current: Support | undefined = spanAt(support, t);
-    if (!current || current.polygon.length < 3) continue;
-    for (const [line, table, width] of [[com, result.com, 3], [zmp, result.zmp, 2]] as const) {
-      const [x, y] = rowAt(times, table, width, t);
-      if (Number.isFinite(x)) line.points.push([t, insideBy(current.polygon, x, y)]);
+function balance(result: Result, start: number, end: number): Plot[] {
+  const com: Line = { name: "COM", points: [], kind: "value" };
+  const zmp: Line = { name: "ZMP", points: [], kind: "second" };
+  const wanted: Line = { name: "margin", points: [], kind: "limit" };
+  for (const support of result.support) {
+    if (support.polygon.length < 3) continue;
+    const span: Point[] = [];
+    const [from] = frameAt(result.times, support.start);
+    for (let frame = from; frame < result.times.length && result.times[frame] <= support.end + 1e-5; frame++) {
+      const [x, y] = result.com.subarray(3 * frame, 3 * frame + 2);
+      if (result.times[frame] >= support.start - 1e-5 && Number.isFinite(x)) span.push([result.times[frame], insideBy(support.polygon, x, y)]);
     }
-    wanted.points.push([t, current.margin_m ?? 0]);
+    // Where the certificate found least to spare lies between frames: it belongs to the line.
+    for (const { where, value } of family(result, "balance")) {
+      const t = where?.time_s;
+      if (typeof t !== "number" || typeof value !== "number" || t < support.start - 1e-6 || t > support.end + 1e-6) continue;
+      if (span.length > 0) span.push([t, value]);
+    }
+    com.points.push(...span.sort((a, b) => a[0] - b[0]));
+    for (let i = 0; i < support.zmp.length; i += 3) {
+      zmp.points.push([support.zmp[i], insideBy(support.polygon, support.zmp[i + 1], support.zmp[i + 2])]);
+    }
+    for (const t of [support.start, support.end]) wanted.points.push([t, support.margin_m ?? 0]);
   }
-  const lines = [com, zmp].filter((line) => line.points.length > 1);
+  const told: [Line, Told | undefined][] = [[com, insideTold(family(result, "balance"))], [zmp, insideTold(family(result, "zmp"))]];
+  const lines = told.filter(([line]) => finite([line]).length > 1);
   if (lines.length === 0) return [];
-  const names = lines.map((line) => `${line === com ? "COM" : "ZMP"} ${figure(least(line), "m")}`);
-  return [plot([...lines, wanted], start, end, `${names.join(", ")} inside at least, at samples`)];
+  const notes = lines.map(([line, said]) => `${line.name} ${said ? said.text : "not checked"}`);
+  const standing = lines.some(([, said]) => said?.standing === "refuted") ? "refuted"
+    : lines.some(([, said]) => !said || said.standing === "unproven") ? "unproven" : "proven";
+  return [plot([...lines.map(([line]) => line), wanted], [], start, end, notes.join("; "), standing)];
 }
 
-export function curves(result: Result, start: number, end: number): HTMLElement[] {
+export function curves(result: Result, start: number, end: number): Plot[] {
   return [...clearance(result, start, end), ...balance(result, start, end)];
 }

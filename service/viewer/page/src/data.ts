@@ -9,14 +9,22 @@ export interface NamedHull { name: string; kind: string; hull: Hull }
 export interface Body { name: string; link: string; hull: Hull }
 export interface Movable { name: string; joint: string; origin: number[]; axis: number[]; bodies: NamedHull[]; angles: Float32Array }
 export interface Contact { link: string; position?: number[]; quaternion_wxyz?: number[]; sole?: number[][] }
-export interface Allowance { link: string; other: string; depth: number }
+// Of the robot or what the task moves: a body, or with null every body of the link; of the scene: a piece.
+export interface BodyRef { owner: "robot" | "scene" | "mechanism"; link: string | null; body: string | null }
+export interface Allowance { first: BodyRef; second: BodyRef; depth: number }
 export interface Target {
   kind: string; frame?: string; position?: number[]; quaternion_wxyz?: number[];
   centre?: number[]; axis?: number[]; radius?: number; tolerance_m?: number;
 }
 export interface Span { start: number; end: number }
 export interface Phase extends Span { name: string; contacts?: Contact[]; allowances?: Allowance[]; targets?: Target[] }
-export interface Support extends Span { polygon: number[][]; margin_m?: number }
+export interface Support extends Span { polygon: number[][]; margin_m?: number; zmp: Float64Array }
+export interface Gap extends Span { names: string[] }
+// Where a motion that was never planned should have ended, and what the robot is in there.
+export interface Obstruction {
+  targets: Target[]; links: { link: string; position: number[]; quaternion_wxyz: number[] }[];
+  overlaps: { link: string; other: string; depth_m: number | null }[];
+}
 export interface Where { time_s?: number | null; position?: number[] | null; names?: string[] | null }
 export interface Check {
   name: string; ok: boolean; value: number | null; limit: number | null; unit: string | null;
@@ -27,19 +35,20 @@ interface Payload {
   verdict: string; robot: string; task: string; explanation: string[]; notes: string[];
   figures: Record<string, unknown>; timings: Record<string, number>; planning_time_s: number | null;
   min_clearance_m: number | null; min_clearance_pair: string[]; min_balance_margin_m: number | null;
-  request_hash: string; checks: Check[];
+  request_hash: string; checks: Check[]; rests_on: string[]; is_timed: boolean; gaps: Gap[];
+  obstruction: Obstruction | null; shapeless: string[];
   times: Packed; links: string[]; positions: Quantized; rotations: Packed;
   bodies: { name: string; link: string; hull: PackedHull }[];
   pieces: PackedNamedHull[];
   movables: { name: string; joint: string; origin: number[]; axis: number[]; bodies: PackedNamedHull[]; angles: Packed }[];
-  waypoints: number[]; phases: Phase[]; support: Support[]; com: Packed; zmp: Packed; clearance: Packed; cloud: Quantized;
+  waypoints: number[]; phases: Phase[]; support: (Omit<Support, "zmp"> & { zmp: Packed })[]; com: Packed; clearance: Packed; cloud: Quantized;
 }
 
 export interface Result extends Omit<
-  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "com" | "zmp" | "clearance" | "cloud"
+  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "support" | "com" | "clearance" | "cloud"
 > {
   times: Float32Array; positions: Float32Array; rotations: Int16Array; bodies: Body[]; pieces: NamedHull[];
-  movables: Movable[]; com: Float32Array; zmp: Float32Array; clearance: Float32Array; cloud: Float32Array;
+  movables: Movable[]; support: Support[]; com: Float32Array; clearance: Float32Array; cloud: Float32Array;
 }
 
 export function bytesOf(packed: Packed): ArrayBuffer {
@@ -79,7 +88,7 @@ export function readPayload(): Result {
       ...movable, bodies: movable.bodies.map(namedHull), angles: floats(movable.angles),
     })),
     com: floats(payload.com),
-    zmp: floats(payload.zmp),
+    support: payload.support.map((support) => ({ ...support, zmp: new Float64Array(bytesOf(support.zmp)) })),
     clearance: floats(payload.clearance),
     cloud: points(payload.cloud),
   };

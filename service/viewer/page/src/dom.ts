@@ -50,6 +50,10 @@ export function figure(value: number | null | undefined, unit: string | null | u
 }
 
 export const seconds = (t: number): string => `${t.toFixed(2)} s`;
+// A place along the motion: a time, or of an untimed motion the path parameter.
+let isTimed = true;
+export function tellTimes(timed: boolean): void { isTimed = timed; }
+export const instant = (t: number): string => (isTimed ? seconds(t) : `${t.toFixed(2)} along the path`);
 // check.names.with_links read "check · names · with_links".
 export const title = (name: string): string => name.replaceAll(".", " · ");
 export const words = (name: string): string => name.replaceAll("_", " ");

@@ -2,12 +2,12 @@
 import { Result } from "./data";
 import { button, el, figure, seconds, words } from "./dom";
 import { Layer } from "./layer";
+import { Told, basisTold, clearanceTold, family, insideTold } from "./standing";
 import { VIEWS, View } from "./stage";
 
 const GOOD = "CERTIFIED";
 const FAIR = "FEASIBLE_AT_SAMPLES";
 const MEANING: Record<string, string> = {
-  CERTIFIED: "collision-free, balanced and within limits on the whole curve, with proof",
   FEASIBLE_AT_SAMPLES: "holds at dense samples; a proof is missing",
   NOT_FOUND: "no feasible trajectory found; this is the best attempt",
   INFEASIBLE: "no trajectory can exist",
@@ -29,13 +29,21 @@ export function makeHeader(
   result: Result, show: (view: View) => void, toggle: { theme(): void; xray(): void; help(): void; panel(): void },
 ): Header {
   const chips = el("div", "chips");
-  if (typeof result.min_clearance_m === "number") {
-    const pair = result.min_clearance_pair.join(" ↔ ");
-    chips.append(chip("clearance", figure(result.min_clearance_m, "m"), pair));
+  const told: [string, Told | undefined][] = [
+    ["clearance", clearanceTold(result)], ["balance", insideTold(family(result, "balance"))], ["ZMP", insideTold(family(result, "zmp"))],
+  ];
+  for (const [name, said] of told) {
+    if (!said) continue;
+    const element = chip(`${name}, ${said.standing}`, said.value, `${name}: ${said.text}`);
+    element.classList.add(said.standing.replaceAll(" ", "-"));
+    chips.append(element);
   }
-  if (typeof result.min_balance_margin_m === "number") chips.append(chip("balance", figure(result.min_balance_margin_m, "m")));
   if (typeof result.figures.turned_deg === "number") chips.append(chip("turned", figure(result.figures.turned_deg, "deg")));
-  if (typeof result.planning_time_s === "number") chips.append(chip("planned in", seconds(result.planning_time_s)));
+  if (typeof result.planning_time_s === "number") {
+    const planned = chip("planned in", seconds(result.planning_time_s));
+    planned.classList.add("planned");
+    chips.append(planned);
+  }
 
   const names: Record<View, string> = { "3d": "3D", front: "Front", side: "Side", top: "Top", hand: "Hand" };
   const views = new Map(VIEWS.map((view, i) => [view, button("", names[view], `${names[view]} view (${i + 1})`, () => show(view))]));
@@ -45,7 +53,7 @@ export function makeHeader(
     button("round", "◐", "Dark or light (d)", toggle.theme), button("round", "?", "Keys (?)", toggle.help),
     button("round", "☰", "Panel (i)", toggle.panel),
   );
-  const meaning = MEANING[result.verdict] ?? "";
+  const meaning = result.verdict === GOOD ? basisTold(result) : MEANING[result.verdict] ?? "";
   const said = result.times.length > 0 ? meaning : meaning.split("; this is")[0];
   const verdict = el("div", `verdict ${tone(result.verdict)}`, words(result.verdict || "NO VERDICT"));
   verdict.title = said;

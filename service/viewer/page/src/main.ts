@@ -39,7 +39,7 @@ function pointer(app: App): void {
     const [hit] = app.stage.ray(event.clientX, event.clientY).intersectObjects(solids.map(({ mesh }) => mesh), false);
     return hit && { name: solids.find(({ mesh }) => mesh === hit.object)!.name, point: hit.point };
   };
-  canvas.addEventListener("pointermove", (event) => {
+  const name = (event: MouseEvent): void => {
     const found = event.buttons === 0 ? under(event) : undefined;
     app.tip.hidden = !found;
     if (!found) return;
@@ -47,7 +47,10 @@ function pointer(app: App): void {
     app.tip.textContent = `${found.name}  (${x.toFixed(2)}, ${y.toFixed(2)}, ${z.toFixed(2)}) m`;
     const rect = canvas.getBoundingClientRect();
     app.tip.style.transform = `translate(${event.clientX - rect.left + 14}px, ${event.clientY - rect.top + 12}px)`;
-  });
+  };
+  canvas.addEventListener("pointermove", name);
+  // Where nothing hovers, a tap names.
+  canvas.addEventListener("click", name);
   canvas.addEventListener("pointerleave", () => { app.tip.hidden = true; });
   canvas.addEventListener("dblclick", (event) => {
     const found = under(event);
@@ -90,6 +93,8 @@ function start(): void {
     counts: Object.fromEntries(app.layers.map((layer) => [layer.name, layer.count])),
     get time(): number { return app.time; },
     get duration(): number { return app.end - app.start; },
+    plots: app.timeline.plots.map((plot) => plot.lines),
+    gaps: app.result.gaps,
     get busy(): boolean { return app.stage.isBusy; },
     get frames(): number { return app.stage.frames; },
     get drawCalls(): number { return app.stage.renderer.info.render.calls; },

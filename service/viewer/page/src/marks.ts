@@ -4,6 +4,7 @@ import { Check } from "./data";
 import { figure, title } from "./dom";
 import { Label, Labels } from "./labels";
 import { Layer } from "./layer";
+import { standingOf } from "./standing";
 import { Colours } from "./theme";
 
 export class Marks implements Layer {
@@ -32,8 +33,9 @@ export class Marks implements Layer {
       if (!at) return undefined;
       const names = check.where?.names ?? [];
       const what = names.length === 2 ? names.join(" ↔ ") : title(check.name);
-      const text = `${what} ${figure(check.value, check.unit)}`;
-      const label: Label = { at, text, kind: check.ok ? "good" : "bad", isOn: false };
+      const standing = standingOf(check);
+      const text = `${what} ${figure(check.value, check.unit)}${standing === "unproven" ? ", unproven" : ""}`;
+      const label: Label = { at, text, kind: !check.ok ? "bad" : standing === "unproven" ? "fair" : "good", isOn: false };
       labels.add(label);
       return label;
     });

@@ -4,7 +4,7 @@ import { Color } from "three";
 export interface Colours {
   robot: string; joint: string; left: string; right: string; edge: string; floor: string; grid: string;
   piece: string; pieceEdge: string; movable: string; cloud: string; support: string; zmp: string; com: string;
-  target: string; contact: string; bad: string; shadow: number; ghost: number; sky: string; ground: string; unseen: string;
+  target: string; contact: string; bad: string; shadow: number; ghost: number; sky: string; ground: string; unseen: string; unshaped: string;
 }
 
 export const THEMES: Record<"dark" | "light", Colours> = {
@@ -12,13 +12,13 @@ export const THEMES: Record<"dark" | "light", Colours> = {
     robot: "#d5dbe4", joint: "#8b97a8", left: "#2dd4bf", right: "#fbbf24", edge: "#0b0e13", floor: "#1c222c",
     grid: "#566375", piece: "#7fa3d8", pieceEdge: "#a9c4ec", movable: "#f4633a", cloud: "#8fd0b4",
     support: "#38bdf8", zmp: "#facc15", com: "#ffffff", target: "#4ade80", contact: "#a5b4fc", bad: "#ff5c5c",
-    shadow: 0.5, ghost: 1.0, sky: "#dfe8f5", ground: "#3a4252", unseen: "#05070a",
+    shadow: 0.5, ghost: 1.0, sky: "#dfe8f5", ground: "#3a4252", unseen: "#05070a", unshaped: "#e879f9",
   },
   light: {
     robot: "#a9b5c7", joint: "#7d8ba1", left: "#0d9488", right: "#e08a00", edge: "#1e2633", floor: "#eef1f5",
     grid: "#9aa7b8", piece: "#5b7fb8", pieceEdge: "#486a9f", movable: "#e2491d", cloud: "#2f9e77",
     support: "#0284c7", zmp: "#c79200", com: "#111827", target: "#15a34a", contact: "#6366f1", bad: "#dc2626",
-    shadow: 0.22, ghost: 1.15, sky: "#ffffff", ground: "#dfe5ee", unseen: "#4b5565",
+    shadow: 0.22, ghost: 1.15, sky: "#ffffff", ground: "#dfe5ee", unseen: "#4b5565", unshaped: "#c026d3",
   },
 };
 

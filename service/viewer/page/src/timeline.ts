@@ -1,7 +1,7 @@
 // The time bar: phases by name, waypoints as ticks, failed checks as flags, what is left as curves; drag to scrub.
-import { curves } from "./curves";
+import { Plot, curves } from "./curves";
 import { Result, spanAt } from "./data";
-import { button, el, icon, seconds, title, words } from "./dom";
+import { button, el, icon, instant, title, words } from "./dom";
 import { timeColour } from "./theme";
 
 export interface Player {
@@ -20,6 +20,7 @@ const hex = (u: number): string => `#${timeColour(u).getHexString()}`;
 
 export class Timeline {
   readonly element: HTMLElement;
+  readonly plots: Plot[];
   private readonly track = el("div", "track");
   private readonly head = el("div", "head");
   private readonly clock = el("output", "clock");
@@ -43,6 +44,7 @@ export class Timeline {
     }
     this.speed.addEventListener("change", () => player.setSpeed(Number(this.speed.value)));
     this.element = el("footer", "timeline", el("div", "transport", back, this.play, on), this.track, this.clock, this.speed);
+    this.plots = curves(result, player.start, player.end);
     this.fill(waypoints);
     this.track.append(this.head);
     this.track.tabIndex = 0;
@@ -62,7 +64,7 @@ export class Timeline {
     const bar = el("div", "phases");
     this.result.phases.forEach((phase, index) => {
       const segment = el("div", "phase", el("span", "", words(phase.name)));
-      segment.title = `${words(phase.name)}: ${seconds(phase.start)} to ${seconds(phase.end)}`;
+      segment.title = `${words(phase.name)}: ${instant(phase.start)} to ${instant(phase.end)}`;
       segment.style.left = `${100 * this.share(phase.start)}%`;
       segment.style.width = `${100 * (this.share(phase.end) - this.share(phase.start))}%`;
       this.phases.push({ element: segment, index });
@@ -73,17 +75,17 @@ export class Timeline {
     ticks.style.backgroundImage = `linear-gradient(90deg, ${stops.join(", ")})`;
     waypoints.forEach((t, index) => {
       const tick = el("i", "tick");
-      tick.title = `waypoint ${index + 1} of ${waypoints.length} · ${seconds(t)}`;
+      tick.title = `waypoint ${index + 1} of ${waypoints.length} · ${instant(t)}`;
       tick.style.left = `${100 * this.share(t)}%`;
       tick.addEventListener("pointerenter", () => this.player.focusGhost(index));
       tick.addEventListener("pointerleave", () => this.player.focusGhost(-1));
       ticks.append(tick);
     });
-    this.track.append(bar, ticks, ...curves(this.result, this.player.start, this.player.end));
+    this.track.append(bar, ticks, ...this.plots.map((plot) => plot.element));
     this.result.checks.forEach((check, index) => {
       const t = check.where?.time_s;
       if (check.ok || t === null || t === undefined) return;
-      const flag = button("flag", "", `${title(check.name)} at ${seconds(t)}`, () => this.player.chooseCheck(index));
+      const flag = button("flag", "", `${title(check.name)} at ${instant(t)}`, () => this.player.chooseCheck(index));
       flag.addEventListener("pointerdown", (event) => event.stopPropagation());
       flag.style.left = `${100 * this.share(t)}%`;
       this.track.append(flag);
@@ -108,12 +110,13 @@ export class Timeline {
   update(): void {
     const { time, end, isPlaying, speed } = this.player;
     this.head.style.left = `${100 * this.share(time)}%`;
-    this.clock.textContent = `${time.toFixed(2)} / ${seconds(end)}`;
     if (this.drawn !== isPlaying) this.play.replaceChildren(icon(isPlaying ? PAUSE : PLAY));
     this.drawn = isPlaying;
     this.speed.value = String(speed);
     this.track.setAttribute("aria-valuenow", time.toFixed(2));
     const current = spanAt(this.result.phases, time);
+    const name = el("span", "phase-name", current ? `${words(current.name)} · ` : "");
+    this.clock.replaceChildren(name, `${time.toFixed(2)} / ${instant(end)}`);
     for (const { element, index } of this.phases) element.classList.toggle("current", this.result.phases[index] === current);
   }
 }

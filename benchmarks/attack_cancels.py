@@ -1,0 +1,222 @@
+"""Attack the workers: `python -m benchmarks.attack_cancels --count 200 --seed 0`.
+
+Scene builds, detections, plans and verifications run in one worker of a server's pool, and each is cancelled at a
+random moment. A worker that crashes (its faulthandler tells where), a job without an answer, or a plan after a cancel
+that differs from the plan of a fresh process is printed and makes the exit code 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import logging
+import sys
+import tarfile
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.tables import print_table
+from perception import Cloud, read_cloud, write_npz
+from service.cloud_asked import CloudAsked
+from service.executor import JobCancelled, LocalPool
+from service.request import PlanRequest
+from service.request_file import load_request
+from service.scan_choices import KINDS
+from service.server.serve import PRELOAD
+from service.work.look import SceneTask, build_scene, detect, verify
+from service.work.plan import PlanAnswer, PlanTask, run_plan, warm_up
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SCAN = EXAMPLES / "data" / "valve_scan.pcd"
+DENSER = 3  # times the points of the scan
+CHECKED_EVERY = 5  # cancels after which a plan is compared, besides the last
+AT_LONGEST_S = 900.0
+CRASHES = ("Fatal Python error", "Segmentation fault", " ended: ")
+
+
+@dataclass
+class Report:
+    """What cancels did.
+
+    Attributes:
+        outcomes: by kind of job, how often it was ``stopped`` (by itself), ``killed``, ``answered`` (before it heard).
+        crashes: lines of the pool's log that tell of a worker's death.
+        wrong: jobs that ended otherwise than they may, and plans that differ from those of a fresh process.
+        n_compared: plans that were compared.
+        slowest_s: longest time from a cancel to the job's end [s].
+    """
+
+    outcomes: dict[str, Counter[str]] = field(default_factory=dict)
+    crashes: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+    n_compared: int = 0
+    slowest_s: float = 0.0
+
+    @property
+    def n_cancels(self) -> int:
+        """Jobs that were cancelled."""
+        return sum(counter.total() for counter in self.outcomes.values())
+
+    @property
+    def is_clean(self) -> bool:
+        """Whether nothing crashed and nothing was wrong."""
+        return not self.crashes and not self.wrong
+
+
+@dataclass(frozen=True)
+class _Attack:
+    """A job to cancel: a top-level function of ``service.work`` and its arguments."""
+
+    kind: str
+    fn: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+
+def run(count: int, seed: int = 0) -> Report:
+    """Cancel ``count`` jobs at random moments.
+
+    Args:
+        count: of cancels.
+        seed: of which jobs, and when; when a worker hears of it differs from run to run all the same.
+    """
+    rng, report = np.random.default_rng(seed), Report()
+    requests = [load_request(EXAMPLES / "requests" / name) for name in ("pose_goal.yaml", "valve.yaml")]
+    fresh = _fresh_plans(requests)
+    typical: dict[str, float] = {}
+    with (
+        tempfile.TemporaryDirectory(prefix="scopt-cancels-") as scratch,
+        _deaths(report),
+        LocalPool(1, preload=PRELOAD, warm_up=warm_up) as pool,
+    ):
+        attacks = _attacks(rng, requests, _files(fresh[0]), (SCAN, _denser_scan(Path(scratch))))
+        for index in range(count):
+            attack = next(attacks)
+            _cancel(pool, attack, rng.uniform(0.0, 1.1), typical, report)
+            if index % CHECKED_EVERY == CHECKED_EVERY - 1 or index == count - 1:
+                which = index // CHECKED_EVERY % len(requests)
+                answer = pool.submit(run_plan, PlanTask(requests[which])).result(AT_LONGEST_S)
+                report.n_compared += 1
+                if _hashes(answer) != _hashes(fresh[which]):
+                    report.wrong.append(f"cancel {index}: the plan after it differs from that of a fresh process")
+    return report
+
+
+def _attacks(
+    rng: np.random.Generator, requests: list[PlanRequest], files: Mapping[str, bytes], scans: tuple[Path, ...]
+) -> Iterator[_Attack]:
+    while True:
+        clouds = CloudAsked((scans[int(rng.integers(len(scans)))],))
+        unknown = str(rng.choice(["free", "occupied"]))
+        yield _Attack("scene", build_scene, (SceneTask(clouds, (str(rng.choice(KINDS)),), unknown=unknown),))
+        yield _Attack("detect", detect, (clouds, str(rng.choice([*KINDS, "all"])), None))
+        yield _Attack("plan", run_plan, (PlanTask(requests[int(rng.integers(len(requests)))]),))
+        yield _Attack("verify", verify, (files,))
+
+
+def _denser_scan(folder: Path) -> Path:
+    """The scan with many times the points, whose searches for neighbours take long."""
+    cloud, rng = read_cloud(SCAN), np.random.default_rng(0)
+    points = np.concatenate([cloud.points + rng.normal(0.0, 0.004, cloud.points.shape) for _ in range(DENSER)])
+    write_npz(folder / "dense.npz", Cloud(points, np.median(np.atleast_2d(cloud.origin), axis=0)))
+    return folder / "dense.npz"
+
+
+def _cancel(pool: LocalPool, attack: _Attack, share: float, typical: dict[str, float], report: Report) -> None:
+    """Submit a job, cancel it after that share of its usual time, and note how it ended."""
+    if attack.kind not in typical:  # in a worker that has done nothing like it yet
+        started = time.monotonic()
+        pool.submit(attack.fn, *attack.arguments).result(AT_LONGEST_S)
+        typical[attack.kind] = time.monotonic() - started
+    job = pool.submit(attack.fn, *attack.arguments)
+    while job.started is None and not job.done():
+        time.sleep(0.001)
+    time.sleep(share * typical[attack.kind])
+    asked = time.monotonic()
+    job.cancel()
+    how = "answered"
+    try:
+        answer = job.result(AT_LONGEST_S)
+        if isinstance(answer, PlanAnswer) and answer.verdict == "CANCELLED":
+            how = "stopped"
+    except JobCancelled as error:
+        how = "stopped" if "by itself" in str(error) and "did not" not in str(error) else "killed"
+    except CancelledError:
+        how = "stopped"
+    except Exception as error:  # of any kind: that is what is looked for
+        report.wrong.append(f"{attack.kind}: {type(error).__name__}: {error}")
+        how = "wrong"
+    report.slowest_s = max(report.slowest_s, time.monotonic() - asked)
+    report.outcomes.setdefault(attack.kind, Counter())[how] += 1
+
+
+def _fresh_plans(requests: list[PlanRequest]) -> list[PlanAnswer]:
+    """Plans of processes that have done nothing else."""
+    with LocalPool(1, preload=PRELOAD, warm_up=warm_up, recycle_after=1) as pool:
+        answers = [pool.submit(run_plan, PlanTask(one, with_files=True)).result(AT_LONGEST_S) for one in requests]
+    refused = [answer for answer in answers if not isinstance(answer, PlanAnswer)]
+    if refused:
+        raise RuntimeError(f"an example's request was refused: {refused}")
+    return [answer for answer in answers if isinstance(answer, PlanAnswer)]
+
+
+def _hashes(answer: object) -> tuple[str, ...]:
+    if not isinstance(answer, PlanAnswer):
+        return (repr(answer),)
+    return answer.verdict, answer.trajectory_sha256, answer.certificate_sha256
+
+
+def _files(answer: PlanAnswer) -> dict[str, bytes]:
+    """The files of a plan's result folder, by their path in it."""
+    with tarfile.open(fileobj=io.BytesIO(answer.archive)) as archive:
+        members = [(member.name, archive.extractfile(member)) for member in archive.getmembers()]
+        return {name: stream.read() for name, stream in members if stream is not None}
+
+
+@contextmanager
+def _deaths(report: Report) -> Iterator[None]:
+    """Have what the pool's log says of workers that died added to the report."""
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            line = record.getMessage()
+            if any(sign in line for sign in CRASHES):
+                report.crashes.append(line)
+
+    log, listener = logging.getLogger("service.executor"), Listener(logging.INFO)
+    level = log.level
+    log.addHandler(listener)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(listener)
+        log.setLevel(level)
+
+
+def main(count: int, seed: int) -> int:
+    """Attack and print a table; 1 where something crashed or was wrong."""
+    report = run(count, seed)
+    endings = ("stopped", "killed", "answered", "wrong")
+    rows = [(kind, *(str(counter[how]) for how in endings)) for kind, counter in sorted(report.outcomes.items())]
+    print_table(f"{report.n_cancels} cancels", ("job", *endings), rows)
+    print(f"\n{report.n_compared} plans compared, slowest end {report.slowest_s:.2f} s, {len(report.crashes)} crashes")
+    for line in (*report.crashes, *report.wrong):
+        print(f"WRONG: {line}")
+    return 0 if report.is_clean else 1
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Cancel jobs of all kinds at random moments.")
+    parser.add_argument("--count", type=int, default=200, help="cancels")
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args()
+    sys.exit(main(asked.count, asked.seed))

@@ -1,0 +1,40 @@
+"""Round shapes as they were given, kept beside the polytopes that stand for them in planning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+RoundKind = Literal["sphere", "cylinder", "capsule"]
+
+
+@dataclass(frozen=True, eq=False)
+class Primitive:
+    """A round shape in the frame of what it belongs to: a link's joint, or the world.
+
+    Attributes:
+        kind: ``sphere``, ``cylinder`` or ``capsule``; the latter two lie along their own z.
+        radius: [m].
+        length: of a cylinder, or of a capsule without its caps [m]; 0 for a sphere.
+        pose: (4, 4) the shape in that frame.
+    """
+
+    kind: RoundKind
+    radius: float
+    length: float
+    pose: Float[np.ndarray, "4 4"]
+
+    def moved(self, pose: Float[np.ndarray, "4 4"]) -> Primitive:
+        """The same shape in another frame, in which its present frame has the given pose."""
+        return replace(self, pose=pose @ self.pose)
+
+
+def round_shape(kind: str, size: Float[np.ndarray, "k"] | tuple[float, ...]) -> Primitive | None:
+    """The round shape of this kind and size (radius, then length) at its own origin; None for any other kind."""
+    if kind not in ("sphere", "cylinder", "capsule"):
+        return None
+    radius, length = float(size[0]), 0.0 if kind == "sphere" else float(size[1])
+    return Primitive(kind, radius, length, np.eye(4))  # type: ignore[arg-type]

@@ -1,0 +1,175 @@
+"""What a result folder says more than once, and whether it agrees: hashes, samples, the CSV table, times and speeds.
+
+A part of `check_certificate.py`; numpy and pinocchio only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from replayed_motion import Array, Replay
+
+SAME = 1e-6  # numbers that are written twice [m, rad, s]
+Claim = tuple[bool, str]
+
+
+def hashes(folder: Path, data: dict[str, Any]) -> Claim:
+    """The recorded hashes are those of the request, the URDF, the pieces, the bodies and the promises."""
+    canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))
+    moved = [(b["name"], b["vertices"] - np.array(m["origin"])) for m in data["movables"] for b in m["bodies"]]
+    bodies = sorted([(b["name"], b["vertices"]) for b in data["bodies"]] + moved, key=lambda b: b[0])
+    proof = data["certificate"]
+    expected = {
+        "request_hash": (data["request_hash"], _sha(canonical.encode())),
+        "robot_sha256": (proof["robot_sha256"], _sha((folder / data["robot"]["urdf"]).read_bytes())),
+        "scene_sha256": (proof["scene_sha256"], _of_shapes(sorted((p["name"], p["vertices"]) for p in data["pieces"]))),
+        "promises_sha256": (proof["promises_sha256"], _of_promises(data)),
+    }
+    pairs = [tuple(pair) for pair in data["ignored_pairs"]]
+    if not data["movables"]:  # what moves with a task has neighbours of its own among the ignored pairs
+        named = [(f"{a}|{b}", np.empty((0, 3))) for a, b in sorted(pairs)]
+        expected["bodies_sha256"] = (proof["bodies_sha256"], _of_shapes(bodies + named))
+    wrong = [name for name, (written, made) in expected.items() if written != made]
+    return not wrong, f"{', '.join(wrong)} do not fit" if wrong else f"{len(expected)} made anew"
+
+
+def samples(folder: Path, replay: Replay, data: dict[str, Any]) -> Claim:
+    """Samples and the CSV table are points of the curve at the times of its law."""
+    is_floating, n = bool(replay.base.any()), len(data["curve"]["joint_names"]) - len(data["movables"])
+    rows, times = np.array(data["trajectory"]["positions"], float), np.array(data["trajectory"]["times"], float)
+    q = np.array([replay.q(s)[:n] for s in replay.samples])
+    table = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1, ndmin=2)
+    off = [len(rows) != len(q) or not np.allclose(table, np.column_stack([times, rows]), atol=SAME, rtol=0.0)]
+    if not off[0]:
+        own = rows[:, 7:] if is_floating else rows
+        off.append(not np.allclose(own, q[:, 6 if is_floating else 0 :], atol=SAME, rtol=0.0))
+        if is_floating:
+            for row, place in zip(rows, q, strict=True):
+                z, y, x = place[3:6]
+                turn = pin.rpy.rpyToMatrix(x, y, z)
+                written = pin.Quaternion(np.roll(row[3:7], -1)).matrix()
+                off.append(np.abs(written - turn).max() > SAME or np.abs(row[:3] - place[:3]).max() > SAME)
+        off.append(not np.allclose(times, [_time(data, s) for s in replay.samples], atol=SAME, rtol=0.0))
+    return not any(off), f"{len(rows)} on the curve and in trajectory.csv" if not any(off) else "not on the curve"
+
+
+def speeds(replay: Replay, data: dict[str, Any]) -> Claim:
+    """No joint goes faster than the URDF allows, at the ends of the law's steps and from sample to sample."""
+    law, model = data["curve"]["law"], replay.model
+    if law is None:
+        return True, "the motion is untimed"
+    first = 6 if replay.base.any() else 0
+    last = model.nv - len(data["movables"])
+    limit = np.asarray(model.velocityLimit)[first:last]
+    limit = np.where(limit > 0.0, limit, np.inf)
+    fastest = 0.0
+    for s, rate in zip(law["path"], law["speed"], strict=True):
+        piece = int(np.clip(np.searchsorted(replay.knots, s, side="right") - 1, 0, len(replay.knots) - 2))
+        for one in {piece, max(piece - 1, 0)} if s in replay.knots else {piece}:
+            fastest = max(fastest, float((np.abs(replay.q(s, 1, one)[first:last]) * rate / limit).max(initial=0.0)))
+    times = np.array(data["trajectory"]["times"], float)
+    q = np.array([replay.q(s)[first:last] for s in replay.samples])
+    steps = np.abs(np.diff(q, axis=0)) / np.diff(times)[:, None]
+    fastest = max(fastest, float((steps / limit).max(initial=0.0)))
+    return fastest <= 1.0 + SAME, f"{100 * fastest:.1f} % of the nearest speed limit"
+
+
+def _time(data: dict[str, Any], s: float) -> float:
+    """When the curve is at s: between two nodes of the law the path's speed changes evenly."""
+    law = data["curve"]["law"]
+    if law is None:
+        return float(s)
+    times, path, speed = (np.array(law[key], float) for key in ("times", "path", "speed"))
+    i = int(np.clip(np.searchsorted(path, s, side="left") - 1, 0, len(path) - 2))
+    duration, ahead = times[i + 1] - times[i], max(s - path[i], 0.0)
+    gain = (speed[i + 1] - speed[i]) / duration
+    mean = 0.5 * (speed[i] + np.sqrt(max(speed[i] ** 2 + 2 * gain * ahead, 0.0)))
+    return float(times[i] + min(ahead / mean if mean > 0 else 0.0, duration))
+
+
+def _sha(content: bytes) -> str:
+    return "sha256:" + hashlib.sha256(content).hexdigest()
+
+
+def _of_shapes(named: list[tuple[str, Any]]) -> str:
+    """Name, number of vertices, and the vertices in whole micrometres, one shape after the other."""
+    content = b""
+    for name, vertices in named:
+        content += name.encode() + b"\0" + len(vertices).to_bytes(8, "little")
+        content += np.rint(np.array(vertices, float) * 1e6).astype("<i8").tobytes()
+    return _sha(content)
+
+
+def _of_promises(data: dict[str, Any]) -> str:
+    """Texts and numbers of all promises in the order of docs/result-format.md."""
+    s, content = data["curve"]["samples"], b""
+    for part in (part for phase in data["phases"] for part in _promises(phase, s)):
+        if isinstance(part, str):
+            content += b"t" + part.encode() + b"\0"
+            continue
+        numbers = np.asarray(part, float).ravel()
+        steps = np.floor(np.where(np.isinf(numbers), -1.0, numbers) * 1e6 + 0.381966)
+        content += b"n" + steps.size.to_bytes(8, "little") + steps.astype("<i8").tobytes()
+    return _sha(content)
+
+
+def _promises(phase: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
+    none = np.empty(0)
+    yield from ("phase", phase["name"], np.array([s[phase["first"]], s[phase["last"]]]))
+    for one in phase["allowances"]:
+        refs = [one[which][key] for which in ("first", "second") for key in ("owner", "link", "body")]
+        yield from ("allowance", *(none if ref is None else ref for ref in refs), np.array(one["depth"]))
+    for one in phase["contacts"]:
+        turn, place = _rotation(one["quaternion_wxyz"]), np.array(one["position"])
+        pose = np.vstack([np.column_stack([turn, place]), [0, 0, 0, 1]])
+        sole = (np.array(one["sole"]) - place) @ turn
+        yield from ("contact", one["link"], pose, sole, np.array(one["tolerance_m"]), np.array(one["knot_tolerance_m"]))
+    if phase["support"] is not None:
+        support = phase["support"]
+        yield from ("support", *(np.array(support[key]) for key in ("polygon", "margin_m", "height")))
+    for one in phase["targets"]:
+        yield from _target(one, s)
+
+
+def _target(one: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
+    none = np.empty(0)
+    at = none if one.get("at") is None else np.array(s[one["at"]])
+    turn = none if one.get("quaternion_wxyz") is None else _rotation(one["quaternion_wxyz"])
+    match one["kind"]:
+        case "pose":
+            place, turning = (
+                _tolerance(one["position_tolerance_m"]),
+                np.radians(_tolerance(one["rotation_tolerance_deg"])),
+            )
+            yield from ("PoseTarget", one["frame"], np.array(one["position"]), turn, place, turning, at)
+        case "circle":
+            yield from ("CircleTarget", one["frame"], *(np.array(one[k]) for k in ("centre", "axis", "radius")))
+            yield np.array(one["tolerance_m"])
+            yield none if one["frame_axis"] is None else np.array(one["frame_axis"])
+            yield np.radians(_tolerance([one["axis_tolerance_deg"]]))
+        case "axis":
+            yield from ("AxisTarget", one["frame"], np.array(one["frame_axis"]), np.array(one["axis"]))
+            yield from (np.radians(one["axis_tolerance_deg"]), at)
+        case "relative_pose":
+            yield from ("RelativePoseTarget", one["frame"], none if one["reference"] is None else one["reference"])
+            yield from (np.array(one["position"]), turn, np.array(one["position_tolerance_m"]))
+            yield from (
+                np.radians(one["rotation_tolerance_deg"]),
+                none if one["free_axis"] is None else one["free_axis"],
+            )
+        case "joint":
+            yield from ("JointTarget", one["joint"], np.array(one["value"]), np.array(one["tolerance"]), at)
+
+
+def _tolerance(values: list[float | None]) -> Array:
+    return np.array([np.inf if value is None else value for value in values])
+
+
+def _rotation(quaternion_wxyz: list[float]) -> Array:
+    return np.asarray(pin.Quaternion(np.roll(quaternion_wxyz, -1)).matrix())

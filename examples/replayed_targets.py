@@ -1,0 +1,80 @@
+"""What the phases of a result do: joints and frames where they are to be, replayed on the curve.
+
+A part of `check_certificate.py`; numpy and pinocchio only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from replayed_motion import Array, Replay
+
+TIP_M = 0.1  # directions are looked at by the tips of rods of this length
+Excess = Callable[[float], float]
+"""How far something is beyond what is allowed at a place of the path [m]; negative where it is within."""
+
+
+def target(replay: Replay, phase: dict[str, Any], wanted: dict[str, Any]) -> tuple[bool, str]:
+    """A pose, circle, axis or joint value, at one place of the path or along the whole phase."""
+    if wanted["kind"] == "joint":
+        off = abs(replay.q(replay.samples[wanted["at"]])[replay.names.index(wanted["joint"])] - wanted["value"])
+        return off <= wanted["tolerance"], f"{wanted['joint']} is {off:.5f} off"
+    frame = replay.model.frames[replay.model.getFrameId(wanted["frame"])]
+    joint, origin, turn = int(frame.parentJoint), frame.placement.translation, frame.placement.rotation
+    worst = -np.inf
+    for excess, rod in _excesses(replay, joint, origin, turn, wanted):
+        if wanted.get("at") is not None:
+            worst = max(worst, excess(replay.samples[wanted["at"]]))
+            continue
+        points = np.array([origin, origin + TIP_M * turn @ rod])
+        chain = replay.chain(0, joint, points)
+        # A direction is the difference of two points, and each may leave its chord.
+        far = 2.0 if np.any(rod) else 1.0
+        leaving = lambda a, b, c=chain, p=points, f=far: f * replay.bound(a, b, c, joint, p)  # noqa: E731
+        worst = max(worst, replay.highest(phase, excess, leaving, 0.0))
+    return worst <= 1e-9, f"{-1e3 * worst:.2f} mm within what is allowed"
+
+
+def _excesses(
+    replay: Replay, joint: int, origin: Array, turn: Array, wanted: dict[str, Any]
+) -> list[tuple[Excess, Array]]:
+    """How far a frame is beyond what is asked, each with the axis (in the frame) that it speaks of, zero for places."""
+
+    def place(s: float) -> Array:
+        return np.asarray(replay.points(s, joint, origin[None])[0])
+
+    def lean(axis: Array, direction: Array, most_deg: float) -> Excess:
+        most = 2 * TIP_M * np.sin(0.5 * np.deg2rad(most_deg))
+        return lambda s: float(np.linalg.norm(TIP_M * (replay.place(s, joint)[0] @ turn @ axis - direction)) - most)
+
+    none = np.zeros(3)
+    if wanted["kind"] == "circle":
+        centre, normal, radius = np.array(wanted["centre"]), np.array(wanted["axis"]), wanted["radius"]
+
+        def off_circle(s: float) -> float:
+            offset = place(s) - centre
+            height = offset @ normal
+            return float(np.hypot(height, np.linalg.norm(offset - height * normal) - radius) - wanted["tolerance_m"])
+
+        asked: list[tuple[Excess, Array]] = [(off_circle, none)]
+        if wanted["frame_axis"] is not None:
+            own = np.array(wanted["frame_axis"])
+            asked.append((lean(own, normal, wanted["axis_tolerance_deg"]), own))
+        return asked
+    if wanted["kind"] == "axis":
+        own = np.array(wanted["frame_axis"])
+        return [(lean(own, np.array(wanted["axis"]), wanted["axis_tolerance_deg"]), own)]
+    wide = np.array([np.inf if one is None else one for one in wanted["position_tolerance_m"]])
+    goal, pose = np.array(wanted["position"]), np.eye(3)
+    if wanted["quaternion_wxyz"] is not None:
+        pose = pin.Quaternion(np.roll(wanted["quaternion_wxyz"], -1)).matrix()
+    asked = [(lambda s: float((np.abs((place(s) - goal) @ pose) - wide).max()), none)]
+    turns = wanted["rotation_tolerance_deg"]
+    if wanted["quaternion_wxyz"] is not None and None not in turns:
+        # Within the tolerance about every axis, no axis of the frame leans by more than all of them together.
+        most = float(np.linalg.norm(turns))
+        asked += [(lean(axis, pose @ axis, most), axis) for axis in np.eye(3)]
+    return asked

@@ -1,0 +1,97 @@
+"""What a TrajOpt problem demands of the waypoints of its motion, which may be more than the problem has steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from costs.robot import RobotModel
+from service.verify import AxisTarget, JointTarget, PoseTarget, Target
+
+STILL = 1e-6  # how far a coordinate that the problem does not move may be off [rad, m]
+ROUNDING = 1e-9
+
+StepTarget = JointTarget | PoseTarget | AxisTarget
+
+
+@dataclass(frozen=True)
+class ProgramDemand:
+    """Demands of a problem, step by step.
+
+    Attributes:
+        steps: targets of each step; where on the path they are (``at``) is found in the motion.
+        free: (f,) coordinates that may move.
+        planted: links that stand throughout.
+        is_balanced: whether the centre of mass stays above them.
+    """
+
+    steps: tuple[tuple[StepTarget, ...], ...]
+    free: Int[np.ndarray, "f"]
+    planted: tuple[str, ...]
+    is_balanced: bool
+
+
+def program_targets(
+    program: ProgramDemand, robot: RobotModel, knots: Float[np.ndarray, "K"], q: Float[np.ndarray, "K n"]
+) -> tuple[tuple[Target, ...], tuple[str, ...]]:
+    """Targets of a program at the waypoints of a motion, and a sentence for a step that no waypoint keeps.
+
+    The steps are the earliest waypoints, in order, at which what each step demands holds; the first step is the
+    motion's first waypoint, the last step its last.
+
+    Args:
+        program: the demands.
+        robot: that moves.
+        knots: (K,) path parameters of the waypoints.
+        q: (K, n) where the robot is at them.
+    """
+    targets: list[Target] = []
+    after, final = -1, len(program.steps) - 1
+    for step, demanded in enumerate(program.steps):
+        places = range(after + 1, len(knots) - (final - step))
+        if step in (0, final):
+            only = 0 if step == 0 else len(knots) - 1
+            places = range(only, only + 1) if only > after else range(0)
+        row = next((row for row in places if all(_holds(robot, one, q[row]) for one in demanded)), None)
+        if row is None:
+            return (), (f"no waypoint does what task.trajopt demands at step {step}",)
+        after = row
+        targets += [replace(one, at=float(knots[row])) for one in demanded]
+    return tuple(targets), ()
+
+
+def moved_though_fixed(
+    program: ProgramDemand, robot: RobotModel, start: Float[np.ndarray, "n"], q: Float[np.ndarray, "K n"]
+) -> tuple[str, ...]:
+    """One sentence for each coordinate that moves although the program does not move it."""
+    others = np.setdiff1d(np.arange(robot.n), program.free)
+    moves = np.abs(q[:, others] - start[others]).max(axis=0, initial=0.0)
+    return tuple(
+        f"{robot.joint_names[column]} moves by {moved:.3g}, and task.trajopt does not move it"
+        for column, moved in zip(others.tolist(), moves.tolist(), strict=True)
+        if moved > STILL
+    )
+
+
+def _holds(robot: RobotModel, target: StepTarget, q: Float[np.ndarray, "n"]) -> bool:
+    """Whether a target holds at a configuration."""
+    if isinstance(target, JointTarget):
+        return bool(abs(q[robot.joint_names.index(target.joint)] - target.value) <= target.tolerance + ROUNDING)
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q[: robot.n])
+    pose = data.oMf[robot.model.getFrameId(target.frame)]
+    if isinstance(target, AxisTarget):
+        axis = pose.rotation @ target.frame_axis
+        angle = np.arctan2(np.linalg.norm(np.cross(axis, target.axis)), axis @ target.axis)
+        return bool(angle <= target.tolerance_rad + ROUNDING)
+    wanted = np.eye(3) if target.rotation is None else target.rotation
+    off = np.abs(wanted.T @ (pose.translation - target.position))
+    is_there = bool(np.all(off <= target.position_tolerance_m + ROUNDING))
+    if target.rotation is None or not np.any(np.isfinite(target.rotation_tolerance)):
+        return is_there
+    turn = np.abs(Rotation.from_matrix(wanted.T @ pose.rotation).as_rotvec())
+    return is_there and bool(np.all(turn <= target.rotation_tolerance + ROUNDING))

@@ -1,0 +1,87 @@
+"""Where a request has the robot stand: planted feet, the polygon between them, and the margin to keep from its edge."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.allowance import Allowance, BodyRef
+from costs.robot import RobotModel
+from costs.scene import Scene
+from costs.support import SupportPolygon as FeetHull
+from service.footing import FLOOR_KIND
+from service.start import FEET_GROUP, sole
+from service.verify import PlantedContact, SupportPolygon
+from service.verify.ground import GROUND_TOLERANCE_M
+
+UNSETTLED = ("escape", "settle")  # phases that bring a robot into balance, in the order in which they may come first
+SETTLING_RESERVE_M = 2e-3  # a start with less than the margin and this may settle first
+
+
+@dataclass(frozen=True)
+class Stance:
+    """The feet as they stand at the start.
+
+    Attributes:
+        robot: that stands.
+        contacts: of the planted links.
+        hull: of the soles; None where balance is not asked for.
+        height: of the soles [m].
+        margin_m: how far inside the hull the centre of mass stays.
+    """
+
+    robot: RobotModel
+    contacts: tuple[PlantedContact, ...]
+    hull: FeetHull | None
+    height: float
+    margin_m: float
+
+    @staticmethod
+    def of(
+        robot: RobotModel, start: Float[np.ndarray, "n"], feet: Sequence[str], margin_m: float, is_balanced: bool
+    ) -> Stance:
+        """The stance of a robot on ``feet`` at configuration ``start``.
+
+        Raises:
+            ValueError: the soles are on a line.
+        """
+        data = robot.model.createData()
+        pin.framesForwardKinematics(robot.model, data, start)
+        soles = {foot: sole(robot, start, foot) for foot in feet}
+        contacts = []
+        for foot, corners in soles.items():
+            pose = np.array(data.oMf[robot.model.getFrameId(foot)].homogeneous)
+            contacts.append(PlantedContact(foot, pose, (corners - pose[:3, 3]) @ pose[:3, :3]))
+        if not soles or not is_balanced:
+            return Stance(robot, tuple(contacts), None, 0.0, margin_m)
+        height = float(np.mean([corners[:, 2].mean() for corners in soles.values()]))
+        return Stance(robot, tuple(contacts), FeetHull.of_soles(list(soles.values())), height, margin_m)
+
+    def support(self, phase: str, first: Float[np.ndarray, "n"]) -> SupportPolygon | None:
+        """What balance asks of a phase that begins at configuration ``first``.
+
+        Phases that bring the robot into balance, told by their names, may begin with less than the margin.
+        """
+        if self.hull is None:
+            return None
+        centre = pin.centerOfMass(self.robot.model, self.robot.model.createData(), first)
+        is_unsettled = float(self.hull.margin(centre[None, :2])[0]) < self.margin_m + SETTLING_RESERVE_M
+        margin = 0.0 if phase in UNSETTLED and is_unsettled else self.margin_m
+        return SupportPolygon(self.hull.vertices, margin, self.height)
+
+
+def planted_feet(robot: RobotModel, feet: tuple[str, ...] | None) -> tuple[str, ...]:
+    """Links that a request plants: those it lists, or the robot's own; none where the base is fixed."""
+    if not robot.is_floating:
+        return ()
+    return robot.link_groups.get(FEET_GROUP, ()) if feet is None else feet
+
+
+def standing_allowances(feet: Sequence[str], scene: Scene) -> tuple[Allowance, ...]:
+    """Planted links rest on the floor."""
+    floors = [BodyRef.of_piece(piece.name) for piece in scene.pieces if piece.kind == FLOOR_KIND]
+    return tuple(Allowance(BodyRef.of_link(foot), floor, GROUND_TOLERANCE_M) for foot in feet for floor in floors)

@@ -1,0 +1,121 @@
+"""A recorded valve turn held to its task: which hand, which gap and how many strokes are choices; the rest is not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance
+from service.demands.wheel import HANDS, Hand, Wheel, hook_allowances, stroke_targets
+from service.request import ValveRequest
+from service.verify import CircleTarget, Motion, Phase, RelativePoseTarget, Target
+
+TURN = "turn"
+TOUCHING = ("insert", TURN, "retract")  # phases in which the hook may touch the rim
+STILL = 1e-5  # of a wheel that nobody turns [rad]
+SAME_PLACE_M = 1e-6
+ROUNDING = 1e-9  # of path parameters
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A stroke of a recorded turn.
+
+    Attributes:
+        phase: index of the phase that turns.
+        hand: that turns.
+        entry: angle of the gap [rad].
+        last: angle of the wheel at its end [rad].
+    """
+
+    phase: int
+    hand: Hand
+    entry: float
+    last: float
+
+
+@dataclass(frozen=True)
+class Turning:
+    """The choices of a recorded turn, among those the task permits.
+
+    Attributes:
+        wheel: to turn.
+        strokes: in order.
+        problems: one sentence for everything that the task does not permit.
+    """
+
+    wheel: Wheel
+    strokes: tuple[Stroke, ...]
+    problems: tuple[str, ...]
+
+    @staticmethod
+    def of(wheel: Wheel, request: ValveRequest, motion: Motion) -> Turning:
+        """The strokes of a motion whose last coordinate is the wheel's angle."""
+        turns = [index for index, phase in enumerate(motion.phases) if _role(phase) == TURN]
+        strokes: list[Stroke] = []
+        problems = list(_moved_alone(motion))
+        if not turns:
+            problems.append("no phase turns the valve")
+        for count, index in enumerate(turns, start=1):
+            last = float(np.deg2rad(request.turn_deg)) * count / len(turns)
+            choice = _choice(wheel, request, motion.phases[index])
+            if isinstance(choice, str):
+                problems.append(choice)
+            else:
+                strokes.append(Stroke(index, *choice, last))
+        return Turning(wheel, tuple(strokes), tuple(problems))
+
+    def targets(self, index: int, at: float) -> tuple[Target, ...]:
+        """What the phase of that index does; nothing of its own if it does not turn."""
+        own = (stroke for stroke in self.strokes if stroke.phase == index)
+        return tuple(t for one in own for t in stroke_targets(self.wheel, one.hand, one.entry, one.last, at))
+
+    def allowances(self, index: int, phase: Phase) -> tuple[Allowance, ...]:
+        """What may touch the rim in a phase: the hook of the hand whose stroke it belongs to."""
+        if _role(phase) not in TOUCHING or not self.strokes:
+            return ()
+        # What is inserted turns next, and what is retracted has turned before.
+        after = [one for one in self.strokes if one.phase >= index] or [self.strokes[-1]]
+        before = [one for one in self.strokes if one.phase <= index] or [self.strokes[0]]
+        stroke = before[-1] if _role(phase) == "retract" else after[0]
+        return hook_allowances(self.wheel, stroke.hand)
+
+
+def _role(phase: Phase) -> str:
+    """What a phase does, by the first word of its name: ``turn 2`` turns."""
+    return phase.name.split(" ")[0]
+
+
+def _choice(wheel: Wheel, request: ValveRequest, phase: Phase) -> tuple[Hand, float] | str:
+    """Hand and gap of a phase that turns, told by what it promises; a sentence where the task does not permit them."""
+    tools = {target.frame for target in phase.targets if isinstance(target, CircleTarget)}
+    hands = [hand for hand in HANDS.values() if hand.tool in tools and request.hand in ("auto", hand.side)]
+    if len(hands) != 1:
+        return f"no hand that the task permits holds the rim in phase '{phase.name}'"
+    held = [t for t in phase.targets if isinstance(t, RelativePoseTarget) and t.frame == hands[0].tool]
+    places = [target.position for target in held if target.reference is not None]
+    for entry in wheel.gaps:
+        if any(_is_near(place, wheel.rim_point(entry) - wheel.centre) for place in places):
+            return hands[0], entry
+    return f"the hook is in no gap of the valve in phase '{phase.name}'"
+
+
+def _is_near(place: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> bool:
+    return bool(np.linalg.norm(place - other) <= SAME_PLACE_M)
+
+
+def _moved_alone(motion: Motion) -> Iterator[str]:
+    """The wheel starts at 0 and moves in phases that turn it alone."""
+    curve = motion.curve
+    if abs(curve.positions[0, -1]) > STILL:
+        yield "the wheel does not start at 0 degrees"
+    for phase in motion.phases:
+        if _role(phase) == TURN:
+            continue
+        inside = (curve.knots >= phase.first - ROUNDING) & (curve.knots <= phase.last + ROUNDING)
+        angle, rate = curve.positions[inside, -1], curve.tangents[inside, -1]
+        if np.ptp(angle) > STILL or np.abs(rate).max() > STILL:
+            yield f"the wheel moves in phase '{phase.name}', where nobody turns it"

@@ -1,0 +1,83 @@
+"""What stands around the robot of a request: its obstacles, what its scan showed, and a floor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot import RobotModel, shapes
+from costs.scene import ConvexPiece, Scene
+from service.errors import RequestError
+from service.footing import FLOOR_KIND
+from service.names import TakenNames, check_given, with_free_names
+from service.request import PlanRequest
+from service.request_scene import MeshRequest
+
+FLOOR_HALF_WIDTH_M = 10.0
+FLOOR_THICKNESS_M = 0.2
+
+
+def compose_scene(
+    request: PlanRequest,
+    robot: RobotModel,
+    start: Float[np.ndarray, "n"],
+    seen: Sequence[ConvexPiece],
+    obstacles: Sequence[ConvexPiece],
+) -> tuple[Scene, tuple[str, ...]]:
+    """Obstacles first, then what was seen, then the floor; a floor given in the request replaces the one seen.
+
+    Pieces that a scan shows are renamed where a link or an obstacle has their name; a note says so.
+
+    Raises:
+        RequestError: a piece of the scene's file, or an obstacle, has the name of something else.
+    """
+    taken = TakenNames.of(robot, request)
+    renamed: tuple[str, ...] = ()
+    if request.scene.file is None:
+        seen, renamed = with_free_names(tuple(seen), taken, {piece.name for piece in obstacles})
+    else:
+        check_given(seen, taken)
+    pieces: list[ConvexPiece] = list(obstacles)
+    floor = request.scene.floor
+    pieces += [piece for piece in seen if floor is None or piece.kind != FLOOR_KIND]
+    if floor is None:
+        floor = robot.is_floating and not any(piece.kind == FLOOR_KIND for piece in pieces)
+    if floor is not False:
+        height = 0.0 if floor is True else float(floor)
+        flat = flat_floor(height, start[:2] if robot.is_floating else np.zeros(2))
+        pieces += with_free_names((flat,), taken)[0]
+    try:
+        return Scene(tuple(pieces)), renamed
+    except ValueError as error:
+        raise RequestError(
+            f"scene.obstacles: {error}; the names 'floor' and those of the pieces that were seen are taken"
+        ) from None
+
+
+def flat_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
+    """A floor of 20 m by 20 m whose top is at ``height`` [m]."""
+    corners = shapes.box(np.array([2.0 * FLOOR_HALF_WIDTH_M, 2.0 * FLOOR_HALF_WIDTH_M, FLOOR_THICKNESS_M]))
+    centre = np.array([*centre_xy, height - 0.5 * FLOOR_THICKNESS_M])
+    return ConvexPiece("floor", corners + centre, FLOOR_KIND)
+
+
+def has_scan(request: PlanRequest) -> bool:
+    """Whether some of the scene is known from a scan, or from a scene made of one."""
+    return request.scene.cloud is not None or request.scene.file is not None
+
+
+def recorded_obstacles(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:
+    """Pieces of the request's mesh files in a recorded scene: the files may be elsewhere by now."""
+    names = [one.name for one in request.scene.obstacles if isinstance(one, MeshRequest)]
+    return tuple(
+        piece
+        for piece in recorded.pieces
+        if piece.kind != FLOOR_KIND and any(piece.name == name or _is_part(piece.name, name) for name in names)
+    )
+
+
+def _is_part(piece: str, obstacle: str) -> bool:
+    """Whether a piece has the name that a part of a mesh gets."""
+    return piece.startswith(f"{obstacle}/") and piece[len(obstacle) + 1 :].isdigit()

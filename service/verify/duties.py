@@ -1,0 +1,88 @@
+"""Which checks a motion needs, so that none is missing in silence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from costs.robot.model import BASE_NAMES
+from service.verify.certificate import Basis, Check
+from service.verify.ground import standing_contacts
+from service.verify.motion import Motion, Phase
+
+TIMING, BALANCE = "timing", "balance"
+
+
+@dataclass(frozen=True)
+class Duties:
+    """The checks of a motion.
+
+    Attributes:
+        names: of the checks without which there is no certificate.
+        waived: sentences about checks that are not made because the request does not ask for them, or because the
+            robot's description does not give what they need.
+    """
+
+    names: tuple[str, ...]
+    waived: tuple[str, ...]
+
+
+def duties_of(motion: Motion, phases: Sequence[Phase]) -> Duties:
+    """The checks that a motion needs, phase by phase."""
+    names, waived = ["limits.position", "clearance"], []
+    if motion.law is not None:
+        names += ["limits.speed", "limits.acceleration", "limits.rest"]
+    elif _is_waived(motion, TIMING):
+        waived.append("speeds, accelerations and forces (the motion is untimed)")
+    else:
+        names.append("limits.speed")
+    unlimited = joints_without_torque_limit(motion)
+    is_limited = len(unlimited) < len(own_joints(motion)) and _has_mass(motion)
+    if motion.law is not None and not is_limited:
+        waived.append("torques (no joint names a limit)" if _has_mass(motion) else "torques (no link names a mass)")
+    for phase in phases:
+        names += [f"torque.{phase.name}"] if motion.law is not None and is_limited else []
+        if not motion.robot.is_floating:
+            continue
+        names += [f"planted.{phase.name}.{contact.link}" for contact in phase.contacts]
+        names += [f"ground.{phase.name}.{contact.link}" for contact in standing_contacts(motion, phase)]
+        if phase.support is None and _is_waived(motion, BALANCE):
+            waived.append(f"balance in '{phase.name}'")
+            continue
+        names += [f"balance.{phase.name}", *([f"zmp.{phase.name}"] if motion.law is not None else [])]
+        names += [f"planted.{phase.name}"] if motion.waived is not None and not phase.contacts else []
+    return Duties(tuple(names), tuple(waived))
+
+
+def _is_waived(motion: Motion, what: str) -> bool:
+    return motion.waived is None or what in motion.waived
+
+
+def own_joints(motion: Motion) -> tuple[int, ...]:
+    """Coordinates of the robot's own joints: neither the base's nor a mechanism's."""
+    model, robot = motion.robot.model, motion.robot
+    moved = {body.joint for body in robot.bodies if body.link in motion.mechanism_links}
+    columns = {int(model.joints[joint].idx_q) for joint in moved}
+    return tuple(k for k in range(len(BASE_NAMES) if robot.is_floating else 0, robot.n) if k not in columns)
+
+
+def joints_without_torque_limit(motion: Motion) -> tuple[str, ...]:
+    """The robot's own joints whose torque is held against nothing; a limit of 0 means that it is not known."""
+    effort = motion.robot.effort
+    return tuple(motion.robot.joint_names[k] for k in own_joints(motion) if not 0.0 < effort[k] < np.inf)
+
+
+def _has_mass(motion: Motion) -> bool:
+    return any(float(inertia.mass) > 0.0 for inertia in motion.robot.model.inertias[1:])
+
+
+def missing_checks(duties: Duties, checks: Sequence[Check]) -> Iterator[Check]:
+    """One unproven check for each that the motion needs and that was not made."""
+    made = {check.name for check in checks}
+    for name in duties.names:
+        if name not in made:
+            text = f"check {name} is missing: nothing says whether the motion would pass it"
+            nan = float("nan")
+            yield Check(f"coverage.missing.{name}", True, nan, nan, "1", text, None, Basis.UNPROVEN)

@@ -1,0 +1,113 @@
+"""Whether planted feet stand on something: how far the surface below each corner of a sole is from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+
+from costs.robot.model import RobotModel
+from costs.scene import ConvexPiece
+from service.verify.certificate import Basis, Check, Where
+from service.verify.errors import VerifyError
+from service.verify.motion import Motion, Phase, PlantedContact
+from service.verify.solid import Solid
+from service.verify.timeline import time_of
+
+# Farthest that a supporting surface may be from a planted sole, above or below [m].
+GROUND_TOLERANCE_M = 3e-3
+_TOUCH_M = 1e-9
+_FEET_GROUP = "feet"
+
+
+def ground_checks(motion: Motion, phase: Phase) -> Iterator[Check]:
+    """One check for each link that stands in a phase: every corner of its sole is on a surface, and is its own."""
+    for contact in standing_contacts(motion, phase):
+        pose = contact.pose_world_link
+        corners = contact.sole @ pose[:3, :3].T + pose[:3, 3]
+        gaps = ground_gaps(corners, motion.scene.pieces)
+        worst = int(np.abs(gaps).argmax())
+        value = float(abs(gaps[worst]))
+        text = f"{told_gap(float(gaps[worst]), contact.link)} during {phase.name}"
+        off = outside_link(motion.robot, contact)
+        if off > GROUND_TOLERANCE_M:
+            value, text = off, f"a corner of the sole of {contact.link} is {1e3 * off:.1f} mm off the link's shapes"
+        point = (float(corners[worst, 0]), float(corners[worst, 1]), float(corners[worst, 2]))
+        where = Where(phase.first, time_of(motion.law, phase.first), point, (contact.link,))
+        name, is_ok = f"ground.{phase.name}.{contact.link}", value <= GROUND_TOLERANCE_M
+        yield Check(name, is_ok, value, GROUND_TOLERANCE_M, "m", text, where, Basis.PROOF)
+
+
+def standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...]:
+    """Planted links that must be on the ground: all that balance rests on, else the feet.
+
+    Without balance a planted hand is but held where it is; a robot with a fixed base stands by itself.
+    """
+    if not motion.robot.is_floating:
+        return ()
+    feet = motion.robot.link_groups.get(_FEET_GROUP, ())
+    return tuple(contact for contact in phase.contacts if phase.support is not None or contact.link in feet)
+
+
+def told_gap(gap: float, link: str) -> str:
+    """``floor is 12.0 mm below the sole of l_foot``."""
+    if not np.isfinite(gap):
+        return f"nothing is below a corner of the sole of {link}"
+    side = "below" if gap >= 0.0 else "above"
+    return f"the ground is {1e3 * abs(gap):.1f} mm {side} the sole of {link}"
+
+
+def ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]) -> Float[np.ndarray, "C"]:
+    """Height of each corner above the surface nearest to it on its vertical [m]; infinite where there is none.
+
+    A surface is the upper side of a piece; where a corner is inside a piece, its height is negative.
+    """
+    gaps = np.full(len(corners), np.inf)
+    for piece in pieces:
+        low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
+        if np.any(corners[:, :2].max(axis=0) < low[:2]) or np.any(corners[:, :2].min(axis=0) > high[:2]):
+            continue
+        gap = corners[:, 2] - top_of(piece.vertices, corners[:, :2])
+        gaps = np.where(np.abs(gap) < np.abs(gaps), gap, gaps)
+    return gaps
+
+
+def top_of(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
+    """Height of a hull's upper side over each place [m]; negative infinity beside the hull."""
+    planes = _planes(np.ascontiguousarray(vertices, dtype=float).tobytes())
+    if not len(planes):
+        return np.full(len(places), -np.inf)
+    up = planes[:, 2]
+    # a x + b y + c z + d <= 0 bounds z from above where c > 0, from below where c < 0, and the place where c is 0.
+    level = -(places @ planes[:, :2].T + planes[:, 3])
+    is_up, is_down, is_wall = up > 1e-9, up < -1e-9, np.abs(up) <= 1e-9
+    top = (level[:, is_up] / up[is_up]).min(axis=1, initial=np.inf)
+    bottom = (level[:, is_down] / up[is_down]).max(axis=1, initial=-np.inf)
+    is_inside = np.all(level[:, is_wall] >= -_TOUCH_M, axis=1) & (bottom <= top + _TOUCH_M)
+    return np.where(is_inside, top, -np.inf)
+
+
+@lru_cache(maxsize=64)
+def _planes(points: bytes) -> Float[np.ndarray, "F 4"]:
+    """The faces of a hull, outward normals and offsets; none of a flat one."""
+    try:
+        return np.unique(np.round(ConvexHull(np.frombuffer(points).reshape(-1, 3)).equations, 12), axis=0)
+    except QhullError:
+        return np.zeros((0, 4))
+
+
+def outside_link(robot: RobotModel, contact: PlantedContact) -> float:
+    """How far a corner of a planted sole is from all shapes of its link [m]; infinite for a link without one."""
+    model = robot.model
+    if not model.existFrame(contact.link):
+        raise VerifyError(f"unknown frame '{contact.link}'; the robot has {', '.join(f.name for f in model.frames)}")
+    placement: pin.SE3 = model.frames[model.getFrameId(contact.link)].placement
+    corners = contact.sole @ np.array(placement.rotation).T + np.array(placement.translation)
+    distance = np.full(len(corners), np.inf)
+    for solid in (Solid.of_body(body) for body in robot.bodies if body.link == contact.link):
+        distance = np.minimum(distance, solid.distances(corners))
+    return float(distance.max())

@@ -1,0 +1,196 @@
+"""Pairs of links that are not checked against each other: why, and whether they overlap in the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot.model import LinkBody, RobotModel
+from costs.scene import Scene
+from service.verify.broad import clearance_floors, open_stretches, refined
+from service.verify.certificate import Basis, Check, Where
+from service.verify.couples import collect
+from service.verify.coverage import LeftOut
+from service.verify.forward import Forward, Placements
+from service.verify.link_tree import LinkTree
+from service.verify.motion import Motion, Phase, RelativePoseTarget
+from service.verify.narrow import Narrow
+from service.verify.search import search
+from service.verify.settings import VerifySettings
+from service.verify.solid import Solid
+from service.verify.timeline import edges_of, time_of
+from service.verify.track import Track
+
+_SAMPLES = 200
+# Two links with one between them that overlap in this share of the poses of the joints between them hardly have a pose
+# in which they do not: that is how their shapes are, and says nothing of the motion.
+_ALWAYS_SHARE, _POSES = 0.9, 300
+# What was found of a robot's pairs, by the first body of the pair: it takes longer than many a proof.
+_AROUND: WeakKeyDictionary[LinkBody, dict[tuple[str, bytes, bytes], bool]] = WeakKeyDictionary()
+
+
+def left_out_pairs(
+    track: Track, tree: LinkTree, phases: Sequence[Phase], settings: VerifySettings
+) -> tuple[LeftOut, ...]:
+    """Every pair of the robot's own links with shapes that is not checked."""
+    motion = track.motion
+    own = sorted(tree.shaped - motion.mechanism_links)
+    # Names out of order name no pair: so it stands in RobotModel, and so the pairs to be checked are chosen.
+    ignored = {pair for pair in motion.robot.ignored_pairs if pair[0] < pair[1]}
+    found, rest = [], []
+    for pair in combinations(own, 2):
+        if tree.joint[pair[0]] == tree.joint[pair[1]]:
+            found.append(LeftOut(pair, "same joint", is_neighbour=False, deepest_m=float("nan")))
+        elif pair in ignored and tree.are_neighbours(*pair):
+            found.append(LeftOut(pair, "adjacent", is_neighbour=True, deepest_m=float("nan")))
+        elif pair in ignored:
+            rest.append(pair)
+    kept = _kept_joints(motion, phases)
+    not_apart = _not_apart(track, rest, settings)
+    for pair in rest:
+        if pair not in not_apart:
+            found.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
+            continue
+        depth, s = not_apart[pair]
+        is_kept = frozenset(tree.joint[link] for link in pair) in kept
+        is_around = not is_kept and _is_around_a_joint(motion, tree, pair)
+        reason = "kept" if is_kept else "around a joint" if is_around else _reason(motion, pair)
+        found.append(LeftOut(pair, reason, is_around, depth, s, time_of(motion.law, s)))
+    return tuple(sorted(found, key=lambda item: item.pair))
+
+
+def overlap_checks(left_out: Sequence[LeftOut]) -> Iterator[Check]:
+    """One unproven check for each pair that is not checked although its links meet in the motion."""
+    for item in sorted(left_out, key=lambda item: -np.nan_to_num(item.deepest_m)):
+        if item.is_neighbour or item.reason == "kept" or item.s is None:
+            continue
+        a, b = item.pair
+        how = f"is {1e3 * item.deepest_m:.1f} mm inside" if item.deepest_m > 0.0 else "may touch"
+        text = f"{a} {how} {b}, a pair that is left out ({item.reason}) and whose links are no joint neighbours"
+        where = Where(item.s, item.time_s, None, item.pair)
+        yield Check(f"coverage.overlap.{a}.{b}", True, -item.deepest_m, 0.0, "m", text, where, Basis.UNPROVEN)
+
+
+def _reason(motion: Motion, pair: tuple[str, str]) -> str:
+    told = motion.robot.ignored_reasons.get(pair, "given")
+    # Neighbours and links of one joint were told apart above.
+    return told if told.startswith("srdf") or told == "derived" else "given"
+
+
+def _kept_joints(motion: Motion, phases: Sequence[Phase]) -> set[frozenset[int]]:
+    """Pairs of joints whose relative pose is held, by a check, in every phase."""
+    model = motion.robot.model
+
+    def joint(frame: str | None) -> int:
+        return int(model.frames[model.getFrameId(frame)].parentJoint) if frame and model.existFrame(frame) else 0
+
+    held = [
+        {
+            frozenset((joint(target.frame), joint(target.reference)))
+            for target in phase.targets
+            if isinstance(target, RelativePoseTarget) and target.free_axis is None and target.reference is not None
+        }
+        for phase in phases
+    ]
+    return set.intersection(*held) if held else set()
+
+
+def _not_apart(
+    track: Track, pairs: Sequence[tuple[str, str]], settings: VerifySettings
+) -> Mapping[tuple[str, str], tuple[float, float]]:
+    """Pairs that are not shown to keep apart on the whole curve: how deep they were seen to be [m], and where."""
+    found = _seen_overlapping(track, pairs)
+    pairs = [pair for pair in pairs if pair not in found]
+    if not pairs:
+        return found
+    motion = track.motion
+    links = sorted({body.link for body in motion.robot.bodies})
+    others = frozenset(combinations(links, 2)) - frozenset(pairs)
+    alone = replace(
+        motion,
+        robot=replace(motion.robot, ignored_pairs=others),
+        scene=Scene(()),
+        phases=(Phase("motion", float(motion.curve.knots[0]), float(motion.curve.knots[-1])),),
+    )
+    settings = replace(settings, max_sharpenings=0, clearance_horizon_m=settings.resolution_m)
+    couples = collect(alone, track.tree)
+    edges, phase_rows = refined(track, couples, *edges_of(alone, alone.phases))
+    floors = clearance_floors(track, couples, edges, settings)
+    start = open_stretches(couples, edges, phase_rows, floors, settings.clearance_horizon_m)
+    couples = couples.with_chains(track.tree, np.unique(start.couple))
+    proof = search(track, couples, start, settings)
+
+    def links_of(couple: int) -> tuple[str, str]:
+        a, b = (couples.solids[side[couple]].link for side in (couples.mover, couples.holder))
+        return (a, b) if a < b else (b, a)
+
+    for row in range(len(proof.unproven.couple)):
+        pair = links_of(int(proof.unproven.couple[row]))
+        found.setdefault(pair, (0.0, float(proof.unproven.first[row])))
+    for meeting in proof.refuted.values():
+        pair = links_of(meeting.couple)
+        found[pair] = max(found.get(pair, (0.0, 0.0)), (-meeting.distance, meeting.s))
+    return found
+
+
+def _seen_overlapping(track: Track, pairs: Sequence[tuple[str, str]]) -> dict[tuple[str, str], tuple[float, float]]:
+    """Pairs that overlap at some sample of the motion: how deep at most [m], and where."""
+    found: dict[tuple[str, str], tuple[float, float]] = {}
+    knots = track.motion.curve.knots
+    s = np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], _SAMPLES)]))
+    for pair in pairs:
+        placed, rows = track.at(s)
+        depth = _overlap(track.motion.robot.bodies, placed, rows, pair)
+        worst = int(depth.argmax())
+        if depth[worst] > 0.0:
+            found[pair] = float(depth[worst]), float(s[worst])
+    return found
+
+
+def _overlap(
+    bodies: Sequence[LinkBody], placed: Placements, rows: np.ndarray, pair: tuple[str, str]
+) -> Float[np.ndarray, "S"]:
+    """How deep the pair's bodies are in each other at each pose [m]; negative infinity where their spheres part."""
+    depth, narrow = np.full(len(rows), -np.inf), Narrow()
+    for one in (Solid.of_body(body) for body in bodies if body.link == pair[0]):
+        for other in (Solid.of_body(body) for body in bodies if body.link == pair[1]):
+            rotation, translation = placed.relative(other.joint, one.joint, rows)
+            (centre, radius), (other_centre, other_radius) = one.sphere, other.sphere
+            apart = np.linalg.norm(rotation @ centre + translation - other_centre, axis=1) - radius - other_radius
+            near = np.flatnonzero(apart < 0.0)
+            solids = [one.convex] * len(near), [other.convex] * len(near)
+            distance, _ = narrow.closest(solids[0], rotation[near], translation[near], solids[1])
+            depth[near] = np.maximum(depth[near], -distance)
+    return depth
+
+
+def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) -> bool:
+    """Whether one link lies between the two, a neighbour of both, and they overlap however the joints between stand."""
+    between = [c for c in tree.shaped - set(pair) if all(tree.are_neighbours(c, one) for one in pair)]
+    if not between:
+        return False
+    robot = motion.robot
+    first = next(body for body in robot.bodies if body.link == pair[0])
+    known = _AROUND.setdefault(first, {})
+    key = (pair[1], robot.lower.tobytes(), robot.upper.tobytes())
+    if key not in known:
+        known[key] = _share_of_overlaps(robot, tree, pair) >= _ALWAYS_SHARE
+    return known[key]
+
+
+def _share_of_overlaps(robot: RobotModel, tree: LinkTree, pair: tuple[str, str]) -> float:
+    """In which share of random poses of the joints between two links they overlap."""
+    q = np.zeros((_POSES, robot.n))
+    rng = np.random.default_rng(0)
+    for joint in tree.path(*pair):
+        first, size = int(robot.model.joints[joint].idx_q), int(robot.model.joints[joint].nq)
+        low = np.nan_to_num(robot.lower[first : first + size], neginf=-np.pi)
+        high = np.nan_to_num(robot.upper[first : first + size], posinf=np.pi)
+        q[:, first : first + size] = rng.uniform(low, high, (_POSES, size))
+    depth = _overlap(robot.bodies, Forward(robot.model).at(q), np.arange(_POSES), pair)
+    return float(np.mean(depth > 0.0))
