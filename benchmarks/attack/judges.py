@@ -38,7 +38,7 @@ def verify(folder: Path, **seen: Path) -> tuple[Answer, str]:
 def _ask_command(folder: Path, seen: Mapping[str, Path]) -> tuple[Answer, str]:
     options = [text for name, path in seen.items() for text in (f"--{name}", str(path))]
     done = CliRunner().invoke(app, ["verify", str(folder), *options, "--json"])
-    said = " ".join(done.output.split())
+    said = " ".join(done.output.partition(" % verify")[2].split())
     if done.exit_code == USAGE:
         return Answer.BELIEVED, f"scopt verify takes no {' or '.join(seen)} to compare with"
     if done.exit_code == INTERNAL or not isinstance(done.exception, SystemExit | None):

@@ -202,8 +202,8 @@ _arm(
     "SRDF that disables hand and base", lambda root: None, disabled=BEHIND_THE_BASE, is_changed_honest=True, goal=FOLDED
 )
 # Numbers that cannot be.
-_arm("effort 0 everywhere", _set("joint/limit", effort="0"), NO)
-_arm("effort 0 on the shoulder", _set("joint[@name='shoulder']/limit", effort="0"), NO)
+_arm("effort 0 everywhere", _set("joint/limit", effort="0"), NAMED, "not checked: torques")
+_arm("effort 0 on the shoulder", _set("joint[@name='shoulder']/limit", effort="0"), NAMED, "shoulder")
 _arm("effort without bound", _set("joint/limit", effort="inf"), NO)
 _arm("negative effort", _set("joint/limit", effort="-50"), NO)
 _arm("negative inertia", _set("link/inertial/inertia", ixx="-0.5", iyy="-0.5", izz="-0.5"), NO)
