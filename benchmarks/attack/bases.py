@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import copy
 import json
 import shutil
 import tempfile
@@ -33,8 +34,12 @@ VALVE = {
 
 
 def request_of(name: str, folder: Path) -> dict[str, Any]:
-    """The request of a base, as plain data; ``folder`` gets the files it names."""
+    """The request of a base, as plain data of its own; ``folder`` gets the files it names."""
     folder.mkdir(parents=True, exist_ok=True)
+    return copy.deepcopy(_request(name, folder))
+
+
+def _request(name: str, folder: Path) -> dict[str, Any]:
     match name:
         case "arm":
             return arm_request(write_arm(folder))

@@ -136,7 +136,7 @@ def _calls(pool: CancellableExecutor, folder: Path, is_short: bool) -> list[Call
 @contextmanager
 def _pool() -> Iterator[CancellableExecutor]:
     """Workers as a server has them; interrupted as a server's are, if they are."""
-    more = {"interrupt_s": launch.INTERRUPT_S} if hasattr(launch, "INTERRUPT_S") else {}
+    more: dict[str, Any] = {"interrupt_s": launch.INTERRUPT_S} if hasattr(launch, "INTERRUPT_S") else {}
     with LocalPool(WORKERS, warm_up=warm_up, preload=serve.PRELOAD, max_bytes=WORKER_BYTES, **more) as pool:
         pool.wait_ready(120.0)
         yield pool

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.attack.forgery import Folder, Registry
+from benchmarks.attack.forgery import Folder, Level, Registry
 
 CONTACTS = Registry()
 STANDING = ("reach", "carry", "valve")
 
 
-def pattern(folder: Folder) -> dict[str, Any]:
-    """What an allowance of this folder holds besides its names; empty where no phase has one."""
-    return next((dict(a) for phase in folder.phases for a in phase["allowances"]), {})
+def allowance(
+    first: tuple[str, str | None, str | None], second: tuple[str, str | None, str | None], depth: float
+) -> Any:
+    """An allowance as a result holds it; each of the two is owner, link and body."""
+    one, other = (dict(zip(("owner", "link", "body"), names, strict=True)) for names in (first, second))
+    return {"first": one, "second": other, "depth": depth}
+
+
+def hand_of(folder: Folder) -> tuple[str, str | None, str | None]:
+    """The link at the end of the robot's arm."""
+    return ("robot", "l_hook" if folder.data["robot"]["root"] == "floating" else "hand", None)
 
 
 def _every_contact(folder: Folder) -> list[dict[str, Any]]:
@@ -108,42 +116,51 @@ def zmp_taken_on_another_plane(folder: Folder) -> None:
 
 @CONTACTS.lie("arm", "reach", "carry", "valve")
 def allowance_added(folder: Folder) -> None:
-    obstacle = folder.data["pieces"][0]["name"]
+    piece = ("scene", None, folder.data["pieces"][0]["name"])
     for phase in folder.phases:
-        phase["allowances"].append({**pattern(folder), "link": "hand", "other": obstacle, "depth": 0.05})
-        if folder.data["robot"]["root"] == "floating":
-            phase["allowances"][-1]["link"] = "l_hook"
+        phase["allowances"].append(allowance(hand_of(folder), piece, 0.05))
 
 
 @CONTACTS.lie("arm", "reach")
 def allowance_for_everything(folder: Folder) -> None:
+    links = sorted({body["link"] for body in folder.data["bodies"]})
+    pieces = [piece["name"] for piece in folder.data["pieces"]]
     for phase in folder.phases:
-        phase["allowances"].append({**pattern(folder), "link": "*", "other": "*", "depth": 0.5})
+        phase["allowances"] += [
+            allowance(("robot", link, None), ("scene", None, piece), 0.5) for link in links for piece in pieces
+        ]
 
 
 @CONTACTS.lie("arm")
 def allowance_between_links(folder: Folder) -> None:
-    folder.phases[0]["allowances"].append({**pattern(folder), "link": "hand", "other": "upper_arm", "depth": 0.2})
+    folder.phases[0]["allowances"].append(allowance(hand_of(folder), ("robot", "upper_arm", None), 0.2))
+
+
+@CONTACTS.lie("arm", "reach", level=Level.RAW)
+def allowance_by_a_pattern(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["allowances"].append({"link": "*", "other": "*", "depth": 0.5})
 
 
 @CONTACTS.lie("reach", "valve")
 def allowance_deepened(folder: Folder) -> None:
     for phase in folder.phases:
-        for allowance in phase["allowances"]:
-            allowance["depth"] = 0.2
+        for entry in phase["allowances"]:
+            entry["depth"] = 0.2
 
 
 @CONTACTS.lie("reach", "valve")
 def allowance_retargeted(folder: Folder) -> None:
-    obstacle = folder.data["pieces"][0]["name"]
     for phase in folder.phases:
-        phase["allowances"][-1]["other"] = obstacle
+        phase["allowances"][-1]["second"] = allowance(
+            hand_of(folder), ("scene", None, folder.data["pieces"][0]["name"]), 0.0
+        )["second"]
 
 
 @CONTACTS.lie("valve")
 def allowance_of_the_rim_for_the_hub(folder: Folder) -> None:
     for phase in folder.phases[1:]:
-        phase["allowances"][-1]["other"] = "valve/*"
+        phase["allowances"].append(allowance(hand_of(folder), ("mechanism", "valve", None), 0.03))
 
 
 @CONTACTS.lie("valve")
@@ -154,4 +171,4 @@ def allowance_of_the_hook_for_the_reach_too(folder: Folder) -> None:
 @CONTACTS.lie("valve")
 def allowance_of_the_other_hook(folder: Folder) -> None:
     for phase in folder.phases[1:]:
-        phase["allowances"].append({**phase["allowances"][-1], "link": "r_hook"})
+        phase["allowances"].append(allowance(("robot", "r_hook", None), ("mechanism", "valve", "valve/rim/9"), 0.03))

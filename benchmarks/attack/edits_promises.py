@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.attack.edits_contacts import pattern
+from benchmarks.attack.edits_contacts import allowance, hand_of
 from benchmarks.attack.forgery import Folder, Level, Registry
 
 PROMISES = Registry()
@@ -165,11 +165,8 @@ def turn_and_retraction_renamed(folder: Folder) -> None:
 @PROMISES.lie("reach")
 def a_phase_called_escape_put_first(folder: Folder) -> None:
     reach = folder.phases[0]
-    escape = {**reach, "name": "escape", "last": 20, "targets": []}
-    escape["allowances"] = [
-        *reach["allowances"],
-        {**pattern(folder), "link": "l_hook", "other": "table", "depth": 0.05},
-    ]
+    touching = allowance(hand_of(folder), ("scene", None, "table"), 0.05)
+    escape = {**reach, "name": "escape", "last": 20, "targets": [], "allowances": [*reach["allowances"], touching]}
     reach["first"] = 20
     folder.data["phases"] = [escape, reach]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from benchmarks.attack.edits_motion import MOTION
 from benchmarks.attack.edits_promises import PROMISES
 from benchmarks.attack.edits_request import REQUEST
 from benchmarks.attack.edits_world import WORLD
-from benchmarks.attack.forgery import Edit
+from benchmarks.attack.forgery import Edit, Level
 from benchmarks.attack.outcome import Answer, Attack
 
 ABSENT = object()
@@ -34,6 +35,11 @@ def attacks() -> list[Attack]:
         *(
             Attack("request", f"{base}: {name}", _substitute(base, change), name in SHORT)
             for name, (base, change) in SUBSTITUTES.items()
+        ),
+        *(
+            Attack("request", f"arm: {edit.name}, held against the user's request", partial(_with_request, edit), False)
+            for edit in WORLD.edits
+            if edit.bases[0] == "arm" and edit.level is Level.REMADE
         ),
         *(
             Attack("request", f"{base}: the user's own request", _own(base))
@@ -107,7 +113,7 @@ SHORT = (
 
 def _substitute(base: str, changes: dict[str, Any]) -> Callable[[Path], tuple[Answer, str]]:
     def run(scratch: Path) -> tuple[Answer, str]:
-        request = bases.request_of(base, scratch / "files")
+        request = bases.request_of(base, bases.original(base) / "files")
         for path, value in changes.items():
             _set(request, path.split("."), value)
         bases.write_plan(request, scratch)
@@ -139,6 +145,13 @@ def _as_it_is(base: str) -> Callable[[Path], tuple[Answer, str]]:
         return answer if answer is Answer.CRASHED else Answer.ALARM, text
 
     return run
+
+
+def _with_request(edit: Edit, scratch: Path) -> tuple[Answer, str]:
+    """What an edit of the arm's folder earns when the user's request is at hand."""
+    return edit.run(
+        "arm", scratch, lambda folder: judges.verify(folder, request=bases.original("arm") / "request.yaml")
+    )
 
 
 def _own(base: str) -> Callable[[Path], tuple[Answer, str]]:

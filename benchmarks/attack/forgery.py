@@ -58,19 +58,23 @@ class Folder:
 
     @property
     def request(self) -> dict[str, Any]:
-        return self.data["request"]
+        found: dict[str, Any] = self.data["request"]
+        return found
 
     @property
     def certificate(self) -> dict[str, Any]:
-        return self.data["certificate"]
+        found: dict[str, Any] = self.data["certificate"]
+        return found
 
     @property
     def phases(self) -> list[dict[str, Any]]:
-        return self.data["phases"]
+        found: list[dict[str, Any]] = self.data["phases"]
+        return found
 
     @property
     def curve(self) -> dict[str, Any]:
-        return self.data["curve"]
+        found: dict[str, Any] = self.data["curve"]
+        return found
 
     def targets(self, kind: str) -> list[dict[str, Any]]:
         """All targets of a kind, of all phases."""

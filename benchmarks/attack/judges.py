@@ -2,34 +2,50 @@
 
 from __future__ import annotations
 
-import inspect
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from typer.testing import CliRunner
+
 from benchmarks.attack.outcome import Answer
+from service.cli import app
 from service.errors import RequestError, ResultError
 from service.replay import verify_result
 
 CERTIFIED = "CERTIFIED"
+USAGE, INTERNAL = 2, 70  # exit codes
 STRANGER = Path(__file__).resolve().parents[2] / "examples" / "check_certificate.py"
 STRANGER_TIME_S = 300.0
 
 
 def verify(folder: Path, **seen: Path) -> tuple[Answer, str]:
-    """What ``scopt verify`` says of an edited folder; ``seen`` are the user's own request and cloud."""
-    missing = [name for name in seen if name not in inspect.signature(verify_result).parameters]
-    if missing:
-        return Answer.BELIEVED, f"scopt verify takes no {', '.join(missing)} to compare with"
+    """What ``scopt verify`` says of an edited folder; ``seen`` are the user's own ``request`` and ``cloud``."""
+    if seen:
+        return _ask_command(folder, seen)
     try:
-        summary: dict[str, Any] = verify_result(folder, **seen)
+        summary: dict[str, Any] = verify_result(folder)
     except (ResultError, RequestError) as error:
         return Answer.REFUSED, _first_line(error, folder)
     if summary["verdict"] == CERTIFIED:
         return Answer.BELIEVED, CERTIFIED
     reasons = summary.get("explanation") or ["no reason given"]
     return Answer.REPORTED, f"{summary['verdict']}: {reasons[0]}"
+
+
+def _ask_command(folder: Path, seen: Mapping[str, Path]) -> tuple[Answer, str]:
+    options = [text for name, path in seen.items() for text in (f"--{name}", str(path))]
+    done = CliRunner().invoke(app, ["verify", str(folder), *options, "--json"])
+    said = " ".join(done.output.partition(" % verify")[2].split())
+    if done.exit_code == USAGE:
+        return Answer.BELIEVED, f"scopt verify takes no {' or '.join(seen)} to compare with"
+    if done.exit_code == INTERNAL or not isinstance(done.exception, SystemExit | None):
+        return Answer.CRASHED, said[:300]
+    if done.exit_code == 0:
+        return Answer.BELIEVED, CERTIFIED
+    return (Answer.REPORTED if '"verdict"' in said else Answer.REFUSED), said[:300]
 
 
 def ask_stranger(folder: Path) -> tuple[Answer, str]:

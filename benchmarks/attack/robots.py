@@ -84,6 +84,14 @@ def _drop(tag: str, *links: str) -> Change:
     return run
 
 
+def _replace_shape(link: str, text: str) -> Change:
+    def change(geometry: ET.Element) -> None:
+        geometry.clear()
+        geometry.append(ET.fromstring(text))
+
+    return _each(f"link[@name='{link}']/collision/geometry", change)
+
+
 def _add(text: str) -> Change:
     return lambda root: root.extend(list(ET.fromstring(f"<all>{text}</all>")))
 
@@ -187,13 +195,15 @@ _machine("SRDF that disables the wall", BASE + _box("wall", "0.1 1 1", "0.7 0 0.
     '<disable_collisions link1="base" link2="carriage"/>')  # fmt: skip
 LINKS = ("base", "turret", "upper_arm", "forearm", "wrist_link", "hand")
 EVERY_PAIR = tuple((a, b) for k, a in enumerate(LINKS) for b in LINKS[k + 1 :])
-FOLDED = {"goal": {"joints": {**START, "shoulder": 1.5, "elbow": 2.3, "wrist": 0.9}}}
-_arm("SRDF that disables all pairs", lambda root: None, disabled=EVERY_PAIR, is_changed_honest=True, **FOLDED)
+FOLDED = {"joints": {**START, "shoulder": 1.5, "elbow": 2.3, "wrist": 0.9}}
+_arm("SRDF that disables all pairs", lambda root: None, disabled=EVERY_PAIR, is_changed_honest=True, goal=FOLDED)
 BEHIND_THE_BASE = (*NEIGHBOURS, ("base", "hand"), ("base", "forearm"), ("base", "wrist_link"))
-_arm("SRDF that disables hand and base", lambda root: None, disabled=BEHIND_THE_BASE, is_changed_honest=True, **FOLDED)
+_arm(
+    "SRDF that disables hand and base", lambda root: None, disabled=BEHIND_THE_BASE, is_changed_honest=True, goal=FOLDED
+)
 # Numbers that cannot be.
-_arm("effort 0 everywhere", _set("joint/limit", effort="0"), NO)
-_arm("effort 0 on the shoulder", _set("joint[@name='shoulder']/limit", effort="0"), NO)
+_arm("effort 0 everywhere", _set("joint/limit", effort="0"), NAMED, "not checked: torques")
+_arm("effort 0 on the shoulder", _set("joint[@name='shoulder']/limit", effort="0"), NAMED, "shoulder")
 _arm("effort without bound", _set("joint/limit", effort="inf"), NO)
 _arm("negative effort", _set("joint/limit", effort="-50"), NO)
 _arm("negative inertia", _set("link/inertial/inertia", ixx="-0.5", iyy="-0.5", izz="-0.5"), NO)
@@ -210,8 +220,7 @@ _arm("speed limit 0", _set("joint[@name='elbow']/limit", velocity="0"), NO)
 _arm("speed limits of a million", _set("joint/limit", velocity="1e6"), TRUTH)
 _arm("axis of zero length", _set("joint[@name='elbow']/axis", xyz="0 0 0"), NO)
 _arm("axis twice as long", _set("joint[@name='elbow']/axis", xyz="0 2 0"), TRUTH)
-_arm("capsule of no length", _each("link[@name='wrist_link']/collision/geometry", lambda g: (g.clear(), g.append(
-    ET.fromstring('<capsule radius="0.04" length="0"/>')))), TRUTH)  # fmt: skip
+_arm("capsule of no length", _replace_shape("wrist_link", '<capsule radius="0.04" length="0"/>'), TRUTH)
 _arm("cylinder of no radius", _set("link/collision/geometry/cylinder", radius="0"), NO)
 _arm("origin of a million metres", _set("joint[@name='wrist']/origin", xyz="0 0 1e6"), NO)
 # Names and joints.
