@@ -160,6 +160,7 @@ class Edit:
         is_harmless: whether the folder must still be certified.
         asks_stranger: whether the stranger's program must notice it too.
         asks_verifier: whether ``scopt verify`` must notice it.
+        has_request: whether ``scopt verify`` is given the user's own request, without which nobody can notice.
     """
 
     name: str
@@ -169,6 +170,7 @@ class Edit:
     is_harmless: bool = False
     asks_stranger: bool = False
     asks_verifier: bool = True
+    has_request: bool = False
 
     def attacks(self) -> list[Attack]:
         """One for every base and judge."""
@@ -178,10 +180,14 @@ class Edit:
             kind = "harmless" if self.is_harmless else "folders"
             if self.asks_verifier:
                 is_short = base == self.bases[0] and (base not in LONG_BASES or self.name in SHORT)
-                found.append(Attack(kind, label, partial(self.run, base), is_short))
+                judge = self._with_request(base) if self.has_request else judges.verify
+                found.append(Attack(kind, label, partial(self.run, base, judge=judge), is_short))
             if self.asks_stranger:
                 found.append(Attack("stranger", label, partial(self.run, base, judge=judges.ask_stranger), False))
         return found
+
+    def _with_request(self, base: str) -> Callable[[Path], tuple[Answer, str]]:
+        return lambda folder: judges.verify(folder, request=bases.original(base) / "request.yaml")
 
     def run(
         self, base: str, scratch: Path, judge: Callable[[Path], tuple[Answer, str]] = judges.verify
@@ -218,6 +224,15 @@ class Registry:
 
         def register(change: Change) -> Change:
             self.edits.append(Edit(_name(change), bases, change, level, False, stranger))
+            return change
+
+        return register
+
+    def lie_about_files(self, *bases: str) -> Callable[[Change], Change]:
+        """Register an edit of what only files outside the folder can refute, so that the user's request is given."""
+
+        def register(change: Change) -> Change:
+            self.edits.append(Edit(_name(change), bases, change, Level.REMADE, has_request=True))
             return change
 
         return register

@@ -30,7 +30,8 @@ def verify(folder: Path, **seen: Path) -> tuple[Answer, str]:
     except (ResultError, RequestError) as error:
         return Answer.REFUSED, _first_line(error, folder)
     if summary["verdict"] == CERTIFIED:
-        return Answer.BELIEVED, CERTIFIED
+        named = str(summary["held_to"]).partition(", without ")[2]
+        return (Answer.REPORTED, f"CERTIFIED without {named}") if named else (Answer.BELIEVED, CERTIFIED)
     reasons = summary.get("explanation") or ["no reason given"]
     return Answer.REPORTED, f"{summary['verdict']}: {reasons[0]}"
 
