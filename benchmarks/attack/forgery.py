@@ -26,6 +26,7 @@ from service.motion_json import motion_from_json, motion_json
 from service.verify import Motion, VerifyError, verify
 from service.verify.certificate import link_vertices
 
+ROBOT_HERE = "the robot in this folder"
 LONG_BASES = ("valve", "scan")  # slow: the short version has few edits of them
 SHORT = (
     "turn backwards",
@@ -160,6 +161,8 @@ class Edit:
         is_harmless: whether the folder must still be certified.
         asks_stranger: whether the stranger's program must notice it too.
         asks_verifier: whether ``scopt verify`` must notice it.
+        is_of_robot: whether only the robot's files are edited. The folder of a robot that the request names by path holds
+            the only copy that who verifies is sure to have: a verdict that says so is enough.
     """
 
     name: str
@@ -169,6 +172,7 @@ class Edit:
     is_harmless: bool = False
     asks_stranger: bool = False
     asks_verifier: bool = True
+    is_of_robot: bool = False
 
     def attacks(self) -> list[Attack]:
         """One for every base and judge."""
@@ -194,6 +198,8 @@ class Edit:
         if fingerprint(folder.path) == before:
             raise AssertionError(f"the edit {self.name!r} changed nothing in {base}")
         answer, text = judge(folder.path)
+        if self.is_of_robot and answer is Answer.BELIEVED and ROBOT_HERE in text:
+            answer = Answer.REPORTED
         return judges.harmless(answer, text) if self.is_harmless else (answer, text)
 
 
@@ -213,11 +219,13 @@ class Registry:
     def __init__(self) -> None:
         self.edits: list[Edit] = []
 
-    def lie(self, *bases: str, level: Level = Level.REMADE, stranger: bool = False) -> Callable[[Change], Change]:
+    def lie(
+        self, *bases: str, level: Level = Level.REMADE, stranger: bool = False, robot: bool = False
+    ) -> Callable[[Change], Change]:
         """Register an edit whose folder must not be certified; its name is the function's."""
 
         def register(change: Change) -> Change:
-            self.edits.append(Edit(_name(change), bases, change, level, False, stranger))
+            self.edits.append(Edit(_name(change), bases, change, level, False, stranger, True, robot))
             return change
 
         return register
