@@ -30,7 +30,7 @@ from service.cloud_asked import CloudAsked
 from service.executor import JobCancelled, LocalPool
 from service.request import PlanRequest
 from service.request_file import load_request
-from service.scan_choices import KINDS
+from service.scan_choices import EVERY_KIND, KINDS
 from service.server.serve import PRELOAD
 from service.work.look import SceneTask, build_scene, detect, verify
 from service.work.plan import PlanAnswer, PlanTask, run_plan, warm_up
@@ -81,13 +81,16 @@ class _Attack:
     arguments: tuple[Any, ...]
 
 
-def run(count: int, seed: int = 0, on_cancel: Callable[[Report], object] = lambda _: None) -> Report:
+def run(
+    count: int, seed: int = 0, on_cancel: Callable[[Report], object] = lambda _: None, is_short: bool = False
+) -> Report:
     """Cancel ``count`` jobs at random moments.
 
     Args:
         count: of cancels.
         seed: of which jobs, and when; when a worker hears of it differs from run to run all the same.
         on_cancel: gets the report so far after each cancel.
+        is_short: leave out the denser scan, detections of all kinds at once, and half of the comparisons.
     """
     rng, report = np.random.default_rng(seed), Report()
     requests = [load_request(EXAMPLES / "requests" / name) for name in ("pose_goal.yaml", "valve.yaml")]
@@ -95,16 +98,19 @@ def run(count: int, seed: int = 0, on_cancel: Callable[[Report], object] = lambd
     typical: dict[str, float] = {}
     with (
         tempfile.TemporaryDirectory(prefix="scopt-cancels-") as scratch,
-        _deaths(report),
+        deaths(report),
         LocalPool(1, preload=PRELOAD, warm_up=warm_up) as pool,
     ):
-        attacks = _attacks(rng, requests, _files(fresh[0]), (SCAN, _denser_scan(Path(scratch))))
+        scans = (SCAN,) if is_short else (SCAN, _denser_scan(Path(scratch)))
+        kinds = KINDS if is_short else (*KINDS, EVERY_KIND)
+        attacks = _attacks(rng, requests, _files(fresh[0]), scans, kinds)
         for index in range(count):
             attack = next(attacks)
             _cancel(pool, attack, rng.uniform(0.0, 1.1), typical, report)
             on_cancel(report)
-            if index % CHECKED_EVERY == CHECKED_EVERY - 1 or index == count - 1:
-                which = index // CHECKED_EVERY % len(requests)
+            every = 2 * CHECKED_EVERY if is_short else CHECKED_EVERY
+            if index % every == every - 1 or index == count - 1:
+                which = index // every % len(requests)
                 answer = pool.submit(run_plan, PlanTask(requests[which])).result(AT_LONGEST_S)
                 report.n_compared += 1
                 if _hashes(answer) != _hashes(fresh[which]):
@@ -113,13 +119,17 @@ def run(count: int, seed: int = 0, on_cancel: Callable[[Report], object] = lambd
 
 
 def _attacks(
-    rng: np.random.Generator, requests: list[PlanRequest], files: Mapping[str, bytes], scans: tuple[Path, ...]
+    rng: np.random.Generator,
+    requests: list[PlanRequest],
+    files: Mapping[str, bytes],
+    scans: tuple[Path, ...],
+    kinds: tuple[str, ...],
 ) -> Iterator[_Attack]:
     while True:
         clouds = CloudAsked((scans[int(rng.integers(len(scans)))],))
-        unknown = str(rng.choice(["free", "occupied"]))
+        unknown = str(rng.choice(["free", "occupied"])) if EVERY_KIND in kinds else "free"
         yield _Attack("scene", build_scene, (SceneTask(clouds, (str(rng.choice(KINDS)),), unknown=unknown),))
-        yield _Attack("detect", detect, (clouds, str(rng.choice([*KINDS, "all"])), None))
+        yield _Attack("detect", detect, (clouds, str(rng.choice(kinds)), None))
         yield _Attack("plan", run_plan, (PlanTask(requests[int(rng.integers(len(requests)))]),))
         yield _Attack("verify", verify, (files,))
 
@@ -184,7 +194,7 @@ def _files(answer: PlanAnswer) -> dict[str, bytes]:
 
 
 @contextmanager
-def _deaths(report: Report) -> Iterator[None]:
+def deaths(report: Report) -> Iterator[None]:
     """Have what the pool's log says of workers that died added to the report."""
 
     class Listener(logging.Handler):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 from pathlib import Path
 
 import pytest
 from google.rpc.error_details_pb2 import BadRequest
 from google.rpc.status_pb2 import Status
 
+from service.executor.worker import JobControl
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.rpc import MAX_TEXT_BYTES, Refusal, shortened
 from service.server.cloud_problems import Kept, as_sent
@@ -18,6 +20,8 @@ from service.work.look import verify
 from service.work.plan import Refused
 
 HEADERS_BYTES = 8 * 2**10  # beyond which gRPC ends a call in its own way
+
+CONTROL = JobControl(1, ctypes.c_uint64(0), lambda *_: None)  # of a job that nobody stops
 
 
 def _told(refusal: Refusal) -> list[BadRequest.FieldViolation]:
@@ -72,13 +76,13 @@ def test_unknown_field_is_named_by_its_number() -> None:
 
 @pytest.mark.parametrize("name", ["\0", "a\0b", "../out", "", "x" * 5000])
 def test_files_to_verify_with_names_of_no_file_are_refused(name: str) -> None:
-    answer = verify({name: b"{}"})
+    answer = verify({name: b"{}"}, CONTROL)
     assert isinstance(answer, Refused)
     assert violation(answer.problems[0]).field == "files"
 
 
 def test_files_that_cannot_be_verified_are_named_as_the_client_named_them() -> None:
-    answer = verify({"other.json": b"{}"})
+    answer = verify({"other.json": b"{}"}, CONTROL)
     assert isinstance(answer, Refused)
     assert answer.problems == ("files: result.json cannot be read: No such file or directory",)
 
