@@ -161,8 +161,8 @@ class Edit:
         is_harmless: whether the folder must still be certified.
         asks_stranger: whether the stranger's program must notice it too.
         asks_verifier: whether ``scopt verify`` must notice it.
-        is_of_robot: whether only the robot's files are edited. Where the request names them by path, a verdict that says
-            that it rests on the folder's copy is honest, and with the user's own request there must be none.
+        is_of_robot: whether only the robot's files are edited. Where the request names them by path, a verdict that
+            says it rests on the folder's copy is honest, and with the user's own request there must be none.
     """
 
     name: str
