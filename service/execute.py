@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.curve import Curve, TimeLaw
+from service.holds import DRIFT
 from service.phases import PlannedPhase, TaskPlan
 from service.spline import Path, Spline, make_spline
 from service.timing import TimingSettings, slow_until_zmp_inside, time_curve
@@ -64,7 +65,9 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
     motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
     law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
-    return replace(motion, law=law, samples=_samples(knots, law))
+    # What is kept more tightly than feet are needs samples closer than the usual ones.
+    chord = HELD_CHORD_SHARE * body.drift() if body.drift() < DRIFT else np.inf
+    return replace(motion, law=law, samples=_samples(knots, law, _chord_steps(spline.curve, chord)))
 
 
 def _spline(body: WholeBody, phases: Sequence[PlannedPhase]) -> Spline:
@@ -96,21 +99,36 @@ def _phase(body: WholeBody, phase: PlannedPhase, s: Float[np.ndarray, "T"]) -> P
 
 def _path_samples(curve: Curve, chord: float) -> Float[np.ndarray, "M"]:
     """Path parameters of an untimed path's samples: all knots, and as many between as keep the curve to its chords."""
-    _, _, c2, c3 = curve.coefficients()
     steps = np.diff(curve.knots)
-    bend = np.maximum(np.abs(2.0 * c2), np.abs(2.0 * c2 + 6.0 * c3 * steps[:, None])).max(axis=1)
-    counts = np.maximum(np.ceil(steps * np.sqrt(bend / (8.0 * chord))), 1.0).astype(int)
+    counts = np.maximum(np.ceil(steps / _chord_steps(curve, chord)), 1.0).astype(int)
     parts = [s + step * np.arange(count) / count for s, step, count in zip(curve.knots, steps, counts, strict=False)]
     return np.concatenate([*parts, curve.knots[-1:]])
 
 
-def _samples(knots: Float[np.ndarray, "K"], law: TimeLaw) -> Float[np.ndarray, "M"]:
-    """Path parameters of the exported samples: all knots, more beside rests, and one at least every sample period."""
+def _chord_steps(curve: Curve, chord: float) -> Float[np.ndarray, "K-1"]:
+    """Longest steps of the path parameter, per knot interval, over which no coordinate leaves its chord by more."""
+    _, _, c2, c3 = curve.coefficients()
+    steps = np.diff(curve.knots)
+    bend = np.maximum(np.abs(2.0 * c2), np.abs(2.0 * c2 + 6.0 * c3 * steps[:, None])).max(axis=1)
+    return np.asarray(np.sqrt(8.0 * chord / np.maximum(bend, 1e-12)))
+
+
+def _samples(knots: Float[np.ndarray, "K"], law: TimeLaw, longest: Float[np.ndarray, "K-1"]) -> Float[np.ndarray, "M"]:
+    """Path parameters of the exported samples: all knots, more beside rests, and one at least every sample period.
+
+    Args:
+        knots: of the curve.
+        law: of its time.
+        longest: per knot interval, the longest step of the path parameter between two samples.
+    """
     times = times_of(law, knots)
     is_rest = np.isin(knots, law.path[law.speed == 0.0])
     samples = [knots[:1]]
     for k, length in enumerate(np.diff(knots)):
-        count = max(int(np.ceil((times[k + 1] - times[k]) / (SAMPLE_PERIOD_S - SAME_TIME_S))), 1)
+        duration = times[k + 1] - times[k]
+        fastest = law.speed[(law.path >= knots[k]) & (law.path <= knots[k + 1])].max(initial=0.0)
+        periods = duration / (SAMPLE_PERIOD_S - SAME_TIME_S), duration * fastest / longest[k]
+        count = max(int(np.ceil(max(periods))), 1)
         even = np.linspace(times[k], times[k + 1], count + 1)[1:-1]
         beside = [knots[k : k + 1], knots[k + 1 : k + 2]]
         beside += [knots[k] + length * BESIDE_REST] if is_rest[k] else []

@@ -165,15 +165,17 @@ def test_another_cloud_takes_the_place_of_the_requests(
     assert " 50 % reach" in result.stderr
 
 
-def test_verify_and_view_read_what_plan_wrote(
-    planner: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_verify_and_view_read_what_plan_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert _scopt("plan", REQUEST, "--out", tmp_path / "plan").exit_code == 0
     verified = _scopt("verify", tmp_path / "plan" / "result.json", "--json")
     assert verified.exit_code == 0
-    assert json.loads(verified.stdout)["verdict"] == "CERTIFIED"
+    summary = json.loads(verified.stdout)
+    assert (summary["verdict"], summary["held_to"]) == ("CERTIFIED", "for the request in this folder")
+    asked = _scopt("verify", tmp_path / "plan", "--request", REQUEST)
+    assert asked.exit_code == 0
+    assert f", for {REQUEST.name}" in asked.stdout
     viewed = _scopt("view", tmp_path / "plan")
     assert viewed.exit_code == 0
     assert viewed.stdout.strip() == str((tmp_path / "plan" / "viewer.html").resolve())

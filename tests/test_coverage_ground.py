@@ -126,7 +126,7 @@ def test_a_floating_robot_that_lacks_masses_is_refused_in_one_line(tmp_path) -> 
     meshes = next(iter(atlas().source.files.values())).parents[2]
     data = {**request(True), "start": {"base": {"position": [0, 0, 0.862]}}, "options": {"feet": list(FEET)}}
     data["robot"] = {"urdf": str(tmp_path / "atlas.urdf"), "root": "floating", "package_dirs": [str(meshes)]}
-    with pytest.raises(RequestError, match="have shapes and no mass; balance needs all masses"):
+    with pytest.raises(RequestError, match="the links of atlas have 0 kg in all"):
         prepare(parse_request(data))
 
 

@@ -207,7 +207,8 @@ _arm("effort 0 on the shoulder", _set("joint[@name='shoulder']/limit", effort="0
 _arm("effort without bound", _set("joint/limit", effort="inf"), NO)
 _arm("negative effort", _set("joint/limit", effort="-50"), NO)
 _arm("negative inertia", _set("link/inertial/inertia", ixx="-0.5", iyy="-0.5", izz="-0.5"), NO)
-_arm("inertia that no body has", _set("link[@name='hand']/inertial/inertia", ixx="1", iyy="0.001", izz="0.001"), NO)
+_arm("inertia that no body has", _set("link[@name='hand']/inertial/inertia", ixx="1", iyy="0.001", izz="0.001"), NAMED,
+    "inertia of hand")  # fmt: skip
 _arm("negative masses", _set("link/inertial/mass", value="-2"), NO)
 _arm("one negative mass", _set("link[@name='forearm']/inertial/mass", value="-2"), NO)
 _arm("no mass at all", _set("link/inertial/mass", value="0"), NAMED, "mass")

@@ -7,22 +7,19 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import orjson
 from jaxtyping import Float
 
-from costs.allowance import BodyRef
+from costs.allowance import Allowance, BodyRef
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify.coverage import Coverage
 from service.verify.errors import VerifyError
 from service.verify.gaps import Gaps
-from service.verify.motion import Phase
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+from service.verify.motion import Phase, PlantedContact, SupportPolygon, Target
 
 FORMAT = "scopt-certificate/1"
 HASH_OFFSET = 0.381966  # of a micrometre
@@ -245,7 +242,7 @@ def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
     return "sha256:" + digest.hexdigest()
 
 
-def _parts(promise: DataclassInstance) -> Iterator[str | np.ndarray]:
+def _parts(promise: Allowance | BodyRef | PlantedContact | SupportPolygon | Target) -> Iterator[str | np.ndarray]:
     """The fields of a promise in their order: texts, references to bodies, numbers; none where it is None."""
     for item in fields(promise):
         value = getattr(promise, item.name)

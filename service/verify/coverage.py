@@ -41,7 +41,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Shapeless:
-    """A link without a collision shape.
+    """A link without a collision shape, or with one far smaller than the link.
 
     Attributes:
         link: its name.

@@ -41,7 +41,7 @@ def cover(
     waived = (*duties.waived, *([f"{starts_inside} pairs that overlap at the start"] if starts_inside else []))
     coverage = Coverage(
         tuple(link for link in own if link in tree.shaped),
-        tuple(one.link for one in shapeless),
+        tuple(one.link for one in shapeless if one.link not in tree.shaped),
         shapeless,
         n_link_pairs,
         n_piece_pairs,
@@ -50,7 +50,7 @@ def cover(
         waived,
     )
     against = [*missing_checks(duties, checks), *overlap_checks(left_out)]
-    against += [_too_large(one) for one in shapeless if not one.is_small]
+    against += [_too_large(one, one.link in tree.shaped) for one in shapeless if not one.is_small]
     if n_link_pairs + n_piece_pairs == 0:
         against += _nothing_checked(coverage)
     return coverage, tuple(against)
@@ -73,8 +73,9 @@ def _nothing_checked(coverage: Coverage) -> Iterator[Check]:
     yield Check("coverage.pairs", True, 0.0, 1.0, "pairs", text, None, Basis.UNPROVEN)
 
 
-def _too_large(one: Shapeless) -> Check:
+def _too_large(one: Shapeless, has_token: bool) -> Check:
     where = {"between": "between links with shapes", "end": "at an end", "root": "at the root"}[one.place]
     size = "is of unknown size" if np.isnan(one.reach_m) else f"{1e3 * one.reach_m:.0f} mm of it are in no shape"
-    text = f"{one.link} ({where}) has no collision shape and {size}; at most {1e3 * SMALL_M:.0f} mm go unchecked"
+    lack = "a collision shape far smaller than the link" if has_token else "no collision shape"
+    text = f"{one.link} ({where}) has {lack} and {size}; at most {1e3 * SMALL_M:.0f} mm go unchecked"
     return Check(f"coverage.shape.{one.link}", True, one.reach_m, SMALL_M, "m", text, None, Basis.UNPROVEN)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from costs.robot.model import BASE_NAMES
 from service.verify.certificate import Basis, Check
@@ -13,6 +14,7 @@ from service.verify.ground import standing_contacts
 from service.verify.motion import Motion, Phase
 
 TIMING, BALANCE = "timing", "balance"
+INERTIA_ROUNDING = 0.05  # by which a principal moment may exceed the sum of the others in a robot's file
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ def duties_of(motion: Motion, phases: Sequence[Phase]) -> Duties:
     is_limited = len(unlimited) < len(own_joints(motion)) and _has_mass(motion)
     if motion.law is not None and not is_limited:
         waived.append("torques (no joint names a limit)" if _has_mass(motion) else "torques (no link names a mass)")
+    if motion.law is not None and is_limited:
+        waived += _doubtful_weights(motion)
     for phase in phases:
         names += [f"torque.{phase.name}"] if motion.law is not None and is_limited else []
         if not motion.robot.is_floating:
@@ -76,6 +80,27 @@ def joints_without_torque_limit(motion: Motion) -> tuple[str, ...]:
 
 def _has_mass(motion: Motion) -> bool:
     return any(float(inertia.mass) > 0.0 for inertia in motion.robot.model.inertias[1:])
+
+
+def _doubtful_weights(motion: Motion) -> Iterator[str]:
+    """What the torques do not know of links whose mass is missing, or whose inertia no body has."""
+    inertias = motion.robot.model.inertias
+    links: dict[int, list[str]] = {}
+    for body in motion.robot.bodies:
+        if body.joint > 0 and body.link not in motion.mechanism_links and body.link not in links.get(body.joint, ()):
+            links.setdefault(body.joint, []).append(body.link)
+    light = [name for joint, names in links.items() if not inertias[joint].mass > 0.0 for name in names]
+    if light:
+        yield f"the weight of {', '.join(light)} (no mass)"
+    odd = [name for joint, names in links.items() if not _is_possible(inertias[joint].inertia) for name in names]
+    if odd:
+        yield f"the inertia of {', '.join(odd)} (no body has it)"
+
+
+def _is_possible(inertia: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether no principal moment exceeds the sum of the two others by more than rounding in a file."""
+    moments = np.linalg.eigvalsh(np.asarray(inertia))
+    return bool(moments[2] <= (1.0 + INERTIA_ROUNDING) * (moments[0] + moments[1]) + 1e-9)
 
 
 def missing_checks(duties: Duties, checks: Sequence[Check]) -> Iterator[Check]:

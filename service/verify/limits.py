@@ -50,7 +50,7 @@ def timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
     Raises:
         VerifyError: when the law is inconsistent or does not run from the curve's first knot to its last.
     """
-    _check_law(curve, law)
+    check_law(curve, law)
     moving = np.flatnonzero(np.diff(law.path) > 0.0)
     grid = np.unique(np.concatenate([law.path, curve.knots]))
     first, last = grid[:-1], grid[1:]
@@ -171,7 +171,11 @@ def _roots(b0: np.ndarray, b1: np.ndarray, b2: np.ndarray) -> tuple[np.ndarray, 
     return far, near
 
 
-def _check_law(curve: Curve, law: TimeLaw) -> None:
+def check_law(curve: Curve, law: TimeLaw) -> None:
+    """
+    Raises:
+        VerifyError: the law runs back, does not run along the whole curve, or contradicts itself.
+    """
     if not len(law.times) == len(law.path) == len(law.speed) >= 2:
         counts = f"{len(law.times)}, {len(law.path)} and {len(law.speed)}"
         raise VerifyError(f"the time law needs as many times, path parameters and speeds, at least 2, got {counts}")

@@ -1,8 +1,8 @@
-"""Links without a collision shape: where they sit, and how far what is known of them reaches out of all shapes."""
+"""Links without a collision shape, or with a token of one: where they sit, and how far they reach out of all shapes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,19 +15,54 @@ from service.verify.solid import Solid
 from service.verify.track import Track
 
 _STEP_M = 0.02
+_TOKEN_SHARE = 0.2  # of the longest side of what is drawn; shapes that are meant well cover most of it
 # A link lighter than this is a frame with a mass for the simulator's sake; its inertia tells no size [kg].
 _LEAST_MASS_KG = 0.01
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
 def shapeless_links(track: Track, tree: LinkTree) -> tuple[Shapeless, ...]:
-    """Every link of the robot (of no mechanism) that has no collision shape."""
+    """Every link of the robot (of no mechanism) that has no collision shape, or one far smaller than the link."""
     elements = _elements(track.motion.robot.source.urdf)
     return tuple(
         Shapeless(link, _place(tree, link), _reach(track, tree, link, elements.get(link)))
         for link in tree.joint
-        if link not in tree.shaped and link not in track.motion.mechanism_links
+        if link not in track.motion.mechanism_links
+        and (link not in tree.shaped or _has_token(track, link, elements.get(link)))
     )
+
+
+def _has_token(track: Track, link: str, element: ElementTree.Element | None) -> bool:
+    """Whether a link's shapes are so much smaller than what is drawn of it that they stand for nothing.
+
+    A mesh read in millimetres, or boxes of a centimetre inside a forearm, would let it go through walls.
+    """
+    if element is None:
+        return False
+    try:
+        known = list(_drawn(element))
+    except ValueError:  # what is only drawn was checked by nobody
+        return False
+    shapes = [body.vertices for body in track.motion.robot.bodies if body.link == link]
+    is_token = bool(known) and _side(shapes) < _TOKEN_SHARE * max(_side([points]) for points in known)
+    return is_token or _mesh_share(element) < _TOKEN_SHARE
+
+
+def _mesh_share(element: ElementTree.Element) -> float:
+    """How large a mesh is as a shape, as a share of how large the same mesh is drawn; 1 where none is both."""
+    drawn = {mesh.get("filename"): _scale_of(mesh) for mesh in element.findall("visual/geometry/mesh")}
+    meshes = element.findall("collision/geometry/mesh")
+    return min((_scale_of(mesh) / drawn.get(mesh.get("filename"), _scale_of(mesh)) for mesh in meshes), default=1.0)
+
+
+def _scale_of(mesh: ElementTree.Element) -> float:
+    return max(abs(float(value)) for value in mesh.get("scale", "1 1 1").split())
+
+
+def _side(points: Sequence[Float[np.ndarray, "V 3"]]) -> float:
+    """Longest side of the box around points [m]."""
+    together = np.vstack(points)
+    return float((together.max(axis=0) - together.min(axis=0)).max())
 
 
 def _place(tree: LinkTree, link: str) -> str:

@@ -22,7 +22,7 @@ from service.verify.covering import cover
 from service.verify.duties import own_joints
 from service.verify.dynamics import dynamics_checks
 from service.verify.ground import ground_checks
-from service.verify.limits import position_check, timed_checks
+from service.verify.limits import check_law, position_check, timed_checks
 from service.verify.motion import Motion, Phase
 from service.verify.promises import PhaseChecks
 from service.verify.settings import VerifySettings
@@ -53,6 +53,8 @@ def verify(
 
 def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
     admit(motion)
+    if motion.law is not None:
+        check_law(motion.curve, motion.law)
     phases = phases_of(motion)
     track = Track(motion)
     checks = [position_check(track)]
