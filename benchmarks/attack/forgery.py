@@ -161,8 +161,8 @@ class Edit:
         is_harmless: whether the folder must still be certified.
         asks_stranger: whether the stranger's program must notice it too.
         asks_verifier: whether ``scopt verify`` must notice it.
-        is_of_robot: whether only the robot's files are edited. Where the request names them by path, the folder holds the
-            only copy that who verifies is sure to have: a verdict that says so is enough.
+        is_of_robot: whether only the robot's files are edited. Where the request names them by path, the folder
+            holds the only copy that who verifies is sure to have: a verdict that says so is enough.
     """
 
     name: str
