@@ -81,12 +81,13 @@ class _Attack:
     arguments: tuple[Any, ...]
 
 
-def run(count: int, seed: int = 0) -> Report:
+def run(count: int, seed: int = 0, on_cancel: Callable[[Report], object] = lambda _: None) -> Report:
     """Cancel ``count`` jobs at random moments.
 
     Args:
         count: of cancels.
         seed: of which jobs, and when; when a worker hears of it differs from run to run all the same.
+        on_cancel: gets the report so far after each cancel.
     """
     rng, report = np.random.default_rng(seed), Report()
     requests = [load_request(EXAMPLES / "requests" / name) for name in ("pose_goal.yaml", "valve.yaml")]
@@ -101,6 +102,7 @@ def run(count: int, seed: int = 0) -> Report:
         for index in range(count):
             attack = next(attacks)
             _cancel(pool, attack, rng.uniform(0.0, 1.1), typical, report)
+            on_cancel(report)
             if index % CHECKED_EVERY == CHECKED_EVERY - 1 or index == count - 1:
                 which = index // CHECKED_EVERY % len(requests)
                 answer = pool.submit(run_plan, PlanTask(requests[which])).result(AT_LONGEST_S)
@@ -202,9 +204,14 @@ def _deaths(report: Report) -> Iterator[None]:
         log.setLevel(level)
 
 
+def _tell(report: Report) -> None:
+    if report.n_cancels % 20 == 0:
+        print(f"{report.n_cancels} cancels, {len(report.crashes)} crashes, {len(report.wrong)} wrong", file=sys.stderr)
+
+
 def main(count: int, seed: int) -> int:
     """Attack and print a table; 1 where something crashed or was wrong."""
-    report = run(count, seed)
+    report = run(count, seed, _tell)
     endings = ("stopped", "killed", "answered", "wrong")
     rows = [(kind, *(str(counter[how]) for how in endings)) for kind, counter in sorted(report.outcomes.items())]
     print_table(f"{report.n_cancels} cancels", ("job", *endings), rows)

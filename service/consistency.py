@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from costs.robot import RobotModel
 from service.errors import shown
-from service.motion_json import file_columns, file_positions, sample_times, samples_of
+from service.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
 from service.verify import Certificate, Motion, Status
 from service.verify.certificate import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
+from service.verify.promises import outside_polygon
 
 TOLERANCE = 1e-6  # of numbers written twice [m, rad, s]
 CLAIM_TOLERANCE = 1e-4  # of a clearance or balance margin proven on another machine [m]
@@ -21,13 +24,14 @@ CHANGED = "the result was changed after it was written"
 
 
 def contradictions(
-    data: Mapping[str, Any], motion: Motion, certificate: Certificate, table: Path | None
+    data: Mapping[str, Any], motion: Motion, robot: RobotModel, certificate: Certificate, table: Path | None
 ) -> tuple[str, ...]:
     """One sentence for everything in a result that does not fit the rest of it.
 
     Args:
         data: the parsed ``result.json``, with a certificate.
         motion: the motion read from it.
+        robot: its robot, without what the task moves.
         certificate: made anew, of the motion as the request has it.
         table: its ``trajectory.csv``, if there is one.
 
@@ -39,8 +43,10 @@ def contradictions(
         *_hashes(data, recorded, motion),
         *_bodies(data, motion),
         *_samples(data, motion, table),
+        *_drawn(data, motion, robot),
         *_promises(recorded, certificate),
         *_claims({"result.json": data, "the recorded certificate": recorded}, certificate),
+        *_said(data, recorded, certificate),
     )
 
 
@@ -92,7 +98,7 @@ def _samples(data: Mapping[str, Any], motion: Motion, table: Path | None) -> Ite
     for column, movable in enumerate(data["movables"], start=n):
         if not _agree(np.array(movable["angles"], dtype=float), q[:, column]):
             yield f"movables: the angles of {movable['name']} are not on the curve"
-    if table is not None and not _agree(_rows(table), np.column_stack([times, positions])):
+    if table is not None and not _holds_samples(table, trajectory["joint_names"], np.column_stack([times, positions])):
         yield f"{table.name} does not hold samples of the curve"
 
 
@@ -117,10 +123,94 @@ def _claims(claims: Mapping[str, Mapping[str, Any]], certificate: Certificate) -
                 yield f"{name} of {source} is {value:.6g}, proven is {proven:.6g}"
 
 
-def _rows(table: Path) -> np.ndarray:
-    with table.open(encoding="utf-8") as file:
-        next(file)
-        return np.loadtxt(file, delimiter=",", ndmin=2)
+def _holds_samples(table: Path, names: Sequence[str], expected: Float[np.ndarray, "S k"]) -> bool:
+    """Whether a table has the columns of the samples, and their rows."""
+    header, *rows = table.read_text(encoding="utf-8").splitlines() or [""]
+    if header != ",".join(("time", *names)) or len(rows) != len(expected):
+        return False
+    return _agree(np.loadtxt(rows, delimiter=",", ndmin=2, comments=None), expected)
+
+
+def _drawn(data: Mapping[str, Any], motion: Motion, robot: RobotModel) -> Iterator[str]:
+    """What the pages draw is the motion's: waypoints, centre of mass, support polygons and ZMP."""
+    made = motion_json(motion, robot)
+    if data["waypoints"] != made["waypoints"]:
+        yield "waypoints are not the curve's knots"
+    if not _is_near(data["com"], made["com"]):
+        yield "com is not the motion's centre of mass"
+    bare = [
+        [{k: v for k, v in one.items() if k != "zmp"} for one in source["support_polygons"]] for source in (data, made)
+    ]
+    if not _is_near(*bare):
+        yield "support_polygons are not those of the phases"
+    elif not all(_same_zmp(one, source) for one, source in zip(_zmp(data), _zmp(made), strict=True)):
+        yield "zmp is not the motion's"
+
+
+def _bare(supports: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Support polygons without the ZMP that is drawn in them."""
+    return [{name: value for name, value in support.items() if name != "zmp"} for support in supports]
+
+
+def _zmp(data: Mapping[str, Any]) -> Iterator[tuple[np.ndarray, list[Any]]]:
+    """Support polygon and ZMP that are drawn of each phase: at the samples, and as its check saw it."""
+    for support in data["support_polygons"]:
+        polygon = np.array(support["polygon"], dtype=float)
+        yield polygon, data["zmp"][support["first"] : support["last"] + 1]
+        yield polygon, support["zmp"]["points"]
+
+
+def _same_zmp(one: tuple[np.ndarray, list[Any]], other: tuple[np.ndarray, list[Any]]) -> bool:
+    """Whether two tracks come equally near to their polygon's edge; of points alike either may be drawn."""
+    worst = []
+    for polygon, points in (one, other):
+        known = np.array([point for point in points if point is not None], dtype=float).reshape(-1, 2)
+        worst.append((len(points), len(known), float(outside_polygon(polygon, known).max(initial=-np.inf))))
+    return worst[0][:2] == worst[1][:2] and bool(np.isclose(worst[0][2], worst[1][2], rtol=0.0, atol=CLAIM_TOLERANCE))
+
+
+def _said(data: Mapping[str, Any], recorded: Mapping[str, Any], certificate: Certificate) -> Iterator[str]:
+    """The recorded checks, pairs that may touch and coverage are those of the motion, and told alike in both places."""
+    fresh = certificate.to_dict()
+    for name in ("checks", "exempt", "coverage", "min_clearance_pair"):
+        if data[name] != recorded[name]:
+            yield f"{name} of result.json and of the recorded certificate differ"
+    if not _same_rows(recorded["checks"], fresh["checks"], ("name", "ok", "basis"), "value"):
+        yield "checks are not those of the motion"
+    if not _same_rows(recorded["exempt"], fresh["exempt"], ("pair", "phase"), "deepest_m"):
+        yield "exempt pairs are not those of the motion"
+    if not _same_rows(recorded["coverage"]["left_out"], fresh["coverage"]["left_out"], ("pair", "reason"), "deepest_m"):
+        yield "coverage.left_out is not what the verifier leaves out"
+    names = [name for name in fresh["coverage"] if name != "left_out"]
+    if any(not _is_near(recorded["coverage"][name], fresh["coverage"][name]) for name in names):
+        yield "coverage is not the verifier's"
+
+
+def _same_rows(
+    written: Sequence[Mapping[str, Any]], made: Sequence[Mapping[str, Any]], names: Sequence[str], value: str
+) -> bool:
+    """Whether two lists have the same entries, each with about the same value."""
+    if [[one[name] for name in names] for one in written] != [[one[name] for name in names] for one in made]:
+        return False
+    return all(_is_claim(a[value], b[value]) for a, b in zip(written, made, strict=True))
+
+
+def _is_claim(written: float | None, made: float | None) -> bool:
+    """Whether a value may have come out so on another machine."""
+    if written is None or made is None:
+        return written is made
+    return bool(np.isclose(written, made, rtol=0.01, atol=CLAIM_TOLERANCE))
+
+
+def _is_near(written: object, made: object) -> bool:
+    """Whether two pieces of JSON data are the same but for rounding."""
+    if isinstance(written, Mapping) and isinstance(made, Mapping):
+        return written.keys() == made.keys() and all(_is_near(written[key], made[key]) for key in made)
+    if isinstance(written, list | tuple) and isinstance(made, list | tuple):
+        return len(written) == len(made) and all(_is_near(a, b) for a, b in zip(written, made, strict=True))
+    if isinstance(written, float | int) and isinstance(made, float | int):
+        return bool(abs(written - made) <= TOLERANCE)
+    return written == made
 
 
 def _agree(written: np.ndarray, expected: np.ndarray) -> bool:

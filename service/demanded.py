@@ -38,16 +38,19 @@ class Grounds:
         request: whose demands the motion was held to.
         scene: where the pieces came from.
         robot: where the robot came from.
+        without: constraints of the request that the verifier cannot hold a motion to.
     """
 
     request: str
     scene: str
     robot: str
+    without: tuple[str, ...] = ()
 
     def sentence(self) -> str:
         """As the verdict's line says it; what the request itself holds is not named again."""
         named = dict.fromkeys((self.request, self.robot, self.scene))
-        return "for " + " and ".join(named)
+        without = f", without {', '.join(self.without)}" if self.without else ""
+        return f"for {' and '.join(named)}{without}"
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,8 @@ def demands_of(
     scene, _ = compose_scene(request, robot, start, about.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
     demands = Demands(request, robot, start, scene, _program(program, robot), _wheel(request, about.valves))
-    return demands, Grounds(whose, scene_from, robot_from)
+    without = () if demands.program is None else demands.program.unproven
+    return demands, Grounds(whose, scene_from, robot_from, without)
 
 
 def _program(program: Program | None, robot: RobotModel) -> ProgramDemand | None:

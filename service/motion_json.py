@@ -76,7 +76,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         phases=tuple(phase_from_json(phase, s) for phase in data["phases"]),
         samples=s,
         mechanism_links=robot.mechanism_links,
-        waived=frozenset(str(name) for name in data["waived"]),
+        waived=frozenset(str(name) for name in data.get("waived", ())),
     )
 
 

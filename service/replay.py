@@ -64,7 +64,8 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         if demands is not None:
             found += tuple(pace_differences(demands.request, certificate))
         if data.get("certificate") is not None:
-            found += contradictions(data, recorded, certificate, table if table.is_file() else None)
+            robot = _read_robot(data["robot"], folder)
+            found += contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
     if certificate.status is Status.CERTIFIED and is_claimed and found:
         why = CHANGED if request is None else OTHER
         raise ResultError("\n".join(f"{folder}: {line}; {why}" for line in found))

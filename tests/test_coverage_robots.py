@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ from costs.robot import load_robot
 from service.cli_report import uncovered
 from service.errors import RequestError
 from service.planner import plan
-from service.request_file import parse_request
+from service.request_file import load_request, parse_request
 from service.result import PlanResult, Verdict
 from service.result_json import summary_json
-from service.verify import Certificate
+from service.verify import Certificate, RelativePoseTarget, verify
 
 
 def planned(
@@ -82,6 +83,20 @@ def test_a_wall_that_the_robots_file_fixes_to_the_world_is_an_obstacle(tmp_path:
     assert result.certificate.coverage.n_link_pairs == 1
     (tmp_path / "robot.urdf").write_text(dishonest.rail_arm_with_wall())
     assert load_robot(urdf=tmp_path / "robot.urdf").ignored_pairs == frozenset()
+
+
+def test_a_wall_that_is_part_of_what_carries_the_robot_prevents_a_certificate(tmp_path: Path) -> None:
+    result = planned(tmp_path, dishonest.rail_arm_on_wall(), {"rail": 0.3, "lift": 0.0}, {"rail": 1.7, "lift": 0.0})
+    assert result.verdict is Verdict.FEASIBLE_AT_SAMPLES
+    assert "coverage.overlap.bar.world" in against(result)
+    over = planned(
+        tmp_path,
+        dishonest.rail_arm_on_wall(),
+        {"rail": 0.3, "lift": 0.5},
+        {"rail": 1.7, "lift": 0.5},
+        obstacles=(far_box(),),
+    )
+    assert over.verdict is Verdict.CERTIFIED
 
 
 def test_a_box_that_slides_through_one_fixed_to_the_world_goes_round_it(tmp_path: Path) -> None:
@@ -191,3 +206,26 @@ def test_what_a_certificate_covers_survives_its_file(tmp_path: Path) -> None:
     again = Certificate.from_json(certificate.to_json())
     assert again.to_json() == certificate.to_json()
     assert again.coverage.shapeless == certificate.coverage.shapeless
+
+
+def test_pairs_that_are_held_together_or_overlap_around_a_joint_are_told_apart() -> None:
+    examples = Path(__file__).parents[1] / "examples" / "requests"
+    result = plan(load_request(examples / "carry.yaml"))
+    assert result.verdict is Verdict.CERTIFIED
+    told = {item.pair: item for item in result.certificate.coverage.left_out}
+    # Both hands hold the beam: the right one's pose relative to it is a check of its own.
+    for pair in (("beam", "r_hand"), ("beam", "r_hook")):
+        assert not told[pair].is_neighbour
+        assert told[pair].reason in ("kept", "srdf (User)")
+    assert any(told[pair].reason == "kept" for pair in (("beam", "r_hand"), ("beam", "r_hook")))
+    around = told["mtorso", "pelvis"]
+    assert (around.reason, around.is_neighbour) == ("around a joint", True)
+    assert around.deepest_m > 0.05
+    let_go = replace(
+        result.motion,
+        phases=tuple(
+            replace(phase, targets=tuple(t for t in phase.targets if not isinstance(t, RelativePoseTarget)))
+            for phase in result.motion.phases
+        ),
+    )
+    assert any(check.name.startswith("coverage.overlap.beam") for check in verify(let_go).checks)

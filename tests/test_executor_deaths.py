@@ -179,7 +179,7 @@ def test_a_worker_that_stops_reading_holds_up_nobody() -> None:
         with pytest.raises(JobCancelled):
             job.result(SOON_S)
         assert pool.wait_ready(SOON_S)
-        assert not is_running(deaf)
+        assert until(lambda: not is_running(deaf))
 
 
 @pytest.mark.parametrize("fn", [jobs.talk_nonsense, jobs.hang_up])

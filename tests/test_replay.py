@@ -142,6 +142,21 @@ def _feet(data: dict[str, Any]) -> None:
     data["phases"][0]["contacts"].pop()
 
 
+def _failed_check(data: dict[str, Any]) -> None:
+    for source in (data, data["certificate"]):
+        source["checks"][0]["ok"] = False
+
+
+def _no_exempt(data: dict[str, Any]) -> None:
+    for source in (data, data["certificate"]):
+        source["exempt"] = []
+
+
+def _nothing_left_out(data: dict[str, Any]) -> None:
+    for source in (data, data["certificate"]):
+        source["coverage"]["left_out"] = []
+
+
 def _canonical(request: dict[str, Any]) -> dict[str, Any]:
     from service.request_file import to_json
 
@@ -175,6 +190,12 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "the start": (lambda data: data["request"]["start"].update(posture="stand"), "starts .* away from the request's"),
     "the feet of the request": (lambda data: data["request"]["options"].update(feet=["l_foot"]), "contacts of phase"),
     "what is not checked": (lambda data: data["waived"].append("balance"), "the checks that the record waives"),
+    "a drawn ZMP": (lambda data: data.update(zmp=[data["zmp"][0]] * len(data["zmp"])), "zmp is not the motion's"),
+    "a drawn centre of mass": (lambda data: data["com"][5].__setitem__(0, 0.0), "com is not"),
+    "a check's value": (lambda data: data["certificate"]["checks"][1].update(value=0.9), "checks of result.json and"),
+    "a failed check": (_failed_check, "checks are not those of the motion"),
+    "the pairs that touch": (_no_exempt, "exempt pairs are not those of the motion"),
+    "what was left out": (_nothing_left_out, "coverage.left_out is not what the verifier leaves out"),
     "the pace": (lambda data: data["request"]["options"].update(velocity_scale=0.01), "% of the speed limits"),
     "a promise of time": (lambda data: data["curve"].update(law=None), "no time law"),
 }  # fmt: skip
@@ -260,6 +281,24 @@ def _is_noticed(folder: Path, problem: str) -> bool:
         lines = again["explanation"]
     assert any(re.search(problem, line) for line in lines), lines
     return True
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: "",
+        lambda text: text.replace("base_x", "base_q", 1),
+        lambda text: text.replace("\n", "\n# as planned\n", 1),
+        lambda text: text.splitlines()[0],
+        lambda text: "\n".join([text.splitlines()[0], *text.splitlines()[1:3], *text.splitlines()[2:]]),
+    ],
+    ids=["empty", "other columns", "a comment", "no rows", "a row twice"],
+)
+def test_a_changed_table_of_samples_is_noticed(carried: Path, tmp_path: Path, change: Callable[[str], str]) -> None:
+    folder = forge(carried, tmp_path / "forged", lambda data: None)
+    table = folder / "trajectory.csv"
+    table.write_text(change(table.read_text()))
+    assert _is_noticed(folder, r"trajectory\.csv does not hold samples of the curve")
 
 
 def test_an_obstacle_left_out_of_the_request_is_noticed_by_who_knows_the_request(carried: Path, tmp_path: Path) -> None:

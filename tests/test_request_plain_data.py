@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from service.errors import RequestError, shown
-from service.proto.planner.v1.planner_pb2 import PlanRequest
+from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request_file import parse_request, request_hash
 from service.wire.plain import fill, to_plain
 
 PROBLEM: dict[str, Any] = {
     "basic_info": {"n_steps": 5, "manip": "larm"},
-    "costs": [{"type": "joint_vel", "params": {"coeffs": [1.0, 2.0]}}],
+    "costs": [{"type": "joint_vel", "params": {"coeffs": [1.5, 2.5]}}],
     "init_info": {"type": "stationary"},
     "more": {"a": [0.5, {"b": 2.5}]},
 }
@@ -57,14 +57,14 @@ def test_a_number_that_is_none_is_refused_in_one_line_that_names_its_place(
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_such_a_number_arrives_over_the_wire_to_be_refused(place: tuple[str | int, ...], value: float) -> None:
-    message = PlanRequest()
+    message = MotionRequest()
     fill(message, _request(_with(place, value)))
     with pytest.raises(RequestError, match="a finite number is needed"):
         parse_request(to_plain(message))
 
 
 def test_plain_data_comes_through_the_wire_as_it_was() -> None:
-    message = PlanRequest()
+    message = MotionRequest()
     fill(message, _request(PROBLEM))
     sent, received = parse_request(_request(PROBLEM)), parse_request(to_plain(message))
     assert received.task is not None

@@ -41,7 +41,9 @@ def stub(tmp_path: Path, robots: Path) -> Iterator[PlannerServiceStub]:
 
 
 def test_robots_come_change_break_and_go_while_the_server_runs(stub: PlannerServiceStub, robots: Path) -> None:
-    message = plan_request({"robot": {"name": "swinger"}, "goal": {"joints": {"swing": 1.5}}})
+    post = {"name": "post", "type": "box", "size": [0.1, 0.1, 0.1], "position": [1, 0, 0]}
+    goal, scene = {"joints": {"swing": 1.5}}, {"obstacles": [post]}
+    message = plan_request({"robot": {"name": "swinger"}, "goal": goal, "scene": scene})
 
     def told() -> str:
         return refusal(lambda: list(stub.Plan(message, timeout=60)))[1]

@@ -15,7 +15,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify import Check, Motion, Phase, PlantedContact, VerifyError, VerifySettings, verify
-from service.verify.limits import exported_speeds, timed_checks, timed_peaks
+from service.verify.limits import _roots, exported_speeds, timed_checks, timed_peaks
 from service.verify.timeline import phases_of, times_of
 
 # What a certified motion may exceed a speed limit by, relative; besides the last places of the numbers.
@@ -113,6 +113,38 @@ def test_a_malformed_law_is_refused(times: list[float], path: list[float], speed
         timed_peaks(LINE, TimeLaw(np.array(times), np.array(path), np.array(speed)))
 
 
+def test_the_ends_of_a_law_are_held_against_the_length_of_the_curve_not_against_where_it_lies() -> None:
+    far = Curve(1000.0 + LINE.knots, LINE.positions, LINE.tangents)
+    law = TimeLaw(np.array([0.0, 1.0]), np.array([1000.0, 1001.0]), np.ones(2))
+    timed_peaks(far, law)
+    with pytest.raises(VerifyError, match="not along the whole curve"):
+        timed_peaks(far, replace(law, path=np.array([1000.0 + 5e-9, 1001.0]), speed=np.full(2, 1.0 - 5e-9)))
+    short = Curve(0.1 * LINE.knots, LINE.positions, LINE.tangents)
+    with pytest.raises(VerifyError, match="not along the whole curve"):
+        timed_peaks(short, TimeLaw(np.array([0.0, 1.0]), np.array([0.0, 0.1 - 5e-10]), np.full(2, 0.1)))
+
+
+@pytest.mark.parametrize(
+    ("b", "roots"),
+    [
+        ((6.0, -5.0, 1.0), (2.0, 3.0)),
+        ((6.0, 5.0, 1.0), (-3.0, -2.0)),
+        ((-1.0, 0.0, 4.0), (-0.5, 0.5)),
+        ((1.0, -2.0, 1e-20), (0.5, 2e20)),
+        ((1.0, 2.0, 1e-20), (-2e20, -0.5)),
+        ((1.0, -2.0, 0.0), (0.0, 0.5)),
+        ((0.0, -2.0, 1.0), (0.0, 2.0)),
+        ((0.0, 0.0, 0.0), (0.0, 0.0)),
+        ((1.0, 0.0, 0.0), (0.0, 0.0)),
+    ],
+)
+def test_zeros_of_a_parabola_are_exact_however_flat_it_is(
+    b: tuple[float, float, float], roots: tuple[float, float]
+) -> None:
+    found = np.sort(np.concatenate(_roots(*(np.array([value]) for value in b))))
+    np.testing.assert_allclose(found, roots, rtol=1e-12)
+
+
 def test_a_law_may_wait_where_it_rests() -> None:
     law = TimeLaw(np.array([0.0, 1.0, 4.0, 5.0]), np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 0.0, 0.0, 1.0]))
     assert timed_peaks(LINE, law).speed.max() == pytest.approx(1.0)
@@ -174,13 +206,18 @@ def test_exported_speeds_are_differences_of_positions_over_those_of_times() -> N
     law = TimeLaw(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.25, 1.0]), np.array([0.0, 0.5, 1.0]))
     found = exported_speeds(LINE, law, np.array([0.0, 0.25, 1.0]))
     np.testing.assert_allclose(found, [[0.25], [0.75]], rtol=1e-12)
+    back = Curve(LINE.knots, -LINE.positions, -LINE.tangents)
+    np.testing.assert_allclose(exported_speeds(back, law, np.array([0.0, 0.25, 1.0])), found, rtol=1e-12)
 
 
 def test_what_rounding_makes_of_close_samples_is_no_speed() -> None:
     # Positions near 3000, path parameters near 700, times near 100 s: each may be the one whose last places show.
-    for offset, start, pace in ((3000.0, 0.0, 1.0), (0.0, 700.0, 1.0), (0.0, 0.0, 0.01)):
+    for offset, start, pace, way in (
+        (3000.0, 0.0, 1.0, 1.0), (-3000.0, 0.0, 1.0, 1.0), (0.0, 700.0, 1.0, 1.0), (0.0, 700.0, 1.0, -1.0),
+        (0.0, 0.0, 0.01, -1.0),
+    ):  # fmt: skip
         knots = start + np.arange(2.0)
-        curve = Curve(knots, offset + LINE.positions, LINE.tangents)
+        curve = Curve(knots, offset + way * LINE.positions, way * LINE.tangents)
         law = TimeLaw(np.arange(2.0) / pace, knots, np.full(2, pace))
         samples = np.unique(np.concatenate([knots, start + 0.99 + 1e-11 * np.arange(50)]))
         assert exported_speeds(curve, law, samples).max() <= pace * (1.0 + 1e-9)
@@ -220,18 +257,21 @@ def test_one_joint_that_moves_where_the_robot_should_rest_is_enough() -> None:
     assert check["limits.rest"].ok
     assert check["limits.rest"].where is not None
     assert check["limits.rest"].where.s == 1.0
+    faster = replace(turned, tangents=-4.0 / 3.0 * turned.tangents)
+    check = _checks(Motion(_robot(3), Scene(), faster, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2))))
+    assert not check["limits.rest"].ok
 
 
 def test_speed_hidden_between_grid_points_where_contacts_change_is_found() -> None:
-    # At rest at 0, 1/2 m/s^2 from there on: a hundredth of the way on, the speed is a tenth, not a hundredth.
-    law = TimeLaw(np.array([0.0, 2.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    # At rest at 0, ever faster from there: a hundredth of the way on, the speed is a tenth of the last.
+    law = TimeLaw(np.array([0.0, 4.0]), np.array([0.0, 1.0]), np.array([0.0, 0.5]))
     planted = (PlantedContact("joint0", np.eye(4), np.zeros((1, 3))),)
     phases = (Phase("a", 0.0, 0.01, contacts=planted), Phase("b", 0.01, 1.0))
     curve = Curve(LINE.knots, 1e-5 * LINE.positions, 1e-5 * LINE.tangents)
     assert not _checks(Motion(_robot(1), Scene(), curve, law, phases))["limits.rest"].ok
     still = Curve(LINE.knots, LINE.positions, np.zeros((2, 1)))
     check = _checks(Motion(_robot(1), Scene(), still, law, phases))["limits.rest"]
-    assert check.value == pytest.approx((6 * 0.01 - 6 * 0.01**2) * 0.1)
+    assert check.value == pytest.approx((6 * 0.01 - 6 * 0.01**2) * 0.05)
 
 
 def _lie(rng: np.random.Generator, law: TimeLaw) -> TimeLaw:

@@ -46,6 +46,13 @@ def test_a_place_is_reached_when_the_law_by_hand_says(s: float, time: float) -> 
     assert time_of(None, s) is None
 
 
+def test_a_slow_start_takes_the_root_of_the_way() -> None:
+    slow = TimeLaw(np.array([0.0, 4.0]), np.array([0.0, 1.0]), np.array([0.0, 0.5]))
+    assert times_of(slow, np.array([1.0 / 16.0, 0.25, 1.0])) == pytest.approx([1.0, 2.0, 4.0])
+    brief = TimeLaw(np.array([0.0, 0.25]), np.array([0.0, 1.0]), np.array([8.0, 0.0]))
+    assert times_of(brief, np.array([0.75, 1.0])) == pytest.approx([0.125, 0.25])
+
+
 def test_times_never_run_back_nor_beyond_their_step() -> None:
     s = np.linspace(0.0, 5.0, 10_001)
     times = times_of(LAW, s)
@@ -101,6 +108,12 @@ def test_edges_are_knots_and_borders_each_stretch_with_its_phase() -> None:
     np.testing.assert_array_equal(phase_edges(edges, phases[1]), [0.8, 1.0, 2.0])
     np.testing.assert_array_equal(phase_edges(edges, Phase("d", 0.8 + 5e-10, 2.0 - 5e-10)), [0.8, 1.0, 2.0])
     np.testing.assert_array_equal(phase_edges(edges, Phase("d", 0.8 + 2e-9, 2.0 - 3e-9)), [1.0])
+
+
+def test_a_phase_far_along_the_curve_has_its_borders_but_for_their_digits() -> None:
+    edges = np.array([1000.0, 1500.0, 2000.0])
+    np.testing.assert_array_equal(phase_edges(edges, Phase("d", 1000.0 + 1e-6, 2000.0 - 1e-6)), edges)
+    np.testing.assert_array_equal(phase_edges(edges, Phase("d", 1000.0 + 1e-5, 2000.0 - 1e-5)), edges[1:2])
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,13 @@ from pathlib import Path
 import pytest
 from browser import Browser, find_chromium
 from told_results import told_results
+from viewer_results import make_result
 
 from service.output import write_result
 from service.result import PlanResult, Verdict
 from service.verify import Basis, Check
 from service.verify.timeline import time_of
+from service.viewer import write_viewer
 
 READ = """({
   verdict: document.querySelector('.verdict').textContent,
@@ -158,6 +160,31 @@ def test_nothing_is_called_proven_beside_a_refuted_or_unproven_pair(pages):
             assert page.read["gaps"], name
         if page.result.verdict is not Verdict.CERTIFIED:
             assert "proven on the whole curve" not in page.read["says"], name
+
+
+def test_what_was_not_checked_is_said_beside_certified_and_nowhere_called_checked(pages, tmp_path):
+    result, placements = make_result()
+    result["coverage"] = {"not_checked": ["torques (no link names a mass)"], "left_out": []}
+    write_viewer(result, placements, tmp_path / "covered.html")
+    program = find_chromium()
+    assert program is not None
+    browser = Browser(program, tmp_path / "profile")
+    try:
+        browser.open((tmp_path / "covered.html").as_uri())
+        says = browser.run("document.querySelector('.says').textContent")
+    finally:
+        browser.close()
+    assert says.endswith("; not checked: torques (no link names a mass)")
+    assert "torques checked" not in says
+    assert "torques" not in says.split("; not checked")[0]
+
+
+def test_a_motion_that_starts_in_collision_says_so_first(pages):
+    page = pages["out of a block"]
+    assert page.result.verdict is Verdict.CERTIFIED
+    assert page.read["says"].startswith("starts in collision")
+    assert "clearance of pairs that may not touch" in page.read["says"]
+    assert "starts in collision" not in pages["past a post"].read["says"]
 
 
 def test_the_drawn_clearance_is_never_better_than_the_certificates(pages):

@@ -69,6 +69,16 @@ def test_payload_carries_the_track_as_time_and_clearance():
     assert rows[:, 1].min() == pytest.approx(0.025)
 
 
+def test_what_was_not_checked_is_carried_but_for_neighbours():
+    result, placements = proven_result()
+    assert payload_of(result, placements)["not_checked"] == []
+    pairs = [("adjacent", True), ("same joint", False), ("srdf (never)", False), ("derived", False)]
+    left_out = [{"pair": ["a", "b"], "reason": reason, "is_neighbour": near} for reason, near in pairs]
+    result["coverage"] = {"not_checked": ["torques (no link names a mass)"], "left_out": left_out}
+    expected = ["torques (no link names a mass)", "2 pairs of links that are no neighbours"]
+    assert payload_of(result, placements)["not_checked"] == expected
+
+
 @pytest.mark.parametrize("missing", ["certificate", "curve"])
 def test_without_certificate_or_time_law_there_is_no_track(missing):
     result, _ = proven_result()

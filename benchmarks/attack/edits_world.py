@@ -133,36 +133,36 @@ def _scale(attribute: str, factor: float) -> Callable[[ET.Element], None]:
     return run
 
 
-@WORLD.lie("arm", "reach", robot=True)
+@WORLD.lie_about_files("arm", "reach")
 def joint_limits_widened(folder: Folder) -> None:
     folder.edit_urdf(_each("joint/limit[@lower]", _scale("lower", 3.0)))
     folder.edit_urdf(_each("joint/limit[@upper]", _scale("upper", 3.0)))
 
 
-@WORLD.lie("arm", "reach", robot=True)
+@WORLD.lie_about_files("arm", "reach")
 def speed_limits_raised_and_law_sped_up(folder: Folder) -> None:
     folder.edit_urdf(_each("joint/limit[@velocity]", _scale("velocity", 10.0)))
     law = folder.curve["law"]
     law.update(times=[0.6 * t for t in law["times"]], speed=[v / 0.6 for v in law["speed"]])
 
 
-@WORLD.lie("arm", "reach", robot=True)
+@WORLD.lie_about_files("arm", "reach")
 def effort_limits_raised(folder: Folder) -> None:
     folder.edit_urdf(_each("joint/limit[@effort]", _scale("effort", 100.0)))
 
 
-@WORLD.lie("arm", "reach", robot=True)
+@WORLD.lie_about_files("arm", "reach")
 def masses_halved(folder: Folder) -> None:
     folder.edit_urdf(_each("link/inertial/mass", _scale("value", 0.5)))
 
 
-@WORLD.lie("arm", "reach", robot=True)
+@WORLD.lie_about_files("arm", "reach")
 def boxes_of_the_robot_halved(folder: Folder) -> None:
     folder.edit_urdf(_each("link/collision/geometry/box", _scale("size", 0.5)))
     folder.edit_urdf(_each("link/collision/geometry/capsule", _scale("radius", 0.5)))
 
 
-@WORLD.lie("arm", "reach", robot=True)
+@WORLD.lie_about_files("arm", "reach")
 def collision_shapes_of_the_forearm_removed(folder: Folder) -> None:
     def remove(root: ET.Element) -> None:
         for link in root.findall("link"):
@@ -173,7 +173,7 @@ def collision_shapes_of_the_forearm_removed(folder: Folder) -> None:
     folder.edit_urdf(remove)
 
 
-@WORLD.lie("arm", robot=True)
+@WORLD.lie_about_files("arm")
 def mesh_swapped_for_a_smaller_one(folder: Folder) -> None:
     (folder.path / "robot" / "hand.obj").write_text(box_obj((0.02, 0.02, 0.02)), encoding="utf-8")
 
@@ -183,17 +183,17 @@ def mesh_swapped_without_a_word(folder: Folder) -> None:
     (folder.path / "robot" / "hand.obj").write_text(box_obj((0.02, 0.02, 0.02)), encoding="utf-8")
 
 
-@WORLD.lie("arm", robot=True)
+@WORLD.lie_about_files("arm")
 def mesh_scaled_down(folder: Folder) -> None:
     folder.edit_urdf(_each("link/collision/geometry/mesh", lambda mesh: mesh.set("scale", "0.2 0.2 0.2")))
 
 
-@WORLD.lie("arm", robot=True)
+@WORLD.lie_about_files("arm")
 def base_of_the_arm_20_cm_higher(folder: Folder) -> None:
     folder.edit_urdf(_each("joint[@name='yaw']/origin", lambda origin: origin.set("xyz", "0 0 0.56")))
 
 
-@WORLD.lie("arm", "reach", robot=True)
+@WORLD.lie_about_files("arm", "reach")
 def srdf_with_more_disabled_pairs(folder: Folder) -> None:
     links = [link["link"] for link in folder.data["bodies"]]
     rows = "".join(f'<disable_collisions link1="{a}" link2="{b}"/>' for a in links for b in links if a < b)
@@ -232,7 +232,7 @@ def urdf_behind_a_link_out_of_the_folder(folder: Folder) -> None:
     os.symlink(outside, folder.path / "robot" / "robot.urdf")
 
 
-@WORLD.lie("arm", robot=True)
+@WORLD.lie_about_files("arm")
 def urdf_text_changed_and_its_hash_too(folder: Folder) -> None:
     folder.edit_urdf(lambda root: root.append(ET.Comment("checked by nobody")))
     folder.edit_urdf(_each("link[@name='hand']/collision/geometry/mesh", lambda mesh: mesh.set("scale", "0.9 0.9 0.9")))

@@ -26,7 +26,6 @@ from service.motion_json import motion_from_json, motion_json
 from service.verify import Motion, VerifyError, verify
 from service.verify.certificate import link_vertices
 
-ROBOT_HERE = "the robot in this folder"
 LONG_BASES = ("valve", "scan")  # slow: the short version has few edits of them
 SHORT = (
     "turn backwards",
@@ -161,8 +160,7 @@ class Edit:
         is_harmless: whether the folder must still be certified.
         asks_stranger: whether the stranger's program must notice it too.
         asks_verifier: whether ``scopt verify`` must notice it.
-        is_of_robot: whether only the robot's files are edited. Where the request names them by path, the folder
-            holds the only copy that who verifies is sure to have: a verdict that says so is enough.
+        has_request: whether ``scopt verify`` is given the user's own request, without which nobody can notice.
     """
 
     name: str
@@ -172,7 +170,7 @@ class Edit:
     is_harmless: bool = False
     asks_stranger: bool = False
     asks_verifier: bool = True
-    is_of_robot: bool = False
+    has_request: bool = False
 
     def attacks(self) -> list[Attack]:
         """One for every base and judge."""
@@ -182,10 +180,14 @@ class Edit:
             kind = "harmless" if self.is_harmless else "folders"
             if self.asks_verifier:
                 is_short = base == self.bases[0] and (base not in LONG_BASES or self.name in SHORT)
-                found.append(Attack(kind, label, partial(self.run, base), is_short))
+                judge = self._with_request(base) if self.has_request else judges.verify
+                found.append(Attack(kind, label, partial(self.run, base, judge=judge), is_short))
             if self.asks_stranger:
                 found.append(Attack("stranger", label, partial(self.run, base, judge=judges.ask_stranger), False))
         return found
+
+    def _with_request(self, base: str) -> Callable[[Path], tuple[Answer, str]]:
+        return lambda folder: judges.verify(folder, request=bases.original(base) / "request.yaml")
 
     def run(
         self, base: str, scratch: Path, judge: Callable[[Path], tuple[Answer, str]] = judges.verify
@@ -198,8 +200,6 @@ class Edit:
         if fingerprint(folder.path) == before:
             raise AssertionError(f"the edit {self.name!r} changed nothing in {base}")
         answer, text = judge(folder.path)
-        if self.is_of_robot and answer is Answer.BELIEVED and ROBOT_HERE in text:
-            answer = Answer.REPORTED
         return judges.harmless(answer, text) if self.is_harmless else (answer, text)
 
 
@@ -219,13 +219,20 @@ class Registry:
     def __init__(self) -> None:
         self.edits: list[Edit] = []
 
-    def lie(
-        self, *bases: str, level: Level = Level.REMADE, stranger: bool = False, robot: bool = False
-    ) -> Callable[[Change], Change]:
+    def lie(self, *bases: str, level: Level = Level.REMADE, stranger: bool = False) -> Callable[[Change], Change]:
         """Register an edit whose folder must not be certified; its name is the function's."""
 
         def register(change: Change) -> Change:
-            self.edits.append(Edit(_name(change), bases, change, level, False, stranger, True, robot))
+            self.edits.append(Edit(_name(change), bases, change, level, False, stranger))
+            return change
+
+        return register
+
+    def lie_about_files(self, *bases: str) -> Callable[[Change], Change]:
+        """Register an edit of what only files outside the folder can refute, so that the user's request is given."""
+
+        def register(change: Change) -> Change:
+            self.edits.append(Edit(_name(change), bases, change, Level.REMADE, has_request=True))
             return change
 
         return register

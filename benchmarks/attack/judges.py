@@ -30,7 +30,8 @@ def verify(folder: Path, **seen: Path) -> tuple[Answer, str]:
     except (ResultError, RequestError) as error:
         return Answer.REFUSED, _first_line(error, folder)
     if summary["verdict"] == CERTIFIED:
-        return Answer.BELIEVED, f"{CERTIFIED} {summary.get('held_to') or ''}".strip()
+        named = str(summary["held_to"]).partition(", without ")[2]
+        return (Answer.REPORTED, f"CERTIFIED without {named}") if named else (Answer.BELIEVED, CERTIFIED)
     reasons = summary.get("explanation") or ["no reason given"]
     return Answer.REPORTED, f"{summary['verdict']}: {reasons[0]}"
 
@@ -72,7 +73,7 @@ def harmless(answer: Answer, text: str) -> tuple[Answer, str]:
     """The same answer to an edit that changes nothing that matters."""
     if answer is Answer.CRASHED:
         return answer, text
-    return (Answer.TRUE, text) if answer is Answer.BELIEVED and text.startswith(CERTIFIED) else (Answer.ALARM, text)
+    return (Answer.TRUE, text) if answer is Answer.BELIEVED and text == CERTIFIED else (Answer.ALARM, text)
 
 
 def _first_line(error: Exception, folder: Path) -> str:

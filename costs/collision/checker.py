@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from costs.collision.contacts import Contacts
 from costs.collision.pairs import PairMargins
-from costs.collision.shapes import outer_convex, rewritable_convex, static_convex
+from costs.collision.shapes import outer_convex, static_convex, swept_convex
 from costs.collision.sweep import BodyVertices, extent, share_gradient
 from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
@@ -36,7 +36,7 @@ class SweptCollisionChecker:
         """
         self.robot, self.scene, self.margins, self.buffer = robot, scene, margins, buffer
         self._bodies = BodyVertices.of(robot)
-        swept = [rewritable_convex(2 * int(count)) for count in self._bodies.count]
+        swept = [swept_convex(body.outer) for body in robot.bodies]
         self._swept, self._points = [convex for convex, _ in swept], [points for _, points in swept]
         self._pieces = [static_convex(piece.vertices) for piece in scene.pieces]
         self._still = [outer_convex(body) for body in robot.bodies]

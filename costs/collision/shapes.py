@@ -14,6 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 from costs.robot.model import LinkBody
 
 MIN_POINTS = 4
+MOST_NEIGHBOURS = 255  # of a point that coal can keep
 EXHAUSTIVE_LIMIT = 32  # up to here coal scans all points of a convex, above it climbs along the triangles' edges
 
 
@@ -62,6 +63,35 @@ def rewritable_convex(n_points: int) -> tuple[coal.Convex, Float[np.ndarray, "V 
         convex = coal.Convex(_points(np.zeros((n_points, 3))), _rewritable_topology(n_points))
         made[n_points] = convex, convex.points()
     return made[n_points]
+
+
+def swept_convex(vertices: Float[np.ndarray, "V 3"]) -> tuple[coal.Convex, Float[np.ndarray, "W 3"]]:
+    """A convex and its 2 V points, to be overwritten with these vertices at two poses, one after the other.
+
+    Where 2 V points cannot all be neighbours, a point knows those next to it on its own hull, which keeps its topology,
+    and all points of the other: where none of them is farther in some direction, none of all is.
+    """
+    count = len(vertices)
+    if 2 * count <= MOST_NEIGHBOURS + 1:
+        return rewritable_convex(2 * count)
+    made: dict[bytes, tuple[coal.Convex, np.ndarray]] = _WORK_SPACE.__dict__.setdefault("swept", {})
+    key = np.ascontiguousarray(vertices, dtype=float).tobytes()
+    if key not in made:
+        convex = coal.Convex(_points(np.zeros((2 * count, 3))), _swept_topology(key))
+        made[key] = convex, convex.points()
+    return made[key]
+
+
+@lru_cache(maxsize=32)
+def _swept_topology(points: bytes) -> coal.StdVec_Triangle:
+    """Triangles of two copies of a hull with every point a neighbour of all points of the other copy."""
+    vertices = np.frombuffer(points).reshape(-1, 3)
+    count, hull = len(vertices), ConvexHull(vertices)
+    one_beside = np.empty(count, dtype=int)
+    one_beside[hull.simplices] = np.roll(hull.simplices, 1, axis=1)
+    point, other = np.divmod(np.arange(count * count), count)
+    across = np.stack([point, one_beside[point], other + count], axis=1)
+    return _triangles(np.concatenate([hull.simplices, hull.simplices + count, across]))
 
 
 _WORK_SPACE = threading.local()

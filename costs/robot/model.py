@@ -24,8 +24,8 @@ class LinkBody:
         link: the link it belongs to.
         joint: index of the pinocchio joint that carries it (0: fixed to the world).
         vertices: (V, 3) hull in the frame of that joint [m].
-        outer: (W, 3) vertices whose hull contains ``vertices``, for the optimiser's sweeps [m]: at most 48, or 127 of a
-            round shape (the same array when the hull has no more than 32, or no more than 127 of a round shape).
+        outer: (W, 3) vertices whose hull contains ``vertices``, for the optimiser's sweeps [m]: at most 48, or 240 of a
+            round shape (the same array when the hull has no more than 32, or no more than 240 of a round shape).
         exact: the round shape that was given, in the frame of that joint, where ``vertices`` are a polytope around one.
     """
 

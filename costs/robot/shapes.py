@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 from costs.primitive import Primitive
 
 EXCESS_M, EXCESS_SHARE = 2e-3, 0.01
-MOST_SWEPT = 127
-"""Vertices of a hull that is swept: those of its two poses are all neighbours, of which coal knows 255 at most."""
+MOST_SWEPT = 240
+"""Vertices of a hull that is swept: each has all those of the other pose as neighbours, and coal keeps 255 of them."""
 
 _LEAST_SIDES = 16
 # Subdivisions of an icosahedron's edges, and whether the triangles' centres are taken too, by number of vertices.
@@ -66,7 +66,7 @@ def swept_hull(exact: Primitive, vertices: Float[np.ndarray, "V 3"]) -> Float[np
     """The polytope around a link's round shape for the optimiser's sweeps, in the frame of its joint.
 
     These are ``vertices`` (those within ``allowed_excess``) unless there are too many of them: around the vertices of
-    spheres of more than 91 mm and capsules of more than 68 mm, it exceeds the shape by at most 6 % of its radius.
+    spheres and capsules of more than 110 mm, it exceeds the shape by at most 3.7 % of the radius.
     """
     if len(vertices) <= MOST_SWEPT or exact.kind == "cylinder":
         return vertices

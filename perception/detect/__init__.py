@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from costs.stopping import Stopped
+from costs.stopping import Stopped, poll
 from perception.detect.any_valve import detect_valve
 from perception.detect.beam import detect_beam
 from perception.detect.detection import Detection
@@ -92,6 +92,7 @@ def detect_each(
     seen: FacesInSight | None = None
     for kind in kinds:
         on_kind(kind)
+        poll()
         try:
             if kind in _ON_FACES:
                 seen = seen or FacesInSight.of(view, hint)

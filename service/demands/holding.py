@@ -88,7 +88,17 @@ def hold_to_request(demands: Demands, recorded: Motion) -> Held:
     differences += lines
     for phase, own in zip(recorded.phases, phases, strict=True):
         differences += _phase_differences(phase, own, is_program=demands.program is not None)
-    motion = replace(recorded, robot=robot, scene=demands.scene, phases=phases, mechanism_links=robot.mechanism_links)
+    waived = _waived(demands, promises.stance)
+    if recorded.waived != waived:
+        differences.append("the checks that the record waives are not those that the request does not ask for")
+    motion = replace(
+        recorded,
+        robot=robot,
+        scene=demands.scene,
+        phases=phases,
+        mechanism_links=robot.mechanism_links,
+        waived=waived,
+    )
     return Held(motion, tuple(differences))
 
 

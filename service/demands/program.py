@@ -27,12 +27,14 @@ class ProgramDemand:
         free: (f,) coordinates that may move.
         planted: links that stand throughout.
         is_balanced: whether the centre of mass stays above them.
+        unproven: constraints of the file that no target stands for.
     """
 
     steps: tuple[tuple[StepTarget, ...], ...]
     free: Int[np.ndarray, "f"]
     planted: tuple[str, ...]
     is_balanced: bool
+    unproven: tuple[str, ...] = ()
 
 
 def program_targets(

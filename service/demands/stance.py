@@ -16,7 +16,7 @@ from costs.support import SupportPolygon as FeetHull
 from service.footing import FLOOR_KIND
 from service.start import FEET_GROUP, sole
 from service.verify import PlantedContact, SupportPolygon
-from service.verify.ground import GROUND_TOLERANCE_M
+from service.verify.ground import STANDING_DEPTH_M
 
 UNSETTLED = ("escape", "settle")  # phases that bring a robot into balance, in the order in which they may come first
 SETTLING_RESERVE_M = 2e-3  # a start with less than the margin and this may settle first
@@ -84,4 +84,4 @@ def planted_feet(robot: RobotModel, feet: tuple[str, ...] | None) -> tuple[str, 
 def standing_allowances(feet: Sequence[str], scene: Scene) -> tuple[Allowance, ...]:
     """Planted links rest on the floor."""
     floors = [BodyRef.of_piece(piece.name) for piece in scene.pieces if piece.kind == FLOOR_KIND]
-    return tuple(Allowance(BodyRef.of_link(foot), floor, GROUND_TOLERANCE_M) for foot in feet for floor in floors)
+    return tuple(Allowance(BodyRef.of_link(foot), floor, STANDING_DEPTH_M) for foot in feet for floor in floors)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel
 from service.demands.program import ProgramDemand, StepTarget
-from service.trajopt.problem import PoseTerm, Vector
+from service.trajopt.problem import JointTerm, PoseTerm, Vector
 from service.trajopt.program import JointRange, Program
 from service.verify import AxisTarget, JointTarget, PoseTarget
 
@@ -19,7 +19,17 @@ PLACE_TOLERANCE, TURN_TOLERANCE = 1e-3, float(np.deg2rad(0.5))  # of poses [m, r
 def program_demand(program: Program, robot: RobotModel) -> ProgramDemand:
     """What a program demands of a motion of ``robot``."""
     steps = tuple(_step_targets(program, robot, step) for step in range(program.n_steps))
-    return ProgramDemand(steps, program.free, program.planted, program.is_balanced)
+    return ProgramDemand(steps, program.free, program.planted, program.is_balanced, unproven_terms(program))
+
+
+def unproven_terms(program: Program) -> tuple[str, ...]:
+    """Paths of the constraints that the optimiser keeps at its waypoints and the verifier has no target for."""
+    return tuple(
+        term.path
+        for term in program.problem.terms
+        if not term.is_cost and not (isinstance(term, PoseTerm) and pose_targets(term, None))
+        if not (isinstance(term, JointTerm) and not term.order)
+    )
 
 
 def _step_targets(program: Program, robot: RobotModel, step: int) -> tuple[StepTarget, ...]:

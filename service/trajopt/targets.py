@@ -15,8 +15,8 @@ from costs.state import MotionState
 from costs.terms import FramePose, Masked
 from scopt import Residual
 from service.holds import Hold
-from service.trajopt.demanded import joint_target, pose_matrix, pose_targets
-from service.trajopt.problem import JointTerm, PoseTerm
+from service.trajopt.demanded import joint_target, pose_matrix, pose_targets, unproven_terms
+from service.trajopt.problem import PoseTerm
 from service.trajopt.program import Program, Timeline
 from service.trajopt.standing import held_alike
 from service.trajopt.terms import turn_residual
@@ -48,12 +48,7 @@ class Promises:
         """The promises of a program."""
         held = [terms for terms in held_alike(program.problem) if _can_be_held(program, robot, terms[0])]
         notes = [f"{terms[0].title} and its like at every waypoint are held in between, too" for terms in held]
-        unproven = [
-            term.path
-            for term in program.problem.terms
-            if not term.is_cost and not (isinstance(term, PoseTerm) and pose_targets(term, None))
-            if not (isinstance(term, JointTerm) and not term.order)
-        ]
+        unproven = unproven_terms(program)
         if unproven:
             notes.append(f"kept at the waypoints, and no part of the proof: {', '.join(unproven)}")
         paths = frozenset(term.path for terms in held for term in terms)

@@ -70,7 +70,7 @@ def _counts(couples: Couples) -> tuple[int, int]:
 def _nothing_checked(coverage: Coverage) -> Iterator[Check]:
     n_shapes = len(coverage.links_with_shape)
     text = f"no pair was checked: {n_shapes} links with a shape, {len(coverage.left_out)} pairs left out, no piece"
-    yield Check("coverage.pairs", True, 0.0, 1.0, "1", text, None, Basis.UNPROVEN)
+    yield Check("coverage.pairs", True, 0.0, 1.0, "pairs", text, None, Basis.UNPROVEN)
 
 
 def _too_large(one: Shapeless) -> Check:

@@ -20,6 +20,8 @@ from service.verify.timeline import time_of
 
 # Farthest that a supporting surface may be from a planted sole, above or below [m].
 GROUND_TOLERANCE_M = 3e-3
+# How deep a planted link may then be in the floor while its sole drifts by as much as a planted one may [m].
+STANDING_DEPTH_M = GROUND_TOLERANCE_M + PlantedContact.tolerance_m
 _TOUCH_M = 1e-9
 _FEET_GROUP = "feet"
 

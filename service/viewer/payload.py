@@ -108,6 +108,7 @@ def _summary(result: Mapping[str, Any]) -> dict[str, Any]:
         "explanation": _list(result, "explanation"),
         "notes": _list(result, "notes"),
         "rests_on": [note for note in _list(certificate, "notes") if note not in _list(result, "notes")],
+        "not_checked": _not_checked(result),
         "is_timed": not curve or curve.get("law") is not None,
         "figures": result.get("figures") or {},
         "timings": result.get("timings") or {},
@@ -144,6 +145,16 @@ def _placed_checks(result: Mapping[str, Any], proof: ClearanceTrack | None) -> l
 
 def _track_rows(proof: ClearanceTrack | None) -> Float[np.ndarray, "N 2"]:
     return np.empty((0, 2)) if proof is None else np.column_stack([proof.times, proof.clearance])
+
+
+def _not_checked(result: Mapping[str, Any]) -> list[str]:
+    """What the certificate's coverage says was not checked; joint neighbours are expected not to be."""
+    coverage = result.get("coverage") or {}
+    others = [
+        one for one in _list(coverage, "left_out") if not one["is_neighbour"] and one.get("reason") != "same joint"
+    ]
+    pairs = [f"{len(others)} pairs of links that are no neighbours"] if others else []
+    return [*_list(coverage, "not_checked"), *pairs]
 
 
 def _shapeless(result: Mapping[str, Any], placements: LinkPlacements) -> list[str]:

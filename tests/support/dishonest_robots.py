@@ -77,6 +77,15 @@ def rail_arm_with_wall() -> str:
     )
 
 
+def rail_arm_on_wall() -> str:
+    """The same, but rail and wall are two shapes of one link, on which the carriage is mounted."""
+    urdf = rail_arm_with_wall().replace('<link name="wall">', '<link name="wall_before">')
+    shapes = _box("collision", "0.05 2 1.2", "1 0 0.6") + _box("collision", "2 0.04 0.04", "1 1.2 1")
+    urdf = re.sub(r'<link name="wall_before">.*?</link>', "", urdf)
+    urdf = re.sub(r'<joint name="wall_mount".*?</joint>', "", urdf)
+    return urdf.replace('<link name="world"/>', f'<link name="world">{shapes}</link>')
+
+
 def boxbot() -> str:
     """Two boxes of 1 m: one fixed to the world at the origin, one that slides in x and y, without torque limits.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,9 @@ from service.request_file import parse_request
 from service.result import PlanResult, Verdict
 from service.verify import Status, SupportPolygon, VerifySettings, verify
 
+DATA = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[3] / "shared" / "data"))
+PANDA = DATA / "robots" / "panda" / "panda.urdf"
+LOW_TABLE = {"name": "table", "type": "box", "size": [0.8, 1.2, 0.04], "position": [0.6, 0.0, 0.2]}
 STRAIGHT = {"j0": 0.0, "j1": 0.0, "j2": 0.0}
 TURNED = {"j0": 1.5, "j1": 0.0, "j2": 0.0}
 POST = {"name": "post", "type": "box", "size": [0.05, 0.05, 0.4], "position": [0.35, 0.35, 0.0]}
@@ -71,6 +75,23 @@ def told_results(folder: Path) -> Mapping[str, Callable[[], PlanResult]]:
         "a wheel": small_plan,
         "a wheel, too fast": lambda: _judged(_faster(small_plan(), 25.0)),
         "a wheel, leaning": lambda: _judged(_on_narrow_feet(small_plan())),
+        **(_panda_results() if PANDA.is_file() else {}),
+    }
+
+
+def _panda_results() -> dict[str, Callable[[], PlanResult]]:
+    def panda(goal: Mapping[str, Any]) -> PlanResult:
+        start = {"joints": {"panda_joint4": -1.5, "panda_joint6": 1.5}}
+        scene = {"obstacles": [LOW_TABLE], "floor": False}
+        return plan(parse_request({"robot": {"urdf": str(PANDA)}, "start": start, "scene": scene, "goal": goal}))
+
+    def hand(*position: float) -> dict[str, Any]:
+        return {"poses": [{"link": "panda_hand", "position": list(position)}]}
+
+    return {
+        "panda turns": lambda: panda({"joints": {"panda_joint1": 0.8}}),
+        "panda reaches": lambda: panda(hand(0.5, 0.2, 0.4)),
+        "panda in a table": lambda: panda(hand(0.6, 0.0, 0.2)),
     }
 
 

@@ -35,7 +35,7 @@ interface Payload {
   verdict: string; robot: string; task: string; explanation: string[]; notes: string[];
   figures: Record<string, unknown>; timings: Record<string, number>; planning_time_s: number | null;
   min_clearance_m: number | null; min_clearance_pair: string[]; min_balance_margin_m: number | null;
-  request_hash: string; checks: Check[]; rests_on: string[]; is_timed: boolean; gaps: Gap[];
+  request_hash: string; checks: Check[]; rests_on: string[]; not_checked: string[]; is_timed: boolean; gaps: Gap[];
   obstruction: Obstruction | null; shapeless: string[];
   times: Packed; links: string[]; positions: Quantized; rotations: Packed;
   bodies: { name: string; link: string; hull: PackedHull }[];

@@ -43,9 +43,10 @@ export function figure(value: number | null | undefined, unit: string | null | u
   if (value === null || value === undefined) return "–";
   if (unit === "m" && value !== 0 && Math.abs(value) < 5e-7) return "< 0.001 mm";
   if (unit === "m" && Math.abs(value) < 0.9995) return `${digits(1000 * value)} mm`;
+  const degrees = unit === "rad" ? (180 / Math.PI) * value : unit === "deg" ? value : NaN;
+  if (degrees !== 0 && Math.abs(degrees) < 5e-4) return "< 0.001°";
   if (unit === "1") return `${digits(100 * value)} %`;
-  if (unit === "rad") return `${digits((180 / Math.PI) * value)}°`;
-  if (unit === "deg") return `${digits(value)}°`;
+  if (Number.isFinite(degrees)) return `${digits(degrees)}°`;
   return unit && unit !== "-" ? `${digits(value)} ${unit}` : digits(value);
 }
 

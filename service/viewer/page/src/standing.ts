@@ -28,7 +28,7 @@ export const family = (result: Result, name: string): Check[] =>
 
 export interface Told { value: string; standing: Standing; text: string }
 
-const at = (check: Check): string => (typeof check.where?.time_s === "number" ? ` at ${instant(check.where.time_s)}` : "");
+const at = (check: Check): string => (typeof check.where?.time_s === "number" ? ` (at ${instant(check.where.time_s)})` : "");
 
 // The clearance of the whole motion as one figure; undefined without a certificate.
 export function clearanceTold(result: Result): Told | undefined {
@@ -64,14 +64,20 @@ export function insideTold(checks: Check[]): Told | undefined {
 
 // What a verdict rests on, in one line.
 export function basisTold(result: Result): string {
+  const isAside = family(result, "clearance").some((check) => check.text?.includes("may touch aside"));
   const kinds: [string, string][] = [
-    ["clearance", "clearance"], ["balance", "balance"], ["limits", "joint limits"], ["zmp", "ZMP"], ["torque", "torques"],
+    ["clearance", isAside ? "clearance of pairs that may not touch" : "clearance"], ["balance", "balance"], ["limits", "joint limits"], ["zmp", "ZMP"], ["torque", "torques"],
   ];
+  // Joints without a limit, links without a mass: a check that could not fail is none.
+  const isLeft = (text: string): boolean => result.not_checked.some((line) => line.startsWith(text));
   const named = (standing: Standing): string[] =>
-    kinds.filter(([name]) => family(result, name).length > 0 && weakest(family(result, name)) === standing).map(([, text]) => text);
+    kinds.filter(([name, text]) => family(result, name).length > 0 && !isLeft(text) && weakest(family(result, name)) === standing).map(([, text]) => text);
   const list = (names: string[]): string => (names.length > 1 ? `${names.slice(0, -1).join(", ")} and ${names.at(-1)}` : names[0]);
   const parts = [
     [named("proven"), "proven on the whole curve"], [named("at samples"), "checked at samples"], [named("unproven"), "unproven"],
   ] as const;
-  return parts.filter(([names]) => names.length > 0).map(([names, how]) => `${list([...names])} ${how}`).join("; ");
+  const told = parts.filter(([names]) => names.length > 0).map(([names, how]) => `${list([...names])} ${how}`);
+  if (family(result, "start").length > 0) told.unshift("starts in collision, which its first phase leaves");
+  if (result.not_checked.length > 0) told.push(`not checked: ${result.not_checked.join(", ")}`);
+  return told.join("; ");
 }
