@@ -5,22 +5,15 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.attack.__main__ import PARTS, attacks_of
-from benchmarks.attack.cancels import run
 from benchmarks.attack.outcome import Attack, carry_out
 
 ATTACKS = attacks_of(PARTS, is_short=True)
-N_CANCELS = 8
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=[attack.label for attack in ATTACKS])
 def test_no_lie_is_believed_and_nothing_crashes(attack: Attack) -> None:
     outcome = carry_out(attack)
     assert not outcome.has_failed, f"{outcome.answer.value}: {outcome.text}"
-
-
-def test_cancels_crash_no_worker_and_change_no_plan() -> None:
-    failed = [outcome for outcome in run(N_CANCELS) if outcome.has_failed]
-    assert not failed, "; ".join(f"{outcome.name}: {outcome.text}" for outcome in failed)
 
 
 def test_the_suite_is_as_large_as_it_claims_to_be() -> None:

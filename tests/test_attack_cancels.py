@@ -5,7 +5,7 @@ from __future__ import annotations
 import executor_jobs as jobs
 import pytest
 
-from benchmarks.attack_cancels import Report, deaths, run
+from benchmarks.attack.cancels import Report, deaths, run
 from service.executor import LocalPool, WorkerDied
 
 

@@ -64,9 +64,9 @@ def _outcomes(parts: tuple[str, ...] | list[str], is_short: bool, match: str, se
         if match in attack.label:
             yield carry_out(attack)
     if "cancels" in parts and match in "cancels":
-        from benchmarks.attack.cancels import run
+        from benchmarks.attack.cancels import outcomes
 
-        yield from run(24 if is_short else 500, seed)
+        yield from outcomes(20 if is_short else 500, seed, is_short=is_short)
 
 
 def _print(outcomes: list[Outcome]) -> None:

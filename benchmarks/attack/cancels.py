@@ -1,166 +1,231 @@
-"""Cancels at random moments: scene, detection, plan and verify calls in a server's own pool, under ``faulthandler``.
+"""Cancels at random moments: scene, detection, plan and verify calls in one worker of a server's pool.
 
-Each kind of call runs once undisturbed, which says how long it takes; after that every one is cancelled (or given a
-deadline) at a random moment of that time.  A worker that the pool kills leaves no stack; one that crashes does.
+A worker that crashes (its faulthandler tells where), a job without an answer, or a plan after a cancel that differs
+from the plan of a fresh process has failed.
 """
 
 from __future__ import annotations
 
-import random
-import re
+import io
+import logging
+import sys
+import tarfile
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.attack import bases, cancel_jobs
-from benchmarks.attack.outcome import Answer, Outcome
-from service import parse_request
-from service.cloud_asked import CloudAsked
-from service.executor import CancellableExecutor, DeadlineExceeded, ExecutorError, Job, LocalPool, WorkerDied
-from service.server import launch, serve
-from service.server.settings import WORKER_BYTES
-from service.work.plan import warm_up
+import numpy as np
 
-DATA = bases.ROOT / "examples" / "data"
-DETECTED = ("valve", "drill", "panel", "opening", "lever")
-WORKERS = 2
-DEADLINES = 0.25  # share of the calls that are not cancelled, but given a deadline
-ANSWER_S = 60.0  # in which a job must be done, cancelled or not
-OURS = re.compile(r"/(perception|service/(?!executor)|costs|scopt)\b")
+from benchmarks.attack.outcome import Answer, Outcome
+from perception import Cloud, read_cloud, write_npz
+from service.cloud_asked import CloudAsked
+from service.executor import JobCancelled, LocalPool
+from service.request import PlanRequest
+from service.request_file import load_request
+from service.scan_choices import EVERY_KIND, KINDS
+from service.server.serve import PRELOAD
+from service.work.look import SceneTask, build_scene, detect, verify
+from service.work.plan import PlanAnswer, PlanTask, run_plan, warm_up
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCAN = EXAMPLES / "data" / "valve_scan.pcd"
+DENSER = 3  # times the points of the scan
+CHECKED_EVERY = 5  # cancels after which a plan is compared, besides the last
+AT_LONGEST_S = 900.0
+CRASHES = ("Fatal Python error", "Segmentation fault", " ended: ")
 
 
 @dataclass
-class Call:
-    """A kind of call.
+class Report:
+    """What cancels did.
 
     Attributes:
-        kind: of the table.
-        submit: has a pool do it.
-        usual_s: how long it takes undisturbed [s].
-        ends: how the cancelled ones ended.
-        slowest_s: from a cancel to the job's end [s].
+        outcomes: by kind of job, how often it was ``stopped`` (by itself), ``killed``, ``answered`` (before it heard).
+        crashes: lines of the pool's log that tell of a worker's death.
+        wrong: jobs that ended otherwise than they may, and plans that differ from those of a fresh process.
+        n_compared: plans that were compared.
+        slowest_s: longest time from a cancel to the job's end [s].
     """
 
-    kind: str
-    submit: Callable[..., Job[Any]]
-    usual_s: float = 1.0
-    ends: Counter[str] = field(default_factory=Counter)
+    outcomes: dict[str, Counter[str]] = field(default_factory=dict)
+    crashes: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+    n_compared: int = 0
     slowest_s: float = 0.0
 
+    @property
+    def n_cancels(self) -> int:
+        """Jobs that were cancelled."""
+        return sum(counter.total() for counter in self.outcomes.values())
 
-def run(count: int, seed: int = 0) -> Iterator[Outcome]:
-    """Cancel ``count`` calls; one outcome for each kind of call, one for the crashes, one for the plan afterwards."""
-    rng = random.Random(seed)
-    with tempfile.TemporaryDirectory(prefix="attack-cancels-") as scratch, _pool() as pool:
-        folder = Path(scratch)
-        calls = _calls(pool, folder, is_short=count < 100)
-        for call in calls:
-            yield from _undisturbed(call)
-        moments = [(calls[index % len(calls)], rng.random(), rng.random() < DEADLINES) for index in range(count)]
-        with ThreadPoolExecutor(WORKERS) as at_once:
-            list(at_once.map(_disturb, *zip(*moments, strict=True)))
-        crashed = _stacks(folder)
-        for call in calls:
-            ends = ", ".join(f"{name} {number}" for name, number in call.ends.most_common())
-            died = call.ends["worker died"] + call.ends["no answer"]
-            text = f"{sum(call.ends.values())} cancelled: {ends}; slowest {call.slowest_s:.2f} s after the cancel"
-            yield Outcome("cancels", f"{call.kind} calls", Answer.CRASHED if died else Answer.REPORTED, text)
-        text = f"{count} cancels, {len(crashed)} crashes" + (f": {crashed[0]}" if crashed else "")
-        yield Outcome("cancels", "crashes", Answer.CRASHED if crashed else Answer.REPORTED, text)
-        yield _same_plan(pool)
+    @property
+    def is_clean(self) -> bool:
+        """Whether nothing crashed and nothing was wrong."""
+        return not self.crashes and not self.wrong
 
 
-def _undisturbed(call: Call) -> Iterator[Outcome]:
-    began = time.monotonic()
+@dataclass(frozen=True)
+class _Attack:
+    """A job to cancel: a top-level function of ``service.work`` and its arguments."""
+
+    kind: str
+    fn: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+
+def run(
+    count: int, seed: int = 0, on_cancel: Callable[[Report], object] = lambda _: None, is_short: bool = False
+) -> Report:
+    """Cancel ``count`` jobs at random moments.
+
+    Args:
+        count: of cancels.
+        seed: of which jobs, and when; when a worker hears of it differs from run to run all the same.
+        on_cancel: gets the report so far after each cancel.
+        is_short: leave out the denser scan, detections of all kinds at once, and half of the comparisons.
+    """
+    rng, report = np.random.default_rng(seed), Report()
+    requests = [load_request(EXAMPLES / "requests" / name) for name in ("pose_goal.yaml", "valve.yaml")]
+    fresh = _fresh_plans(requests)
+    typical: dict[str, float] = {}
+    with (
+        tempfile.TemporaryDirectory(prefix="scopt-cancels-") as scratch,
+        deaths(report),
+        LocalPool(1, preload=PRELOAD, warm_up=warm_up) as pool,
+    ):
+        scans = (SCAN,) if is_short else (SCAN, _denser_scan(Path(scratch)))
+        kinds = KINDS if is_short else (*KINDS, EVERY_KIND)
+        attacks = _attacks(rng, requests, _files(fresh[0]), scans, kinds)
+        for index in range(count):
+            attack = next(attacks)
+            _cancel(pool, attack, rng.uniform(0.0, 1.1), typical, report)
+            on_cancel(report)
+            every = 2 * CHECKED_EVERY if is_short else CHECKED_EVERY
+            if index % every == every - 1 or index == count - 1:
+                which = index // every % len(requests)
+                answer = pool.submit(run_plan, PlanTask(requests[which])).result(AT_LONGEST_S)
+                report.n_compared += 1
+                if _hashes(answer) != _hashes(fresh[which]):
+                    report.wrong.append(f"cancel {index}: the plan after it differs from that of a fresh process")
+    return report
+
+
+def _attacks(
+    rng: np.random.Generator,
+    requests: list[PlanRequest],
+    files: Mapping[str, bytes],
+    scans: tuple[Path, ...],
+    kinds: tuple[str, ...],
+) -> Iterator[_Attack]:
+    while True:
+        clouds = CloudAsked((scans[int(rng.integers(len(scans)))],))
+        unknown = str(rng.choice(["free", "occupied"])) if EVERY_KIND in kinds else "free"
+        yield _Attack("scene", build_scene, (SceneTask(clouds, (str(rng.choice(KINDS)),), unknown=unknown),))
+        yield _Attack("detect", detect, (clouds, str(rng.choice(kinds)), None))
+        yield _Attack("plan", run_plan, (PlanTask(requests[int(rng.integers(len(requests)))]),))
+        yield _Attack("verify", verify, (files,))
+
+
+def _denser_scan(folder: Path) -> Path:
+    """The scan with many times the points, whose searches for neighbours take long."""
+    cloud, rng = read_cloud(SCAN), np.random.default_rng(0)
+    points = np.concatenate([cloud.points + rng.normal(0.0, 0.004, cloud.points.shape) for _ in range(DENSER)])
+    write_npz(folder / "dense.npz", Cloud(points, np.median(np.atleast_2d(cloud.origin), axis=0)))
+    return folder / "dense.npz"
+
+
+def _cancel(pool: LocalPool, attack: _Attack, share: float, typical: dict[str, float], report: Report) -> None:
+    """Submit a job, cancel it after that share of its usual time, and note how it ended."""
+    if attack.kind not in typical:  # in a worker that has done nothing like it yet
+        started = time.monotonic()
+        pool.submit(attack.fn, *attack.arguments).result(AT_LONGEST_S)
+        typical[attack.kind] = time.monotonic() - started
+    job = pool.submit(attack.fn, *attack.arguments)
+    while job.started is None and not job.done():
+        time.sleep(0.001)
+    time.sleep(share * typical[attack.kind])
+    asked = time.monotonic()
+    job.cancel()
+    how = "answered"
     try:
-        call.submit().result(ANSWER_S)
-    except (ExecutorError, TimeoutError) as error:
-        yield Outcome("cancels", f"{call.kind} call, undisturbed", Answer.CRASHED, f"{type(error).__name__}: {error}")
-    call.usual_s = time.monotonic() - began
+        answer = job.result(AT_LONGEST_S)
+        if isinstance(answer, PlanAnswer) and answer.verdict == "CANCELLED":
+            how = "stopped"
+    except JobCancelled as error:
+        how = "stopped" if "by itself" in str(error) and "did not" not in str(error) else "killed"
+    except CancelledError:
+        how = "stopped"
+    except Exception as error:  # of any kind: that is what is looked for
+        report.wrong.append(f"{attack.kind}: {type(error).__name__}: {error}")
+        how = "wrong"
+    report.slowest_s = max(report.slowest_s, time.monotonic() - asked)
+    report.outcomes.setdefault(attack.kind, Counter())[how] += 1
 
 
-def _disturb(call: Call, when: float, is_deadline: bool) -> None:
-    """Cancel one call at a share of its usual time, or give it a deadline there."""
-    moment = 1.1 * when * call.usual_s
-    if is_deadline:
-        job = call.submit(deadline=time.monotonic() + moment)
-        time.sleep(moment)
-    else:
-        job = call.submit()
-        time.sleep(moment)
-        job.cancel()
-    stopped = time.monotonic()
-    try:
-        job.result(ANSWER_S)
-        end = "answered"
-    except WorkerDied:
-        end = "worker died"
-    except (CancelledError, DeadlineExceeded):
-        end = "cancelled"
-    except TimeoutError:
-        end = "no answer"
-    except Exception as error:
-        end = type(error).__name__
-    call.ends[end] += 1
-    call.slowest_s = max(call.slowest_s, time.monotonic() - stopped)
+def _fresh_plans(requests: list[PlanRequest]) -> list[PlanAnswer]:
+    """Plans of processes that have done nothing else."""
+    with LocalPool(1, preload=PRELOAD, warm_up=warm_up, recycle_after=1) as pool:
+        answers = [pool.submit(run_plan, PlanTask(one, with_files=True)).result(AT_LONGEST_S) for one in requests]
+    refused = [answer for answer in answers if not isinstance(answer, PlanAnswer)]
+    if refused:
+        raise RuntimeError(f"an example's request was refused: {refused}")
+    return [answer for answer in answers if isinstance(answer, PlanAnswer)]
 
 
-def _calls(pool: CancellableExecutor, folder: Path, is_short: bool) -> list[Call]:
-    """The calls, alike in size to what clients send."""
-    valve = CloudAsked((DATA / "valve_scan.pcd",))
-    door = CloudAsked((DATA / "door_scan.pcd",))
-    request = parse_request(bases.request_of("reach" if is_short else "scan", folder / "request"))
-    kept = bases.original("reach" if is_short else "valve") / "result"
-    files = {str(path.relative_to(kept)): path.read_bytes() for path in kept.rglob("*") if path.is_file()}
-    stacks = folder / "stacks"
-    stacks.mkdir()
+def _hashes(answer: object) -> tuple[str, ...]:
+    if not isinstance(answer, PlanAnswer):
+        return (repr(answer),)
+    return answer.verdict, answer.trajectory_sha256, answer.certificate_sha256
 
-    def call(kind: str, function: Callable[..., Any], *arguments: Any) -> Call:
-        return Call(kind, lambda **more: pool.submit(function, stacks, *arguments, max_attempts=1, **more))
 
-    found = [
-        call("scene", cancel_jobs.scene, door, ()),
-        call("detection", cancel_jobs.detection, valve, "valve"),
-        call("plan", cancel_jobs.plan, request),
-        call("verify", cancel_jobs.verification, files),
-    ]
-    return found if is_short else [*found, call("scene with objects", cancel_jobs.scene, valve, DETECTED)]
+def _files(answer: PlanAnswer) -> dict[str, bytes]:
+    """The files of a plan's result folder, by their path in it."""
+    with tarfile.open(fileobj=io.BytesIO(answer.archive)) as archive:
+        members = [(member.name, archive.extractfile(member)) for member in archive.getmembers()]
+        return {name: stream.read() for name, stream in members if stream is not None}
 
 
 @contextmanager
-def _pool() -> Iterator[CancellableExecutor]:
-    """Workers as a server has them; interrupted as a server's are, if they are."""
-    more: dict[str, Any] = {"interrupt_s": launch.INTERRUPT_S} if hasattr(launch, "INTERRUPT_S") else {}
-    with LocalPool(WORKERS, warm_up=warm_up, preload=serve.PRELOAD, max_bytes=WORKER_BYTES, **more) as pool:
-        pool.wait_ready(120.0)
-        yield pool
+def deaths(report: Report) -> Iterator[None]:
+    """Have what the pool's log says of workers that died added to the report."""
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            line = record.getMessage()
+            if any(sign in line for sign in CRASHES):
+                report.crashes.append(line)
+
+    log, listener = logging.getLogger("service.executor"), Listener(logging.INFO)
+    level = log.level
+    log.addHandler(listener)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(listener)
+        log.setLevel(level)
 
 
-def _stacks(folder: Path) -> list[str]:
-    """The first line, and the first of our own frames, of every stack that a crash left."""
-    found = []
-    for path in sorted((folder / "stacks").glob("*.txt")):
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-        if lines:
-            current = next((k for k, line in enumerate(lines) if line.startswith("Current thread")), 0)
-            frames = [line.strip() for line in [*lines[current:], *lines] if OURS.search(line)]
-            found.append(f"{lines[0]} {frames[0] if frames else ''}".strip())
-    return found
+def outcomes(count: int, seed: int = 0, *, is_short: bool = False) -> Iterator[Outcome]:
+    """Cancel jobs, and tell what came of each kind of job and of the pool as rows of the attacks' table."""
+    report = run(count, seed, _tell, is_short)
+    for kind, counter in sorted(report.outcomes.items()):
+        text = ", ".join(f"{how} {number}" for how, number in counter.most_common())
+        yield Outcome("cancels", f"{kind} calls", Answer.CRASHED if counter["wrong"] else Answer.REPORTED, text)
+    crashes = f"{report.n_cancels} cancels, {len(report.crashes)} crashes, slowest end {report.slowest_s:.2f} s"
+    answer = Answer.CRASHED if report.crashes else Answer.REPORTED
+    yield Outcome("cancels", "crashes", answer, "; ".join((crashes, *report.crashes[:1])))
+    plans = f"{report.n_compared} plans compared with those of a fresh process"
+    answer = Answer.CRASHED if report.wrong else Answer.REPORTED
+    yield Outcome("cancels", "plans after cancels", answer, "; ".join((plans, *report.wrong[:1])))
 
 
-def _same_plan(pool: CancellableExecutor) -> Outcome:
-    """A plan of a worker that was cancelled many times equals that of a fresh process."""
-    with tempfile.TemporaryDirectory(prefix="attack-plan-") as scratch:
-        request = parse_request(bases.request_of("reach", Path(scratch)))
-        after = [pool.submit(cancel_jobs.positions, request).result(ANSWER_S) for _ in range(3)]
-        with LocalPool(1) as fresh:
-            expected = fresh.submit(cancel_jobs.positions, request).result(ANSWER_S)
-    is_same = all(found == expected for found in after)
-    text = f"{expected[0]}, waypoints {'equal' if is_same else 'differ'}"
-    return Outcome("cancels", "a plan after the cancels", Answer.REPORTED if is_same else Answer.CRASHED, text)
+def _tell(report: Report) -> None:
+    if report.n_cancels % 50 == 0:
+        print(f"{report.n_cancels} cancels, {len(report.crashes)} crashes, {len(report.wrong)} wrong", file=sys.stderr)
