@@ -44,8 +44,10 @@ def samples(folder: Path, replay: Replay, data: dict[str, Any]) -> Claim:
     is_floating, n = bool(replay.base.any()), len(data["curve"]["joint_names"]) - len(data["movables"])
     rows, times = np.array(data["trajectory"]["positions"], float), np.array(data["trajectory"]["times"], float)
     q = np.array([replay.q(s)[:n] for s in replay.samples])
-    table = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1, ndmin=2)
-    off = [len(rows) != len(q) or not np.allclose(table, np.column_stack([times, rows]), atol=SAME, rtol=0.0)]
+    header, *lines = (folder / "trajectory.csv").read_text().splitlines() or [""]
+    table, written = np.loadtxt(lines, delimiter=",", ndmin=2, comments=None), np.column_stack([times, rows])
+    off = [len(rows) != len(q) or table.shape != written.shape or not np.allclose(table, written, atol=SAME, rtol=0.0)]
+    off[0] = off[0] or header != ",".join(("time", *data["trajectory"]["joint_names"]))
     if not off[0]:
         own = rows[:, 7:] if is_floating else rows
         off.append(not np.allclose(own, q[:, 6 if is_floating else 0 :], atol=SAME, rtol=0.0))

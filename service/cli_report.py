@@ -12,6 +12,7 @@ from rich.text import Text
 SEEN_TOUCH_M = 1e-4  # feet that rest on a floor are that near to it
 HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
 NAMED_LINKS = 3  # links without shape that the verdict's line names
+SMALL_LINK_M = 0.05  # a camera or a coupling, which the notes name
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
 _COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
 
@@ -61,11 +62,14 @@ def uncovered(coverage: Mapping[str, Any] | None) -> str:
     if left_out:
         told = f", {len(others)} of them no neighbours" if others else ""
         clauses.append(f"{_count(len(left_out), 'pair')} of links left out{told}")
-    shapeless = [one["link"] for one in coverage["shapeless"] if one["reach_m"] != 0.0]
-    if shapeless:
-        rest = len(shapeless) - NAMED_LINKS
+    shapeless = [one for one in coverage["shapeless"] if one["reach_m"] != 0.0]
+    large = [one["link"] for one in shapeless if one["reach_m"] is None or one["reach_m"] > SMALL_LINK_M]
+    if len(shapeless) > len(large):
+        clauses.append(f"{_count(len(shapeless) - len(large), 'small link')} without shape")
+    if large:
+        rest = len(large) - NAMED_LINKS
         more = f" and {rest} more" if rest > 0 else ""
-        clauses.append(f"{_count(len(shapeless), 'link')} without shape: {', '.join(shapeless[:NAMED_LINKS])}{more}")
+        clauses.append(f"{_count(len(large), 'link')} without shape: {', '.join(large[:NAMED_LINKS])}{more}")
     if coverage["not_checked"]:
         clauses.append(f"not checked: {', '.join(coverage['not_checked'])}")
     return "".join(f"; {clause}" for clause in clauses)

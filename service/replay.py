@@ -14,7 +14,7 @@ import numpy as np
 from costs.robot import RobotError, RobotModel, load_robot
 from service.consistency import CHANGED, contradictions
 from service.demanded import Grounds, Record, demands_of
-from service.demands import Demands, Held, hold_to_request, pace_differences
+from service.demands import Demands, Held, hold_to_request, pace_differences, turned_differences
 from service.errors import RequestError, ResultError, shown
 from service.motion_json import motion_from_json
 from service.request import PlanRequest
@@ -63,6 +63,8 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         found = held.differences
         if demands is not None:
             found += tuple(pace_differences(demands.request, certificate))
+            if demands.request.task is not None and demands.request.task.valve is not None:
+                found += tuple(turned_differences(demands.request.task.valve, data["figures"]))
         if data.get("certificate") is not None:
             robot = _read_robot(data["robot"], folder)
             found += contradictions(data, recorded, robot, certificate, table if table.is_file() else None)

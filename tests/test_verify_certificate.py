@@ -126,7 +126,14 @@ def _replay(folder: Path, result: dict[str, Any]) -> subprocess.CompletedProcess
     (folder / "result.json").write_text(json.dumps(result))
     (folder / "robot.urdf").write_text(load_robot("atlas").source.urdf)
     table = np.column_stack([result["trajectory"]["times"], result["trajectory"]["positions"]])
-    np.savetxt(folder / "trajectory.csv", table, fmt="%.10g", delimiter=",", header="time", comments="")
+    np.savetxt(
+        folder / "trajectory.csv",
+        table,
+        fmt="%.10g",
+        delimiter=",",
+        header=",".join(("time", *result["trajectory"]["joint_names"])),
+        comments="",
+    )
     command = [sys.executable, str(EXAMPLES / "check_certificate.py"), str(folder)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 

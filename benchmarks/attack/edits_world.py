@@ -156,7 +156,7 @@ def masses_halved(folder: Folder) -> None:
     folder.edit_urdf(_each("link/inertial/mass", _scale("value", 0.5)))
 
 
-@WORLD.lie("arm", "reach", robot=True)
+@WORLD.lie("arm", robot=True)
 def boxes_of_the_robot_halved(folder: Folder) -> None:
     folder.edit_urdf(_each("link/collision/geometry/box", _scale("size", 0.5)))
     folder.edit_urdf(_each("link/collision/geometry/capsule", _scale("radius", 0.5)))

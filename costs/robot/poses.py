@@ -6,7 +6,10 @@ import numpy as np
 from jaxtyping import Float
 from lxml import etree
 
+from costs.robot.errors import RobotError
 from costs.robot.xmlfile import numbers
+
+FARTHEST_M = 1000.0  # no part of a robot is farther from the one that carries it
 
 
 def parse_origin(element: etree._Element, where: str) -> Float[np.ndarray, "4 4"]:
@@ -15,6 +18,11 @@ def parse_origin(element: etree._Element, where: str) -> Float[np.ndarray, "4 4"
     origin = element.find("origin")
     if origin is not None:
         pose[:3, 3] = numbers(origin.get("xyz", "0 0 0"), 3, f"{where}: origin xyz")
+        farthest = float(np.abs(pose[:3, 3]).max())
+        if farthest > FARTHEST_M:
+            raise RobotError(
+                f"{where}: origin xyz: {farthest:g} m is farther than {FARTHEST_M:g} m; are these millimetres?"
+            )
         pose[:3, :3] = rpy_matrix(numbers(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy"))
     return pose
 

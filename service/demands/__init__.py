@@ -3,6 +3,7 @@
 from service.demands.holding import Demands, Held, hold_to_request, pace_differences
 from service.demands.program import ProgramDemand
 from service.demands.stance import planted_feet
+from service.demands.turning import turned_differences
 from service.demands.world import compose_scene, has_scan, recorded_obstacles
 
 __all__ = [
@@ -15,4 +16,5 @@ __all__ = [
     "pace_differences",
     "planted_feet",
     "recorded_obstacles",
+    "turned_differences",
 ]

@@ -26,6 +26,7 @@ from service.verify.duties import BALANCE, TIMING
 ESCAPE = "escape"
 DEPTH_ROUNDING_M = 1e-4  # by which a pair may be deeper than it was measured at the start
 PACE_TOLERANCE = 0.01  # share of a speed or an acceleration that may be used in addition
+BORDER_ROUNDING = 1e-9  # of path parameters, and of tangents that vanish
 SAME = 1e-6  # numbers of a request and of a record that agree [m, rad]
 
 
@@ -236,9 +237,19 @@ def _path_differences(demands: Demands, recorded: Motion) -> Iterator[str]:
         yield "the request asks for a timed motion, and this one has no time law"
     if demands.program is not None:
         yield from moved_though_fixed(demands.program, demands.robot, demands.start, q)
+    for phase in recorded.phases[1:]:
+        if not _rests(recorded, phase.first):
+            yield f"phase '{phase.name}' begins where the robot does not rest"
     names = [phase.name for phase in recorded.phases]
     if ESCAPE in names[1:]:
         yield "only the first phase may leave what the robot starts in"
+
+
+def _rests(motion: Motion, border: float) -> bool:
+    """Whether the curve has a waypoint at a path parameter, and vanishing tangents there."""
+    at = int(np.abs(motion.curve.knots - border).argmin())
+    is_knot = abs(motion.curve.knots[at] - border) <= BORDER_ROUNDING * max(1.0, abs(border))
+    return bool(is_knot and np.abs(motion.curve.tangents[at]).max(initial=0.0) <= BORDER_ROUNDING)
 
 
 def _phase_differences(recorded: Phase, own: Phase, is_program: bool) -> Iterator[str]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
-from service.demands.wheel import HANDS, Hand, Wheel, hook_allowances, stroke_targets
+from service.demands.wheel import HAND_AXIS, HANDS, Hand, Wheel, hook_allowances, stroke_targets
 from service.request import ValveRequest
 from service.verify import CircleTarget, Motion, Phase, RelativePoseTarget, Target
 
@@ -18,6 +19,7 @@ TOUCHING = ("insert", TURN, "retract")  # phases in which the hook may touch the
 STILL = 1e-5  # of a wheel that nobody turns [rad]
 SAME_PLACE_M = 1e-6
 ROUNDING = 1e-9  # of path parameters
+TURNED_ROUNDING_DEG = 3.0  # the tool may be off its point of the rim
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,14 @@ class Stroke:
         phase: index of the phase that turns.
         hand: that turns.
         entry: angle of the gap [rad].
+        grasp: rotation_valve_tool of a hand that turns with the wheel, or None.
         last: angle of the wheel at its end [rad].
     """
 
     phase: int
     hand: Hand
     entry: float
+    grasp: Float[np.ndarray, "3 3"] | None
     last: float
 
 
@@ -71,7 +75,7 @@ class Turning:
     def targets(self, index: int, at: float) -> tuple[Target, ...]:
         """What the phase of that index does; nothing of its own if it does not turn."""
         own = (stroke for stroke in self.strokes if stroke.phase == index)
-        return tuple(t for one in own for t in stroke_targets(self.wheel, one.hand, one.entry, one.last, at))
+        return tuple(t for one in own for t in stroke_targets(self.wheel, one.hand, one.entry, one.last, at, one.grasp))
 
     def allowances(self, index: int, phase: Phase) -> tuple[Allowance, ...]:
         """What may touch the rim in a phase: the hook of the hand whose stroke it belongs to."""
@@ -89,17 +93,28 @@ def _role(phase: Phase) -> str:
     return phase.name.split(" ")[0]
 
 
-def _choice(wheel: Wheel, request: ValveRequest, phase: Phase) -> tuple[Hand, float] | str:
-    """Hand and gap of a phase that turns, told by what it promises; a sentence where the task does not permit them."""
+def _choice(
+    wheel: Wheel, request: ValveRequest, phase: Phase
+) -> tuple[Hand, float, Float[np.ndarray, "3 3"] | None] | str:
+    """Hand, gap and grasp of a phase that turns, told by what it promises; a sentence where the task forbids them."""
     tools = {target.frame for target in phase.targets if isinstance(target, CircleTarget)}
     hands = [hand for hand in HANDS.values() if hand.tool in tools and request.hand in ("auto", hand.side)]
     if len(hands) != 1:
         return f"no hand that the task permits holds the rim in phase '{phase.name}'"
-    held = [t for t in phase.targets if isinstance(t, RelativePoseTarget) and t.frame == hands[0].tool]
-    places = [target.position for target in held if target.reference is not None]
+    holds = [
+        target
+        for target in phase.targets
+        if isinstance(target, RelativePoseTarget) and target.frame == hands[0].tool and target.reference is not None
+    ]
     for entry in wheel.gaps:
-        if any(_is_near(place, wheel.rim_point(entry) - wheel.centre) for place in places):
-            return hands[0], entry
+        for hold in holds:
+            if not _is_near(hold.position, wheel.rim_point(entry) - wheel.centre):
+                continue
+            if request.mode == "hook":
+                return hands[0], entry, None
+            if hold.free_axis is None and _is_near(hold.rotation @ HAND_AXIS, -wheel.axis):
+                return hands[0], entry, hold.rotation
+            return f"the hand does not turn with the wheel in phase '{phase.name}', as a grasp has it"
     return f"the hook is in no gap of the valve in phase '{phase.name}'"
 
 
@@ -119,3 +134,10 @@ def _moved_alone(motion: Motion) -> Iterator[str]:
         angle, rate = curve.positions[inside, -1], curve.tangents[inside, -1]
         if np.ptp(angle) > STILL or np.abs(rate).max() > STILL:
             yield f"the wheel moves in phase '{phase.name}', where nobody turns it"
+
+
+def turned_differences(request: ValveRequest, figures: Mapping[str, Any]) -> Iterator[str]:
+    """A sentence where the figures of a result tell of another turn than the request's, which the proof is of."""
+    turned = figures.get("turned_deg")
+    if not isinstance(turned, float | int) or abs(turned - request.turn_deg) > TURNED_ROUNDING_DEG:
+        yield f"figures.turned_deg is {turned}, the request turns by {request.turn_deg:g}"

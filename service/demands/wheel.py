@@ -117,7 +117,9 @@ def hook_allowances(wheel: Wheel, hand: Hand) -> tuple[Allowance, ...]:
     return tuple(Allowance(hook, BodyRef("mechanism", VALVE_LINK, body), depth) for body in wheel.rim)
 
 
-def stroke_targets(wheel: Wheel, hand: Hand, entry: float, angle: float, at: float) -> tuple[Target, ...]:
+def stroke_targets(
+    wheel: Wheel, hand: Hand, entry: float, angle: float, at: float, grasp: Float[np.ndarray, "3 3"] | None = None
+) -> tuple[Target, ...]:
     """What a stroke does: the tool goes round with its point of the rim, and the wheel ends at an angle.
 
     Args:
@@ -126,13 +128,15 @@ def stroke_targets(wheel: Wheel, hand: Hand, entry: float, angle: float, at: flo
         entry: angle of the gap that the hook is in, in the wheel [rad].
         angle: of the wheel at the end of the stroke [rad].
         at: path parameter of that end.
+        grasp: rotation_valve_tool of a hand that turns with the wheel; None for one that may turn about its axis.
     """
     # At angle 0 the wheel's frame has the axes of the world and its origin in the centre.
-    along = rotation_onto(HAND_AXIS, -wheel.axis)
+    along = rotation_onto(HAND_AXIS, -wheel.axis) if grasp is None else grasp
+    free = HAND_AXIS if grasp is None else None
     place = wheel.rim_point(entry) - wheel.centre
     return (
         CircleTarget(hand.tool, wheel.centre, wheel.axis, wheel.radius, RIM_TOLERANCE, -HAND_AXIS, AXIS_TOLERANCE),
-        RelativePoseTarget(hand.tool, VALVE_LINK, place, along, RIM_TOLERANCE, AXIS_TOLERANCE, HAND_AXIS),
+        RelativePoseTarget(hand.tool, VALVE_LINK, place, along, RIM_TOLERANCE, AXIS_TOLERANCE, free),
         JointTarget(VALVE_JOINT, angle, ANGLE_TOLERANCE, at),
     )
 

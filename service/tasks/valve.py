@@ -154,7 +154,7 @@ class ValveTurn:
             retract = self._line("retract", turn.x[-1], self.entry + stroke.last)
         phases += [
             PlannedPhase(f"insert{suffix}", approach, True, allowances=self.touching),
-            PlannedPhase(f"turn{suffix}", turn.x, True, (hold,), self.touching, self._targets(stroke)),
+            PlannedPhase(f"turn{suffix}", turn.x, True, (hold,), self.touching, self._targets(stroke, pose.x[0])),
             PlannedPhase(f"retract{suffix}", retract.x, retract.is_feasible, allowances=self.touching),
         ]
         return tuple(phases), Stuck.at(f"retract{suffix}", retract)
@@ -264,9 +264,11 @@ class ValveTurn:
     def _reach_again(self, q: Float[np.ndarray, "T n"]) -> Solved:
         return self.solver.trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]}, bounds=_wheel_still(q[0, -1]))
 
-    def _targets(self, stroke: Stroke) -> Targets:
+    def _targets(self, stroke: Stroke, pose: Float[np.ndarray, "n"]) -> Targets:
+        grasp = self._grasp_rotation(stroke, pose) if self.mode == "grasp" else None
+
         def targets(s_last: float) -> tuple[Target, ...]:
-            return stroke_targets(self.wheel, self.hand, self.entry, stroke.last, s_last)
+            return stroke_targets(self.wheel, self.hand, self.entry, stroke.last, s_last, grasp)
 
         return targets
 
