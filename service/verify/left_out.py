@@ -26,7 +26,7 @@ from service.verify.solid import Solid
 from service.verify.timeline import edges_of, time_of
 from service.verify.track import Track
 
-_SAMPLES = 200
+_SAMPLES = 32  # a first look; what is not seen to overlap there is proven apart, or told
 # Two links with one between them that overlap in this share of the poses of the joints between them hardly have a pose
 # in which they do not: that is how their shapes are, and says nothing of the motion.
 _ALWAYS_SHARE, _POSES = 0.9, 300
