@@ -1,6 +1,8 @@
 """What a request demands of a motion, free of everything that plans: the verifier's side of a request."""
 
-from service.demands.holding import Demands, Held, hold_to_request, pace_differences
+from service.demands.demand import Demands
+from service.demands.differences import pace_differences
+from service.demands.holding import Held, hold_to_request
 from service.demands.program import ProgramDemand
 from service.demands.stance import planted_feet
 from service.demands.turning import turned_differences
