@@ -191,15 +191,20 @@ def _depths(
     narrow = Narrow()
     for one in (Solid.of_body(body) for body in bodies if body.link == pair[0]):
         for other in (Solid.of_body(body) for body in bodies if body.link == pair[1]):
-            rotation, translation = placed.relative(other.joint, one.joint, rows)
-            (centre, radius), (other_centre, other_radius) = one.sphere, other.sphere
-            apart = np.linalg.norm(rotation @ centre + translation - other_centre, axis=1) - radius - other_radius
-            near = np.flatnonzero(apart < 0.0)
-            solids = [one.convex] * len(near), [other.convex] * len(near)
-            distance, _ = narrow.closest(solids[0], rotation[near], translation[near], solids[1])
             depth = np.full(len(rows), -np.inf)
-            depth[near] = -distance
+            between = _centre(placed, rows, one) - _centre(placed, rows, other)
+            near = np.flatnonzero(np.linalg.norm(between, axis=1) < one.sphere[1] + other.sphere[1])
+            if len(near):
+                rotation, translation = placed.relative(other.joint, one.joint, rows[near])
+                solids = [one.convex] * len(near), [other.convex] * len(near)
+                distance, _ = narrow.closest(solids[0], rotation, translation, solids[1])
+                depth[near] = -distance
             yield depth
+
+
+def _centre(placed: Placements, rows: np.ndarray, solid: Solid) -> Float[np.ndarray, "S 3"]:
+    """Centre of a solid's sphere in the world at each pose [m]."""
+    return np.asarray(placed.rotation[rows, solid.joint] @ solid.sphere[0] + placed.translation[rows, solid.joint])
 
 
 def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) -> bool:
