@@ -138,10 +138,7 @@ def _drawn(data: Mapping[str, Any], motion: Motion, robot: RobotModel) -> Iterat
         yield "waypoints are not the curve's knots"
     if not _is_near(data["com"], made["com"]):
         yield "com is not the motion's centre of mass"
-    bare = [
-        [{k: v for k, v in one.items() if k != "zmp"} for one in source["support_polygons"]] for source in (data, made)
-    ]
-    if not _is_near(*bare):
+    if not _is_near(_bare(data["support_polygons"]), _bare(made["support_polygons"])):
         yield "support_polygons are not those of the phases"
     elif not all(_same_zmp(one, source) for one, source in zip(_zmp(data), _zmp(made), strict=True)):
         yield "zmp is not the motion's"

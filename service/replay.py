@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,13 +48,13 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     started = time.perf_counter()
     data = read_result(path)
     folder = result_path(path).parent
-    recorded = read_motion(data, folder)
+    robot, recorded = _read_record(data, folder)
     is_claimed = data["verdict"] == Status.CERTIFIED.value
     if is_claimed and data.get("certificate") is None:
         raise ResultError(f"{folder}: the verdict is CERTIFIED, and there is no certificate; {CHANGED}")
     held, grounds, demands = Held(recorded, ()), None, None
     if is_claimed:
-        demands, grounds = _demands(data, folder, recorded, request, clouds)
+        demands, grounds = _demands(data, folder, Record(robot, recorded.scene), request, clouds)
         with _readable(folder):
             held = hold_to_request(demands, recorded)
     table = folder / TRAJECTORY_NAME
@@ -66,7 +66,6 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
             if demands.request.task is not None and demands.request.task.valve is not None:
                 found += tuple(turned_differences(demands.request.task.valve, data["figures"]))
         if data.get("certificate") is not None:
-            robot = _read_robot(data["robot"], folder)
             found += contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
     if certificate.status is Status.CERTIFIED and is_claimed and found:
         why = CHANGED if request is None else OTHER
@@ -84,12 +83,12 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
 
 
 def _demands(
-    data: dict[str, Any], folder: Path, recorded: Motion, given: Path | None, clouds: Sequence[Path]
+    data: dict[str, Any], folder: Path, record: Record, given: Path | None, clouds: Sequence[Path]
 ) -> tuple[Demands, Grounds]:
     """What the request demands, and what that rests on."""
     request = _recorded_request(data, folder) if given is None else load_request(given)
     with _readable(folder):
-        record = Record(_read_robot(data["robot"], folder), recorded.scene, _recorded_valves(data))
+        record = replace(record, valves=_recorded_valves(data))
     try:
         return demands_of(request, record, given, clouds)
     except RequestError as error:
@@ -126,10 +125,16 @@ def read_motion(data: dict[str, Any], folder: Path) -> Motion:
     Raises:
         ResultError: there is no motion, or the data contradict each other.
     """
+    return _read_record(data, folder)[1]
+
+
+def _read_record(data: dict[str, Any], folder: Path) -> tuple[RobotModel, Motion]:
+    """The robot of a result's folder, without what the task moves, and the motion."""
     if data.get("curve") is None:
         raise ResultError(f"{folder}: the result has no motion to verify; its verdict is {shown(data.get('verdict'))}")
     with _readable(folder):
-        return motion_from_json(data, _read_robot(data["robot"], folder))
+        robot = _read_robot(data["robot"], folder)
+        return robot, motion_from_json(data, robot)
 
 
 @contextmanager
