@@ -14,7 +14,7 @@ from service.phases import PlannedPhase, TaskPlan
 from service.spline import Path, Spline, make_spline
 from service.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Motion, Phase, PlantedContact, SupportPolygon
-from service.verify.duties import BALANCE, TIMING
+from service.verify.duties import waived_checks
 from service.verify.timeline import times_of
 from service.whole_body import WholeBody
 
@@ -50,11 +50,8 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         curve=spline.curve,
         phases=phases,
         mechanism_links=body.robot.mechanism_links,
-        waived=frozenset(
-            {
-                *([TIMING] if timing is None else []),
-                *([BALANCE] if body.robot.is_floating and body.polygon is None else []),
-            }
+        waived=waived_checks(
+            is_timed=timing is not None, is_balanced=body.polygon is not None or not body.robot.is_floating
         ),
     )
     if timing is None:

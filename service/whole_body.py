@@ -25,13 +25,12 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Sense
-from service.demands.stance import standing_allowances
+from service.demands.stance import BALANCE_RESERVE, standing_allowances
 from service.holds import DRIFT, Hold, projected
 from service.keep import KeptPose
 from service.start import sole
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
-BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside, for the curve between the waypoints [m]
 CLEARANCE_TERMS = ("collision", "self-collision")
 SELF_SHARE = 0.5  # of the margin is asked of the robot's own links: their distance is known better than the world's
 CLEARANCE_TOLERANCE = 2e-3  # of the margin that is aimed at [m]

@@ -12,14 +12,12 @@ from service.demands.differences import ESCAPE, path_differences, phase_differen
 from service.demands.goals import goal_targets
 from service.demands.kept import kept_target
 from service.demands.program import program_targets
-from service.demands.stance import Stance, standing_allowances
+from service.demands.stance import Stance, leaving_allowances, standing_allowances
 from service.demands.turning import Turning
 from service.demands.wheel import robot_with_wheel
 from service.start import hull_overlaps
 from service.verify import Motion, Phase, Target
-from service.verify.duties import BALANCE, TIMING
-
-DEPTH_ROUNDING_M = 1e-4  # by which a pair may be deeper than it was measured at the start
+from service.verify.duties import waived_checks
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,10 @@ def hold_to_request(demands: Demands, recorded: Motion) -> Held:
     differences += lines
     for phase, own in zip(recorded.phases, phases, strict=True):
         differences += phase_differences(phase, own, is_program=demands.program is not None)
-    waived = _waived(demands, promises.stance)
+    waived = waived_checks(
+        is_timed=demands.request.options.timed,
+        is_balanced=promises.stance.hull is not None or not demands.robot.is_floating,
+    )
     if recorded.waived != waived:
         differences.append("the checks that the record waives are not those that the request does not ask for")
     motion = replace(
@@ -99,7 +100,7 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
     return _Promises(
         stance,
         standing_allowances(feet, demands.scene),
-        tuple(Allowance(*one.pair, one.depth + DEPTH_ROUNDING_M) for one in inside),
+        leaving_allowances(inside),
         targets,
         tuple(kept_target(robot, start, keep) for keep in request.keep),
         turning,
@@ -127,10 +128,3 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         targets=(*targets, *promises.everywhere),
         support=promises.stance.support(phase.name, first),
     )
-
-
-def _waived(demands: Demands, stance: Stance) -> frozenset[str]:
-    """The checks that the request does not ask for."""
-    is_unbalanced = demands.robot.is_floating and stance.hull is None
-    untimed = [] if demands.request.options.timed else [TIMING]
-    return frozenset((*untimed, *([BALANCE] if is_unbalanced else [])))

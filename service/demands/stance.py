@@ -14,12 +14,13 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.support import SupportPolygon as FeetHull
 from service.footing import FLOOR_KIND
-from service.start import FEET_GROUP, sole
+from service.start import FEET_GROUP, Overlap, sole
 from service.verify import PlantedContact, SupportPolygon
 from service.verify.ground import STANDING_DEPTH_M
 
 UNSETTLED = ("escape", "settle")  # phases that bring a robot into balance, in the order in which they may come first
-SETTLING_RESERVE_M = 2e-3  # a start with less than the margin and this may settle first
+BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside; a start with less may settle first [m]
+DEPTH_ROUNDING = 1e-4  # by which a pair may be deeper than it was measured at the start [m]
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Stance:
         if self.hull is None:
             return None
         centre = pin.centerOfMass(self.robot.model, self.robot.model.createData(), first)
-        is_unsettled = float(self.hull.margin(centre[None, :2])[0]) < self.margin_m + SETTLING_RESERVE_M
+        is_unsettled = float(self.hull.margin(centre[None, :2])[0]) < self.margin_m + BALANCE_RESERVE
         margin = 0.0 if phase in UNSETTLED and is_unsettled else self.margin_m
         return SupportPolygon(self.hull.vertices, margin, self.height)
 
@@ -85,3 +86,8 @@ def standing_allowances(feet: Sequence[str], scene: Scene) -> tuple[Allowance, .
     """Planted links rest on the floor."""
     floors = [BodyRef.of_piece(piece.name) for piece in scene.pieces if piece.kind == FLOOR_KIND]
     return tuple(Allowance(BodyRef.of_link(foot), floor, STANDING_DEPTH_M) for foot in feet for floor in floors)
+
+
+def leaving_allowances(overlaps: Sequence[Overlap]) -> tuple[Allowance, ...]:
+    """What the robot is in at its start may stay as deep as it is there, while it leaves."""
+    return tuple(Allowance(*one.pair, one.depth + DEPTH_ROUNDING) for one in overlaps)

@@ -13,6 +13,7 @@ from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem
+from service.demands.stance import DEPTH_ROUNDING, leaving_allowances
 from service.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, straight
 from service.restore import restored
 from service.sampling import free_coordinates
@@ -23,7 +24,6 @@ from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
 STEP = "escape"
 WAYPOINTS = 10
 SPREADS = (0.2, 0.2, 0.4, 0.4, 0.8, 0.8)  # of random guesses about the start [rad, m]
-DEPTH_ROUNDING = 1e-4  # by which a pair may be deeper than it was measured at the start [m]
 
 
 @dataclass(frozen=True)
@@ -114,12 +114,11 @@ def escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
         if free.is_feasible:
             line = straight(body.nominal, free.x[0], WAYPOINTS - 1)
             out = _out(leaving, np.concatenate([line, line[-1:]]))
-    allowances = tuple(Allowance(*one.pair, one.depth + DEPTH_ROUNDING) for one in overlaps)
     phase = PlannedPhase(
         STEP,
         out.x if len(out.x) > 1 else np.stack([body.nominal, out.x[0]]),
         out.is_feasible,
-        allowances=allowances,
+        allowances=leaving_allowances(overlaps),
         is_settling=needs_settling(body),
         resolve=lambda q: _out(leaving, q, is_end_fixed=True),
     )

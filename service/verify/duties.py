@@ -17,6 +17,11 @@ TIMING, BALANCE = "timing", "balance"
 INERTIA_ROUNDING = 0.05  # by which a principal moment may exceed the sum of the others in a robot's file
 
 
+def waived_checks(*, is_timed: bool, is_balanced: bool) -> frozenset[str]:
+    """What a motion need not be checked for: ``timing`` of an untimed one, ``balance`` where none is asked for."""
+    return frozenset(([] if is_timed else [TIMING]) + ([] if is_balanced else [BALANCE]))
+
+
 @dataclass(frozen=True)
 class Duties:
     """The checks of a motion.
