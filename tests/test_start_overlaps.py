@@ -11,7 +11,7 @@ from small_robots import CUBE, box
 
 from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
-from service.start import overlaps, placed_bodies
+from service.start.configuration import overlaps, placed_bodies
 from service.verify.ground import GROUND_TOLERANCE_M
 
 FEET = ("l_foot", "r_foot")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from told_results import told_results
 
-from service.start import placed_bodies
+from service.start.configuration import placed_bodies
 from service.verify import Basis, Certificate, Status
 from service.verify.convex import convex_of
 
