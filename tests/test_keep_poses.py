@@ -12,7 +12,7 @@ from tiny_robots import atlas, contact_free_state, random_configurations
 
 from service.body.keep import KeptPose, kept_poses, relative_pose
 from service.errors import RequestError
-from service.request.keep import KeepRequest
+from service.request.schema import KeepRequest
 
 READY = "reach_ready"
 

@@ -13,8 +13,7 @@ from service.body.holds import largest
 from service.body.keep import kept_poses
 from service.body.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight
 from service.body.whole_body import Aims, WholeBody
-from service.request.keep import KeepRequest
-from service.request.schema import GoalRequest, PoseGoalRequest
+from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
 from service.tasks.goal import Goal
 from service.tasks.lead import led, ways
 

@@ -17,7 +17,7 @@ from scopt import Constraint, Residual, Sense
 from service.body.holds import DRIFT, Hold
 from service.demands.kept import free_axis, wanted_pose
 from service.errors import RequestError
-from service.request.keep import KeepRequest
+from service.request.schema import KeepRequest
 from service.verify import RelativePoseTarget
 
 PLACE, TURN = (True,) * 3 + (False,) * 3, (False,) * 3 + (True,) * 3

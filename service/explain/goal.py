@@ -19,7 +19,7 @@ from costs.robot import BASE_NAMES
 from service.body.reach import beyond_reach, too_far_apart
 from service.body.whole_body import WholeBody
 from service.explain.goal_poses import Finding, How, given_poses, shift
-from service.start.configuration import overlaps_and_unresolved
+from service.start.overlaps import overlaps_and_unresolved
 from service.verify import JointTarget, PoseTarget, Target
 
 SAME_STANCE = 1e-3  # planted links that place the base within this agree [m, rad]

@@ -15,8 +15,8 @@ from costs.kinematics import frame_of
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece
 from service.body.whole_body import WholeBody
-from service.start.configuration import Overlap
 from service.start.exact import EXACT_ROUNDING_M, ExactShape
+from service.start.overlaps import Overlap
 from service.verify import PoseTarget
 
 POINT = 1e-9  # radius of the ball that stands for a point [m]

@@ -22,8 +22,7 @@ from service.setup.obstacles import obstacles_of
 from service.setup.prepare import load_requested_robot, start_of
 from service.setup.surroundings import Surroundings, surroundings
 from service.start.attached import robot_with_attached
-from service.start.configuration import sole
-from service.start.footing import floor_at_soles
+from service.start.standing import floor_at_soles, sole
 
 if TYPE_CHECKING:
     from perception import ValveDetection

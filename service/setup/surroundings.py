@@ -14,7 +14,7 @@ from costs.scene import ConvexPiece
 from service.errors import RequestError
 from service.request.schema import PlanRequest
 from service.setup.obstacles import known_meshes
-from service.start.configuration import placed_bodies
+from service.start.standing import place_bodies
 
 if TYPE_CHECKING:
     from perception import Perceived, ValveDetection
@@ -103,7 +103,7 @@ def _scanned(
         seen = (see or perceive)(
             cloud,
             reach=Reach(x=x, y=y),
-            robot_hulls=[vertices for _, vertices in placed_bodies(robot, start)],
+            robot_hulls=[vertices for _, vertices in place_bodies(robot, start)],
             soles=soles,
             valve=request.task is not None and request.task.valve is not None,
             hint=None if hint is None else np.array(hint),
