@@ -1,7 +1,7 @@
-"""Detection errors per kind of object, and confident finds of nothing, on recorded and simulated scans.
+"""Detection errors per kind of object, and confident false hits, on recorded and simulated scans.
 
 A row is marked ``MISS`` when a dense scan gives no confident detection, ``OFF`` when a confident detection is beyond a
-target (twice the target on sparse scans, where a low confidence is as good), ``FALSE`` for a confident find of nothing.
+target (twice the target on sparse scans, where a low confidence is as good), ``FALSE`` for a confident false hit.
 
 From the checkout's root: ``python -m benchmarks.cloud_detections [--kind KIND] [--only NAME] [--variant V] [--seed N]
 [--hint]``.  Recorded scans come from the folder ``SCOPT_DATA`` (default: ``../shared/data``).
@@ -152,7 +152,7 @@ def _print_false(false: list[tuple[str, str, Detection]]) -> None:
         (name, kind, f"{one.confidence:.2f}", " ".join(f"{x:.2f}" for x in one.pose_world_object[:3, 3]), "FALSE")
         for name, kind, one in false
     ]
-    print_table("confident finds of nothing (target: none)", ("scan", "kind", "confidence", "at", ""), lines)
+    print_table("confident false hits (target: none)", ("scan", "kind", "confidence", "at", ""), lines)
 
 
 def _print_summary(

@@ -1,4 +1,4 @@
-"""Problem sets: read, run, summed up, resumed; and what a wrong file earns."""
+"""Problem sets: reading, running, summary, resuming, and errors in files."""
 
 import json
 
@@ -14,7 +14,7 @@ from service.setup.prepare import load_requested_robot
 
 @pytest.fixture
 def arm(tmp_path) -> BenchRobot:
-    """Two links of 0.3 m that turn in a horizontal plane."""
+    """Return an arm of two 0.3 m links that turn in a horizontal plane."""
     return BenchRobot(write_planar_arm(tmp_path, 2, 0.3, 0.03, limit=2.9))
 
 

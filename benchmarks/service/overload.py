@@ -1,4 +1,4 @@
-"""Twice as many requests as the workers can do: those let in are answered in time, the others refused at once."""
+"""Twice as many requests as the workers can handle: admitted ones are answered in time, others refused at once."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WARM_SHARE = 0.2  # of the time, before memory is looked at
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Overload for ten minutes."""
+    """Measure an overload of ten minutes."""
     seconds = options.time_s(600.0, 20.0)
     request = asks.plan_request(asks.OVER_A_TABLE).SerializeToString()
     with started(folder, workers=WORKERS, queue=QUEUE) as server:
