@@ -14,7 +14,7 @@ from service.client.clouds import local_files
 from service.client.summary import summary_of
 from service.proto.planner.v1.planner_pb2 import Iteration, PlanResponse
 from service.request.file import load_request
-from service.request.schema import check_planned
+from service.request.schema import check_task_has_planner
 from service.result.folder import ResultFiles, check_folder
 
 SELDOM_S = 1.0  # between two iterations in a log file
@@ -33,7 +33,7 @@ def request_plan(
     with progress(err, "read request") as report:
         report("read request", 0.0)
         request = load_request(request_file)
-        check_planned(request)
+        check_task_has_planner(request)
         check_folder(folder)
         with connected(where, err) as client:
             names = ", ".join(local_files(request))

@@ -9,7 +9,7 @@ from pathlib import Path
 from service.client.clouds import is_sent
 from service.errors import RequestError, shown
 from service.request.scene import MeshRequest, SceneRequest
-from service.request.schema import PlanRequest, RobotRequest, check_planned
+from service.request.schema import PlanRequest, RobotRequest, check_task_has_planner
 from service.trust.folders import BUILT, UPLOADED, paths_of
 
 NOT_UPLOADED = (
@@ -26,7 +26,7 @@ def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
     Raises:
         RequestError: a file that is not there, or that would not be found there; a task without a planner.
     """
-    check_planned(request)
+    check_task_has_planner(request)
     problems = []
     for field, path, kind in sorted(
         paths_of(request), key=lambda one: one[2] in ("file", "mesh")
