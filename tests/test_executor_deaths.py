@@ -19,7 +19,7 @@ import pytest
 from executor_waiting import Events, is_running, parent_of, until
 
 from service.executor import Job, JobCancelled, LocalPool, WorkerDied
-from service.executor.frames import Kind
+from service.executor.messages import Kind
 
 SOON_S = 20.0  # far more than anything takes
 SUPPORT = Path(jobs.__file__).parent
@@ -31,7 +31,7 @@ def pids(pool: LocalPool) -> list[int]:
 
 def running_on(pool: LocalPool, todo: list[Job[str]]) -> list[int]:
     """The workers that have one of these jobs."""
-    return [job.pid for job in todo if job.pid is not None and job.running() and pool.place(job) is None]
+    return [job.pid for job in todo if job.pid is not None and job.running() and pool.queue_position(job) is None]
 
 
 def test_killing_workers_under_load_loses_no_job_and_answers_none_twice(tmp_path: Path) -> None:
@@ -83,9 +83,9 @@ def test_a_job_begun_again_goes_before_those_that_wait(tmp_path: Path) -> None:
 def test_a_job_that_always_kills_its_worker_is_given_up_and_the_pool_lives(tmp_path: Path) -> None:
     with LocalPool(1) as pool:
         job = pool.submit(jobs.kill_own_worker, tmp_path, 99)
-        with pytest.raises(WorkerDied, match=r"worker ended \(SIGKILL\), job begun 3 times") as caught:
+        with pytest.raises(WorkerDied, match=r"worker ended \(SIGKILL\), job started 3 times") as caught:
             job.result(SOON_S)
-        assert (caught.value.how, caught.value.attempts) == ("SIGKILL", 3)
+        assert (caught.value.cause, caught.value.attempts) == ("SIGKILL", 3)
         assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
         assert pool.stats().restarts == 3
 
@@ -93,8 +93,8 @@ def test_a_job_that_always_kills_its_worker_is_given_up_and_the_pool_lives(tmp_p
 def test_a_crash_names_its_signal_and_keeps_the_last_words() -> None:
     with LocalPool(1) as pool, pytest.raises(WorkerDied, match="SIGSEGV") as caught:
         pool.submit(jobs.crash, max_attempts=1).result(SOON_S)
-    assert "the last words" in caught.value.said
-    assert "executor_jobs.py" in caught.value.said  # the stack at the crash
+    assert "the last words" in caught.value.last_output
+    assert "executor_jobs.py" in caught.value.last_output  # the stack at the crash
 
 
 def test_a_worker_that_leaves_names_its_exit_code() -> None:
@@ -120,7 +120,7 @@ def test_a_job_waiting_to_be_begun_again_can_be_cancelled(tmp_path: Path) -> Non
         events = Events()
         job = pool.submit(jobs.never_asks, on_event=events)
         os.kill(parent_of(events.first()), signal.SIGKILL)  # so that it takes a while until there is another worker
-        assert until(lambda: pool.place(job) == 1)
+        assert until(lambda: pool.queue_position(job) == 1)
         assert job.cancel()
         with pytest.raises(CancelledError):
             job.result(SOON_S)
@@ -239,14 +239,14 @@ sys.path.insert(0, sys.argv[1])
 import executor_jobs as jobs
 from service.executor import LocalPool
 
-def tell(event):
-    print(*(event if isinstance(event, tuple) else [event]), flush=True)
+def show(pids):
+    print(" ".join(map(str, pids)) + "\\n", end="", flush=True)  # in one piece: two threads print
 
 pool = LocalPool(3)
-pool.submit(jobs.start_child, on_event=tell)
-pool.submit(jobs.stuck_in_native_code, on_event=tell)
+pool.submit(jobs.start_child, on_event=show)
+pool.submit(jobs.stuck_in_native_code, on_event=lambda pid: show([pid]))
 pool.wait_ready()
-print(*(worker.pid for worker in pool.stats().workers), flush=True)
+show(worker.pid for worker in pool.stats().workers)
 time.sleep(60)
 """
 
@@ -329,7 +329,7 @@ def test_jobs_do_not_wait_for_workers_that_cannot_be_warmed_up(caplog: pytest.Lo
         assert not pool.wait_ready(0.01)
         with pytest.raises(WorkerDied, match="none could be started") as caught:
             pool.submit(jobs.pid).result(SOON_S)
-    assert "no robot there" in caught.value.said
+    assert "no robot there" in caught.value.last_output
     assert "no robot there" in caplog.text
 
 

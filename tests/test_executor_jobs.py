@@ -99,7 +99,7 @@ def test_leaving_is_an_error_and_ends_no_worker(pool: LocalPool) -> None:
 
 
 def test_a_result_that_cannot_be_carried_is_an_error(pool: LocalPool) -> None:
-    with pytest.raises(JobFailed, match="returned what cannot be carried between processes, a lock"):
+    with pytest.raises(JobFailed, match="returned what cannot be pickled, a lock"):
         pool.submit(jobs.return_a_lock).result(SOON_S)
 
 
@@ -146,13 +146,13 @@ def test_a_queued_job_knows_its_place(single: LocalPool, tmp_path: Path) -> None
     running = single.submit(jobs.wait_for_file, tmp_path / "go")
     queued = [single.submit(jobs.pid) for _ in range(3)]
     assert until(running.running)
-    assert [single.place(job) for job in (running, *queued)] == [None, 1, 2, 3]
+    assert [single.queue_position(job) for job in (running, *queued)] == [None, 1, 2, 3]
     assert (single.stats().running, single.stats().queued) == (1, 3)
     queued[0].cancel()
-    assert [single.place(job) for job in queued] == [None, 1, 2]
+    assert [single.queue_position(job) for job in queued] == [None, 1, 2]
     (tmp_path / "go").touch()
     wait(queued, SOON_S)
-    assert single.place(queued[2]) is None
+    assert single.queue_position(queued[2]) is None
 
 
 def test_a_queued_job_that_is_cancelled_never_runs(single: LocalPool, tmp_path: Path) -> None:
@@ -277,7 +277,7 @@ def test_a_deadline_that_passes_while_a_job_waits_ends_it_unrun(single: LocalPoo
     queued = single.submit(jobs.leave_mark, tmp_path, "queued", deadline=time.monotonic() + 0.05)
     late = single.submit(jobs.leave_mark, tmp_path, "late", deadline=time.monotonic() - 1.0)
     for job in (queued, late):
-        with pytest.raises(DeadlineExceeded, match="begun 0 times"):
+        with pytest.raises(DeadlineExceeded, match="started 0 times"):
             job.result(SOON_S)
     assert single.stats().queued == 0
     (tmp_path / "go").touch()

@@ -83,7 +83,7 @@ def test_a_queued_job_that_is_cancelled_never_runs(pool: CancellableExecutor, tm
     running = [pool.submit(jobs.wait_for_file, tmp_path / "go") for _ in range(2)]
     queued = pool.submit(jobs.leave_mark, tmp_path, "queued")
     assert until(lambda: pool.stats().running == 2, SOON_S)
-    assert pool.place(queued) == 1
+    assert pool.queue_position(queued) == 1
     assert queued.cancel()
     (tmp_path / "go").touch()
     assert all(job.result(SOON_S) for job in running)
@@ -115,7 +115,7 @@ def test_a_deadline_stops_or_kills(pool: CancellableExecutor) -> None:
 def test_a_job_whose_actor_dies_is_begun_again(pool: CancellableExecutor, tmp_path: Path) -> None:
     job = pool.submit(jobs.kill_own_worker, tmp_path, 1)
     assert job.result(SOON_S) == 2
-    with pytest.raises(WorkerDied, match="job begun 2 times"):
+    with pytest.raises(WorkerDied, match="job started 2 times"):
         pool.submit(jobs.kill_own_worker, tmp_path, 99, max_attempts=2).result(SOON_S)
 
 
