@@ -38,7 +38,7 @@ def test_killing_workers_under_load_loses_no_job_and_answers_none_twice(tmp_path
     answered: Counter[int] = Counter()
     with LocalPool(2) as pool:
         assert pool.wait_ready(SOON_S)
-        todo = [pool.submit(jobs.leave_mark_late, tmp_path, str(i), 0.004) for i in range(150)]
+        todo = [pool.submit(jobs.append_mark_late, tmp_path, str(i), 0.004) for i in range(150)]
         for job in todo:
             job.add_done_callback(lambda job: answered.update([job.number]))
         for n_done in range(10, 140, 20):
@@ -66,7 +66,7 @@ def test_what_a_worker_said_before_it_died_counts() -> None:
         time.sleep(0.2 if len(events.seen) == 1 else 0.0)
 
     with LocalPool(1) as pool:
-        job = pool.submit(jobs.answer_and_die, 12, on_event=be_busy)
+        job = pool.submit(jobs.return_and_die, 12, on_event=be_busy)
         assert job.result(SOON_S) == "done"
         assert (job.attempts, len(events.seen)) == (1, 12)
 
@@ -74,7 +74,7 @@ def test_what_a_worker_said_before_it_died_counts() -> None:
 def test_a_job_begun_again_goes_before_those_that_wait(tmp_path: Path) -> None:
     with LocalPool(1) as pool:
         deadly = pool.submit(jobs.kill_own_worker, tmp_path, 1)
-        waiting = pool.submit(jobs.leave_mark, tmp_path, "waited")
+        waiting = pool.submit(jobs.append_mark, tmp_path, "waited")
         assert deadly.result(SOON_S) == 2
         waiting.result(SOON_S)
     assert (tmp_path / "marks").read_text().split() == ["run", "run", "waited"]
@@ -99,13 +99,13 @@ def test_a_crash_names_its_signal_and_keeps_the_last_words() -> None:
 
 def test_a_worker_that_leaves_names_its_exit_code() -> None:
     with LocalPool(1) as pool, pytest.raises(WorkerDied, match="exit 7"):
-        pool.submit(jobs.leave_without_a_word, 7, max_attempts=2).result(SOON_S)
+        pool.submit(jobs.exit_silently, 7, max_attempts=2).result(SOON_S)
 
 
 def test_a_job_that_is_cancelled_is_not_begun_again() -> None:
     events = Events()
     with LocalPool(1, grace_s=30.0) as pool:
-        job = pool.submit(jobs.never_asks, on_event=events)
+        job = pool.submit(jobs.never_poll, on_event=events)
         worker = events.first()
         job.cancel()
         time.sleep(0.02)
@@ -118,7 +118,7 @@ def test_a_job_that_is_cancelled_is_not_begun_again() -> None:
 def test_a_job_waiting_to_be_begun_again_can_be_cancelled(tmp_path: Path) -> None:
     with LocalPool(1, warm_up=jobs.warm_up, start_timeout_s=SOON_S) as pool:
         events = Events()
-        job = pool.submit(jobs.never_asks, on_event=events)
+        job = pool.submit(jobs.never_poll, on_event=events)
         os.kill(parent_of(events.first()), signal.SIGKILL)  # so that it takes a while until there is another worker
         assert until(lambda: pool.queue_position(job) == 1)
         assert job.cancel()
@@ -137,7 +137,7 @@ def test_each_job_is_answered_once_however_close_its_end_is_to_the_kill() -> Non
 
     with LocalPool(2, grace_s=grace_s) as pool:
         for i in range(24):
-            job = pool.submit(jobs.until_stopped_then, grace_s * (0.5 + i / 24), on_event=(events := Events()))
+            job = pool.submit(jobs.stop_late, grace_s * (0.5 + i / 24), on_event=(events := Events()))
             job.add_done_callback(note)
             events.first()
             job.cancel()
@@ -182,7 +182,7 @@ def test_a_worker_that_stops_reading_holds_up_nobody() -> None:
         assert until(lambda: not is_running(deaf))
 
 
-@pytest.mark.parametrize("fn", [jobs.talk_nonsense, jobs.hang_up])
+@pytest.mark.parametrize("fn", [jobs.send_nonsense, jobs.close_sockets])
 def test_a_worker_that_talks_nonsense_or_hangs_up_is_replaced(fn: object) -> None:
     with LocalPool(1) as pool:
         with pytest.raises(WorkerDied, match="SIGKILL"):
@@ -193,14 +193,14 @@ def test_a_worker_that_talks_nonsense_or_hangs_up_is_replaced(fn: object) -> Non
 @pytest.mark.parametrize("payload", [b"\xff" * 64, struct.pack("<BQQ", Kind.READY, 0, 0)])
 def test_a_worker_that_talks_nonsense_while_idle_gets_no_job(payload: bytes) -> None:
     with LocalPool(1) as pool:
-        pool.submit(jobs.talk_nonsense_later, payload).result(SOON_S)
+        pool.submit(jobs.send_nonsense_later, payload).result(SOON_S)
         assert until(lambda: pool.stats().restarts == 1)
         assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
 
 
 def test_a_job_that_reports_without_end_holds_up_nobody() -> None:
     with LocalPool(2, grace_s=SOON_S) as pool:
-        loud = pool.submit(jobs.report_without_end, on_event=lambda _: time.sleep(0.0005))  # slower than they come
+        loud = pool.submit(jobs.report_until_stopped, on_event=lambda _: time.sleep(0.0005))  # slower than they come
         assert until(loud.running)
         assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
         loud.cancel()
@@ -277,7 +277,7 @@ def test_a_server_killed_while_its_modules_load_leaves_nothing(tmp_path: Path) -
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_workers_leave_interrupts_to_the_server(number: int) -> None:
     with LocalPool(1) as pool:
-        assert pool.submit(jobs.signal_own_group_with, number).result(SOON_S) == "still here"
+        assert pool.submit(jobs.signal_itself, number).result(SOON_S) == "still here"
         nursery = parent_of(pids(pool)[0])
         os.kill(nursery, number)
         time.sleep(0.02)
@@ -325,7 +325,7 @@ def test_every_worker_is_warmed_up_before_its_first_job() -> None:
 
 
 def test_jobs_do_not_wait_for_workers_that_cannot_be_warmed_up(caplog: pytest.LogCaptureFixture) -> None:
-    with LocalPool(1, warm_up=jobs.warm_up_badly) as pool:
+    with LocalPool(1, warm_up=jobs.fail_to_warm_up) as pool:
         assert not pool.wait_ready(0.01)
         with pytest.raises(WorkerDied, match="none could be started") as caught:
             pool.submit(jobs.pid).result(SOON_S)
@@ -335,7 +335,7 @@ def test_jobs_do_not_wait_for_workers_that_cannot_be_warmed_up(caplog: pytest.Lo
 
 def test_jobs_do_not_wait_for_workers_that_never_become_ready() -> None:
     with (
-        LocalPool(1, warm_up=jobs.warm_up_for_ever, start_timeout_s=0.4) as pool,
+        LocalPool(1, warm_up=jobs.warm_up_without_end, start_timeout_s=0.4) as pool,
         pytest.raises(WorkerDied, match="none could be started"),
     ):
         pool.submit(jobs.pid).result(SOON_S)

@@ -138,7 +138,7 @@ def test_an_event_handler_that_fails_harms_no_job(pool: LocalPool, caplog: pytes
 
 def test_jobs_run_in_the_order_in_which_they_came(single: LocalPool, tmp_path: Path) -> None:
     names = [f"job {i}" for i in range(30)]
-    wait([single.submit(jobs.leave_mark, tmp_path, name) for name in names], SOON_S)
+    wait([single.submit(jobs.append_mark, tmp_path, name) for name in names], SOON_S)
     assert (tmp_path / "marks").read_text().splitlines() == names
 
 
@@ -157,7 +157,7 @@ def test_a_queued_job_knows_its_place(single: LocalPool, tmp_path: Path) -> None
 
 def test_a_queued_job_that_is_cancelled_never_runs(single: LocalPool, tmp_path: Path) -> None:
     running = single.submit(jobs.wait_for_file, tmp_path / "go")
-    queued = single.submit(jobs.leave_mark, tmp_path, "queued")
+    queued = single.submit(jobs.append_mark, tmp_path, "queued")
     done = Events()
     queued.add_done_callback(done)
     assert queued.cancel()
@@ -174,7 +174,7 @@ def test_a_queued_job_that_is_cancelled_never_runs(single: LocalPool, tmp_path: 
 
 def test_a_running_job_stops_when_asked_and_hands_over_what_it_has(pool: LocalPool) -> None:
     events = Events()
-    job = pool.submit(jobs.until_stopped, on_event=events)
+    job = pool.submit(jobs.run_until_stopped, on_event=events)
     events.first()
     restarts = pool.stats().restarts
     assert job.cancel()
@@ -184,14 +184,14 @@ def test_a_running_job_stops_when_asked_and_hands_over_what_it_has(pool: LocalPo
 
 def test_a_stop_reaches_one_job_alone(pool: LocalPool) -> None:
     first, second = Events(), Events()
-    stopped = pool.submit(jobs.until_stopped, on_event=first)
-    other = pool.submit(jobs.until_stopped, on_event=second)
+    stopped = pool.submit(jobs.run_until_stopped, on_event=first)
+    other = pool.submit(jobs.run_until_stopped, on_event=second)
     first.first(), second.first()
     stopped.cancel()
     assert stopped.result(SOON_S) == "the best so far"
     time.sleep(0.15)
     assert other.running()
-    after = pool.submit(jobs.until_stopped)  # on the worker that was asked to stop just now
+    after = pool.submit(jobs.run_until_stopped)  # on the worker that was asked to stop just now
     time.sleep(0.05)
     assert after.running()
     other.cancel(), after.cancel()
@@ -205,7 +205,7 @@ def test_nothing_is_left_to_cancel_of_a_job_that_is_done(pool: LocalPool) -> Non
     assert job.result() == 3
 
 
-@pytest.mark.parametrize("fn", [jobs.never_asks, jobs.stuck_in_native_code])
+@pytest.mark.parametrize("fn", [jobs.never_poll, jobs.stuck_in_native_code])
 def test_a_job_that_does_not_stop_is_killed_and_its_worker_replaced(fn: object) -> None:
     events = Events()
     with LocalPool(1, grace_s=0.05) as pool:
@@ -252,7 +252,7 @@ def test_a_kill_leaves_no_event_half_way() -> None:
     with LocalPool(1, grace_s=0.005) as pool:
         for _ in range(3):
             sizes: list[int] = []
-            job = pool.submit(jobs.report_for_ever, 200_000, on_event=lambda event, to=sizes: to.append(len(event)))
+            job = pool.submit(jobs.report_and_never_poll, 200_000, on_event=lambda event, to=sizes: to.append(len(event)))
             assert until(lambda got=sizes: len(got) > 3)
             job.cancel()
             with pytest.raises(JobCancelled):
@@ -264,7 +264,7 @@ def test_a_cancel_that_comes_late_leaves_the_next_job_alone() -> None:
     with LocalPool(1, grace_s=SOON_S) as pool:
         for i in range(40):
             events = Events()
-            job = pool.submit(jobs.until_stopped, on_event=events)
+            job = pool.submit(jobs.run_until_stopped, on_event=events)
             after = pool.submit(jobs.add, i, 1)
             events.first()
             job.cancel()
@@ -274,8 +274,8 @@ def test_a_cancel_that_comes_late_leaves_the_next_job_alone() -> None:
 
 def test_a_deadline_that_passes_while_a_job_waits_ends_it_unrun(single: LocalPool, tmp_path: Path) -> None:
     running = single.submit(jobs.wait_for_file, tmp_path / "go")
-    queued = single.submit(jobs.leave_mark, tmp_path, "queued", deadline=time.monotonic() + 0.05)
-    late = single.submit(jobs.leave_mark, tmp_path, "late", deadline=time.monotonic() - 1.0)
+    queued = single.submit(jobs.append_mark, tmp_path, "queued", deadline=time.monotonic() + 0.05)
+    late = single.submit(jobs.append_mark, tmp_path, "late", deadline=time.monotonic() - 1.0)
     for job in (queued, late):
         with pytest.raises(DeadlineExceeded, match="started 0 times"):
             job.result(SOON_S)
@@ -287,7 +287,7 @@ def test_a_deadline_that_passes_while_a_job_waits_ends_it_unrun(single: LocalPoo
 
 
 def test_a_deadline_stops_a_running_job(pool: LocalPool) -> None:
-    job = pool.submit(jobs.until_stopped, deadline=time.monotonic() + 0.05)
+    job = pool.submit(jobs.run_until_stopped, deadline=time.monotonic() + 0.05)
     assert job.result(SOON_S) == "the best so far"
 
 
@@ -295,13 +295,13 @@ def test_a_deadline_kills_a_job_that_does_not_stop() -> None:
     with LocalPool(1, grace_s=0.05) as pool:
         pool.wait_ready(SOON_S)
         with pytest.raises(DeadlineExceeded, match="ended"):
-            pool.submit(jobs.never_asks, deadline=time.monotonic() + 0.05).result(SOON_S)
+            pool.submit(jobs.never_poll, deadline=time.monotonic() + 0.05).result(SOON_S)
         assert pool.submit(jobs.add, 1, 2, deadline=time.monotonic() + 60.0).result(SOON_S) == 3
 
 
 def test_a_coroutine_that_is_cancelled_stops_its_job(pool: LocalPool) -> None:
     async def give_up() -> None:
-        job = pool.submit(jobs.until_stopped)
+        job = pool.submit(jobs.run_until_stopped)
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(asyncio.wrap_future(job), 0.05)
         assert job.result(SOON_S) == "the best so far"
@@ -347,9 +347,9 @@ def test_a_pool_that_drains_takes_no_more_and_finishes_what_it_has() -> None:
 def test_what_does_not_finish_in_time_is_cancelled_by_a_drain() -> None:
     with LocalPool(1, grace_s=0.05) as pool:
         soft, hard = Events(), Events()
-        partial_result = pool.submit(jobs.until_stopped, on_event=soft)
+        partial_result = pool.submit(jobs.run_until_stopped, on_event=soft)
         soft.first()
-        queued = pool.submit(jobs.never_asks, on_event=hard)
+        queued = pool.submit(jobs.never_poll, on_event=hard)
         assert not pool.drain(0.05)
         assert partial_result.result(0) == "the best so far"
         assert queued.cancelled()
@@ -358,12 +358,12 @@ def test_what_does_not_finish_in_time_is_cancelled_by_a_drain() -> None:
 
 def test_shutdown_finishes_jobs_unless_told_to_cancel_what_waits(tmp_path: Path) -> None:
     with LocalPool(1) as pool:
-        finished = [pool.submit(jobs.leave_mark, tmp_path, str(i)) for i in range(3)]
+        finished = [pool.submit(jobs.append_mark, tmp_path, str(i)) for i in range(3)]
     assert [job.result(0) for job in finished] == ["0", "1", "2"]
     pool = LocalPool(1)
     running = pool.submit(jobs.nap, 0.05)
     assert until(running.running)
-    queued = pool.submit(jobs.leave_mark, tmp_path, "3")
+    queued = pool.submit(jobs.append_mark, tmp_path, "3")
     pool.shutdown(cancel_futures=True)
     pool.shutdown()
     assert running.result(0) == 0.05

@@ -54,16 +54,16 @@ def nap(seconds: float) -> float:
     return seconds
 
 
-def leave_mark(folder: Path, name: str) -> str:
+def append_mark(folder: Path, name: str) -> str:
     """Append a line to a file: it tells how often and in which order this was run."""
     with (folder / "marks").open("a") as marks:
         marks.write(f"{name}\n")
     return name
 
 
-def leave_mark_late(folder: Path, name: str, seconds: float) -> str:
+def append_mark_late(folder: Path, name: str, seconds: float) -> str:
     time.sleep(seconds)
-    return leave_mark(folder, name)
+    return append_mark(folder, name)
 
 
 def wait_for_file(path: Path) -> bool:
@@ -78,14 +78,14 @@ def count_up(count: int, control: Control) -> str:
     return "counted"
 
 
-def until_stopped(control: Control) -> str:
+def run_until_stopped(control: Control) -> str:
     control.report(os.getpid())
     while not control.should_stop():
         time.sleep(0.001)
     return "the best so far"
 
 
-def until_stopped_then(seconds: float, control: Control) -> str:
+def stop_late(seconds: float, control: Control) -> str:
     control.report("running")
     while not control.should_stop():
         time.sleep(0.0005)
@@ -93,7 +93,7 @@ def until_stopped_then(seconds: float, control: Control) -> str:
     return "stopped"
 
 
-def never_asks(control: Control) -> None:
+def never_poll(control: Control) -> None:
     control.report(os.getpid())
     while True:
         time.sleep(0.01)
@@ -115,7 +115,7 @@ def signal_handlers() -> list[str]:
     return [one.name for one in signal.valid_signals() if callable(signal.getsignal(one))]
 
 
-def report_for_ever(size: int, control: Control) -> None:
+def report_and_never_poll(size: int, control: Control) -> None:
     """Never ask, and be in the middle of an event most of the time."""
     while True:
         control.report(bytes(size))
@@ -129,7 +129,7 @@ def stuck_in_native_code(control: Control) -> None:
 
 def kill_own_worker(folder: Path, times: int) -> int:
     """Die of SIGKILL that many times, then say how often this was run."""
-    leave_mark(folder, "run")
+    append_mark(folder, "run")
     runs = len((folder / "marks").read_text().split())
     if runs <= times:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -141,7 +141,7 @@ def crash() -> None:
     ctypes.string_at(0)
 
 
-def leave_without_a_word(code: int) -> None:
+def exit_silently(code: int) -> None:
     os._exit(code)
 
 
@@ -177,7 +177,7 @@ def say(text: str) -> None:
     print(text)
 
 
-def signal_own_group_with(number: int) -> str:
+def signal_itself(number: int) -> str:
     """What Ctrl-C does to this process, which alone gets it here."""
     os.kill(os.getpid(), number)
     time.sleep(0.05)
@@ -191,13 +191,13 @@ def start_child(control: Control) -> None:
     child.wait()
 
 
-def talk_nonsense() -> None:
+def send_nonsense() -> None:
     for fd in _sockets():
         os.write(fd, b"\xff" * 64)
     time.sleep(30)
 
 
-def talk_nonsense_later(payload: bytes) -> None:
+def send_nonsense_later(payload: bytes) -> None:
     """Return, and write to the pool a little later."""
 
     def talk() -> None:
@@ -208,7 +208,7 @@ def talk_nonsense_later(payload: bytes) -> None:
     threading.Thread(target=talk, daemon=True).start()
 
 
-def answer_and_die(n_events: int, control: Control) -> str:
+def return_and_die(n_events: int, control: Control) -> str:
     """Report a lot, return, and die a moment later."""
 
     def die() -> None:
@@ -221,13 +221,13 @@ def answer_and_die(n_events: int, control: Control) -> str:
     return "done"
 
 
-def report_without_end(control: Control) -> str:
+def report_until_stopped(control: Control) -> str:
     while not control.should_stop():
         control.report("and another thing")
     return "silent at last"
 
 
-def hang_up() -> None:
+def close_sockets() -> None:
     for fd in _sockets():
         os.close(fd)
     time.sleep(30)
@@ -246,11 +246,11 @@ def was_warmed_up() -> list[str]:
     return WARMED_UP
 
 
-def warm_up_badly() -> None:
+def fail_to_warm_up() -> None:
     raise OSError("no robot there")
 
 
-def warm_up_for_ever() -> None:
+def warm_up_without_end() -> None:
     time.sleep(60)
 
 
