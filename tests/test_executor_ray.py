@@ -1,4 +1,4 @@
-"""The executor on a Ray cluster of this machine: what holds for local workers holds for its actors."""
+"""The executor on a Ray cluster of this machine: its actors do what local workers do."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if importlib.util.find_spec("ray") is None:
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    with ray_cluster() as found:
-        yield found
+    with ray_cluster() as address:
+        yield address
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def pool(address: str) -> Iterator[CancellableExecutor]:
 
 
 @pytest.fixture(autouse=True)
-def _full(pool: CancellableExecutor) -> None:
+def _all_workers_ready(pool: CancellableExecutor) -> None:
     assert until(lambda: pool.stats().ready == 2, SOON_S)
 
 
@@ -69,7 +69,7 @@ def test_events_arrive_in_order_and_before_the_result(pool: CancellableExecutor)
     assert pool.submit(jobs.count_up, 200).result(SOON_S) == "counted"
 
 
-def test_a_running_job_stops_when_asked(pool: CancellableExecutor) -> None:
+def test_a_cancelled_running_job_stops(pool: CancellableExecutor) -> None:
     events = Events()
     job = pool.submit(jobs.run_until_stopped, on_event=events)
     assert events.first() in [worker.pid for worker in pool.stats().workers]
@@ -112,7 +112,7 @@ def test_a_deadline_stops_or_kills(pool: CancellableExecutor) -> None:
         pool.submit(jobs.pid, deadline=time.monotonic() - 0.1).result(SOON_S)
 
 
-def test_a_job_whose_actor_dies_is_begun_again(pool: CancellableExecutor, tmp_path: Path) -> None:
+def test_a_job_whose_actor_dies_is_started_again(pool: CancellableExecutor, tmp_path: Path) -> None:
     job = pool.submit(jobs.kill_own_worker, tmp_path, 1)
     assert job.result(SOON_S) == 2
     with pytest.raises(WorkerDied, match="job started 2 times"):
@@ -142,7 +142,7 @@ def test_memory_of_an_actor_is_bounded(address: str, pool: CancellableExecutor) 
         pool.resize(2)
 
 
-def test_the_time_is_that_of_who_submitted_the_job(pool: CancellableExecutor) -> None:
+def test_a_job_knows_the_callers_time(pool: CancellableExecutor) -> None:
     before = time.monotonic()
     assert before - 1.0 < pool.submit(jobs.now).result(SOON_S) < time.monotonic()
 

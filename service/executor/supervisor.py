@@ -16,7 +16,7 @@ from service.executor.interface import WorkerState
 from service.executor.job_queue import JobQueue, JobRecord, JobResults, StopReason
 
 LOG = logging.getLogger("service.executor")
-_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 5.0
+FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 5.0
 _HOPELESS = 3  # failures in a row
 
 
@@ -52,7 +52,7 @@ class RetryBackoff:
         """Count a failure, at most one per attempt; return whether there were several in a row."""
         if self.is_waiting:
             return False
-        self.until = time.monotonic() + min(_FIRST_WAIT_S * 2**self._n_failures, _LONGEST_WAIT_S)
+        self.until = time.monotonic() + min(FIRST_WAIT_S * 2**self._n_failures, _LONGEST_WAIT_S)
         self._n_failures += 1
         return self._n_failures >= _HOPELESS
 

@@ -1,4 +1,4 @@
-"""Functions that workers run in the tests of executors: short, light, some of them deadly."""
+"""Functions that workers run in the tests of executors; some of them kill their worker."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WARMED_UP: list[str] = []
 
 
 class Stubborn(Exception):  # noqa: N818
-    """Can be pickled, but not read back."""
+    """An exception that can be pickled but not unpickled."""
 
     def __init__(self, left: int, right: int) -> None:
         super().__init__(f"{left} and {right}")
@@ -55,7 +55,7 @@ def nap(seconds: float) -> float:
 
 
 def append_mark(folder: Path, name: str) -> str:
-    """Append a line to a file: it tells how often and in which order this was run."""
+    """Append a line to a file, which shows how often and in which order this was run."""
     with (folder / "marks").open("a") as marks:
         marks.write(f"{name}\n")
     return name
@@ -103,7 +103,7 @@ def raise_when_stopped(control: Control) -> None:
     control.report(os.getpid())
     while not control.should_stop():
         time.sleep(0.001)
-    raise JobCancelled("as asked")
+    raise JobCancelled("stopped")
 
 
 def raise_cancelled() -> None:
@@ -111,24 +111,24 @@ def raise_cancelled() -> None:
 
 
 def signal_handlers() -> list[str]:
-    """Signals that run Python code of ours."""
-    return [one.name for one in signal.valid_signals() if callable(signal.getsignal(one))]
+    """Return the signals that have a Python handler."""
+    return [number.name for number in signal.valid_signals() if callable(signal.getsignal(number))]
 
 
 def report_and_never_poll(size: int, control: Control) -> None:
-    """Never ask, and be in the middle of an event most of the time."""
+    """Report without pause and never poll."""
     while True:
         control.report(bytes(size))
 
 
 def stuck_in_native_code(control: Control) -> None:
-    """Hold the interpreter's lock in a call that does not come back."""
+    """Hold the interpreter's lock in a call that does not return."""
     control.report(os.getpid())
     ctypes.PyDLL(None).sleep(60)
 
 
 def kill_own_worker(folder: Path, times: int) -> int:
-    """Die of SIGKILL that many times, then say how often this was run."""
+    """Kill the worker at the first ``times`` runs, then return how often this was run."""
     append_mark(folder, "run")
     runs = len((folder / "marks").read_text().split())
     if runs <= times:
@@ -178,14 +178,14 @@ def say(text: str) -> None:
 
 
 def signal_itself(number: int) -> str:
-    """What Ctrl-C does to this process, which alone gets it here."""
+    """Send this process a signal, as Ctrl-C does to its group."""
     os.kill(os.getpid(), number)
     time.sleep(0.05)
     return "still here"
 
 
 def start_child(control: Control) -> None:
-    """Start a process in a session of its own, as readers of strangers' files are, and wait for it."""
+    """Start a process in a session of its own, as file readers are, and wait for it."""
     child = subprocess.Popen(["sleep", "60"], start_new_session=True)
     control.report((os.getpid(), child.pid))
     child.wait()
@@ -209,7 +209,7 @@ def send_nonsense_later(payload: bytes) -> None:
 
 
 def return_and_die(n_events: int, control: Control) -> str:
-    """Report a lot, return, and die a moment later."""
+    """Report events, return, and kill the worker a moment later."""
 
     def die() -> None:
         time.sleep(0.05)
@@ -223,8 +223,8 @@ def return_and_die(n_events: int, control: Control) -> str:
 
 def report_until_stopped(control: Control) -> str:
     while not control.should_stop():
-        control.report("and another thing")
-    return "silent at last"
+        control.report(bytes(2000))
+    return "stopped"
 
 
 def close_sockets() -> None:
