@@ -39,6 +39,27 @@ def single() -> Iterator[LocalPool]:
         yield pool
 
 
+@pytest.fixture(scope="module")
+def patient() -> Iterator[LocalPool]:
+    """One worker that is not killed."""
+    with LocalPool(1, grace_s=SOON_S) as pool:
+        assert pool.wait_ready(SOON_S)
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def killing_pool() -> Iterator[LocalPool]:
+    with LocalPool(1, grace_s=0.05) as pool:
+        yield pool
+
+
+@pytest.fixture
+def strict(killing_pool: LocalPool) -> LocalPool:
+    """One worker, which is up, and is killed soon when its job does not stop."""
+    assert until(lambda: [worker.state for worker in killing_pool.stats().workers] == [WorkerState.IDLE])
+    return killing_pool
+
+
 def test_a_result_comes_back(pool: LocalPool) -> None:
     assert pool.submit(jobs.add, 1, right=2).result(SOON_S) == 3
 
@@ -206,41 +227,38 @@ def test_a_finished_job_cannot_be_cancelled(pool: LocalPool) -> None:
 
 
 @pytest.mark.parametrize("fn", [jobs.never_poll, jobs.stuck_in_native_code])
-def test_a_job_that_does_not_stop_is_killed_and_its_worker_replaced(fn: object) -> None:
+def test_a_job_that_does_not_stop_is_killed_and_its_worker_replaced(strict: LocalPool, fn: object) -> None:
     events = Events()
-    with LocalPool(1, grace_s=0.05) as pool:
-        job = pool.submit(fn, on_event=events)
-        worker = events.first()
-        assert job.cancel()
-        with pytest.raises(JobCancelled, match="ended"):
-            job.result(SOON_S)
-        assert not job.cancelled()
-        assert pool.submit(jobs.pid).result(SOON_S) != worker
-        assert pool.stats().restarts == 1
+    restarts = strict.stats().restarts
+    job = strict.submit(fn, on_event=events)
+    worker = events.first()
+    assert job.cancel()
+    with pytest.raises(JobCancelled, match="ended"):
+        job.result(SOON_S)
+    assert not job.cancelled()
+    assert strict.submit(jobs.pid).result(SOON_S) != worker
+    assert strict.stats().restarts == restarts + 1
 
 
 def test_a_worker_has_no_signal_handler_that_could_raise_in_a_job(pool: LocalPool) -> None:
     assert pool.submit(jobs.signal_handlers).result(SOON_S) == []
 
 
-def test_a_cancelled_job_that_raises_job_cancelled_keeps_its_worker() -> None:
+def test_a_cancelled_job_that_raises_job_cancelled_keeps_its_worker(patient: LocalPool) -> None:
     events = Events()
-    with LocalPool(1, grace_s=SOON_S) as pool:
-        job = pool.submit(jobs.raise_when_stopped, on_event=events)
-        worker = events.first()
-        assert job.cancel()
-        with pytest.raises(JobCancelled, match="stopped by itself"):
-            job.result(SOON_S)
-        assert pool.submit(jobs.pid).result(SOON_S) == worker
-        assert pool.stats().restarts == 0
+    job = patient.submit(jobs.raise_when_stopped, on_event=events)
+    worker = events.first()
+    assert job.cancel()
+    with pytest.raises(JobCancelled, match="stopped by itself"):
+        job.result(SOON_S)
+    assert patient.submit(jobs.pid).result(SOON_S) == worker
+    assert patient.stats().restarts == 0
 
 
-def test_a_job_that_stops_at_its_deadline_raises_deadline_exceeded() -> None:
-    with LocalPool(1, grace_s=SOON_S) as pool:
-        assert pool.wait_ready(SOON_S)
-        job = pool.submit(jobs.raise_when_stopped, deadline=time.monotonic() + 0.2)
-        with pytest.raises(DeadlineExceeded, match="it stopped by itself"):
-            job.result(SOON_S)
+def test_a_job_that_stops_at_its_deadline_raises_deadline_exceeded(patient: LocalPool) -> None:
+    job = patient.submit(jobs.raise_when_stopped, deadline=time.monotonic() + 0.2)
+    with pytest.raises(DeadlineExceeded, match="it stopped by itself"):
+        job.result(SOON_S)
 
 
 def test_a_job_that_raises_job_cancelled_without_a_cancel_has_failed(pool: LocalPool) -> None:
@@ -262,16 +280,15 @@ def test_a_kill_delivers_no_incomplete_event() -> None:
             assert set(sizes) == {200_000}
 
 
-def test_a_late_cancel_does_not_stop_the_next_job() -> None:
-    with LocalPool(1, grace_s=SOON_S) as pool:
-        for i in range(40):
-            events = Events()
-            job = pool.submit(jobs.run_until_stopped, on_event=events)
-            after = pool.submit(jobs.add, i, 1)
-            events.first()
-            job.cancel()
-            assert after.result(SOON_S) == i + 1
-        assert pool.stats().restarts == 0
+def test_a_late_cancel_does_not_stop_the_next_job(patient: LocalPool) -> None:
+    for i in range(40):
+        events = Events()
+        job = patient.submit(jobs.run_until_stopped, on_event=events)
+        after = patient.submit(jobs.add, i, 1)
+        events.first()
+        job.cancel()
+        assert after.result(SOON_S) == i + 1
+    assert patient.stats().restarts == 0
 
 
 def test_a_job_queued_at_its_deadline_never_runs(single: LocalPool, tmp_path: Path) -> None:
@@ -293,12 +310,10 @@ def test_a_deadline_stops_a_running_job(pool: LocalPool) -> None:
     assert job.result(SOON_S) == "the best so far"
 
 
-def test_a_deadline_kills_a_job_that_does_not_stop() -> None:
-    with LocalPool(1, grace_s=0.05) as pool:
-        pool.wait_ready(SOON_S)
-        with pytest.raises(DeadlineExceeded, match="ended"):
-            pool.submit(jobs.never_poll, deadline=time.monotonic() + 0.05).result(SOON_S)
-        assert pool.submit(jobs.add, 1, 2, deadline=time.monotonic() + 60.0).result(SOON_S) == 3
+def test_a_deadline_kills_a_job_that_does_not_stop(strict: LocalPool) -> None:
+    with pytest.raises(DeadlineExceeded, match="ended"):
+        strict.submit(jobs.never_poll, deadline=time.monotonic() + 0.05).result(SOON_S)
+    assert strict.submit(jobs.add, 1, 2, deadline=time.monotonic() + 60.0).result(SOON_S) == 3
 
 
 def test_a_cancelled_coroutine_stops_its_job(pool: LocalPool) -> None:
