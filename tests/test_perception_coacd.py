@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +16,17 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from costs.stopping import Stopped, stops_when
-from perception import Cloud, make_view
+from perception import Cloud, make_view, sandbox
 from perception.convex.pieces import Pieces
 from perception.errors import MeshError
 from perception.mesh import Mesh
 from perception.simulate import Pose, Room, Scanner, box, scan, torus
-from perception.solids import decompose, process
+from perception.solids import decompose
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, solid_of
 from perception.solids.decompose import CoacdSettings, Work
 from perception.solids.pieces import made_by_coacd, pieces_by_coacd
-from perception.solids.process import Limits, run_coacd
+from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import surface_of
 from perception.view import View
 
@@ -188,18 +191,18 @@ def _running(pid: int) -> bool:
 
 def test_cancelling_kills_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     pids: list[int] = []
-    popen = process.subprocess.Popen
+    popen = sandbox.subprocess.Popen
 
     def noted(*args: object, **kwargs: object) -> object:
         started = popen(*args, **kwargs)  # type: ignore[call-overload]
         pids.append(started.pid)
         return started
 
-    monkeypatch.setattr(process.subprocess, "Popen", noted)
+    monkeypatch.setattr(sandbox.subprocess, "Popen", noted)
     fine = solid_of(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
     asked = iter([False, False, False])
     with pytest.raises(Stopped), stops_when(lambda: next(asked, True)):
-        run_coacd([fine], CoacdSettings(0.001).options(), Limits(), "ring")
+        run_coacd([fine], CoacdSettings(0.001).options(), COACD_LIMITS, "ring")
     assert len(pids) == 1
     assert not _running(pids[0])
 
@@ -207,15 +210,34 @@ def test_cancelling_kills_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_too_long_and_too_much_memory_are_told() -> None:
     fine = solid_of(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
     with pytest.raises(MeshError, match=r"ring: .* takes longer than 0.2 s; simplify it"):
-        run_coacd([fine], CoacdSettings(0.001).options(), Limits(max_s=0.2), name="ring")
+        run_coacd([fine], CoacdSettings(0.001).options(), replace(COACD_LIMITS, max_wall_s=0.2), name="ring")
     with pytest.raises(MeshError, match="ring: splitting into convex parts needs more than 1 MB; simplify it"):
-        run_coacd([ANGLE], FAST.options(), Limits(max_bytes=2**20), name="ring")
+        run_coacd([ANGLE], FAST.options(), replace(COACD_LIMITS, max_bytes=2**20), name="ring")
+
+
+UNDER_A_LIMIT = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]), int(sys.argv[1])))
+import numpy as np
+from perception.mesh import Mesh
+from perception.solids.process import run_coacd
+mesh = Mesh(np.array(eval(sys.argv[2])), np.array(eval(sys.argv[3])))
+options = {"threshold": 0.02, "real_metric": True, "preprocess_mode": "off", "mcts_iterations": 20}
+print(len(run_coacd([mesh], options)[0]))
+"""
+
+
+def test_a_lower_limit_of_the_system_does_not_keep_coacd_from_working() -> None:
+    mesh = repr(ANGLE.vertices.tolist()), repr(ANGLE.triangles.tolist())
+    command = [sys.executable, "-c", UNDER_A_LIMIT, str(3 * 2**30), *mesh]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert int(done.stdout) >= 2
 
 
 def test_what_crashes_coacd_is_an_error_here() -> None:
     wild = Mesh(ANGLE.vertices, ANGLE.triangles + 10**8)
     with pytest.raises(MeshError, match=r"ring: cannot be split into convex parts \(CoACD ended with"):
-        run_coacd([wild], FAST.options(), Limits(max_s=20.0), name="ring")
+        run_coacd([wild], FAST.options(), replace(COACD_LIMITS, max_wall_s=20.0), name="ring")
 
 
 def test_a_convex_mesh_needs_no_process(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,7 +29,7 @@ HALF = (0.0, 0.0, 0.0, 1.0)
 @pytest.fixture(autouse=True)
 def _in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """The process that files are parsed in has tests of its own."""
-    monkeypatch.setattr(reading, "parse_in_worker", parse_file)
+    monkeypatch.setattr(reading, "parse_in_sandbox", parse_file)
 
 
 @pytest.mark.parametrize("is_compressed", [False, True])

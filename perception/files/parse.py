@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -91,6 +92,14 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
     except BaseException as error:  # libraries raise of every kind on damaged files; a panic is not even an Exception
         words = shown(str(error).partition("****")[0]) or type(error).__name__
         raise CloudError(f"{path}: is damaged, or no {suffix.removeprefix('.') or 'bag'} file ({words})") from None
+
+
+def parse_to_values(path: str, topic: str | None, message: Message) -> dict[str, Any]:
+    """The attributes of the file's ``Scan`` by name, or ``error``: what is wrong with the file."""
+    try:
+        return vars(parse_file(Path(path), topic, message))
+    except CloudError as error:
+        return {"error": str(error)}
 
 
 def is_bag(path: Path) -> bool:

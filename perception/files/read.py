@@ -17,7 +17,7 @@ from perception.files.parse import is_bag
 from perception.files.placing import Pose, metres_per, moved, pose_of_viewpoint, rigid_pose
 from perception.files.scan import Scan
 from perception.files.thinning import taken
-from perception.files.worker import parse_in_worker
+from perception.files.worker import parse_in_sandbox
 from perception.limits import LARGEST_COORDINATE, MAX_POINTS
 
 # No ray is that long.
@@ -83,7 +83,7 @@ def read_clouds(
     has_bag = any(is_bag(Path(path)) for path, _ in files)
     for path, transform in files:
         of_bag = (topic, message) if is_bag(Path(path)) or not has_bag else (None, 0)
-        scan = parse_in_worker(Path(path), *of_bag)
+        scan = parse_in_sandbox(Path(path), *of_bag)
         cloud = _placed(scan, str(path), unit, transform, apply_viewpoint, sensor)
         if len(files) > 1:
             cloud = replace(cloud, notes=tuple(f"{path}: {note}" for note in cloud.notes))

@@ -15,9 +15,10 @@ from scipy.spatial import ConvexHull, QhullError
 from perception.convex.hulls import MAX_VERTICES, limited
 from perception.errors import MeshError
 from perception.mesh import Mesh
+from perception.sandbox import ProcessLimits
 from perception.solids.cache import Parts, PartsCache
 from perception.solids.closed import Solid
-from perception.solids.process import Limits, run_coacd
+from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.simplify import simplified
 from perception.solids.voxels import shell_of
 
@@ -69,7 +70,7 @@ class Work:
     """
 
     cache: PartsCache | None = field(default_factory=PartsCache.of_user)
-    limits: Limits = field(default_factory=Limits)
+    limits: ProcessLimits = COACD_LIMITS
 
 
 def convex_parts(
