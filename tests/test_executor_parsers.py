@@ -15,7 +15,7 @@ LIBRARY = (
 PARSE_A_SCAN = """
 import sys
 from pathlib import Path
-from perception.files.worker import parse_in_sandbox
+from perception.files.read import parse_in_sandbox
 sys.path.insert(0, sys.argv[1])
 parse_in_sandbox(Path(sys.argv[1]) / "scan.las")
 """

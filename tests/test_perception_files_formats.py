@@ -252,7 +252,7 @@ def test_a_message_without_points_is_told_or_merged(tmp_path: Path) -> None:
 def test_a_bag_without_its_metadata_names_the_files_in_it(tmp_path: Path) -> None:
     path = bag(tmp_path, (POINTS, "lidar"))
     (path / "metadata.yaml").unlink()
-    with pytest.raises(CloudError, match=r"is a folder without metadata.yaml; a file in it would do: bag.mcap"):
+    with pytest.raises(CloudError, match=r"is a folder without metadata.yaml; give a file in it: bag.mcap"):
         read_cloud(path)
 
 

@@ -19,7 +19,7 @@ from cloud_files import las_bytes, write_bag
 from perception import Cloud, CloudError, read_cloud, write_npz, write_pcd
 from perception.files import parse
 from perception.files.parse import parse_file
-from perception.files.worker import PARSER_LIMITS, parse_in_sandbox
+from perception.files.read import PARSER_LIMITS, parse_in_sandbox
 
 POINTS = np.round(np.random.default_rng(0).uniform(-2, 2, (200, 3)), 3)
 
