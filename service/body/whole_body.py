@@ -25,8 +25,7 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Sense
-from service.body.holds import DRIFT, Hold, projected
-from service.body.keep import KeptPose
+from service.body.holds import DRIFT, Hold, KeptPose, projected
 from service.demands.stance import BALANCE_RESERVE, standing_allowances
 from service.start.standing import sole
 

@@ -34,6 +34,8 @@ from service.request.fields import (
 )
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
+UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
+
 
 @dataclass(config=SECTION)
 class RobotRequest(Section):
@@ -315,9 +317,6 @@ class PlanRequest(Section):
     def resolve(self, path: str) -> Path:
         """The file or folder that ``path`` of this request means."""
         return self.folder / path
-
-
-UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
 
 
 def check_planned(request: PlanRequest) -> None:

@@ -19,6 +19,9 @@ FEET_GROUP = "feet"
 
 
 SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
+FLOOR_KIND = "floor"
+LARGEST_SHIFT_M = 0.03  # of a scanned floor: its height is that uncertain
+LEAST_MASS_KG = 1e-3
 
 
 def sole(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
@@ -52,12 +55,6 @@ def _weightless_links(robot: RobotModel) -> list[str]:
     """A link with a shape for each joint that moves shapes without any mass."""
     found = {b.joint: b.link for b in reversed(robot.bodies) if b.link not in robot.mechanism_links}
     return [link for joint, link in sorted(found.items()) if joint and not robot.model.inertias[joint].mass > 0.0]
-
-
-FLOOR_KIND = "floor"
-
-
-LARGEST_SHIFT_M = 0.03  # of a scanned floor: its height is that uncertain
 
 
 def floor_at_soles(
@@ -104,9 +101,6 @@ def ground_problems(
                 f"the floor is {1e3 * abs(worst):.1f} mm {side} the sole of {link}; at most "
                 f"{1e3 * GROUND_TOLERANCE_M:.0f} mm would do: move start.base, or leave it out",
             )
-
-
-LEAST_MASS_KG = 1e-3
 
 
 def check_masses(robot: RobotModel) -> None:
