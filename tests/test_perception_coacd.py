@@ -25,7 +25,7 @@ from perception.solids import decompose
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, solid_of
 from perception.solids.decompose import CoacdSettings, Work
-from perception.solids.pieces import made_by_coacd, pieces_by_coacd
+from perception.solids.pieces import make_coacd_pieces
 from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import surface_of
 from perception.view import View
@@ -51,6 +51,11 @@ def view() -> View:
     return make_view(scan(Room(wall_x=1.6, boxes=desk).meshes(), Pose(pitch=0.3), Scanner(n_lines=60, sigma=0.005)))
 
 
+def _pieces_of(view: View) -> Pieces:
+    """Pieces of its obstacles, nothing of them taken from a cache."""
+    return make_coacd_pieces(view.obstacles, view.starts, view.cloud.rays, Work(cache=None))
+
+
 def _depth(points: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:
     """How far outside of all parts each point lies, negative inside."""
     hulls = [ConvexHull(part).equations for part in parts]
@@ -59,8 +64,7 @@ def _depth(points: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def made(view: View) -> Pieces:
-    """Its pieces, nothing of them taken from a cache."""
-    return pieces_by_coacd(view, work=Work(cache=None))
+    return _pieces_of(view)
 
 
 def test_pieces_cover_what_was_seen_and_leave_the_way_of_the_rays(view: View, made: Pieces) -> None:
@@ -88,12 +92,12 @@ def test_the_noise_of_a_wall_is_no_part_of_it() -> None:
     wall = np.column_stack([np.ones(15_000), rng.uniform(-0.5, 0.5, (15_000, 2))])
     points = wall * (1.0 + rng.normal(0.0, 0.01, (15_000, 1)))
     starts = np.zeros((15_000, 3))
-    made = made_by_coacd(points, starts, (starts, points), work=Work(cache=None))
+    made = make_coacd_pieces(points, starts, (starts, points), work=Work(cache=None))
     assert min(piece.shape.vertices[:, 0].min() for piece in made.pieces) > 0.96
 
 
 def test_the_same_scan_gives_the_same_pieces(view: View, made: Pieces) -> None:
-    first, second = made.pieces, pieces_by_coacd(view, work=Work(cache=None)).pieces
+    first, second = made.pieces, _pieces_of(view).pieces
     assert len(first) == len(second)
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.shape.vertices, other.shape.vertices)
@@ -101,7 +105,7 @@ def test_the_same_scan_gives_the_same_pieces(view: View, made: Pieces) -> None:
 
 def test_a_scan_without_obstacles_has_no_pieces(view: View) -> None:
     floor = view.near.points[view.near.points[:, 2] < 0.01]
-    assert pieces_by_coacd(make_view(Cloud(floor, view.cloud.origin))).pieces == ()
+    assert _pieces_of(make_view(Cloud(floor, view.cloud.origin))).pieces == ()
 
 
 @pytest.mark.parametrize("seed", range(5))

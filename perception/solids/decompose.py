@@ -19,8 +19,7 @@ from perception.sandbox import ProcessLimits
 from perception.solids.cache import Parts, PartsCache
 from perception.solids.closed import Solid
 from perception.solids.process import COACD_LIMITS, run_coacd
-from perception.solids.simplify import simplified
-from perception.solids.voxels import shell_of
+from perception.solids.voxels import shell_of, simplified
 
 CONVEX_SHARE = 0.98  # a closed mesh that fills its hull to this share is convex
 ENOUGH_TRIANGLES = 1500  # of a part; more cost time and show nothing at these thresholds
