@@ -16,7 +16,7 @@ from costs.scene import ConvexPiece, Scene
 from perception import Earlier, Evidence, Perceived, Piece, Reach
 from perception.convex.hulls import hull_of
 from perception.solids.closed import Solid
-from perception.solids.known import KnownMesh
+from perception.solids.match import KnownMesh
 from service.errors import RequestError, shown
 from service.request.choices import Method, Unknown
 from service.scan.known_meshes import KIND, PlacedMesh, Placing, explain_low_confidence

@@ -16,8 +16,7 @@ from costs.scene import ConvexPiece
 from perception import CONFIDENT, PerceptionError, rigid_pose
 from perception.perceive import FRINGE
 from perception.solids.closed import Solid
-from perception.solids.known import KnownMesh
-from perception.solids.match import MeshMatch
+from perception.solids.match import KnownMesh, MeshMatch
 from service.errors import RequestError
 from service.json_data import plain
 from service.request.scene import KnownMeshRequest

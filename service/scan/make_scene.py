@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from perception import Detection, FloorPlane, Perceived, PerceptionError, Piece, perceive, update
-from perception.solids.known import KnownMesh
+from perception.solids.match import KnownMesh
 from service.errors import RequestError
 from service.json_data import piece_json, plain
 from service.request.choices import Method, Unknown

@@ -32,8 +32,7 @@ from service.start.standing import place_bodies
 
 if TYPE_CHECKING:
     from perception.solids.closed import Solid
-    from perception.solids.known import KnownMesh
-    from perception.solids.match import MeshMatch
+    from perception.solids.match import KnownMesh, MeshMatch
 
 if TYPE_CHECKING:
     from perception import Perceived, ValveDetection
@@ -150,7 +149,7 @@ def load_match_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
     Raises:
         RequestError: a mesh file that cannot be used.
     """
-    from perception.solids.known import KnownMesh  # takes a while, and only requests with a scan need it
+    from perception.solids.match import KnownMesh  # takes a while, and only requests with a scan need it
 
     return tuple(
         KnownMesh(one.name, _solid(request, one, f"scene.obstacles[{index}].file"), _pose(one))
