@@ -11,7 +11,7 @@ from jaxtyping import Float
 from costs.primitive import Primitive
 from costs.robot import LinkBody
 from costs.scene import ConvexPiece
-from service.verify.convex import convex_of
+from service.verify.solids import convex_of
 
 EXACT_ROUNDING_M = 1e-5
 """More than coal's distances between round shapes are off [m]."""
