@@ -23,7 +23,7 @@ from service.bench.problem_set import BenchRobot, read_problems
 from service.planner import plan
 from service.request.file import load_request
 from service.result.result import PlanResult
-from service.start.configuration import overlaps
+from service.start.overlaps import overlaps
 from service.verify import verify
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from service.errors import UnplannedTaskError
 from service.request.file import load_request
-from service.request.planned import check_planned
+from service.request.schema import check_planned
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples" / "requests"
 

@@ -42,7 +42,7 @@ from costs.kinematics import planted_poses
 from costs.robot import RobotModel
 from costs.terms import FramePose
 from scopt import Constraint, Sense, Settings, TrustRegionSQP
-from service.body.keep import KeptPose, relative_pose
+from service.body.holds import KeptPose, relative_pose
 from service.body.phases import PlannedPhase, TaskPlan, straight
 from service.body.whole_body import Aims, WholeBody
 from service.errors import RequestError

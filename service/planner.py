@@ -23,8 +23,7 @@ from service.explain.narrow import explain
 from service.motion.execute import make_motion
 from service.motion.repair import repaired
 from service.motion.timing import TimingSettings
-from service.request.planned import check_planned
-from service.request.schema import Options, PlanRequest
+from service.request.schema import Options, PlanRequest, check_planned
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task

@@ -8,7 +8,7 @@ from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import load_robot
 from costs.support import SupportPolygon
 from service.setup.prepare import prepare
-from service.start.configuration import collisions
+from service.start.overlaps import collisions
 
 N_BOXES = 8
 FEET = ("l_foot", "r_foot")

@@ -37,7 +37,7 @@ from service.cli.connect import ENDINGS
 from service.cli.run import EXIT_CODES
 from service.cli.top import drawn
 from service.proto.planner.v1 import planner_pb2 as pb
-from service.request.planned import UNPLANNED
+from service.request.schema import UNPLANNED
 from service.result.result import Verdict
 
 Code = grpc.StatusCode

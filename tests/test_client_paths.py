@@ -173,7 +173,7 @@ def test_robot_files_are_told_from_the_root_too(tmp_path: Path) -> None:
 def test_a_task_without_a_planner_is_told_before_its_cloud_is_read(
     connect: Callable[..., Any], stand_in: PlannerStandIn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.request.planned.UNPLANNED", {"valve": "valves"})
+    monkeypatch.setattr("service.request.schema.UNPLANNED", {"valve": "valves"})
     with connect() as client, pytest.raises(UnplannedTaskError, match=r"task\.valve: there is no planner for valves"):
         client.plan(load_request(REQUESTS / "valve.yaml"))
     assert stand_in.asked == []

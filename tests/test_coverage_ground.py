@@ -18,8 +18,7 @@ from service.planner import plan
 from service.request.file import parse_request
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
-from service.start.configuration import sole
-from service.start.footing import floor_at_soles
+from service.start.standing import floor_at_soles, sole
 from service.verify import Motion, Status, verify
 from service.verify.ground import ground_gaps
 

@@ -22,8 +22,8 @@ from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
 from service.result.result import Verdict
-from service.start.configuration import FEET_GROUP
-from service.start.exact import ExactShape
+from service.start.overlaps import ExactShape
+from service.start.standing import FEET_GROUP
 from service.verify import PoseTarget
 
 SEED = st.integers(0, 10_000)

@@ -28,7 +28,7 @@ from service.request.file import parse_request
 from service.request.schema import GoalRequest, PoseGoalRequest
 from service.result.result import Verdict
 from service.result.result_json import summary_json
-from service.start.configuration import FEET_GROUP
+from service.start.standing import FEET_GROUP
 from service.tasks.goal import Goal
 from service.verify import Status, verify
 

@@ -18,8 +18,8 @@ from costs.scene import Scene
 from service.body.reach import beyond_reach, chain_length
 from service.body.whole_body import Aims, WholeBody
 from service.explain.goal import GoalReasons, goal_reasons, never_reached
-from service.start.configuration import FEET_GROUP, overlaps
-from service.start.exact import penetration
+from service.start.overlaps import overlaps, penetration
+from service.start.standing import FEET_GROUP
 from service.verify import JointTarget, PoseTarget
 
 ANY = np.full(3, np.inf)

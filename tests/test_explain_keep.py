@@ -8,12 +8,10 @@ from tiny_robots import atlas
 
 from costs.kinematics import planted_poses
 from costs.scene import Scene
-from service.body.holds import projected
-from service.body.keep import kept_poses
+from service.body.holds import kept_poses, projected
 from service.body.whole_body import Aims, WholeBody
 from service.explain.keep import never_kept
-from service.request.keep import KeepRequest
-from service.request.schema import GoalRequest, PoseGoalRequest
+from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
 from service.tasks.goal import Goal
 from service.verify import Target
 

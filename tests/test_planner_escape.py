@@ -23,7 +23,7 @@ from service.result.output import write_result
 from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.setup.prepare import prepare
-from service.start.configuration import Overlap, overlaps
+from service.start.overlaps import Overlap, overlaps
 from service.tasks.escape import DEPTH_ROUNDING, LeavingBody
 from service.verify import Basis, Status, verify
 

@@ -14,7 +14,7 @@ from service.errors import RequestError
 from service.request.file import parse_request
 from service.request.names import TakenNames, check_names, with_free_names
 from service.setup.prepare import prepare
-from service.setup.surroundings import Surroundings
+from service.setup.world import Surroundings
 
 CORNERS = np.array([[x, y, z] for x in (5.0, 5.1) for y in (0.0, 0.1) for z in (0.5, 0.6)])
 TURN = {"task": {"valve": {"centre": [0.68, 0.12, 1.1], "axis": [-1, 0, 0], "radius": 0.14}}}

@@ -23,7 +23,7 @@ from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
 from service.result.result import PlanResult, Verdict
-from service.start.configuration import placed_bodies
+from service.start.standing import place_bodies
 from service.tasks.program import ProgramPhase
 
 ARM = ("--robot", EXAMPLES / "arm7.urdf", "--srdf", EXAMPLES / "arm7.srdf")
@@ -332,7 +332,7 @@ def test_a_mistyped_key_ends_in_one_line_with_its_path_and_no_traceback(
 
 def test_a_fixed_waypoint_nearer_than_the_hulls_resolve_is_told_and_not_infeasible() -> None:
     robot, q = arm(), np.array([0.0, 0.2, 0.0, 0.2, 0.0, 0.0, 0.0])
-    tip = max((placed for _, placed in placed_bodies(robot, q)), key=lambda placed: placed[:, 0].max())
+    tip = max((placed for _, placed in place_bodies(robot, q)), key=lambda placed: placed[:, 0].max())
     x, y, z = tip[tip[:, 0].argmax()]
     ball = {"name": "ball", "type": "sphere", "radius": 10.0, "position": [x + 10.012, y, z]}
     data = document(constraints=[term("joint", vals=q.tolist())])

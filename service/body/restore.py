@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from costs.collision import Contacts
 from costs.state import MotionState
 from scopt import Problem, TrustRegionSQP
 from service.body.phases import LEAST_CLEARANCE, PhaseSolver, Solved
 from service.body.whole_body import CLEARANCE_TOLERANCE
-from service.explain.groups import with_contacts
 
 # Steps from a local minimum: what gives way does so at once.
 EFFORT: dict[str, Any] = {"penalty": 100.0, "max_penalty_raises": 1, "max_iterations": 30}
@@ -42,3 +43,13 @@ def restored(solver: PhaseSolver, step: str, solved: Solved) -> Solved:
     solver.monitor.note(step, result)
     found = Solved(result, problem, solved.body)
     return found if found.is_feasible else solved
+
+
+def with_contacts(problem: Problem[MotionState], change: Callable[[Contacts], Contacts]) -> Problem[MotionState]:
+    """The problem that sees its contacts changed."""
+
+    def state(x: Float[np.ndarray, "T n"]) -> MotionState:
+        full = problem.state(x)
+        return replace(full, contacts=change(full.contacts))
+
+    return replace(problem, state=state)

@@ -25,10 +25,9 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Sense
-from service.body.holds import DRIFT, Hold, projected
-from service.body.keep import KeptPose
+from service.body.holds import DRIFT, Hold, KeptPose, projected
 from service.demands.stance import BALANCE_RESERVE, standing_allowances
-from service.start.configuration import sole
+from service.start.standing import sole
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 CLEARANCE_TERMS = ("collision", "self-collision")

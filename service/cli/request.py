@@ -14,7 +14,7 @@ from service.client.clouds import local_files
 from service.client.summary import summary_of
 from service.proto.planner.v1.planner_pb2 import Iteration, PlanResponse
 from service.request.file import load_request
-from service.request.planned import check_planned
+from service.request.schema import check_planned
 from service.result.folder import ResultFiles, check_folder
 
 SELDOM_S = 1.0  # between two iterations in a log file

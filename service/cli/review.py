@@ -16,6 +16,8 @@ from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, Review
 from service.result.folder import ResultFiles
 
+_COLUMNS = ("decision", "reviewer", "time", "comment")
+
 
 def review_plan(
     where: Mapping[str, Any],
@@ -63,9 +65,6 @@ def review_plan(
         print_table(out, _COLUMNS, [_row(review) for review in record.reviews])
     state = "approved" if record.is_approved else "not approved"
     out.print(f"plan {record.plan_id} is {state}", markup=False, soft_wrap=True)
-
-
-_COLUMNS = ("decision", "reviewer", "time", "comment")
 
 
 def _show(out: Console, record: PlanRecord, files: ResultFiles | None) -> None:

@@ -13,7 +13,7 @@ from service.errors import RequestError
 from service.request.names import TakenNames, check_given, with_free_names
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
-from service.start.footing import FLOOR_KIND
+from service.start.standing import FLOOR_KIND
 
 FLOOR_HALF_WIDTH_M = 10.0
 FLOOR_THICKNESS_M = 0.2

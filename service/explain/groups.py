@@ -13,6 +13,7 @@ from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
 from scopt import AffineRows, Constraint, Problem
 from scopt.multipliers import Multipliers
+from service.body.restore import with_contacts
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 from service.explain.conflict import Demand, DemandKind, listed
 
@@ -221,16 +222,6 @@ def _name(robot: RobotModel, body: int) -> str:
     """Of a body: its link's, or the part's of what the task moves."""
     one = robot.bodies[body]
     return one.name if one.link in robot.mechanism_links else one.link
-
-
-def with_contacts(problem: Problem[MotionState], change: Callable[[Contacts], Contacts]) -> Problem[MotionState]:
-    """The problem that sees its contacts changed."""
-
-    def state(x: Float[np.ndarray, "T n"]) -> MotionState:
-        full = problem.state(x)
-        return replace(full, contacts=change(full.contacts))
-
-    return replace(problem, state=state)
 
 
 def _limits(place: Place) -> list[Group]:

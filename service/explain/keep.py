@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from costs.kinematics import frame_of
 from costs.robot import RobotModel
-from service.body.keep import KeptPose, relative_pose
+from service.body.holds import KeptPose, relative_pose
 from service.body.reach import chain_length
 from service.body.whole_body import WholeBody
 from service.verify import JointTarget, PoseTarget, Target

@@ -18,12 +18,10 @@ from service.errors import RequestError
 from service.request.file import with_clouds
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
-from service.setup.obstacles import obstacles_of
 from service.setup.prepare import load_requested_robot, start_of
-from service.setup.surroundings import Surroundings, surroundings
+from service.setup.world import Surroundings, obstacles_of, surroundings
 from service.start.attached import robot_with_attached
-from service.start.configuration import sole
-from service.start.footing import floor_at_soles
+from service.start.standing import floor_at_soles, sole
 
 if TYPE_CHECKING:
     from perception import ValveDetection

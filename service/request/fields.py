@@ -28,6 +28,7 @@ Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 _MapCoordinate = Annotated[Number, Field(ge=-MAP_M, le=MAP_M)]
 MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
+SECTION = ConfigDict(extra="forbid", frozen=True)
 
 
 def at_most(most: int) -> BeforeValidator:
@@ -126,8 +127,6 @@ Floor = Annotated[bool | float, BeforeValidator(_flag_or_height)]
 Message = Annotated[int | Literal["all"], BeforeValidator(_number_or_all)]
 Label = Annotated[Name, AfterValidator(_single_line)]
 FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
-
-SECTION = ConfigDict(extra="forbid", frozen=True)
 
 
 class Section:

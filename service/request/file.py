@@ -16,8 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
-from service.request.known import KnownRequest
-from service.request.scene import SceneRequest
+from service.request.scene import KnownRequest, SceneRequest
 from service.request.schema import PlanRequest, RobotRequest, StartRequest
 
 MAX_BYTES = 1_000_000

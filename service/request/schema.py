@@ -15,8 +15,7 @@ from pydantic import Field, StrictInt
 from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
-from service.errors import shown
-from service.request.attached import AttachedRequest
+from service.errors import UnplannedTaskError, shown
 from service.request.fields import (
     MAX_JOINTS,
     SECTION,
@@ -33,8 +32,9 @@ from service.request.fields import (
     exactly_one,
     repeated,
 )
-from service.request.keep import KeepRequest
-from service.request.scene import SceneRequest
+from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
+
+UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
 
 
 @dataclass(config=SECTION)
@@ -231,6 +231,67 @@ class Options(Section):
 
 
 @dataclass(config=SECTION)
+class KeepRequest(Section):
+    """A link keeps its pose relative to another link along the whole motion (two hands on a beam).
+
+    Attributes:
+        link: a link or frame of the robot.
+        relative_to: another one; the world when absent.
+        position, quaternion_wxyz: the pose of ``link`` in ``relative_to``; what is absent is as at the start.
+        position_tolerance_m: greatest distance of the link's origin from its place.
+        rotation_tolerance_deg: greatest angle off the orientation, or of the free axis off its direction.
+        free_axis: axis of ``link`` about which it may turn.
+    """
+
+    link: Name
+    relative_to: Name | None = None
+    position: Point | None = None
+    quaternion_wxyz: Quaternion | None = None
+    position_tolerance_m: Annotated[Number, Field(ge=5e-4, le=1.0)] = 0.005
+    rotation_tolerance_deg: Annotated[Number, Field(ge=0.05, le=180.0)] = 1.0
+    free_axis: Literal["none", "x", "y", "z"] = "none"
+
+    def __post_init__(self) -> None:
+        if self.link == self.relative_to:
+            raise PydanticCustomError(
+                "keep", "link and relative_to are both {link}; two links are needed", {"link": shown(self.link)}
+            )
+
+
+@dataclass(config=SECTION, kw_only=True)
+class _Carried(Section):
+    """A body fixed to ``link``, in whose frame it is placed.
+
+    Attributes:
+        link: the link that carries it.
+        touches: further links that hold it; each is kept relative to ``link``.
+        mass_kg: spread evenly.
+    """
+
+    link: Name
+    touches: Annotated[tuple[Name, ...], at_most(20)] = ()
+    mass_kg: Annotated[Number, Field(ge=0.0, le=1000.0)] = 0.0
+
+
+@dataclass(config=SECTION, kw_only=True)
+class AttachedBox(_Carried, BoxRequest):
+    """A box that is carried."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class AttachedSphere(_Carried, SphereRequest):
+    """A sphere that is carried."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class AttachedCylinder(_Carried, CylinderRequest):
+    """A cylinder that is carried."""
+
+
+AttachedRequest = Annotated[AttachedBox | AttachedSphere | AttachedCylinder, Field(discriminator="type")]
+
+
+@dataclass(config=SECTION)
 class PlanRequest(Section):
     """What a user asks: a robot, where it stands, what surrounds it, and where it shall go or what it shall do.
 
@@ -256,3 +317,15 @@ class PlanRequest(Section):
     def resolve(self, path: str) -> Path:
         """The file or folder that ``path`` of this request means."""
         return self.folder / path
+
+
+def check_planned(request: PlanRequest) -> None:
+    """
+    Raises:
+        UnplannedTaskError: the task is one that nothing here can plan yet.
+    """
+    for name, words in UNPLANNED.items():
+        if request.task is not None and getattr(request.task, name) is not None:
+            raise UnplannedTaskError(
+                f"task.{name}: there is no planner for {words} yet; task.valve, task.trajopt and goals are planned"
+            )

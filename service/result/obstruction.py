@@ -19,7 +19,7 @@ from service.demands.goals import rotation_of
 from service.result.motion_json import file_positions
 from service.result.phase_json import targets_json
 from service.setup.prepare import PlanSetup
-from service.start.configuration import overlaps
+from service.start.overlaps import overlaps
 from service.tasks.goal import Goal
 from service.verify import CircleTarget, JointTarget, PoseTarget, Target
 from service.verify.solids import convex_of

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
-from costs.scene import ConvexPiece
+from service.json_data import piece_json, plain
 from service.request.file import request_hash, to_json
 from service.result.folder import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
@@ -56,11 +54,6 @@ def summary_json(result: PlanResult) -> dict[str, Any]:
     }
 
 
-def piece_json(piece: ConvexPiece) -> dict[str, Any]:
-    """A piece of the world."""
-    return {"name": piece.name, "kind": piece.kind, "vertices": piece.vertices.tolist()}
-
-
 def proof_summary(certificate: Certificate | None) -> dict[str, Any]:
     """The figures, checks and exempt pairs of a certificate; absent figures are null."""
     proof = {} if certificate is None else certificate.to_dict()
@@ -72,21 +65,6 @@ def proof_summary(certificate: Certificate | None) -> dict[str, Any]:
         "exempt": proof.get("exempt", []),
         "coverage": proof.get("coverage"),
     }
-
-
-def plain(value: Any) -> Any:
-    """``value`` as JSON data: arrays as lists, numbers that JSON lacks as null."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    raise TypeError(f"{type(value).__name__} has no place in a result")
 
 
 def _summary(result: PlanResult) -> dict[str, Any]:

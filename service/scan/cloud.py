@@ -15,7 +15,8 @@ from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, View, read
 from service.errors import RequestError, would_do
 from service.request.file import load_start, parse_robot, parse_start
 from service.request.schema import RobotRequest, StartRequest
-from service.start.configuration import FEET_GROUP, placed_bodies, sole, start_configuration
+from service.start.configuration import start_configuration
+from service.start.standing import FEET_GROUP, place_bodies, sole
 
 OnStep = Callable[[str], None]
 
@@ -229,4 +230,4 @@ def _robot_in_the_way(asked: RobotRequest, start: StartRequest | None) -> tuple[
         raise RequestError(f"--robot: {error}") from None
     q, _ = start_configuration(robot, start or StartRequest())
     feet = robot.link_groups.get(FEET_GROUP, ()) if robot.is_floating else ()
-    return [vertices for _, vertices in placed_bodies(robot, q)], [sole(robot, q, foot) for foot in feet]
+    return [vertices for _, vertices in place_bodies(robot, q)], [sole(robot, q, foot) for foot in feet]

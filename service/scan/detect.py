@@ -14,8 +14,8 @@ import numpy as np
 
 from perception import Detection, PerceptionError, View, detect_each, make_view
 from service.errors import RequestError, would_do
+from service.json_data import plain
 from service.request.choices import EVERY_KIND, KINDS
-from service.result.result_json import plain
 from service.scan.cloud import CloudAsked, OnStep, read_asked, view_figures
 from service.scan.time_limit import OutOfTimeError, TimeOver, at_most
 

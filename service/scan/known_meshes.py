@@ -19,8 +19,8 @@ from perception.solids.closed import Solid
 from perception.solids.known import KnownMesh
 from perception.solids.match import MeshMatch
 from service.errors import RequestError
-from service.request.known import KnownMeshRequest
-from service.result.result_json import plain
+from service.json_data import plain
+from service.request.scene import KnownMeshRequest
 from service.scan.cloud import numbers
 from service.scan.meshes import FORMATS, convex_parts, read_solid
 from service.trust.folders import UPLOADED

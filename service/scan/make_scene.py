@@ -13,8 +13,8 @@ from jaxtyping import Int
 from perception import Detection, FloorPlane, Perceived, PerceptionError, Piece, perceive, update
 from perception.solids.known import KnownMesh
 from service.errors import RequestError
+from service.json_data import piece_json, plain
 from service.request.choices import Method, Unknown
-from service.result.result_json import piece_json, plain
 from service.scan.cloud import CloudAsked, CloudRead, OnStep, read_asked, view_figures
 from service.scan.detect import Search, check_hint, checked_kinds, hint_notes, hit_json, look_for
 from service.scan.earlier import SceneBefore, SceneSettings

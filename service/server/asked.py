@@ -9,9 +9,8 @@ from pathlib import Path
 
 from service.errors import RequestError
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request.planned import check_planned
 from service.request.scene import MeshRequest, SceneRequest
-from service.request.schema import PlanRequest
+from service.request.schema import PlanRequest, check_planned
 from service.server.refusal import invalid, refusal_of
 from service.server.robots import RobotFolder
 from service.server.settings import ServerSettings

@@ -15,29 +15,25 @@ from jaxtyping import Float
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
-from service.body.keep import KeptPose, kept_poses
+from service.body.holds import KeptPose, kept_poses
 from service.demands import compose_scene
 from service.errors import RequestError, would_do
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
-from service.setup.obstacles import obstacles_of
-from service.setup.surroundings import NOTHING, Surroundings, surroundings
 from service.setup.units import far_obstacles, unit_problems
+from service.setup.world import NOTHING, Surroundings, obstacles_of, surroundings
 from service.start.attached import robot_with_attached
-from service.start.configuration import (
+from service.start.configuration import beyond_limits, start_configuration, unknown_joints
+from service.start.overlaps import Overlap, hull_overlaps, no_way_out, overlaps_and_unresolved
+from service.start.standing import (
     FEET_GROUP,
-    Overlap,
-    beyond_limits,
-    hull_overlaps,
-    no_way_out,
-    overlaps_and_unresolved,
+    FLOOR_KIND,
+    check_masses,
+    floor_at_soles,
+    ground_problems,
     sole,
     standing_problems,
-    start_configuration,
-    unknown_joints,
 )
-from service.start.footing import FLOOR_KIND, floor_at_soles, ground_problems
-from service.start.masses import check_masses
 
 if TYPE_CHECKING:
     from perception import Perceived

@@ -20,7 +20,7 @@ from service.request.scene import (
     SphereRequest,
 )
 from service.request.schema import PlanRequest
-from service.start.configuration import placed_bodies
+from service.start.standing import place_bodies
 
 FAR_M = 100.0  # farther from the robot than this is in another unit, or in another frame
 IDLE_M = 30.0  # nothing at such a distance has a bearing on a motion, which is worth a word
@@ -84,7 +84,7 @@ def far_obstacles(request: PlanRequest, robot: RobotModel, start: Float[np.ndarr
 
 def _robot_box(robot: RobotModel, start: Float[np.ndarray, "n"]) -> _Box:
     """The robot's bodies at its start; where it has none, its base, or the world's origin."""
-    placed = [vertices for _, vertices in placed_bodies(robot, start)]
+    placed = [vertices for _, vertices in place_bodies(robot, start)]
     base = start[:3] if robot.is_floating else np.zeros(3)
     return _Box.around(np.vstack(placed) if placed else base[None])
 

@@ -11,9 +11,7 @@ from scipy.spatial.transform import Rotation
 from costs.kinematics import frame_of
 from costs.robot import AttachedBody, RobotError, RobotModel, with_attached
 from service.errors import RequestError, would_do
-from service.request.attached import AttachedBox, AttachedRequest, AttachedSphere
-from service.request.keep import KeepRequest
-from service.request.schema import PlanRequest
+from service.request.schema import AttachedBox, AttachedRequest, AttachedSphere, KeepRequest, PlanRequest
 
 
 def robot_with_attached(robot: RobotModel, request: PlanRequest) -> RobotModel:

@@ -18,7 +18,7 @@ from service.body.restore import restored
 from service.body.sampling import free_coordinates
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.demands.stance import DEPTH_ROUNDING, leaving_allowances
-from service.start.configuration import Overlap
+from service.start.overlaps import Overlap
 from service.tasks.settle import needs_settling
 
 STEP = "escape"

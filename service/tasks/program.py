@@ -25,7 +25,7 @@ from service.body.reach import beyond_reach
 from service.body.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.errors import RequestError
-from service.start.configuration import collisions, overlaps_and_unresolved
+from service.start.overlaps import collisions, overlaps_and_unresolved
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.trajopt.fields import did_you_mean
 from service.trajopt.problem import CollisionTerm, PoseTerm

@@ -25,8 +25,7 @@ from service.body.phases import (
 from service.body.restore import restored
 from service.body.sampling import Tree
 from service.request.schema import GoalRequest
-from service.tasks.goal import Goal
-from service.tasks.lead import led
+from service.tasks.goal import Goal, led
 
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]

@@ -30,7 +30,7 @@ from costs.terms import (
 )
 from scopt import Constraint, Cost, Penalty, Residual, Sense
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
-from service.start.configuration import sole
+from service.start.standing import sole
 from service.trajopt.demanded import pose_matrix
 from service.trajopt.problem import (
     CartVelTerm,

@@ -12,7 +12,7 @@ from typing import Any
 from costs.robot import bundled_robots
 from service.errors import RequestError, ResultError, shown
 from service.executor import Control
-from service.request.known import KnownMeshRequest
+from service.request.scene import KnownMeshRequest
 from service.request.schema import GoalRequest, PlanRequest, RobotRequest
 from service.scan.cloud import CloudAsked
 from service.work.plan import Refused, warm_robots
