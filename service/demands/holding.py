@@ -17,7 +17,7 @@ from service.demands.turning import Turning
 from service.demands.wheel import robot_with_wheel
 from service.start.overlaps import find_hull_overlaps
 from service.verify import Motion, Phase, Target
-from service.verify.duties import waived_checks
+from service.verify.coverage.required import waived_checks
 
 
 @dataclass(frozen=True)

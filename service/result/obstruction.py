@@ -22,7 +22,7 @@ from service.setup.prepare import PlanSetup
 from service.start.overlaps import find_overlaps
 from service.tasks.goal import Goal
 from service.verify import CircleTarget, JointTarget, PoseTarget, Target
-from service.verify.convex import convex_of
+from service.verify.solids import convex_of
 
 FREE = np.full(3, np.inf)
 

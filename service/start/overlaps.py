@@ -15,8 +15,8 @@ from costs.primitive import Primitive
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.start.standing import FLOOR_KIND
-from service.verify.convex import convex_of
 from service.verify.ground import GROUND_TOLERANCE_M
+from service.verify.solids import convex_of
 
 TOUCH_M = 1e-6
 EXACT_ROUNDING_M = 1e-5

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
-from service.verify.errors import VerifyError
+from costs.curve import Curve, TimeLaw
 from service.verify.motion import (
     AxisTarget,
     CircleTarget,
@@ -18,6 +18,7 @@ from service.verify.motion import (
     PoseTarget,
     RelativePoseTarget,
     Target,
+    VerifyError,
 )
 
 # Errors of directions and rotations written as decimal numbers.
@@ -26,24 +27,26 @@ _UNIT_TOLERANCE = 1e-6
 _BORDER_TOLERANCE = 1e-9
 
 
-def admit(motion: Motion) -> None:
+def validate_motion(motion: Motion) -> None:
     """Refuse a motion of which nothing could be proven.
 
     Raises:
         VerifyError: for wrong shapes, values that are not finite, samples out of order, rotations that are none, axes
             that are not of unit length, targets outside their phase, names that two bodies or pieces have.
     """
-    _admit_curve(motion)
-    _admit_names(motion)
+    _validate_curve(motion)
+    _validate_names(motion)
     for body in motion.robot.bodies:
         _points(f"vertices of body '{body.name}'", body.vertices, 3)
     for piece in motion.scene.pieces:
         _points(f"vertices of piece '{piece.name}'", piece.vertices, 3)
     for phase in motion.phases:
-        _admit_phase(phase)
+        _validate_phase(phase)
+    if motion.law is not None:
+        check_law(motion.curve, motion.law)
 
 
-def _admit_curve(motion: Motion) -> None:
+def _validate_curve(motion: Motion) -> None:
     n, model, curve = motion.robot.n, motion.robot.model, motion.curve
     if not curve.positions.shape[1] == curve.tangents.shape[1] == model.nq == model.nv == n:
         raise VerifyError(
@@ -59,7 +62,7 @@ def _admit_curve(motion: Motion) -> None:
             raise VerifyError("samples must increase strictly")
 
 
-def _admit_names(motion: Motion) -> None:
+def _validate_names(motion: Motion) -> None:
     """Names tell robot, mechanism and scene apart: nothing of one is called like a body or link of another."""
     bodies, pieces, model = motion.robot.bodies, motion.scene.pieces, motion.robot.model
     for what, names in (("bodies", [body.name for body in bodies]), ("pieces", [piece.name for piece in pieces])):
@@ -77,7 +80,7 @@ def _admit_names(motion: Motion) -> None:
             raise VerifyError(f"'{name}' is a name in the {owners[name]} and in the {owner}; names must be unique")
 
 
-def _admit_phase(phase: Phase) -> None:
+def _validate_phase(phase: Phase) -> None:
     if phase.support is not None:
         _points(f"support polygon of phase '{phase.name}'", phase.support.polygon, 2)
         _finite(f"support of phase '{phase.name}'", phase.support.margin_m, phase.support.height)
@@ -151,3 +154,32 @@ def _rigid(what: str, rotation: np.ndarray) -> None:
     is_orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=_UNIT_TOLERANCE)
     if not is_orthonormal or np.linalg.det(rotation) < 0.0:
         raise VerifyError(f"the {what} needs a rotation matrix, got {rotation.tolist()}")
+
+
+# A step of the time law may be this much longer or shorter than its speeds and times come to, relative to its length.
+_STEP_TOLERANCE = 1e-6
+# How far the law's ends may lie from the curve's, relative to the curve's length.
+_END_TOLERANCE = 1e-9
+
+
+def check_law(curve: Curve, law: TimeLaw) -> None:
+    """
+    Raises:
+        VerifyError: the law runs back, does not run along the whole curve, or contradicts itself.
+    """
+    if not len(law.times) == len(law.path) == len(law.speed) >= 2:
+        counts = f"{len(law.times)}, {len(law.path)} and {len(law.speed)}"
+        raise VerifyError(f"the time law needs as many times, path parameters and speeds, at least 2, got {counts}")
+    if not np.all(np.diff(law.times) > 0.0) or not np.all(np.diff(law.path) >= 0.0) or not np.all(law.speed >= 0.0):
+        raise VerifyError("the time law needs increasing times, a path that does not run back and speeds >= 0")
+    scale = float(curve.knots[-1] - curve.knots[0])
+    if not max(abs(law.path[0] - curve.knots[0]), abs(law.path[-1] - curve.knots[-1])) <= _END_TOLERANCE * scale:
+        raise VerifyError(f"the time law runs from {law.path[0]} to {law.path[-1]}, not along the whole curve")
+    # Relative to the step: errors that are small beside the whole curve would add up over many steps.
+    error = np.abs(law.shares - 1.0)
+    step = int(np.argmax(error))
+    if not error[step] <= _STEP_TOLERANCE:
+        raise VerifyError(
+            f"the time law's path does not follow from its speeds and times: step {step} (at {law.times[step]} s) is "
+            f"{law.shares[step]:.9g} times as long as they come to, expected 1 within {_STEP_TOLERANCE:g}"
+        )

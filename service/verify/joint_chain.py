@@ -1,6 +1,6 @@
 """How far a point of the robot can leave its chord: the rotation bound of a chain of joints.
 
-Along a stretch of length ``h`` with ``|dq_i/ds| <= a_i`` and ``|d2q_i/ds2| <= b_i`` every point of a body stays within
+On an interval of length ``h`` with ``|dq_i/ds| <= a_i`` and ``|d2q_i/ds2| <= b_i`` every point of a body stays within
 
     h^2/8 * (sum_ij a_i a_j w_ij + sum_i b_i r_i)
 
@@ -22,8 +22,8 @@ import pinocchio as pin
 from jaxtyping import Bool, Float, Int
 
 from costs.stopping import poll
-from service.verify.errors import VerifyError
-from service.verify.rates import Intervals
+from service.verify.curve_bounds import RateBounds
+from service.verify.motion import VerifyError
 
 _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 _PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
@@ -81,8 +81,8 @@ class Chain:
         turning = self.is_revolute.astype(float)
         return float((self.reach * (2.0 * np.cumsum(turning) - turning)).sum())
 
-    def deviation(self, over: Intervals, reach: Float[np.ndarray, "I m"] | None = None) -> Float[np.ndarray, "I"]:
-        """Largest distance of any point of the body from its chord on each stretch [m]; many bodies: row by row."""
+    def deviation(self, over: RateBounds, reach: Float[np.ndarray, "I m"] | None = None) -> Float[np.ndarray, "I"]:
+        """Largest distance of any point of the body from its chord on each interval [m]; many bodies: row by row."""
         r = self.reach if reach is None else reach
         a = self._own(over.speed)
         turning = a * self.is_revolute
@@ -90,7 +90,7 @@ class Chain:
         curvature = r * (a * (2.0 * proximal + turning) + self._own(over.bend))
         return np.asarray(over.length**2 / 8.0 * curvature.sum(axis=1))
 
-    def sampling_slack(self, over: Intervals, rounding: float) -> Float[np.ndarray, "I"]:
+    def sampling_slack(self, over: RateBounds, rounding: float) -> Float[np.ndarray, "I"]:
         """How far reading the exported samples linearly leads a point of the body away from the curve [m].
 
         Joint by joint the line leaves the curve by at most ``step^2/8 |q''|``; a base read by slerp leaves the z-y-x
@@ -104,8 +104,8 @@ class Chain:
             slack = slack + turn**2 / 4.0 * (self.reach * self.base_rotations).max(axis=-1)
         return np.asarray(np.where(over.step > 0.0, slack, 0.0))
 
-    def local_reach(self, distance: Float[np.ndarray, "I m"], over: Intervals) -> Float[np.ndarray, "I m"]:
-        """Reach on each stretch, from the distances of the joint origins to the body's farthest point at mid-stretch.
+    def local_reach(self, distance: Float[np.ndarray, "I m"], over: RateBounds) -> Float[np.ndarray, "I m"]:
+        """Reach on each interval, from the distances of the joint origins to the body's farthest point at mid-interval.
 
         Only more distal joints change such a distance, each by at most ``speed * reach`` per unit of the path.
         """

@@ -1,4 +1,4 @@
-"""Which pairs are checked: bodies against pieces, and bodies against bodies that can move towards them."""
+"""Pairs of solids whose clearance is checked, and the intervals on which it is still open."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance, BodyIndex
-from service.verify.chain import Chain, JointTree
+from service.verify.joint_chain import Chain, JointTree
 from service.verify.motion import Motion
-from service.verify.solid import Solid
+from service.verify.solids import Solid
 
 
 @dataclass(frozen=True)
-class Couples:
+class PairTable:
     """All checked pairs; the mover is swept in the frame of the holder.
 
     Attributes:
@@ -38,9 +38,9 @@ class Couples:
     chain: Int[np.ndarray, "C"]
     chains: Chain
 
-    def names(self, couple: int) -> tuple[str, str]:
+    def names(self, pair: int) -> tuple[str, str]:
         """Names of mover and holder."""
-        return self.solids[self.mover[couple]].name, self.solids[self.holder[couple]].name
+        return self.solids[self.mover[pair]].name, self.solids[self.holder[pair]].name
 
     @cached_property
     def joint(self) -> Int[np.ndarray, "S"]:
@@ -57,7 +57,7 @@ class Couples:
         """Radius of every body's sphere [m]."""
         return np.array([solid.sphere[1] for solid in self.solids[: self.n_bodies]])
 
-    def with_chains(self, tree: JointTree, near: Int[np.ndarray, "K"]) -> Couples:
+    def with_chains(self, tree: JointTree, near: Int[np.ndarray, "K"]) -> PairTable:
         """The pairs with the chains of those that come near each other, each swept in the frame that bounds it better.
 
         Args:
@@ -86,7 +86,7 @@ class Couples:
         return replace(self, mover=mover, holder=holder, chain=rows, chains=Chain.stack(chains))
 
 
-def collect(motion: Motion, tree: JointTree) -> Couples:
+def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
     """Every pair whose two members can move against each other, less the ignored ones.
 
     The links of ``motion.mechanism_links`` are checked against the robot's links only, those that stand still included.
@@ -106,7 +106,7 @@ def collect(motion: Motion, tree: JointTree) -> Couples:
     phases = [_allowed(phase.allowances, index)[mover, holder] for phase in motion.phases]
     allowed = np.stack(phases, axis=1) if phases else np.full((len(mover), 1), np.nan)
     world = tuple(tree.chain(0, solid.joint, solid.vertices) for solid in bodies)
-    return Couples(solids, len(bodies), mover, holder, allowed, world, np.full(len(mover), -1), Chain.stack(()))
+    return PairTable(solids, len(bodies), mover, holder, allowed, world, np.full(len(mover), -1), Chain.stack(()))
 
 
 def _are_ignored(bodies: Sequence[Solid], pairs: frozenset[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:
@@ -128,3 +128,82 @@ def _allowed(allowances: Sequence[Allowance], index: BodyIndex) -> Float[np.ndar
     for allowance in sorted(allowances, key=lambda one: one.depth):  # the deepest of a pair's counts
         index.fill(depth, allowance.first, allowance.second, allowance.depth)
     return depth
+
+
+@dataclass(frozen=True)
+class PairIntervals:
+    """Pairs on intervals, with what is known of them from before.
+
+    Attributes:
+        pair: (E,) pair.
+        first, last: (E,) path parameters.
+        phase: (E,) index of the phase.
+        floor: (E,) a lower bound of the pair's clearance [m] (-inf: none).
+        halved: (E,) how often an interval of the broad phase was halved to this one.
+        hint: (E, 3) a unit direction from mover to holder worth trying, in the holder's frame; NaN: none.
+        ends: (E, 2) sampled distance at both ends [m] (inf: not sampled).
+    """
+
+    pair: Int[np.ndarray, "E"]
+    first: Float[np.ndarray, "E"]
+    last: Float[np.ndarray, "E"]
+    phase: Int[np.ndarray, "E"]
+    floor: Float[np.ndarray, "E"]
+    halved: Int[np.ndarray, "E"]
+    hint: Float[np.ndarray, "E 3"]
+    ends: Float[np.ndarray, "E 2"]
+
+    @staticmethod
+    def unknown(
+        pair: Int[np.ndarray, "E"],
+        first: Float[np.ndarray, "E"],
+        last: Float[np.ndarray, "E"],
+        phase: Int[np.ndarray, "E"],
+        floor: Float[np.ndarray, "E"],
+    ) -> PairIntervals:
+        """PairIntervals that nobody has examined yet."""
+        n = len(pair)
+        hint, ends = np.full((n, 3), np.nan), np.full((n, 2), np.inf)
+        return PairIntervals(pair, first, last, phase, floor, np.zeros(n, dtype=int), hint, ends)
+
+    def __len__(self) -> int:
+        return len(self.pair)
+
+    def take(self, rows: np.ndarray | slice) -> PairIntervals:
+        """These rows only."""
+        return PairIntervals(*(column[rows] for column in self._columns))
+
+    @staticmethod
+    def join(parts: Sequence[PairIntervals]) -> PairIntervals:
+        """All parts one after another; at least one."""
+        if len(parts) == 1:
+            return parts[0]
+        return PairIntervals(
+            *(np.concatenate(column) for column in zip(*(part._columns for part in parts), strict=True))
+        )
+
+    def halves(self, hint: Float[np.ndarray, "E 3"], middle: Float[np.ndarray, "E"]) -> PairIntervals:
+        """Both halves of every interval.
+
+        Args:
+            hint: (E, 3) the direction that did best.
+            middle: (E,) sampled distance at the intervals' middles [m] (inf: not sampled).
+        """
+        half = 0.5 * (self.first + self.last)
+        ends = np.empty((2, len(self), 2))
+        ends[0, :, 0], ends[1, :, 1] = self.ends.T
+        ends[0, :, 1] = ends[1, :, 0] = middle
+        return PairIntervals(
+            np.concatenate([self.pair, self.pair]),
+            np.concatenate([self.first, half]),
+            np.concatenate([half, self.last]),
+            np.concatenate([self.phase, self.phase]),
+            np.full(2 * len(self), -np.inf),
+            np.concatenate([self.halved, self.halved]) + 1,
+            np.concatenate([hint, hint]),
+            ends.reshape(-1, 2),
+        )
+
+    @property
+    def _columns(self) -> tuple[np.ndarray, ...]:
+        return self.pair, self.first, self.last, self.phase, self.floor, self.halved, self.hint, self.ends

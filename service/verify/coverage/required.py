@@ -23,7 +23,7 @@ def waived_checks(*, is_timed: bool, is_balanced: bool) -> frozenset[str]:
 
 
 @dataclass(frozen=True)
-class Duties:
+class RequiredChecks:
     """The checks of a motion.
 
     Attributes:
@@ -36,7 +36,7 @@ class Duties:
     waived: tuple[str, ...]
 
 
-def duties_of(motion: Motion, phases: Sequence[Phase]) -> Duties:
+def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChecks:
     """The checks that a motion needs, phase by phase."""
     names, waived = ["limits.position", "clearance"], []
     if motion.law is not None:
@@ -62,7 +62,7 @@ def duties_of(motion: Motion, phases: Sequence[Phase]) -> Duties:
             continue
         names += [f"balance.{phase.name}", *([f"zmp.{phase.name}"] if motion.law is not None else [])]
         names += [f"planted.{phase.name}"] if motion.waived is not None and not phase.contacts else []
-    return Duties(tuple(names), tuple(waived))
+    return RequiredChecks(tuple(names), tuple(waived))
 
 
 def _is_waived(motion: Motion, what: str) -> bool:
@@ -108,10 +108,10 @@ def _is_possible(inertia: Float[np.ndarray, "3 3"]) -> bool:
     return bool(moments[2] <= (1.0 + INERTIA_ROUNDING) * (moments[0] + moments[1]) + 1e-9)
 
 
-def missing_checks(duties: Duties, checks: Sequence[Check]) -> Iterator[Check]:
+def missing_checks(required: RequiredChecks, checks: Sequence[Check]) -> Iterator[Check]:
     """One unproven check for each that the motion needs and that was not made."""
     made = {check.name for check in checks}
-    for name in duties.names:
+    for name in required.names:
         if name not in made:
             text = f"check {name} is missing: nothing says whether the motion would pass it"
             nan = float("nan")

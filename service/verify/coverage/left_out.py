@@ -12,19 +12,14 @@ from jaxtyping import Float
 
 from costs.robot.model import LinkBody, RobotModel
 from costs.scene import Scene
-from service.verify.broad import clearance_floors, open_stretches, refined
-from service.verify.certificate import Basis, Check, Where
-from service.verify.couples import collect
-from service.verify.coverage import LeftOut
-from service.verify.forward import Forward, Placements
-from service.verify.link_tree import LinkTree
-from service.verify.motion import Motion, Phase, RelativePoseTarget
-from service.verify.narrow import Narrow
-from service.verify.search import search
-from service.verify.settings import VerifySettings
-from service.verify.solid import Solid
-from service.verify.timeline import edges_of, time_of
-from service.verify.track import Track
+from service.verify.certificate import Basis, Check, LeftOut, Where
+from service.verify.clearance.pairs import collect_pairs
+from service.verify.clearance.search import examine_pairs
+from service.verify.coverage.link_tree import LinkTree
+from service.verify.motion import Motion, RelativePoseTarget, VerifySettings
+from service.verify.prepared_motion import ForwardKinematics, Placements, PreparedMotion
+from service.verify.solids import DistanceQuery, Solid
+from service.verify.timeline import time_of
 
 _SAMPLES = 32  # a first look; what is not seen to overlap there is proven apart, or told
 # Two links with one between them that overlap in this share of the poses of the joints between them hardly have a pose
@@ -36,11 +31,9 @@ _APART_M = 0.05
 _AROUND: WeakKeyDictionary[LinkBody, dict[tuple[str, bytes, bytes], bool]] = WeakKeyDictionary()
 
 
-def left_out_pairs(
-    track: Track, tree: LinkTree, phases: Sequence[Phase], settings: VerifySettings
-) -> tuple[LeftOut, ...]:
+def find_left_out_pairs(prepared: PreparedMotion, tree: LinkTree, settings: VerifySettings) -> tuple[LeftOut, ...]:
     """Every pair of the robot's own links with shapes that is not checked."""
-    motion = track.motion
+    motion = prepared.motion
     own = sorted(tree.shaped - motion.mechanism_links)
     # Names out of order name no pair: so it stands in RobotModel, and so the pairs to be checked are chosen.
     ignored = {pair for pair in motion.robot.ignored_pairs if pair[0] < pair[1]}
@@ -49,11 +42,11 @@ def left_out_pairs(
         if tree.joint[pair[0]] == tree.joint[pair[1]]:
             found.append(LeftOut(pair, "same joint", is_neighbour=False, deepest_m=float("nan")))
         elif pair in ignored and tree.are_neighbours(*pair):
-            found.append(_neighbours(track, tree, pair))
+            found.append(_neighbours(prepared, tree, pair))
         elif pair in ignored:
             rest.append(pair)
-    kept = _kept_joints(motion, phases)
-    not_apart = _not_apart(track, rest, settings)
+    kept = _kept_joints(prepared)
+    not_apart = _not_apart(prepared, rest, settings)
     for pair in rest:
         if pair not in not_apart:
             found.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
@@ -66,16 +59,16 @@ def left_out_pairs(
     return tuple(sorted(found, key=lambda item: item.pair))
 
 
-def _neighbours(track: Track, tree: LinkTree, pair: tuple[str, str]) -> LeftOut:
+def _neighbours(prepared: PreparedMotion, tree: LinkTree, pair: tuple[str, str]) -> LeftOut:
     """Joint neighbours, unless one is fixed to the world and a part of it that was apart from the other is met."""
     if any(tree.joint[link] == 0 for link in pair):
-        s = _sample_places(track)
-        placed, rows = track.at(s)
-        for depth in _depths(track.motion.robot.bodies, placed, rows, pair):
+        s = _sample_places(prepared)
+        placed, rows = prepared.at(s)
+        for depth in _depths(prepared.motion.robot.bodies, placed, rows, pair):
             worst = int(depth.argmax())
             if depth.min() < -_APART_M and depth[worst] > 0.0:
                 deepest, place = float(depth[worst]), float(s[worst])
-                time_s = time_of(track.motion.law, place)
+                time_s = time_of(prepared.motion.law, place)
                 return LeftOut(pair, "adjacent", is_neighbour=False, deepest_m=deepest, s=place, time_s=time_s)
     return LeftOut(pair, "adjacent", is_neighbour=True, deepest_m=float("nan"))
 
@@ -101,9 +94,9 @@ def _reason(motion: Motion, pair: tuple[str, str]) -> str:
     return told if told.startswith("srdf") or told == "derived" else "given"
 
 
-def _kept_joints(motion: Motion, phases: Sequence[Phase]) -> set[frozenset[int]]:
-    """Pairs of joints whose relative pose is held, by a check, in every phase."""
-    model = motion.robot.model
+def _kept_joints(prepared: PreparedMotion) -> set[frozenset[int]]:
+    """Return pairs of joints whose relative pose is held, by a check, in every phase."""
+    model = prepared.motion.robot.model
 
     def joint(frame: str | None) -> int:
         return int(model.frames[model.getFrameId(frame)].parentJoint) if frame and model.existFrame(frame) else 0
@@ -114,62 +107,57 @@ def _kept_joints(motion: Motion, phases: Sequence[Phase]) -> set[frozenset[int]]
             for target in phase.targets
             if isinstance(target, RelativePoseTarget) and target.free_axis is None and target.reference is not None
         }
-        for phase in phases
+        for phase in prepared.phases
     ]
     return set.intersection(*held) if held else set()
 
 
 def _not_apart(
-    track: Track, pairs: Sequence[tuple[str, str]], settings: VerifySettings
+    prepared: PreparedMotion, pairs: Sequence[tuple[str, str]], settings: VerifySettings
 ) -> Mapping[tuple[str, str], tuple[float, float]]:
     """Pairs that are not shown to keep apart on the whole curve: how deep they were seen to be [m], and where."""
-    found = _seen_overlapping(track, pairs)
+    found = _seen_overlapping(prepared, pairs)
     pairs = [pair for pair in pairs if pair not in found]
     if not pairs:
         return found
-    motion = track.motion
+    motion = prepared.motion
     links = sorted({body.link for body in motion.robot.bodies})
     others = frozenset(combinations(links, 2)) - frozenset(pairs)
-    alone = replace(
-        motion,
-        robot=replace(motion.robot, ignored_pairs=others),
-        scene=Scene(()),
-        phases=(Phase("motion", float(motion.curve.knots[0]), float(motion.curve.knots[-1])),),
-    )
+    alone = replace(motion, robot=replace(motion.robot, ignored_pairs=others), scene=Scene(()), phases=())
     settings = replace(settings, max_sharpenings=0, clearance_horizon_m=settings.resolution_m)
-    couples = collect(alone, track.tree)
-    edges, phase_rows = refined(track, couples, *edges_of(alone, alone.phases))
-    floors = clearance_floors(track, couples, edges, settings)
-    start = open_stretches(couples, edges, phase_rows, floors, settings.clearance_horizon_m)
-    couples = couples.with_chains(track.tree, np.unique(start.couple))
-    proof = search(track, couples, start, settings)
+    knots = motion.curve.knots
+    phase = np.zeros(len(knots) - 1, dtype=int)
+    examined = examine_pairs(prepared, collect_pairs(alone, prepared.tree), knots, phase, settings)
+    table, proof = examined.table, examined.proof
 
-    def links_of(couple: int) -> tuple[str, str]:
-        a, b = (couples.solids[side[couple]].link for side in (couples.mover, couples.holder))
+    def links_of(pair: int) -> tuple[str, str]:
+        a, b = (table.solids[side[pair]].link for side in (table.mover, table.holder))
         return (a, b) if a < b else (b, a)
 
-    for row in range(len(proof.unproven.couple)):
-        pair = links_of(int(proof.unproven.couple[row]))
+    for row in range(len(proof.unproven.pair)):
+        pair = links_of(int(proof.unproven.pair[row]))
         found.setdefault(pair, (0.0, float(proof.unproven.first[row])))
-    for meeting in proof.refuted.values():
-        pair = links_of(meeting.couple)
-        found[pair] = max(found.get(pair, (0.0, 0.0)), (-meeting.distance, meeting.s))
+    for sample in proof.refuted.values():
+        pair = links_of(sample.pair)
+        found[pair] = max(found.get(pair, (0.0, 0.0)), (-sample.distance, sample.s))
     return found
 
 
-def _sample_places(track: Track) -> Float[np.ndarray, "S"]:
-    """Path parameters at which left out pairs are looked at: all knots, and more between."""
-    knots = track.motion.curve.knots
+def _sample_places(prepared: PreparedMotion) -> Float[np.ndarray, "S"]:
+    """Path parameters at which left out pairs are examined: all knots, and more between."""
+    knots = prepared.motion.curve.knots
     return np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], _SAMPLES)]))
 
 
-def _seen_overlapping(track: Track, pairs: Sequence[tuple[str, str]]) -> dict[tuple[str, str], tuple[float, float]]:
+def _seen_overlapping(
+    prepared: PreparedMotion, pairs: Sequence[tuple[str, str]]
+) -> dict[tuple[str, str], tuple[float, float]]:
     """Pairs that overlap at some sample of the motion: how deep at most [m], and where."""
     found: dict[tuple[str, str], tuple[float, float]] = {}
-    s = _sample_places(track)
+    s = _sample_places(prepared)
     for pair in pairs:
-        placed, rows = track.at(s)
-        depth = _overlap(track.motion.robot.bodies, placed, rows, pair)
+        placed, rows = prepared.at(s)
+        depth = _overlap(prepared.motion.robot.bodies, placed, rows, pair)
         worst = int(depth.argmax())
         if depth[worst] > 0.0:
             found[pair] = float(depth[worst]), float(s[worst])
@@ -188,7 +176,7 @@ def _depths(
     bodies: Sequence[LinkBody], placed: Placements, rows: np.ndarray, pair: tuple[str, str]
 ) -> Iterator[Float[np.ndarray, "S"]]:
     """The same for each pair of their bodies."""
-    narrow = Narrow()
+    query = DistanceQuery()
     for one in (Solid.of_body(body) for body in bodies if body.link == pair[0]):
         for other in (Solid.of_body(body) for body in bodies if body.link == pair[1]):
             depth = np.full(len(rows), -np.inf)
@@ -197,7 +185,7 @@ def _depths(
             if len(near):
                 rotation, translation = placed.relative(other.joint, one.joint, rows[near])
                 solids = [one.convex] * len(near), [other.convex] * len(near)
-                distance, _ = narrow.closest(solids[0], rotation, translation, solids[1])
+                distance, _ = query.closest(solids[0], rotation, translation, solids[1])
                 depth[near] = -distance
             yield depth
 
@@ -230,5 +218,5 @@ def _share_of_overlaps(robot: RobotModel, tree: LinkTree, pair: tuple[str, str])
         low = np.nan_to_num(robot.lower[first : first + size], neginf=-np.pi)
         high = np.nan_to_num(robot.upper[first : first + size], posinf=np.pi)
         q[:, first : first + size] = rng.uniform(low, high, (_POSES, size))
-    depth = _overlap(robot.bodies, Forward(robot.model).at(q), np.arange(_POSES), pair)
+    depth = _overlap(robot.bodies, ForwardKinematics(robot.model).at(q), np.arange(_POSES), pair)
     return float(np.mean(depth > 0.0))

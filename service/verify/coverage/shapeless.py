@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from service.verify.coverage import Shapeless
-from service.verify.link_tree import LinkTree
-from service.verify.solid import Solid
-from service.verify.track import Track
+from service.verify.certificate import Shapeless
+from service.verify.coverage.link_tree import LinkTree
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.solids import Solid
 
 _STEP_M = 0.02
 _TOKEN_SHARE = 0.2  # of the longest side of what is drawn; shapes that are meant well cover most of it
@@ -21,18 +21,18 @@ _LEAST_MASS_KG = 0.01
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
-def shapeless_links(track: Track, tree: LinkTree) -> tuple[Shapeless, ...]:
+def find_shapeless_links(prepared: PreparedMotion, tree: LinkTree) -> tuple[Shapeless, ...]:
     """Every link of the robot (of no mechanism) that has no collision shape, or one far smaller than the link."""
-    elements = _elements(track.motion.robot.source.urdf)
+    elements = _elements(prepared.motion.robot.source.urdf)
     return tuple(
-        Shapeless(link, _place(tree, link), _reach(track, tree, link, elements.get(link)))
+        Shapeless(link, _place(tree, link), _reach(prepared, tree, link, elements.get(link)))
         for link in tree.joint
-        if link not in track.motion.mechanism_links
-        and (link not in tree.shaped or _has_token(track, link, elements.get(link)))
+        if link not in prepared.motion.mechanism_links
+        and (link not in tree.shaped or _has_token(prepared, link, elements.get(link)))
     )
 
 
-def _has_token(track: Track, link: str, element: ElementTree.Element | None) -> bool:
+def _has_token(prepared: PreparedMotion, link: str, element: ElementTree.Element | None) -> bool:
     """Whether a link's shapes are so much smaller than what is drawn of it that they stand for nothing.
 
     A mesh read in millimetres, or boxes of a centimetre inside a forearm, would let it go through walls.
@@ -43,7 +43,7 @@ def _has_token(track: Track, link: str, element: ElementTree.Element | None) -> 
         known = list(_drawn(element))
     except ValueError:  # what is only drawn was checked by nobody
         return False
-    shapes = [body.vertices for body in track.motion.robot.bodies if body.link == link]
+    shapes = [body.vertices for body in prepared.motion.robot.bodies if body.link == link]
     is_token = bool(known) and _side(shapes) < _TOKEN_SHARE * max(_side([points]) for points in known)
     return is_token or _mesh_share(element) < _TOKEN_SHARE
 
@@ -71,12 +71,12 @@ def _place(tree: LinkTree, link: str) -> str:
     return "between" if tree.first_shaped_below(link) else "end"
 
 
-def _reach(track: Track, tree: LinkTree, link: str, element: ElementTree.Element | None) -> float:
+def _reach(prepared: PreparedMotion, tree: LinkTree, link: str, element: ElementTree.Element | None) -> float:
     """The longest side of what is known of the link, or how far it reaches out of the shapes next to it if less [m]."""
     points = [np.zeros((0, 3))]
     # A root that stands still is the world's frame: the line to its joints is nothing that could be hit.
     if tree.joint[link] > 0:
-        points += list(_lines(track, tree, link))
+        points += list(_lines(prepared, tree, link))
     if element is not None:
         if _has_unknown_size(element):
             return float("nan")
@@ -90,20 +90,20 @@ def _reach(track: Track, tree: LinkTree, link: str, element: ElementTree.Element
     mount = tree.mount[link]
     near = tree.first_shaped_below(link) | ({mount} if mount else set())
     near |= {one for one in tree.shaped if tree.joint[one] == tree.joint[link]}
-    placed, rows = track.at(track.motion.curve.knots[:1])
-    frame = track.motion.robot.model.frames[track.motion.robot.model.getFrameId(link, pin.FrameType.BODY)]
+    placed, rows = prepared.at(prepared.motion.curve.knots[:1])
+    frame = prepared.motion.robot.model.frames[prepared.motion.robot.model.getFrameId(link, pin.FrameType.BODY)]
     in_joint = in_link @ np.array(frame.placement.rotation).T + np.array(frame.placement.translation)
     distance = np.full(len(in_link), np.inf)
-    for solid in (Solid.of_body(body) for body in track.motion.robot.bodies if body.link in near):
+    for solid in (Solid.of_body(body) for body in prepared.motion.robot.bodies if body.link in near):
         rotation, translation = placed.relative(solid.joint, tree.joint[link], rows)
         distance = np.minimum(distance, solid.distances(in_joint @ rotation[0].T + translation[0]))
     size = float((in_link.max(axis=0) - in_link.min(axis=0)).max())
     return min(size, float(distance.max()))
 
 
-def _lines(track: Track, tree: LinkTree, link: str) -> Iterator[Float[np.ndarray, "P 3"]]:
+def _lines(prepared: PreparedMotion, tree: LinkTree, link: str) -> Iterator[Float[np.ndarray, "P 3"]]:
     """Points on the lines from a link's origin to the moving joints that it carries, in its own frame [m]."""
-    model = track.motion.robot.model
+    model = prepared.motion.robot.model
     frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
     for below in tree.children[link]:
         joint = tree.joint[below]

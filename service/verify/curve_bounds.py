@@ -8,18 +8,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.curve import Curve
-from service.verify.errors import VerifyError
+from service.verify.motion import VerifyError
 
 
 @dataclass(frozen=True)
-class Intervals:
-    """``I`` stretches of the curve, each inside one knot interval, with bounds that hold on them.
+class RateBounds:
+    """``I`` intervals of the curve, each inside one knot interval, with bounds that hold on them.
 
     Attributes:
         first, last: (I,) path parameters.
         speed: (I, n) largest ``|dq/ds|``.
         bend: (I, n) largest ``|d2q/ds2|``.
-        step: (I,) longest gap between exported samples that touches the stretch (0: no samples).
+        step: (I,) longest gap between exported samples that touches the interval (0: no samples).
         step_speed, step_bend: (I, n) the same bounds over all such gaps (over the knot interval).
     """
 
@@ -36,9 +36,9 @@ class Intervals:
         """Lengths in the path parameter."""
         return np.asarray(self.last - self.first)
 
-    def take(self, rows: np.ndarray | slice) -> Intervals:
+    def take(self, rows: np.ndarray | slice) -> RateBounds:
         """These rows only."""
-        return Intervals(
+        return RateBounds(
             self.first[rows],
             self.last[rows],
             self.speed[rows],
@@ -67,23 +67,23 @@ class Rates:
         lengths = np.diff(curve.knots)
         self._whole_speed, self._whole_bend = _derivative_bounds(self._coefficients, np.zeros(len(lengths)), lengths)
 
-    def over(self, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]) -> Intervals:
-        """Derivative bounds over ``[first, last]``; no stretch may cross a knot.
+    def over(self, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]) -> RateBounds:
+        """Derivative bounds over ``[first, last]``; no interval may cross a knot.
 
         Raises:
-            VerifyError: when a stretch has no length or crosses a knot.
+            VerifyError: when an interval has no length or crosses a knot.
         """
         knots = self._knots
         piece = np.searchsorted(knots[1:-1], 0.5 * (first + last), side="right")
         if np.any((first < knots[piece]) | (last > knots[piece + 1]) | (last <= first)):
-            raise VerifyError("every stretch of the curve must have a length and lie between two neighbouring knots")
+            raise VerifyError("every interval of the curve must have a length and lie between two neighbouring knots")
         speed, bend = _derivative_bounds(self._coefficients[:, piece], first - knots[piece], last - knots[piece])
         step = np.zeros(len(first))
         if len(self._samples):
             low = np.searchsorted(self._samples, first, side="right") - 1
             high = np.searchsorted(self._samples, last, side="left")
             step = np.maximum.reduceat(self._gaps, np.stack([low, high], axis=1).ravel())[::2]
-        return Intervals(first, last, speed, bend, step, self._whole_speed[piece], self._whole_bend[piece])
+        return RateBounds(first, last, speed, bend, step, self._whole_speed[piece], self._whole_bend[piece])
 
 
 def _derivative_bounds(
