@@ -10,8 +10,8 @@ from typing import Any
 from service.cli_connect import connected
 from service.cli_report import print_figures, print_findings, print_verdict
 from service.cli_run import consoles, print_json, progress
-from service.client.clouds import local_files
-from service.client.summary import summary_of
+from service.client.answers import summarize
+from service.client.local_files import find_local_files
 from service.planned import check_planned
 from service.proto.planner.v1.planner_pb2 import Iteration, PlanResponse
 from service.request_file import load_request
@@ -36,11 +36,11 @@ def request_plan(
         check_planned(request)
         check_folder(folder)
         with connected(where, err) as client:
-            names = ", ".join(local_files(request))
+            names = ", ".join(find_local_files(request))
             report(f"upload {names}, send request" if names else "send request", 0.0)
             tell = _Teller(report, 0.0 if err.is_terminal else SELDOM_S)
             plan = client.plan(request, request_id=request_id, out=folder, on_progress=tell, deadline_s=deadline_s)
-    summary = summary_of(plan.result)
+    summary = summarize(plan.result)
     files = None if plan.folder is None else ResultFiles(plan.folder)
     if as_json:
         paths = {} if files is None else {"result": str(files.result), "viewer": str(files.viewer)}

@@ -11,7 +11,7 @@ from rich.console import Console
 from service.cli_connect import connected
 from service.cli_report import print_figures, print_findings, print_table, print_verdict
 from service.cli_run import consoles, print_json
-from service.client.summary import summary_of
+from service.client.answers import summarize
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, Review
 from service.result_folder import ResultFiles
@@ -49,7 +49,7 @@ def review_plan(
     if as_json:
         print_json(
             {
-                **summary_of(record.result),
+                **summarize(record.result),
                 "plan_id": record.plan_id,
                 **({} if files is None else {"result": str(files.result), "viewer": str(files.viewer)}),
                 "trajectory_sha256": record.result.trajectory.sha256,
@@ -69,7 +69,7 @@ _COLUMNS = ("decision", "reviewer", "time", "comment")
 
 
 def _show(out: Console, record: PlanRecord, files: ResultFiles | None) -> None:
-    summary = summary_of(record.result)
+    summary = summarize(record.result)
     print_findings(out, summary)
     print_figures(out, summary)
     out.print(f"trajectory       {record.result.trajectory.sha256 or 'none'}", markup=False, soft_wrap=True)

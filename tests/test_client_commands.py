@@ -250,7 +250,7 @@ def test_a_token_that_cannot_be_used_is_told_by_where_it_comes_from(
     empty.write_text("\n")
     odd.write_text("two words")
     assert top("--token-file", empty).startswith(f"--token-file {empty} is empty; the line that `scopt token` prints")
-    printable = "printable ASCII characters without blanks are needed\n"
+    printable = "expected printable ASCII characters without blanks\n"
     assert top("--token-file", odd) == f"--token-file {odd}: {printable}"
     assert top(SCOPT_TOKEN="two words") == f"the variable SCOPT_TOKEN: {printable}"
     assert stand_in.asked == []
@@ -282,7 +282,7 @@ def test_grpc_says_nothing_of_its_own(tmp_path: Path) -> None:
         )
     assert ended.returncode == 69
     (line,) = ended.stderr.splitlines()
-    assert line.startswith(f"what listens at {target} speaks no TLS")
+    assert line.startswith(f"the server at {target} does not use TLS")
 
 
 def test_a_plan_that_is_not_there_or_not_finished_is_not_reviewed(stand_in: PlannerStandIn, target: str) -> None:
