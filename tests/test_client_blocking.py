@@ -23,7 +23,7 @@ from planner_stand_in import PLAN_ID, PlannerStandIn, accepted, slow_plan
 from service.client import AsyncPlannerClient, PlannerClient, PlannerError, Retry
 from service.errors import RequestError
 from service.proto.planner.v1 import planner_pb2 as pb
-from service.request_file import parse_request
+from service.request.file import parse_request
 
 REQUEST = parse_request({"robot": {"name": "atlas"}, "goal": {"joints": {"l_arm_elx": 1.2}}})
 ROOT = Path(__file__).parents[1]

@@ -21,7 +21,7 @@ from service.proto.planner.v1.planner_pb2 import (
     PlanResponse,
 )
 from service.proto.planner.v1.result_pb2 import Certificate, FileChunk, MotionResult, Verdict
-from service.result_folder import FORMAT
+from service.result.folder import FORMAT
 from service.wire.hashes import certificate_sha256, trajectory_sha256
 from service.wire.plain import to_plain
 
@@ -220,7 +220,7 @@ def check_result(result: MotionResult) -> None:
 
 
 def summarize(result: MotionResult) -> dict[str, Any]:
-    """Return a result with the keys of ``result.json``, as ``service.result_json.summary_json`` does for the planner.
+    """Return a result with the keys of ``result.json``; ``service.result.result_json.summary_json`` has the same.
 
     Raises:
         PlannerError: the certificate is no JSON.

@@ -49,7 +49,7 @@ from service.proto.planner.v1.planner_pb2 import (
     VerifyResponse,
 )
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request import PlanRequest
+from service.request.schema import PlanRequest
 
 SLOWEST_UPLOAD = 1e6  # [bytes/s]
 

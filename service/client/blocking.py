@@ -20,8 +20,9 @@ R = TypeVar("R")
 class _UnsuspendedClient(AsyncPlannerClient):
     """Client whose coroutines run to their end at the first step, without an event loop.
 
-    ``grpc.aio`` in a background loop would do worse than a blocking channel: with grpcio 1.76 it logs ``BlockingIOError``
-    in processes with a second loop (grpc/grpc#42357), and it may lose answers of uploads (``errors.ANSWER_LOST``).
+    ``grpc.aio`` in a background loop would do worse than a blocking channel: with grpcio 1.76 it logs
+    ``BlockingIOError`` in processes with a second loop (grpc/grpc#42357), and it may lose answers of uploads
+    (``errors.ANSWER_LOST``).
     """
 
     _transport_type = BlockingTransport

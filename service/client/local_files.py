@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from service.errors import RequestError, shown
-from service.planned import check_planned
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
-from service.request import PlanRequest, RobotRequest
-from service.request_scene import MESH_SUFFIXES, MeshRequest, SceneRequest
+from service.request.scene import MESH_SUFFIXES, MeshRequest, SceneRequest
+from service.request.schema import PlanRequest, RobotRequest, check_planned
 from service.trust.folders import BUILT, UPLOADED, paths_of
 
 CHUNK_BYTES = 512 * 2**10
