@@ -40,6 +40,23 @@ def main() -> None:
     app()
 
 
+def _print_version(is_wanted: bool) -> None:
+    if is_wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"scopt {version('scopt')}")
+        raise typer.Exit
+
+
+@app.callback()
+def set_options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Take the options of the program itself."""
+
+
 @app.command("plan", epilog=EXIT_CODE_HELP)
 def plan_command(
     request: Annotated[Path, typer.Argument(help="Request file (YAML or JSON).", metavar="REQUEST")],
