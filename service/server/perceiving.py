@@ -24,7 +24,6 @@ from service.proto.planner.v1.planner_pb2 import (
 from service.request import RobotRequest
 from service.request_file import parse_scene, parse_start
 from service.request_scene import SceneRequest
-from service.rpc import Context, deadline_of
 from service.server.asked import uploaded
 from service.server.cloud_problems import Kept, as_sent, robot_problems, start_problems
 from service.server.disk import Disk
@@ -37,6 +36,7 @@ from service.store import CloudStore, Store
 from service.trust import AllowedFolders, current_caller
 from service.wire.perceived import detections_to_messages, scene_to_message
 from service.wire.plain import to_plain
+from service.wire.rpc import Context, deadline_of
 from service.wire.violations import violation
 from service.work.look import SceneTask, build_scene, detect
 from service.work.plan import Refused

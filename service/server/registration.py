@@ -11,11 +11,11 @@ from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 
 from service.proto.planner.v1 import planner_pb2
-from service.rpc import Context, refuse
 from service.server.failures import refusal_for
 from service.server.refusal import invalid
 from service.server.settings import SMALL_BYTES
 from service.wire.entries import crowding
+from service.wire.rpc import Context, refuse
 from service.wire.unknown import unknown_fields
 
 SERVICE = planner_pb2.DESCRIPTOR.services_by_name["PlannerService"]

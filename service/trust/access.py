@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import grpc
 
-from service.rpc import Refusal
 from service.trust.identity import LOCAL, ROLE_NEEDED, Identity
 from service.trust.tokens import Tokens
+from service.wire.rpc import Refusal
 
 _SCHEME = "bearer"
 
