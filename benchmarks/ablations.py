@@ -47,10 +47,10 @@ from service.setup.prepare import prepare
 from service.tasks.goal import Goal
 
 PANDA = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mbm_panda"
-PANDA_WAYPOINTS = (12, 16, 20)  # each problem is solved with each: three times as many to count
+PANDA_WAYPOINTS = (12, 16, 20)  # each problem is solved with each number of waypoints
 ATLAS_WAYPOINTS = (10,)
 N_SCENES, N_BOXES = 12, 60
-POSES = 20  # of an interval, when it is looked at densely
+POSES = 20  # per interval in the dense check
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from service.setup.world import build_obstacles
 ROOT = Path(__file__).resolve().parents[1]
 TIME_LIMIT_S = 2.0
 STEP = 0.005  # between the judge's poses [rad]
-CLEAR_ENDS = 0.02  # clearance is summed up over problems whose ends have this much [m]
+CLEAR_ENDS = 0.02  # the median clearance is of problems whose ends have at least this clearance [m]
 END_TOLERANCE = 1e-3  # [rad, m]
 
 

@@ -26,7 +26,7 @@ from costs.scene import ConvexPiece, Scene
 from service.verify import Motion, Status, verify
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-# What is farther apart than this at every sample should be certified [m].
+# A motion with more than this clearance at every sample should be certified [m].
 MISSED_M = 1e-4
 TITLE = f"{'attack':22} {'count':>7} {'certified':>9} {'refuted':>8} {'unproven':>8} {'missed':>7} {'FALSE':>6}"
 

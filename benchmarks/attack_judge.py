@@ -17,9 +17,9 @@ from costs.curve import Curve
 from service.verify import Motion
 
 STEP = 0.005
-# Distances are right to about this [m]: what is less than claimed by more refutes.
+# Accuracy of distances [m]: a distance below the claim by more than this refutes it.
 JUDGE_M = 2e-6
-# Hulls nearer than this meet.
+# Hulls closer than this count as touching.
 _MEETING_M = 1e-7
 _ZOOM, _ZOOMS = 40, 2
 

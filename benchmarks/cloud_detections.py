@@ -26,7 +26,7 @@ from perception import CONFIDENT, KINDS, Cloud, Detection, detect, make_view
 from perception.simulate.scenes import Truth
 
 _VARIANTS = ("dense", "sparse", "solid/camera")
-_FEWEST = 60  # points on a beam or a seat's cushion below which nobody could tell it
+_FEWEST = 60  # points on a beam or a seat's cushion below which it cannot be detected
 _HINT_SIGMA = 0.05  # [m] how well an operator clicks
 
 
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 false += [(case.name, kind, one) for one in outcome.false]
             new = [_row(case, cloud, truth, one) for truth, one in outcome.pairs]
             rows[kind] += new
-            # The tables come last; whoever waits sees what is wrong as it comes.
+            # The tables come last; misses are printed as they occur.
             told = [row.mark for row in new if row.mark] + ["FALSE"] * len(outcome.false)
             print(f"{case.name}: {kind} {' '.join(told) or 'fine'}", file=sys.stderr)
     for kind in kinds:

@@ -86,7 +86,7 @@ class Figures:
             "false": self.false is not None and self.false > targets.false,
             "pieces": self.n_pieces > targets.pieces,
             "verts": self.n_vertices > targets.vertices,
-            # On a busy machine the wall clock tells of others; then processor time is the fairer figure.
+            # On a busy machine wall time includes other work; processor time is used instead.
             "time": min(self.made.wall, self.made.cpu) > seconds,
             "memory": self.made.memory > targets.memory,
         }
@@ -214,7 +214,7 @@ def _print_cases(title: str, cases: Iterator[Case], method: str) -> None:
                 one, two = figures.covered_others
                 told.append(f"{case.name}: of withheld points that are no exact copies {one:.2f} % / {two:.2f} %")
             rows.append((case.name, *_texts(_numbers(figures)), figures.missed(Targets.of(case))))
-            # The table comes last; whoever waits sees the figures as they come.
+            # The table comes last; rows are printed as they are measured.
             print("  ".join(rows[-1]), file=sys.stderr)
     n_cases = len(rows)
     if not all_figures:

@@ -135,7 +135,7 @@ def main() -> None:
     asked = parser.parse_args()
     table: list[tuple[str, ...]] = []
     for row in rows(asked.only, asked.seed):
-        # The table comes last; whoever waits sees the figures as they come.
+        # The table comes last; rows are printed as they are measured.
         print("  ".join(row), file=sys.stderr)
         table.append(row)
     n_met = sum(not row[-1] for row in table)

@@ -31,17 +31,17 @@ from service.request.schema import PlanRequest
 from service.setup.prepare import prepare
 from service.verify import Motion, PoseTarget, Status, verify
 
-MARGIN, BALANCE_MARGIN = 0.02, 0.05  # asked of the planner [m]; the latter leaves 16 x 30 cm between the feet
-ROOM = 0.03  # that boxes leave the known motion [m]
+MARGIN, BALANCE_MARGIN = 0.02, 0.05  # options of the request [m]; the second leaves 16 x 30 cm between the feet
+ROOM = 0.03  # clearance of the known motion from the boxes [m]
 POSITION_TOLERANCE, ROTATION_TOLERANCE_DEG = 0.005, 2.0  # of the palm's goal [m]
 LEAST_TRAVEL = 0.25  # of the palm from start to goal [m]
-HALF = 10  # intervals of the known motion before and behind its random posture
+HALF = 10  # intervals of the known motion before and after its random posture
 STRAY = 0.7  # of the reaching arm's joints from the middle between start and goal, standard deviation [rad]
 SIZES = (0.05, 0.4)  # of a box's edges [m]
 AWAY = (0.05, 0.45)  # of a box's centre from a point of the robot [m]
-ACROSS = (0.0, 0.25)  # the same of a box that shall be in the way of the straight line [m]
-IN_THE_WAY = 5  # so many boxes are
-THROWS = 150  # boxes thrown at a time
+ACROSS = (0.0, 0.25)  # the same for a box that shall block the straight line [m]
+IN_THE_WAY = 5  # number of boxes that block the straight line
+THROWS = 150  # boxes drawn at a time
 OPTIONS: Mapping[str, Any] = {"margin_m": MARGIN, "balance_margin_m": BALANCE_MARGIN, "time_limit_s": 60.0}
 TIMING = TimingSettings(0.5, 0.3)  # the planner's own
 SIDES = ("l", "r")

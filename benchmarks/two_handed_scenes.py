@@ -61,9 +61,9 @@ PALMS = ("l_tool", "r_tool")
 BEAM_LENGTHS = (0.3, 0.8)  # between the palms [m]
 BEAM_TURN = 0.4  # of the palms against each other and of the beam on its way, standard deviation about each axis [rad]
 BEAM_TRAVEL, BEAM_DETOUR = (0.25, 0.6), (0.25, 0.5)  # from start to goal, and from the middle between them [m]
-MOST_BATCHES = 4  # of thrown boxes, to find those in the way
+MOST_BATCHES = 4  # of drawn boxes, to find boxes that block the straight line
 BEAM_WIDTH, BEAM_OVERHANG, BEAM_MASS_KG = 0.04, 0.3, 3.0  # [m, m, kg]
-LARGEST_STEP = 0.6  # of a joint between waypoints: a longer one leads to another way of holding the beam [rad]
+LARGEST_STEP = 0.6  # of a joint between waypoints; a longer step changes how the beam is held [rad]
 
 
 def two_handed_scenes(robot: RobotModel, n_boxes: int, task: Task, seed: int = 0) -> Iterator[CrowdedScene]:
@@ -187,7 +187,7 @@ def _grasped(body: WholeBody, rng: np.random.Generator, task: Task) -> WholeBody
         return None
     try:
         return _body(body.robot, _request(body.robot, start, task=task))
-    except RequestError:  # the beam is in the robot
+    except RequestError:  # the beam overlaps the robot
         return None
 
 

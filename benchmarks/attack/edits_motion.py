@@ -115,7 +115,7 @@ def a_nan_in_the_table(folder: Folder) -> None:
 
 @MOTION.lie("arm", level=RAW)
 def a_comment_in_the_table(folder: Folder) -> None:
-    # Readers of tables differ in what they skip: to some this row is part of the motion.
+    # Readers of tables skip different rows: some read this one as part of the motion.
     folder.edit_text("trajectory.csv", lambda text: text.replace("\n", "\n#9,9,9,9,9,9\n", 3))
 
 

@@ -80,7 +80,7 @@ def _indent(scratch: Path) -> tuple[Answer, str]:
     return judges.harmless(*judges.verify(folder))
 
 
-# What is planned honestly, and then handed over as the answer to a request of which it does less.
+# Correct results, submitted as the answer to a request that demands more.
 SUBSTITUTES: dict[str, tuple[str, dict[str, Any]]] = {
     "a goal 30 cm away": ("reach", {"goal.poses.0.position": [0.60, 0.25, 1.35]}),
     "a goal with a wide tolerance": ("reach", {"goal.poses.0.position_tolerance_m": 0.1}),

@@ -199,7 +199,7 @@ class Edit:
             raise AssertionError(f"the edit {self.name!r} changed nothing in {base}")
         answer, text = judge(folder.path)
         if self.is_of_robot and answer is Answer.BELIEVED and ROBOT_HERE in text:
-            # The verdict says whose robot it rests on; who gives the user's own request is told more.
+            # The verdict names the robot it is for; a check against the user's own request reveals more.
             answer, text = judges.verify(folder.path, request=bases.original(base) / "request.yaml")
         return judges.harmless(answer, text) if self.is_harmless else (answer, text)
 

@@ -16,7 +16,7 @@ from costs.scene import Scene
 from service.verify import JointTarget, Motion, Phase, Status, VerifyError, verify
 
 SPEED, ACCELERATION = 0.5, 10.0  # limits of the slide
-EXCESS = 1.0 + 1e-3  # times a limit that refutes it
+EXCESS = 1.0 + 1e-3  # multiple of a limit that refutes a law
 _SLIDE = """<robot name="slide">
   <link name="base"><collision><origin xyz="0 0 -1"/><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
   <link name="arm"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>

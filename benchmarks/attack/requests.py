@@ -16,7 +16,7 @@ from service import RequestError, parse_request, plan
 from service.result.result import PlanResult
 
 CHECKED = ("links_with_shape", "left_out")  # of a certificate's coverage: what was checked, or is named as a pair
-DEEPER_M = 1e-3  # than this two things must not be inside each other in a certified motion
+DEEPER_M = 1e-3  # deepest allowed overlap in a certified motion
 
 
 class Expected(enum.Enum):
@@ -80,7 +80,7 @@ def told_beside(result: PlanResult) -> str:
     certificate = {} if result.certificate is None else result.certificate.to_dict()
     for name in ("stretches", "checks", "exempt", "min_clearance_pair"):
         certificate.pop(name, None)
-    # Links and pairs that were checked are no excuse for those that were not.
+    # Mentions of checked links and pairs do not count as notes on unchecked ones.
     coverage = certificate.get("coverage")
     if isinstance(coverage, dict):
         certificate["coverage"] = {name: value for name, value in coverage.items() if name not in CHECKED}

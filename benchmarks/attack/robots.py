@@ -147,7 +147,7 @@ def _machine(name: str, text: str, goal: dict[str, float], expected: Expected = 
 BASE = _box("base", "0.2 0.2 0.2", "0 0 0")
 CARRIAGE = _box("carriage", "0.2 0.2 0.2", "0 0 0.3")
 MAST = _box("mast", "0.1 0.1 0.1", "0 0 0.6")
-# What is missing or too small.
+# Missing or too small shapes.
 _arm("no shapes at all, inside a box of 3 m", _drop("collision"), NO, scene={"obstacles": [
     {"name": "block", "type": "box", "size": [3.0, 3.0, 3.0], "position": [0.0, 0.0, 0.5]}]})  # fmt: skip
 _arm("no shapes at all, and nothing around", _drop("collision"), NO, scene={"obstacles": []})
@@ -169,7 +169,7 @@ _arm(
 )
 _arm("missing mesh", _set("link[@name='hand']/collision/geometry/mesh", filename="gone.obj"), NO)
 _arm("mesh outside the package", _set("link[@name='hand']/collision/geometry/mesh", filename="../../etc/passwd"), NO)
-# What the loader takes for neighbours, or leaves out.
+# Pairs that the loader treats as neighbours or leaves out.
 _machine("rail through a wall of its own", BASE + _box("wall", "0.1 1 1", "0.7 0 0.3") + CARRIAGE
     + _fixed("w", "base", "wall") + _slide("rail", "base", "carriage", "1 0 0"), {"rail": 1.4})  # fmt: skip
 _machine("lift through a ceiling of its own", BASE + _box("ceiling", "1 1 0.1", "0 0 1.0") + CARRIAGE
@@ -201,7 +201,7 @@ BEHIND_THE_BASE = (*NEIGHBOURS, ("base", "hand"), ("base", "forearm"), ("base", 
 _arm(
     "SRDF that disables hand and base", lambda root: None, disabled=BEHIND_THE_BASE, is_changed_honest=True, goal=FOLDED
 )
-# Numbers that cannot be.
+# Impossible numbers.
 _arm("effort 0 everywhere", _set("joint/limit", effort="0"), NAMED, "not checked: torques")
 _arm("effort 0 on the shoulder", _set("joint[@name='shoulder']/limit", effort="0"), NAMED, "shoulder")
 _arm("effort without bound", _set("joint/limit", effort="inf"), NO)

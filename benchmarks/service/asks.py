@@ -31,7 +31,7 @@ OVER_A_TABLE: Mapping[str, Any] = {
     },
     "goal": {"poses": [{"link": "l_tool", "position": [0.60, 0.25, 1.05]}]},
 }
-# A grate that no arm gets through: all starts of the optimiser and the sampling planner are tried, in vain.
+# A grate that blocks every arm: all starts of the optimiser and the sampling planner fail.
 ENDLESS: Mapping[str, Any] = {
     **_STAND,
     "scene": {

@@ -15,9 +15,9 @@ from service.executor.linux import rss_bytes
 
 WORKERS, CLIENTS = 2, 3
 SAMPLE_EVERY_S = 0.5
-WARM_SHARE = 0.3  # of the solves, before memory is looked at
+WARM_SHARE = 0.3  # of the solves, before memory is measured
 MOST_GROWTH = 0.02  # of a worker's memory over all solves of a run: the slope of a straight line through the samples
-ATLAS_SHARE = 10  # one solve in so many is one of Atlas
+ATLAS_SHARE = 10  # one solve in this number is of Atlas
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:

@@ -13,7 +13,7 @@ from random import Random
 import numpy as np
 
 GIB = 2**30
-CLAIMED = 2_000_000_000  # points that are not there
+CLAIMED = 2_000_000_000  # points claimed by a header, not in the file
 CHAIN, DEEP = 5000, 200_000
 
 

@@ -29,14 +29,14 @@ from service.wire.unknown import unknown_fields
 
 AT_A_TIME = 4
 TIMEOUT_S = 20.0
-NO_MESSAGE = "the bytes are no "  # how a violation begins that can name no field
-# What holds all fields is the one that is wrong only where none of them is: how such a violation begins.
+NO_MESSAGE = "the bytes are no "  # beginning of a violation that cannot name a field
+# Beginnings of violations in which a message as a whole is wrong, not one of its fields.
 HOLDERS: Mapping[str, tuple[str, ...]] = {
     "request": ("exactly one of goal, task is needed", "request: is missing"),
     "clouds": (),
 }
 CRASHES = ("UNKNOWN", "INTERNAL", "UNAVAILABLE", "DATA_LOSS")
-LARGE_CODES = ("INVALID_ARGUMENT", "NOT_FOUND", "OK")  # a cloud that lies of its points is read when it is looked at
+LARGE_CODES = ("INVALID_ARGUMENT", "NOT_FOUND", "OK")  # a cloud with a false point count is read only when it is used
 DETAILS_KEY = "grpc-status-details-bin"
 
 

@@ -16,7 +16,7 @@ from benchmarks.service import asks
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.store import UPLOAD_SUFFIXES
 
-DEEPEST = 5  # of messages in messages that are made up
+DEEPEST = 5  # nesting depth of generated messages
 NUMBERS = (float("nan"), float("inf"), -float("inf"), -1.0, 0.0, 1e308, -1e-8, 5e-324, 1e9)
 WHOLE = (-1, 0, 1, 2**31 - 1, -(2**31), 10_000_000)
 TEXTS = (

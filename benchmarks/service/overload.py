@@ -14,7 +14,7 @@ from benchmarks.service.servers import Server, started
 WORKERS, QUEUE = 2, 4  # QUEUE for each worker
 OVER, SLACK, REFUSED_S, GROWTH = 2.0, 1.2, 10e-3, 0.05
 SAMPLE_EVERY_S = 2.0
-WARM_SHARE = 0.2  # of the time, before memory is looked at
+WARM_SHARE = 0.2  # of the time, before memory is measured
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:

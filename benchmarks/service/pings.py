@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-PING_S = 10e-3  # to be kept by 99 of 100
+PING_S = 10e-3  # target for the 99th percentile
 PING_EVERY_S = 10e-3
 
 

@@ -21,7 +21,7 @@ from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 WORKERS, CLIENTS = 2, 4
 LONGEST_S = 3.0  # until the kill
 ORPHANS_S = 1.0
-UNLIMITED = ("--requests-per-s", "100000")  # all plans are asked for at once
+UNLIMITED = ("--requests-per-s", "100000")  # many plans are read at once
 
 
 @dataclass
@@ -46,7 +46,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
         began = time.monotonic()
         with started(folder, *UNLIMITED, workers=WORKERS) as server:
             back.append(time.monotonic() - began)
-            missing, unapproved = _count_missing(server, told)  # of all that any server before has told
+            missing, unapproved = _count_missing(server, told)  # of all plans that earlier servers confirmed
             processes = _killed_under_load(server, told, random.uniform(0.5, LONGEST_S))
             time.sleep(ORPHANS_S)
             orphans += len(still_there(processes))

@@ -26,7 +26,7 @@ from service.proto.planner.v1.planner_pb2 import GetStatusRequest, PlanResponse
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 
 BEYOND_ITERATION_S, STUCK_S = 20e-3, 0.3
-LONGEST_S = 2.5  # in which a solve is stopped
+LONGEST_S = 2.5  # latest time at which a solve is stopped
 SOONEST_DEADLINE_S = 0.8
 LONG_S = 60.0  # ENDLESS does not take as long
 
@@ -85,7 +85,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
     with started(folder, workers=1, queue=4) as server:
         after_cancel = asyncio.run(_cancels(server, n, random, iterations))
         killed = server.status().worker_restarts
-    with started(folder, workers=1, queue=4) as server:  # that has not learned yet how long these plans take
+    with started(folder, workers=1, queue=4) as server:  # a new server, without estimates of these plans' durations
         after_deadline = asyncio.run(_deadlines(server, n // 2, random, iterations))
         killed_late = server.status().worker_restarts
     one = percentile(iterations.seconds, 50)
