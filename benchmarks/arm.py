@@ -26,8 +26,8 @@ from benchmarks.tables import print_table
 from costs.robot import LinkBody, RobotModel
 from service.bench.bench import COLUMNS, failures, run_bench, table
 from service.bench.problem_set import BenchProblem, BenchRobot, read_problems
-from service.setup.prepare import load_requested_robot
 from service.setup.world import build_obstacles
+from service.start.robot import load_requested_robot
 
 ROOT = Path(__file__).resolve().parents[1]
 TIME_LIMIT_S = 2.0

@@ -9,7 +9,7 @@ from planar_arm import write_planar_arm
 from service.bench.bench import failures, run_bench, table
 from service.bench.problem_set import BenchRobot, read_problems
 from service.errors import RequestError
-from service.setup.prepare import load_requested_robot
+from service.start.robot import load_requested_robot
 
 
 @pytest.fixture
