@@ -38,13 +38,13 @@ from costs.collision import PairMargins, PoseChecker
 from costs.robot import RobotModel, load_robot
 from costs.state import MotionState
 from scopt import Problem, Settings, TrustRegionSQP
-from service.monitor import Monitor
-from service.phases import PhaseSolver, Solved, straight
-from service.problem_set import BenchRobot, read_problems
-from service.request import PlanRequest
-from service.setup import prepare
+from service.bench.problem_set import BenchRobot, read_problems
+from service.body.monitor import Monitor
+from service.body.phases import PhaseSolver, Solved, straight_path
+from service.body.whole_body import Aims, WholeBody
+from service.request.schema import PlanRequest
+from service.setup.prepare import prepare
 from service.tasks.goal import Goal
-from service.whole_body import Aims, WholeBody
 
 PANDA = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mbm_panda"
 PANDA_WAYPOINTS = (12, 16, 20)  # each problem is solved with each: three times as many to count
@@ -144,7 +144,7 @@ def cases_of(request: PlanRequest, robot: RobotModel, counts: Sequence[int]) -> 
             return
         end = pose.x[0]
     for count in counts:
-        start = straight(body.nominal, end, count)
+        start = straight_path(body.nominal, end, count)
         at_ends = {0: start[0], count - 1: end} if goal.is_complete else {0: start[0]}
         as_it_is = replace(solver, settings=Settings(max_iterations=0))
         posed = as_it_is.trajectory(

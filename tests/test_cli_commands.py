@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,10 +20,10 @@ from click.testing import Result
 from small_plan import small_plan
 from typer.testing import CliRunner
 
-from service.cli import app
-from service.cli_run import EXIT_CODES
+from service.cli.app import app
+from service.cli.run import EXIT_CODES
 from service.errors import RequestError
-from service.result import PlanResult, Verdict
+from service.result.result import PlanResult, Verdict
 
 ROOT = Path(__file__).parents[1]
 REQUEST = ROOT / "examples" / "requests" / "joint_goal.yaml"
@@ -183,6 +184,12 @@ def test_verify_and_view_read_what_plan_wrote(tmp_path: Path, monkeypatch: pytes
     assert _scopt("view", tmp_path).exit_code == 3
 
 
+def test_version_is_that_of_the_package() -> None:
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    result = _scopt("--version")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, f"scopt {project['version']}\n", "")
+
+
 def test_robots_lists_atlas() -> None:
     assert "atlas" in _scopt("robots").stdout
     assert json.loads(_scopt("robots", "--json").stdout)["robots"][0]["name"] == "atlas"
@@ -238,7 +245,7 @@ import sys, time, types
 from dataclasses import replace
 sys.path.insert(0, {support!r})
 from small_plan import small_plan
-from service.result import Verdict
+from service.result.result import Verdict
 made = small_plan()
 def plan(request, on_progress, should_stop):
     on_progress("waiting", 0.5)
@@ -247,7 +254,7 @@ def plan(request, on_progress, should_stop):
     return replace(made, verdict=Verdict.CANCELLED, explanation=("cancelled during 'waiting'",))
 sys.modules["service.planner"] = types.SimpleNamespace(plan=plan)
 sys.argv = ["scopt", "plan", {request!r}, "--out", {out!r}, "--json"]
-from service.cli import main
+from service.cli.app import main
 main()
 """
 

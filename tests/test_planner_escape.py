@@ -14,18 +14,18 @@ from stranger import Stranger
 from costs.allowance import Allowance, BodyRef
 from costs.robot import load_robot
 from costs.scene import Scene
-from service.cli_report import print_figures, print_findings, print_verdict
+from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
+from service.cli.report import print_figures, print_findings, print_verdict
 from service.errors import RequestError
-from service.output import write_result
 from service.planner import plan, shortfalls
-from service.request_file import parse_request
-from service.result import Verdict
-from service.result_json import summary_json
-from service.setup import prepare
-from service.start import Overlap, overlaps
+from service.request.file import parse_request
+from service.result.output import write_result
+from service.result.result import Verdict
+from service.result.result_json import summary_json
+from service.setup.prepare import prepare
+from service.start.overlaps import Overlap, find_overlaps
 from service.tasks.escape import DEPTH_ROUNDING, LeavingBody
 from service.verify import Basis, Status, verify
-from service.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 
 BLOCK = {"name": "block", "type": "box", "size": [0.1, 0.1, 0.1], "position": [0.5, 0.06, 0.0]}
 
@@ -112,7 +112,7 @@ def test_the_depth_falls_to_nothing_within_the_phase_and_every_other_pair_is_cle
     first = result.motion.phases[0]
     found = []
     for s in np.linspace(first.first, result.motion.phases[-1].last, 400):
-        inside = overlaps(result.robot, result.motion.curve(np.array([s]))[0], result.scene, ())
+        inside = find_overlaps(result.robot, result.motion.curve(np.array([s]))[0], result.scene, ())
         assert {(one.link, one.other) for one in inside} <= ({("l2", "block")} if s < first.last else set())
         found += [inside[0].depth if inside else 0.0] if s <= first.last else []
     assert found[0] == pytest.approx(0.01, abs=1e-6)
