@@ -82,7 +82,7 @@ def measure(problem: Problem[StateT], x: Float[np.ndarray, "T n"]) -> Iterate[St
     total_violation = excess = 0.0
     is_acceptable = True
     for constraint in problem.constraints:
-        rows = constraint.violation(constraint.residual.value(state))
+        rows = constraint.measure_violation(constraint.residual.value(state))
         largest = float(rows.max(initial=0.0))
         violation[constraint.name] = largest
         total_violation += constraint.scale * float(rows.sum())

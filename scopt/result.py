@@ -53,7 +53,7 @@ class Iteration:
 
 @dataclass(frozen=True)
 class Result:
-    """The best trajectory found.
+    """Best trajectory of a solve.
 
     Attributes:
         x: (T, n) waypoints: of the feasible iterates the cheapest, else the one with the least violation.
@@ -63,7 +63,7 @@ class Result:
         penalty: mu at the end.
         history: one entry per trial step.
         solve_time_s: wall time [s].
-        message: one sentence for a person.
+        message: one sentence for users.
     """
 
     x: Float[np.ndarray, "T n"]

@@ -19,7 +19,7 @@ from scopt.correction import Correction
 from scopt.iterate import Iterate, measure, measure_start
 from scopt.penalty_schedule import PenaltySchedule
 from scopt.problem import Penalty, Problem
-from scopt.qp import ConicProgram, backend, solve_clarabel
+from scopt.qp import ConicProgram, select_backend, solve_clarabel
 from scopt.residual import StateT
 from scopt.result import Iteration, Result, Status
 from scopt.settings import Settings
@@ -52,8 +52,8 @@ class TrustRegionSQP:
             s.max_iterations,
             s.time_limit_s,
         )
-        self._solve_qp = backend(s.qp)
-        self._solve_qp_fallback = backend(s.qp_fallback)
+        self._solve_qp = select_backend(s.qp)
+        self._solve_qp_fallback = select_backend(s.qp_fallback)
 
     def solve(
         self,
@@ -149,18 +149,18 @@ class TrustRegionSQP:
         self, subproblem: Subproblem, lower: Float[np.ndarray, "N"], upper: Float[np.ndarray, "N"]
     ) -> Float[np.ndarray, "N"] | None:
         """Solve within step bounds: with the back end, with penalties in place of equalities, with the fall-back."""
-        program = subproblem.within(lower, upper)
+        program = subproblem.bound_steps(lower, upper)
         if not program.c.size:  # every variable is fixed; back ends crash on a program without variables
-            return subproblem.step(program.c)
+            return subproblem.extract_step(program.c)
         if isinstance(program, ConicProgram):  # convex expressions, which are beyond a QP back end
             solution = solve_clarabel(program)
-            return subproblem.step(solution.x) if solution.is_usable else None
+            return subproblem.extract_step(solution.x) if solution.is_usable else None
         solution = self._solve_qp(program)
-        if not solution.is_usable and subproblem.softened is not None:
-            return self._solve_subproblem(subproblem.softened(), lower, upper)
+        if not solution.is_usable and subproblem.soften is not None:
+            return self._solve_subproblem(subproblem.soften(), lower, upper)
         if not solution.is_usable:
             solution = self._solve_qp_fallback(program)
-        return subproblem.step(solution.x) if solution.is_usable else None
+        return subproblem.extract_step(solution.x) if solution.is_usable else None
 
 
 @dataclass(frozen=True)
