@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from costs.scene import ConvexPiece
 from perception import Cloud, perceive
 from perception.clean import half_spaces
-from perception.convex.coarse import coarsened
+from perception.convex.coarse import coarsen
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.planes import Plane, find_planes
-from perception.convex.slabs import slabs_of
+from perception.convex.slabs import make_slabs
 from perception.simulate import Mesh, box, cast, joined
 
 LOWER, UPPER = np.full(3, -0.2), np.full(3, 1.2)
@@ -122,18 +122,18 @@ def test_rays_through_an_opening_cut_a_slab_whichever_side_they_come_from() -> N
     holes = np.column_stack([np.full((~frame).sum(), 1.0), 0.9 * y[~frame], 0.9 * z[~frame]])
     nothing = FreeSpace(np.full(3, -2.0), 0.02, np.zeros((1, 1, 1), dtype=bool))
     before, behind = np.array([0.0, 0.0, 0.1]), np.array([2.0, 0.1, 0.0])
-    assert len(slabs_of(plane, points, before, points, nothing)) == 1
+    assert len(make_slabs(plane, points, before, points, nothing)) == 1
     for origin in (before, behind):
         ends = origin + 2.0 * (holes - origin)
-        assert len(slabs_of(plane, points, origin, ends, nothing)) >= 4
+        assert len(make_slabs(plane, points, origin, ends, nothing)) >= 4
     starts = np.concatenate([np.broadcast_to(before, points.shape), np.broadcast_to(behind, ends.shape)])
-    assert len(slabs_of(plane, points, starts, np.concatenate([points, ends]), nothing)) >= 4
+    assert len(make_slabs(plane, points, starts, np.concatenate([points, ends]), nothing)) >= 4
 
 
 def test_both_faces_of_a_thin_wall_are_planes_that_face_their_sensors() -> None:
     wall = [box((1.0, -1.0, 0.0), (1.12, 1.0, 2.0))]
     cloud = merged(scanned(wall, (0.0, 0.0, 1.0), seed=1), scanned(wall, (2.2, 0.0, 1.0), seed=2))
-    coarse = coarsened(cloud.points, cloud.starts, 0.015)
+    coarse = coarsen(cloud.points, cloud.starts, 0.015)
     planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(0))
     facing = sorted((round(float(plane.normal[0])), round(plane.offset, 2)) for plane in planes[:2])
     assert facing == [(-1, pytest.approx(-1.0, abs=0.01)), (1, pytest.approx(1.12, abs=0.01))]

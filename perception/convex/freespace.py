@@ -1,4 +1,4 @@
-"""What the rays have seen to be free: a grid of cells that rays passed through."""
+"""Space seen to be free: a grid of cells that rays passed through."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FACES = 12
 # Rays that are taken along at a time: what is worked on then stays in the cache of one core.
 _MARCHING = 1024
 _MEETING = 16_384
-# Whether a ray comes near to where it matters is told in blocks of so many cells.
+# Rays that come near to where it matters are found in blocks of so many cells.
 _CELLS_OF_BLOCK = 4
 
 
@@ -41,7 +41,7 @@ class FreeSpace:
     free: Bool[np.ndarray, "X Y Z"]
 
     def cells_in(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Float[np.ndarray, "M 3"]:
-        """Centres of the free cells in an axis-aligned box [m]."""
+        """Return centres of the free cells in an axis-aligned box [m]."""
         poll()
         first = np.maximum(np.ceil((lower - self.lower) / self.size - 0.5), 0).astype(int)
         last = np.minimum(np.floor((upper - self.lower) / self.size - 0.5), np.array(self.free.shape) - 1).astype(int)
@@ -51,7 +51,7 @@ class FreeSpace:
         return np.asarray((np.argwhere(block) + first + 0.5) * self.size + self.lower)
 
     def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-        """Which points lie in a free cell."""
+        """Find the points that lie in a free cell."""
         poll()
         cells = np.floor((points - self.lower) / self.size).astype(int)
         known = ((cells >= 0) & (cells < self.free.shape)).all(axis=1)
@@ -60,7 +60,7 @@ class FreeSpace:
         return inside
 
     def beside(self, surface: Float[np.ndarray, "M 3"]) -> FreeSpace:
-        """The same, where cells that hold one of these points, and their six neighbours, are not free either."""
+        """Return a copy in which cells that hold one of these points, and their six neighbours, are not free either."""
         free = self.free.copy()
         _clear_beside(surface, self.lower, self.size, free)
         return FreeSpace(self.lower, self.size, free)
@@ -145,14 +145,14 @@ class Crossing:
     def seen_free(
         self, surface: Float[np.ndarray, "M 3"], boxes: Float[np.ndarray, "B 2 3"] | None = None
     ) -> FreeSpace:
-        """What the rays saw to be free.
+        """March the rays and return what they saw to be free.
 
         Args:
             surface: (M, 3) points whose cells and their six neighbours are never free.
-            boxes: (B, 2, 3) lower and upper corners of where it matters; of other places nothing need be told [m].
+            boxes: (B, 2, 3) lower and upper corners of where it matters; other places need not be marked [m].
         """
         free = np.zeros(int(np.prod(self.shape)), dtype=bool)
-        blocks = None if boxes is None else _blocks(boxes, self.lower, self.size, self.shape)
+        blocks = None if boxes is None else _mark_blocks(boxes, self.lower, self.size, self.shape)
         nearest = float(self.rays.enter.min(initial=np.inf))
         for near in np.arange(0.0, float(self.rays.leave.max(initial=0.0)), _BLOCK):
             poll()
@@ -199,8 +199,8 @@ class _Rays:
     ) -> _Rays:
         """The rays clipped to the grid (slab method), without the last 5 cm of each."""
         poll()
-        one = bool(len(starts)) and (starts.strides[0] == 0 or bool((starts == starts[0]).all()))
-        start = starts[:1].T if one else starts.T
+        is_one_start = bool(len(starts)) and (starts.strides[0] == 0 or bool((starts == starts[0]).all()))
+        start = starts[:1].T if is_one_start else starts.T
         direction = np.subtract(ends.T, start, order="C")
         length = np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
         enter, beyond = np.zeros(len(length)), np.full(len(length), np.inf)
@@ -208,21 +208,21 @@ class _Rays:
             direction /= length
             for axis in range(3):
                 a, b = (lower[axis] - start[axis]) / direction[axis], (upper[axis] - start[axis]) / direction[axis]
-                # A ray along a side of the grid gives NaN there, which says nothing.
+                # A ray along a side of the grid gives NaN there, which is no bound.
                 np.fmax(enter, np.minimum(a, b), out=enter)
                 np.fmin(beyond, np.maximum(a, b), out=beyond)
         enter += _FUZZ
         leave = np.minimum(beyond - _FUZZ, length - _END_MARGIN)
         crossing = np.flatnonzero(leave > enter)
-        crossing = crossing[_ascending(leave[crossing])]
-        direction, start = np.take(direction, crossing, axis=1), start if one else start[:, crossing]
-        facing, across = _on_cube(direction)
+        crossing = crossing[_sort_ascending(leave[crossing])]
+        direction, start = np.take(direction, crossing, axis=1), start if is_one_start else start[:, crossing]
+        facing, across = _project_on_cube(direction)
         return cls(
             ((start - lower[:, None]) / size).astype(np.float32),
             (direction / size).astype(np.float32),
             enter[crossing].astype(np.float32),
             leave[crossing].astype(np.float32),
-            np.zeros(len(crossing), dtype=np.int64) if one else _bundles(start, size),
+            np.zeros(len(crossing), dtype=np.int64) if is_one_start else _number_bundles(start, size),
             facing,
             across,
         )
@@ -244,8 +244,8 @@ class _Rays:
         return np.asarray(longest[longest >= 0])
 
 
-def _ascending(values: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
-    """A stable order of positive numbers, 16 bits at a time: numpy sorts those in linear time."""
+def _sort_ascending(values: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
+    """Return a stable order of positive numbers, 16 bits at a time: numpy sorts those in linear time."""
     bits = np.ascontiguousarray(values, dtype=np.float64).view(np.uint64)
     order = np.arange(len(bits))
     for shift in range(0, 64, 16):
@@ -253,15 +253,15 @@ def _ascending(values: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
     return order
 
 
-def _bundles(start: Float[np.ndarray, "3 R"], size: float) -> Int[np.ndarray, "R"]:
-    """Number of the group of rays that start in the same place."""
+def _number_bundles(start: Float[np.ndarray, "3 R"], size: float) -> Int[np.ndarray, "R"]:
+    """Number the groups of rays that start in the same place."""
     keys = row_keys(np.floor(start / (_BIN * size)).T)
     if (keys == keys[:1]).all():
         return np.zeros(len(keys), dtype=np.int64)
     return np.unique(keys, return_inverse=True)[1]
 
 
-def _on_cube(direction: Float[np.ndarray, "3 R"]) -> tuple[Int[np.ndarray, "R"], Float[np.ndarray, "2 R"]]:
+def _project_on_cube(direction: Float[np.ndarray, "3 R"]) -> tuple[Int[np.ndarray, "R"], Float[np.ndarray, "2 R"]]:
     """Side of a cube of edge 2 about its start that each ray leaves it by, and where on that side, 0 to 2."""
     x, y, z = direction
     size_x, size_y, size_z = np.abs(direction)
@@ -275,10 +275,10 @@ def _on_cube(direction: Float[np.ndarray, "3 R"]) -> tuple[Int[np.ndarray, "R"],
     return 2 * axis + (along > 0.0), across
 
 
-def _blocks(
+def _mark_blocks(
     boxes: Float[np.ndarray, "B 2 3"], lower: Float[np.ndarray, "3"], size: float, shape: Int[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "X Y Z"]:
-    """Blocks of cells that lie no farther from any of the boxes than a ray goes before and behind where it is told."""
+    """Mark blocks of cells that lie no farther from any of the boxes than a ray goes before and behind its sample."""
     blocks = np.zeros(-(-shape // _CELLS_OF_BLOCK), dtype=bool)
     cells = (boxes - lower) / size
     reach = 0.5 * _BLOCK / size
@@ -292,7 +292,7 @@ def _blocks(
 def _meet(
     rays: _Rays, chosen: Int[np.ndarray, "K"], near: float, blocks: Bool[np.ndarray, "X Y Z"]
 ) -> Bool[np.ndarray, "K"]:
-    """Which of the chosen rays pass any of these blocks in one block of distances, told by its middle."""
+    """Find the chosen rays that pass any of these blocks in one block of distances, by its middle."""
     poll()
     is_there = np.zeros(len(chosen), dtype=bool)
     middle = np.float32(near + _BLOCK / 2)
@@ -335,7 +335,7 @@ def _march(
 def _clear_beside(
     surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], size: float, free: Bool[np.ndarray, "X Y Z"]
 ) -> None:
-    """Cells that hold a surface point, and their six neighbours, are not free."""
+    """Mark cells that hold a surface point, and their six neighbours, as not free."""
     cells = [np.floor((column - low) / size).astype(np.int64) for column, low in zip(surface.T, lower, strict=True)]
     inside = np.ones(len(surface), dtype=bool)
     for column, length in zip(cells, free.shape, strict=True):

@@ -1,4 +1,4 @@
-"""Rays and points about a place, and what they say about a mesh in a pose there."""
+"""Judgement of a mesh in a pose by the rays and points of a scan about a place."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.convex.coarse import coarsened
+from perception.convex.coarse import coarsen
 from perception.convex.pieces import VOXEL
 from perception.convex.planes import find_planes
 from perception.detect.sightlines import SightIndex, Sightlines
@@ -21,7 +21,7 @@ _TOLERANCE = (0.012, 0.03)
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the rays say about a pose, as counts."""
+    """Counts of rays that agree with a pose and that contradict it."""
 
     agreeing: int
     through: int
@@ -47,7 +47,7 @@ class Judge:
     wide: Float[np.ndarray, "P 4"]
 
     def verdict(self, pose: Pose, most_rays: int, most_points: int) -> Verdict:
-        """Hold a pose against the rays."""
+        """Count what the rays say about a pose."""
         rays = self.rays.thinned(most_rays)
         hit = self.surface.hits(pose.into_mesh(rays.start), rays.direction @ pose.rotation)
         met = np.isfinite(hit)
@@ -61,7 +61,7 @@ class Judge:
         # Things stand on tables: only what is well before the surface and far from its base is held against it.
         outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + 0.05)
         share = len(rays) / max(1, len(region.points))
-        # A ray that ends on a wall says nothing of an object whose side lies in that wall.
+        # A ray that ends on a wall is no evidence of an object whose side lies in that wall.
         agreeing = np.flatnonzero(met)[np.abs(beyond) <= tolerance]
         return Verdict(
             int((~lie_on_planes(rays.ends[agreeing], self.wide)).sum()),
@@ -74,7 +74,7 @@ class Judge:
 
 
 def make_judge(surface: Surface, index: SightIndex, view: View, place: Float[np.ndarray, "3"], radius: float) -> Judge:
-    """The rays about a place, and the points that may be the object's: not those of planes wider than it is."""
+    """Collect the rays about a place, and the points that may be the object's: not those of planes wider than it is."""
     near = np.flatnonzero(np.linalg.norm(view.obstacles - place, axis=1) <= 3.0 * radius + 0.1)
     points, starts = view.obstacles[near], view.starts[near]
     wide = find_wide_planes(points, starts, radius, view.seed)
@@ -86,10 +86,10 @@ def make_judge(surface: Surface, index: SightIndex, view: View, place: Float[np.
 def find_wide_planes(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], radius: float, seed: int
 ) -> Float[np.ndarray, "P 4"]:
-    """Planes (unit normal, offset) that reach farther than an object of this radius: tables, walls."""
+    """Find planes (unit normal, offset) that reach farther than an object of this radius: tables, walls."""
     if len(points) < MIN_AGREEING:
         return np.zeros((0, 4))
-    coarse = coarsened(points, starts, VOXEL)
+    coarse = coarsen(points, starts, VOXEL)
     planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(seed), None)
     reaches = [np.linalg.norm(np.ptp(coarse.points[plane.members] @ plane.basis.T, axis=0)) for plane in planes]
     wide = [
