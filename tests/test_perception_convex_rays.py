@@ -77,7 +77,7 @@ def test_every_cell_that_is_carved_has_a_ray_through_it_or_beside_it(seed: int, 
     starts = np.broadcast_to(starts, (40, 3))
     ends = rng.uniform(-1.0, 2.0, (40, 3))
     free = carve(starts, ends, NOWHERE, LOWER, UPPER, size=0.05)
-    cells = free.cells_in(LOWER, UPPER)
+    cells = free.list_cells(LOWER, UPPER)
     rays = ends - starts
     t = ((cells[:, None] - starts) * rays).sum(axis=2) / (rays**2).sum(axis=1)
     closest = starts + np.clip(t, 0.0, 1.0)[:, :, None] * rays
@@ -92,7 +92,7 @@ def test_many_rays_side_by_side_leave_no_gap_in_what_they_carve() -> None:
     ends = np.column_stack([*(axis.ravel() for axis in np.meshgrid(grid, grid)), np.full(160_000, -0.3)])
     free = carve(origin, ends, NOWHERE, LOWER, UPPER)
     # Between sensor and square: the pyramid of the rays.
-    z = free.cells_in(LOWER, UPPER)[:, 2]
+    z = free.list_cells(LOWER, UPPER)[:, 2]
     for height in (0.1, 0.6, 1.1):
         layer = np.abs(z - height) < 0.011
         width = (2.0 - height) / 2.3

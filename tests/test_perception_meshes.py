@@ -20,8 +20,7 @@ from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, make_solid, unite_solids
 from perception.solids.decompose import CoacdSettings, Work, split_solid
-from perception.solids.fit import Pose as FitPose
-from perception.solids.fit import Region, Surface, fit_pose
+from perception.solids.fit import MeshPose, Region, Surface, fit_pose
 from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, locate, match_mesh
 from perception.solids.read import read_mesh
 from perception.view import View
@@ -340,7 +339,7 @@ def test_bodies_that_overlap_have_their_inside_in_common() -> None:
 def test_points_all_nearest_to_one_corner_leave_the_mesh_turned_as_it_is() -> None:
     corner = -np.abs(np.random.default_rng(0).normal(0.0, 0.004, (200, 3))) - 5e-4
     surface = Surface(make_solid(box((0, 0, 0), (0.3, 0.5, 0.6))).closed[0])
-    start = FitPose(np.eye(3), np.zeros(3))
+    start = MeshPose(np.eye(3), np.zeros(3))
     found = fit_pose(surface, Region(corner, np.full((200, 3), -1.0)), start, [0.1])
     np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-12)
     assert np.isfinite(found.shift).all()

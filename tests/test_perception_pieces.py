@@ -115,7 +115,7 @@ def test_thin_bars_do_not_fill_the_space_between_them() -> None:
 def test_rays_carve_what_they_pass_and_nothing_else() -> None:
     ends = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     free = carve(np.zeros(3), ends, ends, np.full(3, -0.5), np.full(3, 2.5))
-    cells = free.cells_in(np.full(3, -0.5), np.full(3, 2.5))
+    cells = free.list_cells(np.full(3, -0.5), np.full(3, 2.5))
     along_x = cells[np.abs(cells[:, 1:]).max(axis=1) < 0.03]
     assert along_x[:, 0].max() < 0.96
     assert along_x[:, 0].max() > 0.9

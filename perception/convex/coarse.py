@@ -30,7 +30,7 @@ class Coarse:
     column: Int[np.ndarray, "M"]
     size: float
 
-    def within(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
+    def select_within(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
         """Return indices of the points in an axis-aligned box."""
         # Whole numbers: a float would have numpy turn all columns into floats.
         first = int(np.searchsorted(self.column, int(np.floor((lower[0] - _QUANTUM) / self.size))))
@@ -94,12 +94,12 @@ class Groups:
         order = np.argsort(coarse.voxel, kind="stable")
         return cls(order, np.concatenate([[0], np.cumsum(coarse.counts)]))
 
-    def hold(self, kept: Bool[np.ndarray, "N"]) -> Bool[np.ndarray, "M"]:
+    def find_holding(self, kept: Bool[np.ndarray, "N"]) -> Bool[np.ndarray, "M"]:
         """Find the voxels that hold any of the points that are kept."""
         before = np.concatenate([[0], np.cumsum(kept[self.order])])
         return np.asarray(before[self.first[1:]] > before[self.first[:-1]])
 
-    def members(self, voxels: Int[np.ndarray, "K"]) -> Int[np.ndarray, "L"]:
+    def list_members(self, voxels: Int[np.ndarray, "K"]) -> Int[np.ndarray, "L"]:
         """Return indices of all points in these voxels."""
         counts = self.first[voxels + 1] - self.first[voxels]
         ahead = np.repeat(self.first[voxels] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)

@@ -40,7 +40,7 @@ class FreeSpace:
     size: float
     free: Bool[np.ndarray, "X Y Z"]
 
-    def cells_in(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Float[np.ndarray, "M 3"]:
+    def list_cells(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Float[np.ndarray, "M 3"]:
         """Return centres of the free cells in an axis-aligned box [m]."""
         poll()
         first = np.maximum(np.ceil((lower - self.lower) / self.size - 0.5), 0).astype(int)
@@ -59,7 +59,7 @@ class FreeSpace:
         inside[known] = self.free[tuple(cells[known].T)]
         return inside
 
-    def beside(self, surface: Float[np.ndarray, "M 3"]) -> FreeSpace:
+    def clear_beside(self, surface: Float[np.ndarray, "M 3"]) -> FreeSpace:
         """Return a copy in which cells that hold one of these points, and their six neighbours, are not free either."""
         free = self.free.copy()
         _clear_beside(surface, self.lower, self.size, free)
@@ -75,7 +75,7 @@ class FreeSpace:
         """
         poll()
         margin = 0.25 * self.size if margin is None else margin
-        cells = self.cells_in(hull.lower, hull.upper)
+        cells = self.list_cells(hull.lower, hull.upper)
         count = 0
         # A body that holds many free cells shows it in any few of them.
         n_parts = -(-len(cells) // _CHUNK)
@@ -107,7 +107,7 @@ def carve(
         lower, upper: (3,) corners of the grid [m].
         size: edge of a cell [m].
     """
-    return Crossing.of(starts, ends, lower, upper, size).seen_free(surface)
+    return Crossing.of(starts, ends, lower, upper, size).mark_free(surface)
 
 
 @dataclass(frozen=True)
@@ -139,10 +139,10 @@ class Crossing:
         while np.prod(np.ceil((upper - lower) / size)) > _MAX_CELLS:
             size *= 1.26
         shape = np.maximum(np.ceil((upper - lower) / size).astype(int), 1)
-        rays = _Rays.within(np.broadcast_to(starts, ends.shape), ends, lower, upper, size)
+        rays = _Rays.clip(np.broadcast_to(starts, ends.shape), ends, lower, upper, size)
         return cls(rays, lower, size, shape)
 
-    def seen_free(
+    def mark_free(
         self, surface: Float[np.ndarray, "M 3"], boxes: Float[np.ndarray, "B 2 3"] | None = None
     ) -> FreeSpace:
         """March the rays and return what they saw to be free.
@@ -158,7 +158,7 @@ class Crossing:
             poll()
             if nearest >= near + _BLOCK:
                 continue
-            chosen = self.rays.under_way(near, near + _BLOCK, self.size)
+            chosen = self.rays.select_under_way(near, near + _BLOCK, self.size)
             if blocks is not None:
                 chosen = chosen[_meet(self.rays, chosen, near, blocks)]
             _march(self.rays, chosen, near, self.size, self.shape, free)
@@ -189,7 +189,7 @@ class _Rays:
     across: Float[np.ndarray, "2 R"]
 
     @classmethod
-    def within(
+    def clip(
         cls,
         starts: Float[np.ndarray, "N 3"],
         ends: Float[np.ndarray, "N 3"],
@@ -227,7 +227,7 @@ class _Rays:
             across,
         )
 
-    def under_way(self, near: float, far: float, size: float) -> Int[np.ndarray, "K"]:
+    def select_under_way(self, near: float, far: float, size: float) -> Int[np.ndarray, "K"]:
         """Rays in the grid between two distances, of those less than a cell apart there only the longest."""
         poll()
         first = int(np.searchsorted(self.leave, np.float32(near), side="right"))

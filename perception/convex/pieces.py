@@ -69,7 +69,7 @@ def make_pieces(
     clock = Clock()
     rays = share_start(rays)
     coarse = coarsen(points, starts, VOXEL)
-    free = make_crossing(coarse.points, rays).seen_free(coarse.points)
+    free = make_crossing(coarse.points, rays).mark_free(coarse.points)
     clock.lap("free space")
     bodies = make_bodies(coarse, np.arange(len(coarse.points)), rays, free, seed, clock)
     kept = np.ones(len(points), dtype=bool)
@@ -213,7 +213,7 @@ def assign_points(
     made = []
     for piece in pieces:
         hull = piece.hull
-        mine = groups.members(coarse.within(hull.lower - (_WITHIN + VOXEL), hull.upper + (_WITHIN + VOXEL)))
+        mine = groups.list_members(coarse.select_within(hull.lower - (_WITHIN + VOXEL), hull.upper + (_WITHIN + VOXEL)))
         mine = mine[~taken[mine]]
         mine = np.sort(mine[hull.is_within(points[mine], _WITHIN)])
         taken[mine] = True

@@ -132,7 +132,7 @@ def _find_free_cells(plane: Plane, flat: Float[np.ndarray, "N 2"], free: FreeSpa
     low, high = flat.min(axis=0), flat.max(axis=0)
     corners = np.array([[u, v] for u in (low[0], high[0]) for v in (low[1], high[1])]) @ plane.basis
     corners = corners + plane.offset * plane.normal
-    cells = free.cells_in(corners.min(axis=0) - FRONT, corners.max(axis=0) + FRONT)
+    cells = free.list_cells(corners.min(axis=0) - FRONT, corners.max(axis=0) + FRONT)
     distance = cells @ plane.normal - plane.offset
     inside = (distance < -0.25 * free.size) & (distance > 0.25 * free.size - _BACK)
     return np.asarray(cells[inside] @ plane.basis.T)
@@ -213,7 +213,7 @@ def _merge_parts(region: _Region, parts: list[Int[np.ndarray, "K"]]) -> list[Int
     while waiting:
         part = waiting.pop(0)
         options = []
-        for i in map(int, part.beside(waiting)):
+        for i in map(int, part.find_beside(waiting)):
             joint = np.concatenate([part.members, waiting[i].members])
             outline = _make_outline(region.flat[joint])
             if not len(_find_open_cells(region, outline)):
@@ -244,7 +244,7 @@ class _Part:
         """The smallest first."""
         return len(self.members), int(self.members[0])
 
-    def beside(self, others: list[_Part]) -> Int[np.ndarray, "J"]:
+    def find_beside(self, others: list[_Part]) -> Int[np.ndarray, "J"]:
         """Find those of the others whose rectangles are at most 6 cm away."""
         lower = np.array([other.lower for other in others]).reshape(-1, 2)
         upper = np.array([other.upper for other in others]).reshape(-1, 2)

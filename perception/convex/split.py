@@ -268,7 +268,7 @@ class _Passing:
     def near(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
         """Return rays that pass the ball about a box."""
         centre, radius = 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
-        chosen = slice(None) if self.sheaf is None else self.sheaf.about(centre, radius)
+        chosen = slice(None) if self.sheaf is None else self.sheaf.select_about(centre, radius)
         starts, along = self.starts[chosen], self.ends[chosen] - self.starts[chosen]
         length = np.maximum(np.sqrt(np.einsum("ij,ij->i", along, along)), 1e-9)
         along /= length[:, None]

@@ -61,7 +61,7 @@ class Standing:
     pieces: list[Piece]
     held: list[Int[np.ndarray, "K"]]
 
-    def hidden(self, passed: FreeSpace) -> list[int]:
+    def find_hidden(self, passed: FreeSpace) -> list[int]:
         """Find those that may stand only since points in them hide that rays went through: few points for many cells.
 
         Args:
@@ -74,15 +74,15 @@ class Standing:
                 hidden.append(i)
         return hidden
 
-    def beside(self, chosen: Sequence[int], passed: FreeSpace, coarse: Coarse) -> Int[np.ndarray, "K"]:
+    def select_beside(self, chosen: Sequence[int], passed: FreeSpace, coarse: Coarse) -> Int[np.ndarray, "K"]:
         """Return points in cells that rays went through, in or right beside some of the pieces."""
         is_there = np.zeros(len(coarse.points), dtype=bool)
         for hull in (self.pieces[i].hull for i in chosen):
-            is_there[coarse.within(hull.lower - 2.0 * passed.size, hull.upper + 2.0 * passed.size)] = True
+            is_there[coarse.select_within(hull.lower - 2.0 * passed.size, hull.upper + 2.0 * passed.size)] = True
         there = np.flatnonzero(is_there)
         return np.asarray(there[passed.contains(coarse.points[there])])
 
-    def without(self, chosen: Sequence[int], but: Standing) -> Standing:
+    def drop(self, chosen: Sequence[int], but: Standing) -> Standing:
         """Return the pieces without the chosen ones, except those in ``but``."""
         gone = {id(self.pieces[i]) for i in chosen} - {id(piece) for piece in but.pieces}
         left = [(piece, held) for piece, held in zip(self.pieces, self.held, strict=True) if id(piece) not in gone]
@@ -101,12 +101,12 @@ class Left:
     members: Int[np.ndarray, "K"]
     is_far: Bool[np.ndarray, "K"]
 
-    def among(self, kept: Bool[np.ndarray, "M"]) -> Left:
+    def keep(self, kept: Bool[np.ndarray, "M"]) -> Left:
         """Return those that are kept."""
         mine = kept[self.members]
         return Left(self.members[mine], self.is_far[mine])
 
-    def new(self, coarse: Coarse) -> Int[np.ndarray, "L"]:
+    def find_new(self, coarse: Coarse) -> Int[np.ndarray, "L"]:
         """Return those of clusters of which part lies beyond the noise."""
         left = self.members
         if not self.is_far.any():
@@ -157,7 +157,7 @@ def _is_passed(hull: Hull, free: FreeSpace, grazed: int) -> bool:
 
 def _find_held(hull: Hull, coarse: Coarse) -> Int[np.ndarray, "K"]:
     """Return points at most 1 cm before each of its faces."""
-    near = coarse.within(hull.lower - _AROUND, hull.upper + _AROUND)
+    near = coarse.select_within(hull.lower - _AROUND, hull.upper + _AROUND)
     return np.asarray(near[hull.is_within(coarse.points[near], _WITHIN)])
 
 

@@ -115,7 +115,7 @@ class Sheaf:
         counts = np.bincount(bearings.cell, minlength=_N_CELLS**3)
         return cls(bearings, np.argsort(bearings.cell), np.concatenate([[0], np.cumsum(counts)]))
 
-    def about(self, centre: Float[np.ndarray, "3"], radius: float) -> Int[np.ndarray, "K"]:
+    def select_about(self, centre: Float[np.ndarray, "3"], radius: float) -> Int[np.ndarray, "K"]:
         """Return indices, ascending, of rays that may pass a ball; all that do are among them."""
         ahead = centre - self.bearings.start
         distance = float(np.linalg.norm(ahead))

@@ -77,11 +77,11 @@ def update_pieces(
     left = find_unexplained(standing, scan.coarse, ground or Ground())
     clock.lap("unexplained")
     if judge is not None:
-        kept = _judge_points(kept, judge, scan.groups.members(left.members))
-        left = left.among(scan.groups.hold(kept))
+        kept = _judge_points(kept, judge, scan.groups.list_members(left.members))
+        left = left.keep(scan.groups.find_holding(kept))
         clock.lap("cleaning")
-    new = left.new(scan.coarse)
-    if is_enough(points[scan.groups.members(new)]):
+    new = left.find_new(scan.coarse)
+    if is_enough(points[scan.groups.list_members(new)]):
         return Updated((), clock.timings, kept, is_left_off=True)
     pieces = [*standing.pieces, *_make_new_pieces(scan, new, kept, crossing, _number_kinds(before), seed, clock)]
     made = assign_points(pieces, points, kept, scan.groups, scan.coarse)
@@ -136,7 +136,7 @@ class _Scan:
         boxes = np.array([(piece.hull.lower, piece.hull.upper) for piece in pieces]).reshape(-1, 2, 3)
         rays = self.rays_towards(boxes)
         crossing = make_crossing(self.held, rays)
-        return crossing.seen_free(self.coarse.points[:0], boxes), crossing if rays is self.rays else None
+        return crossing.mark_free(self.coarse.points[:0], boxes), crossing if rays is self.rays else None
 
 
 def _judge_standing(
@@ -144,18 +144,18 @@ def _judge_standing(
 ) -> tuple[Standing, Bool[np.ndarray, "N"]]:
     """Find the pieces that still stand, and the points kept after judging those that may hide rays."""
     coarse, kept = scan.coarse, np.ones(len(scan.coarse.voxel), dtype=bool)
-    standing = find_standing(before, passed.beside(coarse.points), coarse)
+    standing = find_standing(before, passed.clear_beside(coarse.points), coarse)
     clock.lap("contradicted")
     if judge is None:
         return standing, kept
     # A mixed pixel in a piece that is gone hides that rays went through it.
-    hidden = standing.hidden(passed)
-    kept = _judge_points(kept, judge, scan.groups.members(standing.beside(hidden, passed, coarse)))
+    hidden = standing.find_hidden(passed)
+    kept = _judge_points(kept, judge, scan.groups.list_members(standing.select_beside(hidden, passed, coarse)))
     clock.lap("cleaning")
-    seen = coarse.points[scan.groups.hold(kept)]
-    again = find_standing([standing.pieces[i] for i in hidden], passed.beside(seen), coarse)
+    seen = coarse.points[scan.groups.find_holding(kept)]
+    again = find_standing([standing.pieces[i] for i in hidden], passed.clear_beside(seen), coarse)
     clock.lap("contradicted")
-    return standing.without(hidden, again), kept
+    return standing.drop(hidden, again), kept
 
 
 def _judge_points(kept: Bool[np.ndarray, "N"], judge: Judge, chosen: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "N"]:
@@ -180,7 +180,7 @@ def _make_new_pieces(
     boxes = make_boxes(scan.coarse.points[new], scan.coarse.starts[new], AROUND)
     rays = scan.rays_towards(boxes)
     crossing = make_crossing(scan.held, rays) if whole is None else whole
-    free = crossing.seen_free(scan.coarse.points[scan.groups.hold(kept)], boxes)
+    free = crossing.mark_free(scan.coarse.points[scan.groups.find_holding(kept)], boxes)
     clock.lap("free space")
     return name_bodies(make_bodies(scan.coarse, new, rays, free, seed, clock), first, free)
 

@@ -23,14 +23,14 @@ METRES_BY_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254,
 _RIGID_TOLERANCE = 1e-4
 _LARGEST_ANGLE = 2.0 * np.pi + 1e-3
 
-Pose = Float[np.ndarray, "4 4"] | Sequence[float] | Sequence[Sequence[float]]
+PoseInput = Float[np.ndarray, "4 4"] | Sequence[float] | Sequence[Sequence[float]]
 
 
 def place_scan(
     scan: Scan,
     name: str,
     unit: str,
-    transform: Pose | None,
+    transform: PoseInput | None,
     apply_viewpoint: bool,
     sensor: Sequence[float] | None,
 ) -> Cloud:
@@ -189,7 +189,7 @@ def _parse_unit(unit: str) -> float:
     return METRES_BY_UNIT[unit]
 
 
-def rigid_pose(transform: Pose) -> Float[np.ndarray, "4 4"]:
+def rigid_pose(transform: PoseInput) -> Float[np.ndarray, "4 4"]:
     """Make a rigid transform of a matrix, angles or a quaternion.
 
     Args:

@@ -223,20 +223,20 @@ def _find_missed_directions(
     rays = points / np.linalg.norm(points, axis=1, keepdims=True)
     n_columns, n_rows = shape
     orders = [
-        _Grid(rays, cells // n_rows, cells % n_rows, shape),
-        _Grid(rays, cells % n_columns, cells // n_columns, shape),
+        _AngleGrid(rays, cells // n_rows, cells % n_rows, shape),
+        _AngleGrid(rays, cells % n_columns, cells // n_columns, shape),
     ]
     best = min(orders, key=lambda grid: grid.misfit)
     if best.misfit > min(best.spacing, _LARGEST_MISFIT):
         return np.zeros((0, 3))
     if best is orders[0]:
-        directions = best.directions(missed // n_rows, missed % n_rows)
+        directions = best.compute_directions(missed // n_rows, missed % n_rows)
     else:
-        directions = best.directions(missed % n_columns, missed // n_columns)
+        directions = best.compute_directions(missed % n_columns, missed // n_columns)
     return np.asarray(directions[np.isfinite(directions).all(axis=1)])
 
 
-class _Grid:
+class _AngleGrid:
     """The azimuth of each column and the elevation of each row that explain rays best [rad].
 
     Attributes:
@@ -257,11 +257,11 @@ class _Grid:
         n_in_row = np.bincount(rows, minlength=shape[1])
         elevations = np.bincount(rows, np.arcsin(np.clip(rays[:, 2], -1.0, 1.0)), shape[1])
         self._elevation = _interpolate_lines((elevations / np.maximum(n_in_row, 1))[n_in_row > 0], n_in_row > 0)
-        off = np.linalg.norm(self.directions(columns, rows) - rays, axis=1)
+        off = np.linalg.norm(self.compute_directions(columns, rows) - rays, axis=1)
         self.misfit = float(np.percentile(off, _NEARLY_ALL))
         self.spacing = max(_measure_spacing(self._azimuth), _measure_spacing(self._elevation))
 
-    def directions(self, columns: Int[np.ndarray, "K"], rows: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
+    def compute_directions(self, columns: Int[np.ndarray, "K"], rows: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
         """Unit vectors; NaN where the columns and rows that met something do not tell."""
         azimuth, elevation = self._azimuth[columns], self._elevation[rows]
         flat = np.where(np.abs(elevation) <= 0.5 * np.pi, np.cos(elevation), np.nan)

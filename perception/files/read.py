@@ -12,7 +12,7 @@ from perception.cloud import Cloud, merged
 from perception.errors import CloudError
 from perception.files.bag import Message
 from perception.files.parse import is_bag, parse_to_values
-from perception.files.placing import Pose, place_scan
+from perception.files.placing import PoseInput, place_scan
 from perception.files.scan import Scan
 from perception.files.thinning import pick_rows
 from perception.limits import MAX_PARSER_BYTES, MAX_PARSER_CPU_S, MAX_PARSER_WALL_S, MAX_POINTS
@@ -25,7 +25,7 @@ def read_cloud(
     path: Path | str,
     *,
     unit: str = "m",
-    transform: Pose | None = None,
+    transform: PoseInput | None = None,
     apply_viewpoint: bool = False,
     sensor: Sequence[float] | None = None,
     topic: str | None = None,
@@ -55,7 +55,7 @@ def read_cloud(
 
 
 def read_clouds(
-    files: Sequence[tuple[Path | str, Pose | None]],
+    files: Sequence[tuple[Path | str, PoseInput | None]],
     *,
     unit: str = "m",
     apply_viewpoint: bool = False,

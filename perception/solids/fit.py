@@ -51,7 +51,7 @@ def _array(tensor: object) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Pose:
+class MeshPose:
     """World from mesh: ``rotation`` (3, 3) and ``shift`` (3,) [m]."""
 
     rotation: Float[np.ndarray, "3 3"]
@@ -64,22 +64,22 @@ class Pose:
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.shift
         return matrix
 
-    def of(self, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    def to_world(self, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
         """Points of the mesh's frame in the world."""
         return np.asarray(points @ self.rotation.T + self.shift)
 
-    def into_mesh(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    def to_mesh(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         """Points of the world in the mesh's frame."""
         return np.asarray((points - self.shift) @ self.rotation)
 
-    def turned(self, turn: Float[np.ndarray, "3"], about: Float[np.ndarray, "3"]) -> Pose:
+    def rotate(self, turn: Float[np.ndarray, "3"], about: Float[np.ndarray, "3"]) -> MeshPose:
         """Turned by a rotation vector about a point of the world."""
         rotation = Rotation.from_rotvec(turn).as_matrix()
-        return Pose(rotation @ self.rotation, rotation @ (self.shift - about) + about)
+        return MeshPose(rotation @ self.rotation, rotation @ (self.shift - about) + about)
 
-    def shifted(self, by: Float[np.ndarray, "3"]) -> Pose:
+    def translate(self, by: Float[np.ndarray, "3"]) -> MeshPose:
         """Moved in the world."""
-        return Pose(self.rotation, self.shift + by)
+        return MeshPose(self.rotation, self.shift + by)
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,13 @@ class Region:
     points: Float[np.ndarray, "N 3"]
     starts: Float[np.ndarray, "N 3"]
 
-    def thinned(self, most: int) -> Region:
+    def thin(self, most: int) -> Region:
         """Every k-th, so that at most ``most`` are left."""
         step = max(1, -(-len(self.points) // most))
         return Region(self.points[::step], self.starts[::step])
 
 
-def fit_pose(surface: Surface, region: Region, start: Pose, gates: Iterable[float]) -> Pose:
+def fit_pose(surface: Surface, region: Region, start: MeshPose, gates: Iterable[float]) -> MeshPose:
     """Take one Gauss-Newton step of point-to-plane ICP (Chen and Medioni, 1992) for each gate.
 
     Args:
@@ -106,11 +106,11 @@ def fit_pose(surface: Surface, region: Region, start: Pose, gates: Iterable[floa
     """
     pose = start
     for gate in gates:
-        points = pose.into_mesh(region.points)
+        points = pose.to_mesh(region.points)
         place, normal = surface.nearest(points)
         offset = points - place
         distance = np.linalg.norm(offset, axis=1)
-        sight = pose.into_mesh(region.starts) - place
+        sight = pose.to_mesh(region.starts) - place
         facing = (normal * sight).sum(axis=1) > _FACING * np.linalg.norm(sight, axis=1)
         used = (distance < gate) & facing
         if used.sum() < _FEWEST:
@@ -121,12 +121,12 @@ def fit_pose(surface: Surface, region: Region, start: Pose, gates: Iterable[floa
 
 
 def _take_step(
-    pose: Pose,
+    pose: MeshPose,
     place: Float[np.ndarray, "K 3"],
     normal: Float[np.ndarray, "K 3"],
     offset: Float[np.ndarray, "K 3"],
     weight: Float[np.ndarray, "K"],
-) -> Pose:
+) -> MeshPose:
     """Turn and shift the mesh so that its planes meet the points, all in its own frame."""
     middle = place.mean(axis=0)
     J = np.concatenate([np.cross(place - middle, normal), normal], axis=1)
@@ -137,4 +137,4 @@ def _take_step(
     step = np.linalg.solve(J.T @ (weight[:, None] * J) + damping, J.T @ (weight * residual))
     turn = step[:3] * min(1.0, _MOST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))
     rotation = Rotation.from_rotvec(turn).as_matrix()
-    return Pose(pose.rotation @ rotation, pose.of(middle + step[3:] - rotation @ middle))
+    return MeshPose(pose.rotation @ rotation, pose.to_world(middle + step[3:] - rotation @ middle))

@@ -1,4 +1,4 @@
-"""Pose of a known mesh in a scan: ICP from many starts, judged by the scan's own rays."""
+"""MeshPose of a known mesh in a scan: ICP from many starts, judged by the scan's own rays."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from perception.detect.sightlines import sight_index
 from perception.errors import MeshError
 from perception.mesh import Mesh
 from perception.solids.closed import Solid, make_solid
-from perception.solids.fit import Pose, Region, Surface, fit_pose
-from perception.solids.judge import MIN_AGREEING, Judge, find_wide_planes, lie_on_planes, make_judge
+from perception.solids.fit import MeshPose, Region, Surface, fit_pose
+from perception.solids.judge import MIN_AGREEING, PoseJudge, find_wide_planes, lie_on_planes, make_pose_judge
 from perception.view import View
 
 CONFIDENT = 0.5
@@ -55,8 +55,8 @@ class MeshMatch:
     def explains(self, points: Float[np.ndarray, "M 3"], times: float = 1.0) -> Bool[np.ndarray, "M"]:
         """Find the points of the world within some times the tolerance of its surface, or inside of closed parts."""
         tolerance = times * self.tolerance
-        pose = Pose(self.pose_world_mesh[:3, :3], self.pose_world_mesh[:3, 3])
-        points = pose.into_mesh(points)
+        pose = MeshPose(self.pose_world_mesh[:3, :3], self.pose_world_mesh[:3, 3])
+        points = pose.to_mesh(points)
         whole = _join_meshes([*self.solid.closed, *self.solid.open])
         explained = np.zeros(len(points), dtype=bool)
         near = _select_near(points, whole, tolerance)
@@ -126,9 +126,9 @@ def match_mesh(
     solid = mesh if isinstance(mesh, Solid) else make_solid(mesh)
     surface, centre, radius = _measure_solid(solid)
     index = sight_index(view.cloud)
-    candidates: list[tuple[float, Pose, Judge]] = []
+    candidates: list[tuple[float, MeshPose, PoseJudge]] = []
     for place in _find_places(view, radius, centre, hint, initial):
-        judge = make_judge(surface, index, view, place, radius)
+        judge = make_pose_judge(surface, index, view, place, radius)
         region = judge.region
         if len(region.points) < MIN_AGREEING:
             continue
@@ -152,8 +152,8 @@ def judge_placed(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4
         pose_world_mesh: (4, 4).
     """
     surface, centre, radius = _measure_solid(solid)
-    pose = Pose(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
-    judge = make_judge(surface, sight_index(view.cloud), view, pose.of(centre), radius)
+    pose = MeshPose(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
+    judge = make_pose_judge(surface, sight_index(view.cloud), view, pose.to_world(centre), radius)
     match = _make_match(pose, judge, 0.0, solid)
     return replace(match, residuals={name: value for name, value in match.residuals.items() if name != "rival"})
 
@@ -166,31 +166,31 @@ def _measure_solid(solid: Solid) -> tuple[Surface, Float[np.ndarray, "3"], float
 
 
 def _search(
-    surface: Surface, judge: Judge, region: Region, starts: Sequence[Pose], radius: float
-) -> list[tuple[float, Pose]]:
+    surface: Surface, judge: PoseJudge, region: Region, starts: Sequence[MeshPose], radius: float
+) -> list[tuple[float, MeshPose]]:
     """Fit every start by a few steps on few points, then the best on many."""
-    few = region.thinned(_COARSE_POINTS)
+    few = region.thin(_COARSE_POINTS)
     gates = np.linspace(0.6 * radius, 0.05, 6)
     rough = [fit_pose(surface, few, start, gates) for start in starts]
-    scores = [judge.verdict(pose, _COARSE_RAYS, _COARSE_POINTS).score for pose in rough]
+    scores = [judge.count(pose, _COARSE_RAYS, _COARSE_POINTS).score for pose in rough]
     best = np.argsort(scores, kind="stable")[::-1][:_N_BEST]
-    many = region.thinned(_MOST_POINTS)
+    many = region.thin(_MOST_POINTS)
     gates = np.concatenate([np.linspace(0.06, 0.025, 12), np.full(12, 0.025)])
     fine = [fit_pose(surface, many, rough[i], gates) for i in best]
-    scored = [(judge.verdict(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in fine]
+    scored = [(judge.count(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in fine]
     scored.sort(key=lambda candidate: -candidate[0])
     return [_nudge(surface, judge, many, best) for best in scored[:_N_NUDGED]] + scored[_N_NUDGED:]
 
 
-def _nudge(surface: Surface, judge: Judge, region: Region, best: tuple[float, Pose]) -> tuple[float, Pose]:
+def _nudge(surface: Surface, judge: PoseJudge, region: Region, best: tuple[float, MeshPose]) -> tuple[float, MeshPose]:
     """Return the best pose that fits from a little beside it lead to; ICP stalls along faces it slides on."""
-    few = region.thinned(_NUDGE_POINTS)
+    few = region.thin(_NUDGE_POINTS)
     for step in _NUDGES:
-        about = best[1].of(np.zeros(3))
-        beside = [best[1].shifted(sign * step * axis) for axis in best[1].rotation.T for sign in (-1.0, 1.0)]
-        beside += [best[1].turned(sign * 5.0 * step * axis, about) for axis in np.eye(3) for sign in (-1.0, 1.0)]
+        about = best[1].to_world(np.zeros(3))
+        beside = [best[1].translate(sign * step * axis) for axis in best[1].rotation.T for sign in (-1.0, 1.0)]
+        beside += [best[1].rotate(sign * 5.0 * step * axis, about) for axis in np.eye(3) for sign in (-1.0, 1.0)]
         poses = [fit_pose(surface, few, pose, _NUDGE_GATES) for pose in beside]
-        best = max([best, *((judge.verdict(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in poses)],
+        best = max([best, *((judge.count(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in poses)],
                     key=lambda scored: scored[0])  # fmt: skip
     return best[0], fit_pose(surface, region, best[1], _NUDGE_GATES[-3:])
 
@@ -223,30 +223,30 @@ def _make_starts(
     radius: float,
     region: Region,
     initial: Float[np.ndarray, "4 4"] | None,
-) -> list[Pose]:
+) -> list[MeshPose]:
     """Make poses to start from: around the initial one, or evenly over all orientations about the place."""
     if initial is not None:
-        given = Pose(initial[:3, :3], initial[:3, 3])
+        given = MeshPose(initial[:3, :3], initial[:3, 3])
         turns = [np.zeros(3), *(sign * 0.3 * axis for axis in np.eye(3) for sign in (-1, 1))]
         shifts = [np.zeros(3), *(sign * 0.08 * axis for axis in np.eye(3) for sign in (-1, 1))]
-        about = given.of(centre)
-        return [given.turned(turn, about).shifted(shift) for turn in turns for shift in shifts]
+        about = given.to_world(centre)
+        return [given.rotate(turn, about).translate(shift) for turn in turns for shift in shifts]
     core = region.points[np.linalg.norm(region.points - place, axis=1) <= radius]
     middle = np.median(core, axis=0) if len(core) >= MIN_AGREEING else place
     away = middle - region.starts.mean(axis=0)
     # Only the near side is seen: the middle of the object lies behind the middle of its points.
     middle = middle + 0.2 * radius * away / max(float(np.linalg.norm(away)), 1e-9)
     rotations = Rotation.random(_N_ORIENTATIONS, rng=np.random.default_rng(0)).as_matrix()
-    return [Pose(rotation, middle - rotation @ centre) for rotation in rotations]
+    return [MeshPose(rotation, middle - rotation @ centre) for rotation in rotations]
 
 
-def _is_different(pose: Pose, other: Pose, centre: Float[np.ndarray, "3"]) -> bool:
+def _is_different(pose: MeshPose, other: MeshPose, centre: Float[np.ndarray, "3"]) -> bool:
     angle = np.degrees(Rotation.from_matrix(pose.rotation.T @ other.rotation).magnitude())
-    return bool(angle > _DIFFERENT_DEG or np.linalg.norm(pose.of(centre) - other.of(centre)) > _DIFFERENT_M)
+    return bool(angle > _DIFFERENT_DEG or np.linalg.norm(pose.to_world(centre) - other.to_world(centre)) > _DIFFERENT_M)
 
 
-def _make_match(pose: Pose, judge: Judge, rival: float, solid: Solid) -> MeshMatch:
-    verdict = judge.verdict(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
+def _make_match(pose: MeshPose, judge: PoseJudge, rival: float, solid: Solid) -> MeshMatch:
+    verdict = judge.count(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
     met = max(1, verdict.agreeing + verdict.through)
     through = verdict.through / met
     hidden = verdict.hidden / max(1, met + verdict.hidden)

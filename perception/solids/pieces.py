@@ -63,7 +63,7 @@ def make_coacd_pieces(
     if not len(points):
         return Pieces((), {})
     clock = Clock()
-    grid, free = _make_grid(points, starts, rays)
+    grid, free = _make_cells(points, starts, rays)
     clock.lap("voxels")
     parts = _split_grid(grid, free, work or Work())
     clock.lap("coacd")
@@ -73,14 +73,14 @@ def make_coacd_pieces(
 
 
 @dataclass(frozen=True)
-class _Grid:
+class _Cells:
     """Occupied cells: ``lower`` (3,) corner and ``size`` of a cell [m]."""
 
     occupied: Bool[np.ndarray, "X Y Z"]
     lower: Float[np.ndarray, "3"]
     size: float
 
-    def surfaces(self) -> list[Mesh]:
+    def wrap(self) -> list[Mesh]:
         """Return the surface of each group of cells that touch."""
         label, _ = ndimage.label(self.occupied, _TOUCHING)
         return [
@@ -88,7 +88,7 @@ class _Grid:
             for i, box in enumerate(ndimage.find_objects(label))
         ]
 
-    def within(self, part: Float[np.ndarray, "V 3"]) -> _Grid:
+    def crop(self, part: Float[np.ndarray, "V 3"]) -> _Cells:
         """Return only the cells whose middle lies in a convex part."""
         hull = make_hull(part, np.arange(0))
         first = np.maximum(np.floor((hull.lower - self.lower) / self.size).astype(int), 0)
@@ -97,14 +97,14 @@ class _Grid:
         cells = np.argwhere(block)
         lower = self.lower + first * self.size
         block[tuple(cells[~hull.is_within((cells + 0.5) * self.size + lower, 0.25 * self.size)].T)] = False
-        return _Grid(block, lower, self.size)
+        return _Cells(block, lower, self.size)
 
 
-def _make_grid(
+def _make_cells(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-) -> tuple[_Grid, FreeSpace]:
+) -> tuple[_Cells, FreeSpace]:
     """Mark cells that hold points or lie between neighbouring ones and were not seen free; and what was seen free."""
     size = _VOXEL
     points = smooth_points(points, np.ones(len(points), dtype=int), starts, np.arange(len(points)))
@@ -117,7 +117,7 @@ def _make_grid(
     _mark(occupied, between[~free.contains(between)], lower, size)
     for aside in _ASIDE * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
         _mark(occupied, points + aside, lower, size)
-    return _Grid(occupied, lower, size), free
+    return _Cells(occupied, lower, size), free
 
 
 def _mark(grid: Bool[np.ndarray, "X Y Z"], at: Float[np.ndarray, "N 3"], lower: np.ndarray, size: float) -> None:
@@ -140,10 +140,10 @@ def _bridge_gaps(
     return np.asarray((points[row] + steps * (ends - points[row])).reshape(-1, 3))
 
 
-def _split_grid(grid: _Grid, free: FreeSpace, work: Work) -> Parts:
+def _split_grid(grid: _Cells, free: FreeSpace, work: Work) -> Parts:
     """Split all groups of cells; parts that hold free space are split again at half the threshold."""
     done: list[Float[np.ndarray, "V 3"]] = []
-    coacd, todo = _COACD, grid.surfaces()
+    coacd, todo = _COACD, grid.wrap()
     for again in range(_PASSES + 1):
         hulls = [make_hull(mesh.vertices, np.arange(0)) for mesh in todo]
         whole = [is_free_of(hull, free) for hull in hulls]
@@ -154,7 +154,7 @@ def _split_grid(grid: _Grid, free: FreeSpace, work: Work) -> Parts:
             if again == _PASSES or measure_evidence(make_hull(part, np.arange(0)), free).free_share < _MOST_FREE:
                 done.append(part)
             else:
-                todo += grid.within(part).surfaces()
+                todo += grid.crop(part).wrap()
         coacd = replace(coacd, threshold_m=0.5 * coacd.threshold_m)
     return tuple(done)
 
