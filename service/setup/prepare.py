@@ -16,7 +16,7 @@ from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
 from service.body.holds import KeptPose, kept_poses
-from service.demands import compose_scene
+from service.demands import compose_scene, planted_feet
 from service.errors import RequestError, would_do
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
@@ -241,15 +241,14 @@ def _soles(
 ) -> dict[str, np.ndarray]:
     if program is not None:
         return {foot: sole(robot, start, foot) for foot in program.planted}
-    feet = request.options.feet
+    listed = request.options.feet
     if not robot.is_floating:
-        if feet:
+        if listed:
             raise RequestError("options.feet: this robot's base is fixed and plants no feet; leave it out")
         return {}
-    if feet == ():
+    if listed == ():
         raise RequestError("options.feet: lists no link; name the planted links, or leave it out for the robot's own")
-    if feet is None:
-        feet = robot.link_groups.get(FEET_GROUP, ())
+    feet = planted_feet(robot, listed)
     if not feet:
         raise RequestError(f"options.feet: {robot.name} names no links in its group 'feet'; list the planted links")
     bodied = {body.link for body in robot.bodies}
