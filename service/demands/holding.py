@@ -14,7 +14,7 @@ from service.demands.recorded_turn import RecordedTurn
 from service.demands.stance import Stance, leaving_allowances, standing_allowances
 from service.demands.targets import goal_targets, kept_target
 from service.demands.wheel import robot_with_wheel
-from service.start.overlaps import hull_overlaps
+from service.start.overlaps import find_hull_overlaps
 from service.verify import Motion, Phase, Target
 from service.verify.coverage.required import waived_checks
 
@@ -93,7 +93,7 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
     is_balanced = demands.program is None or demands.program.is_balanced
     stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced)
     leaves = request.options.escape and demands.program is None
-    inside = hull_overlaps(robot, start, demands.scene, feet) if leaves else []
+    inside = find_hull_overlaps(robot, start, demands.scene, feet) if leaves else []
     targets: tuple[Target, ...] = ()
     lines: tuple[str, ...] = ()
     knots = recorded.curve.knots

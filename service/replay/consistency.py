@@ -23,7 +23,7 @@ CLAIM_TOLERANCE = 1e-4  # of a clearance or balance margin proven on another mac
 CHANGED = "the result was changed after it was written"
 
 
-def contradictions(
+def find_contradictions(
     data: Mapping[str, Any], motion: Motion, robot: RobotModel, certificate: Certificate, table: Path | None
 ) -> tuple[str, ...]:
     """One sentence for everything in a result that does not fit the rest of it.
