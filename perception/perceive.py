@@ -23,9 +23,8 @@ from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
 from perception.errors import MeshError
 from perception.floor import FloorPlane, floor_pieces
 from perception.neighbours import nearest
-from perception.solids.known import KnownMesh, located
-from perception.solids.match import MeshMatch
-from perception.solids.pieces import made_by_coacd
+from perception.solids.match import KnownMesh, MeshMatch, located
+from perception.solids.pieces import make_coacd_pieces
 from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]
@@ -196,7 +195,7 @@ def _made(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coa
     """Pieces of the kept obstacle points; ``pieces[i].points`` are indices into all of them."""
     points, starts = view.obstacles[kept], view.starts[kept]
     if method == "coacd":
-        made = made_by_coacd(points, starts, view.cloud.rays)
+        made = make_coacd_pieces(points, starts, view.cloud.rays)
     else:
         made = make_pieces(points, starts, view.cloud.rays, view.seed)
     return replace(made, pieces=tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces))

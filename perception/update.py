@@ -23,8 +23,7 @@ from perception.floor import FloorPlane, on_floors
 from perception.levels_again import may_be_level
 from perception.locally import LocalJudge
 from perception.perceive import Perceived, floors_of, matched, unexplained, without_best
-from perception.solids.known import KnownMesh
-from perception.solids.match import MeshMatch
+from perception.solids.match import KnownMesh, MeshMatch
 from perception.view import Cropped, View, crop, view_of
 
 _SAME = 0.01

@@ -21,9 +21,9 @@ from service.body.whole_body import Aims, WholeBody
 from service.explain.conflict import Conflict
 from service.explain.narrow import explain
 from service.motion.execute import make_motion
-from service.motion.repair import repaired
+from service.motion.repair import repair_plan
 from service.motion.timing import TimingSettings
-from service.request.schema import Options, PlanRequest, check_planned
+from service.request.schema import Options, PlanRequest, check_task_has_planner
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task
@@ -76,7 +76,7 @@ def plan(
         RequestError: one line per problem of the request or of a file it names.
         UnplannedTaskError: the task is one that nothing here can plan yet.
     """
-    check_planned(request)
+    check_task_has_planner(request)
     # Small matrices all through: BLAS threads cost more than they bring, and another plan can use the core.
     with _one_thread():
         monitor = Monitor(request.options.time_limit_s, should_stop, on_progress, on_iteration)
@@ -112,7 +112,7 @@ def _plan(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PlanResult
         with stops_when(monitor.is_over):
             _run(setup, monitor, attempt, terms)
     except (Interrupted, Stopped) as interruption:
-        status = interruption.status if isinstance(interruption, Interrupted) else monitor.why_stopped()
+        status = interruption.status if isinstance(interruption, Interrupted) else monitor.stop_reason()
         verdict, text = VERDICT_OF_INTERRUPT[status]
         step = next(reversed(monitor.timings), "set-up")
         attempt.interrupted(verdict, text.format(limit=request.options.time_limit_s, step=step))
@@ -179,9 +179,9 @@ class _Attempt:
         """The goal to look at where there is no motion, unless time was up."""
         if self.motion is not None or self.verdict not in (Verdict.INFEASIBLE, Verdict.NOT_FOUND):
             return None
-        from service.result.obstruction import obstruction_of  # few results need it
+        from service.result.obstruction import describe_obstruction  # few results need it
 
-        return obstruction_of(setup)
+        return describe_obstruction(setup)
 
 
 def _show_best(attempt: _Attempt, options: Options, monitor: Monitor) -> None:
@@ -243,7 +243,7 @@ def _certify(task: TaskPlan, options: Options, monitor: Monitor, attempt: _Attem
         attempt.keep_better(mended, motion, certificate)
         if not mended.is_feasible or certificate.status is Status.CERTIFIED:
             return
-        mended = repaired(mended, motion, certificate, monitor)
+        mended = repair_plan(mended, motion, certificate, monitor)
 
 
 def _motion(task: TaskPlan, options: Options) -> Motion:

@@ -23,7 +23,7 @@ from service.result.output import write_result
 from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.setup.prepare import prepare
-from service.start.overlaps import Overlap, overlaps
+from service.start.overlaps import Overlap, find_overlaps
 from service.tasks.escape import DEPTH_ROUNDING, LeavingBody
 from service.verify import Basis, Status, verify
 
@@ -112,7 +112,7 @@ def test_the_depth_falls_to_nothing_within_the_phase_and_every_other_pair_is_cle
     first = result.motion.phases[0]
     found = []
     for s in np.linspace(first.first, result.motion.phases[-1].last, 400):
-        inside = overlaps(result.robot, result.motion.curve(np.array([s]))[0], result.scene, ())
+        inside = find_overlaps(result.robot, result.motion.curve(np.array([s]))[0], result.scene, ())
         assert {(one.link, one.other) for one in inside} <= ({("l2", "block")} if s < first.last else set())
         found += [inside[0].depth if inside else 0.0] if s <= first.last else []
     assert found[0] == pytest.approx(0.01, abs=1e-6)

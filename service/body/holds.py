@@ -32,7 +32,7 @@ START_SHARE = 0.5  # of the tolerances may be used up at the start, the rest is 
 DRIFT_SHARE = 0.25  # of the tolerances may a row drift between waypoints
 
 
-def linearized(
+def linearize_holds(
     engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
 ) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k n"]]:
     """Residuals and Jacobians of all holds at separate configurations."""
@@ -53,25 +53,29 @@ def linearized(
     return np.concatenate(values, axis=1), np.concatenate(jacobians, axis=1)
 
 
-def projected(engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]) -> Float[np.ndarray, "S n"]:
+def project_onto_holds(
+    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
+) -> Float[np.ndarray, "S n"]:
     """The nearest configurations that keep the holds (Gauss-Newton with least-norm steps)."""
     poll()
     if not holds or not len(q):
         return q
     for _ in range(PROJECTION_STEPS):
-        value, jacobian = linearized(engine, q, holds)
+        value, jacobian = linearize_holds(engine, q, holds)
         if np.abs(value).max() < PROJECTION_TOLERANCE:
             break
-        q = q - least_norm(jacobian, value)
+        q = q - least_norm_step(jacobian, value)
     return q
 
 
-def least_norm(jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "S n"]:
+def least_norm_step(jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "S n"]:
     """The shortest step that changes the value by as much."""
     return np.asarray(np.einsum("snk,sk->sn", np.linalg.pinv(jacobian, rcond=1e-6), value))
 
 
-def largest(engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]) -> Float[np.ndarray, "S"]:
+def largest_hold_error(
+    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
+) -> Float[np.ndarray, "S"]:
     """Largest residual of any hold at each configuration."""
     if not holds:
         return np.zeros(len(q))
@@ -165,7 +169,9 @@ class KeptPose:
         return place, AxisDirection(robot, self.link, waypoints, self.free_axis, direction, self.reference)
 
 
-def kept_poses(robot: RobotModel, start: Float[np.ndarray, "n"], keep: Sequence[KeepRequest]) -> tuple[KeptPose, ...]:
+def make_kept_poses(
+    robot: RobotModel, start: Float[np.ndarray, "n"], keep: Sequence[KeepRequest]
+) -> tuple[KeptPose, ...]:
     """What a request keeps, for a robot that has the links it names, from the configuration ``start`` on.
 
     Raises:

@@ -162,7 +162,7 @@ def _plan(
     out, err = consoles()
     with progress(err, "read request") as report, cancellable(err) as should_stop:
         report("read request", 0.0)
-        from service.request.file import load_request, with_cloud
+        from service.request.file import load_request, replace_cloud
 
         if trajopt is None:
             request = load_request(request_file)
@@ -171,7 +171,7 @@ def _plan(
 
             request = load_trajopt_request(request_file, TrajoptFiles(**trajopt))
         if cloud is not None:
-            request = with_cloud(request, cloud)
+            request = replace_cloud(request, cloud)
         from service.planner import plan
         from service.result.folder import check_folder
         from service.result.output import write_result

@@ -14,7 +14,7 @@ from service.client.answers import summarize
 from service.client.local_files import find_local_files
 from service.proto.planner.v1.planner_pb2 import Iteration, PlanProgress, PlanResponse
 from service.request.file import load_request
-from service.request.schema import check_planned
+from service.request.schema import check_task_has_planner
 from service.result.folder import ResultFiles, check_folder
 
 LOG_PERIOD_S = 1.0  # between two iterations if stderr is no terminal
@@ -33,7 +33,7 @@ def request_plan(
     with progress(err, "read request") as report:
         report("read request", 0.0)
         request = load_request(request_file)
-        check_planned(request)
+        check_task_has_planner(request)
         check_folder(folder)
         with connect(server, err) as client:
             names = ", ".join(find_local_files(request))

@@ -15,7 +15,7 @@ import grpc
 from service.client.errors import PlannerError
 from service.errors import ResultError, shown
 from service.proto.planner.v1.result_pb2 import FileChunk
-from service.result.folder import WRITTEN, check_folder, replaced
+from service.result.folder import WRITTEN, check_folder, replace_folder
 
 MAX_FILES = 5000
 MAX_BYTES = 1 * 2**30  # of all files together
@@ -121,7 +121,7 @@ def receive_files(folder: Path | None) -> Iterator[ReceivedFiles | None]:
         return
     check_folder(folder)
     try:
-        with replaced(folder) as fresh, ReceivedFiles(fresh) as files:
+        with replace_folder(folder) as fresh, ReceivedFiles(fresh) as files:
             yield files
             files.finish()
     except OSError as error:

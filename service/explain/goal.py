@@ -19,9 +19,9 @@ from scipy.spatial.transform import Rotation
 from costs.kinematics import frame_of, planted_poses
 from costs.robot import BASE_NAMES, LinkBody, RobotModel
 from costs.scene import ConvexPiece
-from service.body.reach import beyond_reach, too_far_apart
+from service.body.reach import find_out_of_reach, too_far_apart
 from service.body.whole_body import WholeBody
-from service.start.overlaps import EXACT_ROUNDING_M, ExactShape, Overlap, overlaps_and_unresolved
+from service.start.overlaps import EXACT_ROUNDING_M, ExactShape, Overlap, find_overlaps_and_unresolved
 from service.verify import JointTarget, PoseTarget, Target
 
 SAME_STANCE = 1e-3  # planted links that place the base within this agree [m, rad]
@@ -45,7 +45,7 @@ class GoalReasons:
     notes: tuple[str, ...] = ()
 
 
-def goal_reasons(body: WholeBody, targets: Sequence[Target]) -> GoalReasons:
+def find_goal_reasons(body: WholeBody, targets: Sequence[Target]) -> GoalReasons:
     """What stands against a goal.
 
     Args:
@@ -54,7 +54,7 @@ def goal_reasons(body: WholeBody, targets: Sequence[Target]) -> GoalReasons:
     """
     poses = [target for target in targets if isinstance(target, PoseTarget)]
     joints = {target.joint: target.value for target in targets if isinstance(target, JointTarget)}
-    found = [*_given_joints(body, joints), *given_poses(body, poses)]
+    found = [*_given_joints(body, joints), *check_given_poses(body, poses)]
     in_collision = tuple(f"the goal is in collision: {one.text}" for one in found if one.how is How.INSIDE)
     return GoalReasons(
         (*_beyond_reach(body, poses), *in_collision),
@@ -65,12 +65,12 @@ def goal_reasons(body: WholeBody, targets: Sequence[Target]) -> GoalReasons:
 
 def never_reached(body: WholeBody, targets: Sequence[Target]) -> tuple[str, ...]:
     """Sentences, one for each reason why no motion ends as promised; none if there may be one."""
-    return goal_reasons(body, targets).impossible
+    return find_goal_reasons(body, targets).impossible
 
 
 def _beyond_reach(body: WholeBody, poses: Sequence[PoseTarget]) -> Iterator[str]:
     for pose in poses:
-        reason = beyond_reach(body, pose.frame, pose.position, shift(pose))
+        reason = find_out_of_reach(body, pose.frame, pose.position, shift(pose))
         if reason is not None:
             yield reason
     for one, other in combinations(poses, 2):
@@ -98,7 +98,7 @@ def _given_joints(body: WholeBody, joints: Mapping[str, float]) -> Iterator[Find
         end[: len(BASE_NAMES)], placed[: len(BASE_NAMES)] = base, True
     supports = body.engine.topology.supports
     joint_of = {one.link: one.joint for one in robot.bodies}
-    inside, near = overlaps_and_unresolved(robot, end, body.scene, [foot.link for foot in body.planted])
+    inside, near = find_overlaps_and_unresolved(robot, end, body.scene, [foot.link for foot in body.planted])
     for overlap in (*inside, *near):
         chain = supports[joint_of[overlap.link]]
         if overlap.kind is None:
@@ -150,7 +150,7 @@ class Finding:
     how: How
 
 
-def given_poses(body: WholeBody, poses: Sequence[PoseTarget]) -> Iterator[Finding]:
+def check_given_poses(body: WholeBody, poses: Sequence[PoseTarget]) -> Iterator[Finding]:
     """Links at a given pose that are in a piece, in a link that no joint moves, or in a link at another given pose."""
     robot, planted = body.robot, {foot.link for foot in body.planted}
     fixed: list[LinkBody | ConvexPiece] = [*body.scene.pieces, *(one for one in robot.bodies if one.joint == 0)]

@@ -21,7 +21,7 @@ from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, m
 from service.verify.dynamics import forces, sample_times
 from service.verify.limits import timed_peaks
 from service.verify.motion import Motion, Phase, SupportPolygon
-from service.verify.promises import outside_polygon
+from service.verify.stance_checks import outside_polygon
 
 # A motionless stretch has no limit of its own: no knot interval is passed faster than this [s].
 _SHORTEST_KNOT_TIME = 0.01

@@ -147,12 +147,12 @@ class Section:
         return data
 
 
-def repeated(names: Iterable[str]) -> list[str]:
+def find_repeated(names: Iterable[str]) -> list[str]:
     """Those that stand there more than once, sorted."""
     return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
-def exactly_one(section: object, names: tuple[str, ...]) -> None:
+def require_exactly_one(section: object, names: tuple[str, ...]) -> None:
     given = [name for name in names if getattr(section, name)]
     if len(given) != 1:
         raise PydanticCustomError(

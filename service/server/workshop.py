@@ -133,7 +133,7 @@ class Workshop:
 
     def place(self, piece: Piece[Any]) -> int | None:
         """1 for what is next; None for what does not wait."""
-        return self.executor.place(piece.job)
+        return self.executor.queue_position(piece.job)
 
     def kind_at(self, pid: int | None) -> str:
         """What a worker is at."""
@@ -221,7 +221,7 @@ async def outcome(piece: Piece[T]) -> T:
     except WorkerDied as error:
         raise Refusal(
             grpc.StatusCode.INTERNAL,
-            f"{error.attempts} workers ended while they were at it (the last: {error.how}); it is not tried again",
+            f"{error.attempts} workers ended while they were at it (the last: {error.cause}); it is not tried again",
         ) from None
     except ExecutorError as error:
         raise Refusal(grpc.StatusCode.INTERNAL, str(error)) from None

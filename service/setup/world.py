@@ -27,13 +27,12 @@ from service.request.scene import (
     SphereRequest,
 )
 from service.request.schema import PlanRequest
-from service.scan.meshes import convex_parts, read_solid
+from service.scan.meshes import read_solid, split_convex
 from service.start.standing import place_bodies
 
 if TYPE_CHECKING:
     from perception.solids.closed import Solid
-    from perception.solids.known import KnownMesh
-    from perception.solids.match import MeshMatch
+    from perception.solids.match import KnownMesh, MeshMatch
 
 if TYPE_CHECKING:
     from perception import Perceived, ValveDetection
@@ -62,7 +61,7 @@ class Surroundings:
 NOTHING = Surroundings(())
 
 
-def surroundings(
+def read_surroundings(
     request: PlanRequest,
     robot: RobotModel,
     start: Float[np.ndarray, "n"],
@@ -109,7 +108,7 @@ def _scanned(
 
     scene = request.scene
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
-    known = known_meshes(request)
+    known = load_match_meshes(request)
     try:
         cloud = read_clouds(
             [(request.resolve(one.file), one.transform) for one in scene.cloud_files],
@@ -144,13 +143,13 @@ class Obstacles:
     notes: tuple[str, ...]
 
 
-def known_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
+def load_match_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
     """The meshes that the request's scan is to show.
 
     Raises:
         RequestError: a mesh file that cannot be used.
     """
-    from perception.solids.known import KnownMesh  # takes a while, and only requests with a scan need it
+    from perception.solids.match import KnownMesh  # takes a while, and only requests with a scan need it
 
     return tuple(
         KnownMesh(one.name, _solid(request, one, f"scene.obstacles[{index}].file"), _pose(one))
@@ -159,7 +158,7 @@ def known_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
     )
 
 
-def obstacles_of(
+def build_obstacles(
     request: PlanRequest,
     matches: Mapping[str, MeshMatch] = MappingProxyType({}),
 ) -> Obstacles:
@@ -185,7 +184,7 @@ def obstacles_of(
                 pose = _pose_found(obstacle, match, f"{field}.match")
                 x, y, z = pose[:3, 3]
                 notes.append(f"{obstacle.name} found at ({x:.3f}, {y:.3f}, {z:.3f}), confidence {match.confidence:.2f}")
-            parts: Sequence[np.ndarray] = convex_parts(
+            parts: Sequence[np.ndarray] = split_convex(
                 solid,
                 Path(obstacle.file).name,
                 f"{field}.file",

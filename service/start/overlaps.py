@@ -15,8 +15,8 @@ from costs.primitive import Primitive
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.start.standing import FLOOR_KIND
-from service.verify.convex import convex_of
 from service.verify.ground import GROUND_TOLERANCE_M
+from service.verify.solids import convex_of
 
 TOUCH_M = 1e-6
 EXACT_ROUNDING_M = 1e-5
@@ -69,33 +69,37 @@ class Overlap:
         return f"{self.link} is {_length(self.depth)} {self.where}"
 
 
-def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[str]:
+def describe_collisions(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+) -> list[str]:
     """One line for each pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
-    return [str(overlap) for overlap in overlaps(robot, q, scene, planted)]
+    return [str(overlap) for overlap in find_overlaps(robot, q, scene, planted)]
 
 
-def overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
+def find_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
     """Every pair that is in collision at ``q`` by its shapes, the deepest first; planted feet may touch the floor."""
-    return overlaps_and_unresolved(robot, q, scene, planted)[0]
+    return find_overlaps_and_unresolved(robot, q, scene, planted)[0]
 
 
-def overlaps_and_unresolved(
+def find_overlaps_and_unresolved(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> tuple[list[Overlap], list[Overlap]]:
     """Pairs in collision by their shapes, and pairs of which only the hulls overlap; the deepest first."""
-    found = _hull_overlaps(robot, q, scene, planted)
-    inside = _deepest([one for one, is_inside in found if is_inside])
+    found = _find_hull_overlaps(robot, q, scene, planted)
+    inside = _keep_deepest([one for one, is_inside in found if is_inside])
     met = {frozenset(one.pair) for one in inside}
-    return inside, _deepest([one for one, _ in found if frozenset(one.pair) not in met])
+    return inside, _keep_deepest([one for one, _ in found if frozenset(one.pair) not in met])
 
 
-def hull_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
+def find_hull_overlaps(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+) -> list[Overlap]:
     """Every pair whose hulls overlap at ``q``, with the hulls' depths, the deepest first."""
-    found = _hull_overlaps(robot, q, scene, planted)
-    return _deepest([replace(one, depth=one.hull_depth) for one, _ in found])
+    found = _find_hull_overlaps(robot, q, scene, planted)
+    return _keep_deepest([replace(one, depth=one.hull_depth) for one, _ in found])
 
 
-def _hull_overlaps(
+def _find_hull_overlaps(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> list[tuple[Overlap, bool]]:
     """Bodies and what their hulls are deeper in than they may be, and whether that is so by their shapes too."""
@@ -106,7 +110,7 @@ def _hull_overlaps(
     poses = [data.oMi[one.joint].homogeneous if isinstance(one, LinkBody) else here for one in things]
     vertices = [one.vertices @ pose[:3, :3].T + pose[:3, 3] for one, pose in zip(things, poses, strict=True)]
     found: list[tuple[Overlap, bool]] = []
-    for k, j in _whose_boxes_meet(vertices, len(robot.bodies)):
+    for k, j in _find_box_pairs(vertices, len(robot.bodies)):
         body, other = robot.bodies[k], things[j]
         allowed = _allowed_depth(robot, body, other, planted)
         if not np.isfinite(allowed):
@@ -123,7 +127,7 @@ def _hull_overlaps(
     return found
 
 
-def _deepest(found: Sequence[Overlap]) -> list[Overlap]:
+def _keep_deepest(found: Sequence[Overlap]) -> list[Overlap]:
     """Of each pair the bodies that are deepest, the deepest pair first."""
     deepest: dict[frozenset[BodyRef], Overlap] = {}
     for overlap in sorted(found, key=lambda one: (-one.depth, -one.hull_depth)):
@@ -140,7 +144,7 @@ def _length(metres: float) -> str:
     return f"{1e3 * metres:.1f} mm" if metres < 9.95e-3 else f"{1e3 * metres:.0f} mm"
 
 
-def no_way_out(overlap: Overlap, planted: Sequence[str]) -> str:
+def describe_dead_end(overlap: Overlap, planted: Sequence[str]) -> str:
     """Why an overlap cannot be left; empty when it can."""
     names = [overlap.link, overlap.other] if overlap.kind is None else [overlap.link]
     if all(name in planted for name in names):
@@ -148,7 +152,7 @@ def no_way_out(overlap: Overlap, planted: Sequence[str]) -> str:
     return ""
 
 
-def _whose_boxes_meet(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
+def _find_box_pairs(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
     """Bodies (the first sets) with a later set whose bounding box meets theirs."""
     low, high = (np.array([end(points, axis=0) for points in vertices]).reshape(-1, 3) for end in (np.min, np.max))
     meets = np.all((low[:n_bodies, None] <= high) & (low <= high[:n_bodies, None]), axis=2)
@@ -198,10 +202,10 @@ class ExactShape:
 
         The poses place the frames of what the shapes belong to in the world; without one, a frame is the world's.
         """
-        return penetration(self.geometry, other.geometry, _at(pose, self.pose), _at(pose_other, other.pose))
+        return penetration_depth(self.geometry, other.geometry, _at(pose, self.pose), _at(pose_other, other.pose))
 
 
-def penetration(
+def penetration_depth(
     first: coal.CollisionGeometry,
     second: coal.CollisionGeometry,
     pose_first: coal.Transform3s | None = None,

@@ -13,11 +13,11 @@ from costs.kinematics import planted_poses
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
-from service.body.holds import Hold, least_norm, linearized
+from service.body.holds import Hold, least_norm_step, linearize_holds
 from service.body.whole_body import WholeBody
 from service.demands.goals import AXES, goal_joints, goal_targets, rotation_of
-from service.explain.goal import GoalReasons, goal_reasons
-from service.explain.keep import never_kept
+from service.explain.goal import GoalReasons, find_goal_reasons
+from service.explain.keep import find_never_kept
 from service.request.schema import GoalRequest, PoseGoalRequest
 from service.verify import Target
 
@@ -78,8 +78,8 @@ class Goal:
     def reasons(self) -> GoalReasons:
         """What stands against it before anything is planned."""
         targets = self.targets(0.0)
-        reasons = goal_reasons(self.body, targets)
-        return replace(reasons, impossible=(*reasons.impossible, *never_kept(self.body, targets)))
+        reasons = find_goal_reasons(self.body, targets)
+        return replace(reasons, impossible=(*reasons.impossible, *find_never_kept(self.body, targets)))
 
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
@@ -115,7 +115,7 @@ PLACE, TURN = (True,) * 3 + (False,) * 3, (False,) * 3 + (True,) * 3
 PLACE, TURN = (True,) * 3 + (False,) * 3, (False,) * 3 + (True,) * 3
 
 
-def led(goal: Goal, n_waypoints: int) -> Float[np.ndarray, "T n"] | None:
+def lead_path(goal: Goal, n_waypoints: int) -> Float[np.ndarray, "T n"] | None:
     """Waypoints along which the goal's links go straight from where they are; None where no link has a goal.
 
     Each is the nearest to the one before that keeps what is held, so that arms do not change their ways between two of
@@ -160,10 +160,10 @@ def _nearest(
     """The holds kept as well as a few steps within the limits do; a joint that meets its limit stays there."""
     row, at_limit = q[None], np.zeros(len(q), dtype=bool)
     for _ in range(STEPS):
-        value, jacobian = linearized(body.engine, row, holds)
+        value, jacobian = linearize_holds(body.engine, row, holds)
         if np.abs(value).max() < CLOSE:
             break
-        step = least_norm(np.where(at_limit, 0.0, jacobian), value)
+        step = least_norm_step(np.where(at_limit, 0.0, jacobian), value)
         moved = row - np.clip(step, -LARGEST_STEP, LARGEST_STEP)
         row = np.clip(moved, lower, upper)
         at_limit |= (row != moved)[0]
