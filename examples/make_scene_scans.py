@@ -1,7 +1,7 @@
 """Simulate the scans of a door and of the inside of a vehicle used by `examples/requests/{door,egress}.yaml`.
 
-Writes ``examples/data/{door,vehicle}_scan.{pcd,json}`` and prints their sizes.  Points are in world coordinates,
-VIEWPOINT is the sensor pose, the JSON file holds the true objects.  The robot stands or sits at the origin and faces +x.
+Writes ``examples/data/{door,vehicle}_scan.{pcd,json}`` and prints their sizes.  Points are in world coordinates;
+VIEWPOINT is the sensor pose, the JSON file holds the true objects. The robot is at the origin and faces +x.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Simulate the bundled scan: a wheel valve in front of a wall, a pipe, a box, and the arms of Atlas in view.
 
 Writes ``examples/data/valve_scan.{pcd,json}`` and prints the size.  Points are in world coordinates, VIEWPOINT is the
-sensor pose, the JSON file holds the true valve.  Atlas stands at the origin in its posture ``reach_ready`` and faces +x.
+sensor pose, the JSON file holds the true valve. Atlas stands at the origin (posture ``reach_ready``) facing +x.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from pathlib import Path
 from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
 from service.request.scene import MESH_SUFFIXES, MeshRequest, SceneRequest
-from service.request.schema import PlanRequest, RobotRequest, check_planned
+from service.request.schema import PlanRequest, RobotRequest, check_task_has_planner
 from service.trust.folders import BUILT, UPLOADED, paths_of
 
 CHUNK_BYTES = 512 * 2**10
@@ -80,7 +80,7 @@ def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
     Raises:
         RequestError: a file does not exist here or cannot be found by the server; a task without a planner.
     """
-    check_planned(request)
+    check_task_has_planner(request)
     problems = []
     uploads_first = sorted(paths_of(request), key=lambda path: path[2] in ("file", "mesh"))
     for field, path, kind in uploads_first:

@@ -23,7 +23,6 @@ from service.proto.planner.v1.planner_pb2 import (
 from service.request.file import parse_scene, parse_start
 from service.request.scene import SceneRequest
 from service.request.schema import RobotRequest
-from service.rpc import Context, deadline_of
 from service.scan.cloud import CloudInput
 from service.server.asked import uploaded
 from service.server.cloud_problems import Kept, as_sent, robot_problems, start_problems
@@ -35,6 +34,7 @@ from service.server.settings import SMALL_BYTES, ServerSettings
 from service.server.workshop import Workshop, outcome
 from service.store import CloudStore, Store
 from service.trust import AllowedFolders, current_caller
+from service.trust.rpc import Context, deadline_of
 from service.wire.perceived import detections_to_messages, scene_to_message
 from service.wire.plain import to_plain
 from service.wire.violations import violation

@@ -12,9 +12,9 @@ from typing import Any, Generic, TypeVar
 import grpc
 
 from service.executor import CancellableExecutor, DeadlineExceeded, ExecutorError, Job, PoolClosed, WorkerDied
-from service.rpc import Refusal
 from service.server.admission import Admission
 from service.server.farewell import STOPPING
+from service.trust.rpc import Refusal
 
 T = TypeVar("T")
 OVERTIME_S = 5.0  # beyond its budget, before a worker that does not stop by itself is killed

@@ -1,4 +1,4 @@
-"""Spans for an OpenTelemetry collector; nothing at all where they were not asked for."""
+"""Spans of RPCs for an OpenTelemetry collector; optional."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, Protocol
 
-from service.seen.errors import SeenError
+from service.telemetry.errors import TelemetryError
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
@@ -14,28 +14,28 @@ if TYPE_CHECKING:
 
 
 class Spans(Protocol):
-    """Where spans go."""
+    """Recorder of spans."""
 
-    def of_rpc(self, method: str, metadata: Iterable[tuple[str, str | bytes]]) -> AbstractContextManager[Any]:
-        """A span that lasts until the RPC has ended, and is part of the trace that ``traceparent`` names."""
+    def start_rpc(self, method: str, metadata: Iterable[tuple[str, str | bytes]]) -> AbstractContextManager[Any]:
+        """Start the span of an RPC in the trace named by ``traceparent``; ``end_rpc`` ends it."""
         ...
 
-    def ended(self, span: Any, code: str) -> None:
-        """Say how the RPC of a span has ended."""
+    def end_rpc(self, span: Any, code: str) -> None:
+        """End a span with the status of its RPC."""
         ...
 
     def close(self) -> None:
-        """Send what is left."""
+        """Send the remaining spans."""
         ...
 
 
 class NoSpans:
-    """They go nowhere."""
+    """Recorder that drops all spans."""
 
-    def of_rpc(self, method: str, metadata: Iterable[tuple[str, str | bytes]]) -> AbstractContextManager[Any]:
+    def start_rpc(self, method: str, metadata: Iterable[tuple[str, str | bytes]]) -> AbstractContextManager[Any]:
         return nullcontext()
 
-    def ended(self, span: Any, code: str) -> None:
+    def end_rpc(self, span: Any, code: str) -> None:
         pass
 
     def close(self) -> None:
@@ -43,25 +43,25 @@ class NoSpans:
 
 
 class SentSpans:
-    """They go to a collector.
+    """Recorder that sends spans to a collector.
 
     Args:
-        endpoint: of the collector, as in ``http://127.0.0.1:4317``; http is not encrypted.
-        exporter: where they go instead.
+        endpoint: address of the collector, as in ``http://127.0.0.1:4317``; http is not encrypted.
+        exporter: used instead of the collector.
 
     Raises:
-        SeenError: OpenTelemetry is not installed.
+        TelemetryError: OpenTelemetry is not installed.
     """
 
     def __init__(self, endpoint: str = "", *, exporter: SpanExporter | None = None) -> None:
         try:
             self._provider = _provider(endpoint, exporter)
         except ImportError:
-            raise SeenError("spans need a further library: pip install 'scopt[otel]'") from None
+            raise TelemetryError("spans: OpenTelemetry is not installed; run pip install 'scopt[otel]'") from None
         self._tracer = self._provider.get_tracer("scopt")
 
     @contextmanager
-    def of_rpc(self, method: str, metadata: Iterable[tuple[str, str | bytes]]) -> Iterator[Any]:
+    def start_rpc(self, method: str, metadata: Iterable[tuple[str, str | bytes]]) -> Iterator[Any]:
         from opentelemetry.trace import SpanKind
         from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
@@ -72,13 +72,13 @@ class SentSpans:
             TraceContextTextMapPropagator().extract(carrier),
             SpanKind.SERVER,
             {"rpc.system": "grpc", "rpc.service": service, "rpc.method": name},
-            record_exception=False,  # its text may be the client's
+            record_exception=False,  # its text may quote the client
             set_status_on_exception=False,
             end_on_exit=False,
         ) as span:
             yield span
 
-    def ended(self, span: Any, code: str) -> None:
+    def end_rpc(self, span: Any, code: str) -> None:
         from opentelemetry.trace import StatusCode
 
         span.set_attribute("rpc.grpc.status_code", code)

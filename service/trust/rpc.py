@@ -1,4 +1,4 @@
-"""What interceptors put around an RPC of any kind, and how it ends with more than a code."""
+"""Refusals of RPCs with details, and the base class of the server's interceptors."""
 
 from __future__ import annotations
 
@@ -20,19 +20,18 @@ Handler: TypeAlias = "grpc.RpcMethodHandler[Any, Any]"
 Enter = Callable[[Context], AbstractAsyncContextManager[None]]
 
 DETAILS_KEY = "grpc-status-details-bin"
-MAX_TEXT_BYTES = 1000  # of a status: it travels in a header, and headers of more than 8 KiB end the call otherwise
-# A client that opens a call and says nothing does not hold its place for ever.
-REQUEST_WAIT_S = 60.0
-GONE_AFTER_S = 0.005
+MAX_TEXT_BYTES = 1000  # of a status, which travels in a header; the call fails if its headers exceed 8 KiB
+REQUEST_WAIT_S = 60.0  # an open call without a message must not occupy its place for ever
+CANCEL_DELAY_S = 0.005
 
 
-class Refusal(Exception):  # noqa: N818 - an answer, not an accident
-    """Ends an RPC with a status, a sentence for people, and details for programs.
+class Refusal(Exception):  # noqa: N818 - a regular answer, not a defect
+    """End of an RPC: status code, message, and details for programs.
 
     Attributes:
-        code: the status.
-        text: the sentence.
-        retry_after_s: when to try again, where that may do (``google.rpc.RetryInfo``).
+        code: gRPC status.
+        text: message for people.
+        retry_after_s: delay before another try, if one may succeed (``google.rpc.RetryInfo``).
         details: further messages of google.rpc.
     """
 
@@ -44,11 +43,11 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an accident
         details: Sequence[Message] = (),
     ) -> None:
         super().__init__(text)
-        self.code, self.text, self.retry_after_s = code, shortened(text, MAX_TEXT_BYTES), retry_after_s
+        self.code, self.text, self.retry_after_s = code, shorten(text, MAX_TEXT_BYTES), retry_after_s
         self.details = tuple(details)
 
     def metadata(self) -> tuple[tuple[str, bytes], ...]:
-        """The details as trailing metadata; none where there are none."""
+        """Return the details as trailing metadata; empty without details."""
         details = list(self.details)
         if self.retry_after_s is not None:
             delay = duration_pb2.Duration()
@@ -62,68 +61,68 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an accident
         return ((DETAILS_KEY, status.SerializeToString()),)
 
 
-def shortened(text: str, n_bytes: int) -> str:
-    """The beginning of a text, as UTF-8 of at most ``n_bytes``."""
+def shorten(text: str, n_bytes: int) -> str:
+    """Cut a text to at most ``n_bytes`` of UTF-8."""
     return text.encode(errors="replace")[:n_bytes].decode(errors="ignore")
 
 
 async def refuse(context: Context, refusal: Refusal) -> NoReturn:
-    """End an RPC."""
+    """End an RPC with a refusal."""
     await context.abort(refusal.code, refusal.text, refusal.metadata())
 
 
 def deadline_of(context: Context) -> float | None:
-    """On the clock of ``time.monotonic`` [s]; None where the client set none."""
+    """Return the deadline on the clock of ``time.monotonic`` [s]; None if the client set none."""
     left = context.time_remaining()
     return None if left is None else time.monotonic() + left
 
 
 class Interceptor(grpc.aio.ServerInterceptor, ABC):  # type: ignore[type-arg]
-    """Stands before every call of a method that is there; others have no handler to stand before."""
+    """Base of interceptors: ``wrap_call`` surrounds every call of a known method."""
 
     async def intercept_service(
         self,
         continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Handler]],
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Handler:
-        """The method's handler, with ``through`` around each of its calls."""
+        """Return the method's handler with ``wrap_call`` around each of its calls."""
         handler = await continuation(handler_call_details)
         method = handler_call_details.method
-        return around(handler, lambda context: self.through(method, context)) if handler else handler
+        return _wrap_handler(handler, lambda context: self.wrap_call(method, context)) if handler else handler
 
     @abstractmethod
-    def through(self, method: str, context: Context) -> AbstractAsyncContextManager[None]:
-        """Entered before anything of a call's request is read, left at its end."""
+    def wrap_call(self, method: str, context: Context) -> AbstractAsyncContextManager[None]:
+        """Return a context that is entered before the request is read and left at the end of the call."""
 
 
-def around(handler: Handler, enter: Enter) -> Handler:
-    """A handler that enters ``enter(context)`` before anything of the request is read, and leaves it at the end.
+def _wrap_handler(handler: Handler, enter: Enter) -> Handler:
+    """Make a handler that enters ``enter(context)`` before the request is read and leaves it at the end.
 
     Raises:
         TypeError: the handler is not asynchronous.
     """
-    inner = _inner(handler)
+    inner = _behaviour_of(handler)
     takes_stream = handler.request_streaming
 
-    async def request_of(requests: AsyncIterator[Any], context: Context) -> Any:
+    async def read_request(requests: AsyncIterator[Any], context: Context) -> Any:
         if takes_stream:
-            return _to_their_end(requests, context)
+            return _read_stream(requests, context)
         try:
             async with asyncio.timeout(REQUEST_WAIT_S):
                 request = await context.read()
         except TimeoutError:
-            await context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, f"no request came in {REQUEST_WAIT_S:g} s")
+            await context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, f"no request arrived within {REQUEST_WAIT_S:g} s")
         if request is grpc.aio.EOF:  # type: ignore[attr-defined]
-            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "no request came")
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "no request arrived")
         return request
 
     async def answer(requests: AsyncIterator[Any], context: Context) -> Any:
         async with enter(context):
-            return await inner(await request_of(requests, context), context)
+            return await inner(await read_request(requests, context), context)
 
     async def stream(requests: AsyncIterator[Any], context: Context) -> None:
         async with enter(context):
-            responses = inner(await request_of(requests, context), context)
+            responses = inner(await read_request(requests, context), context)
             if inspect.isasyncgen(responses):
                 async with aclosing(responses):
                     async for response in responses:
@@ -131,34 +130,34 @@ def around(handler: Handler, enter: Enter) -> Handler:
             else:
                 await responses
 
-    # Unary requests come through a streaming handler too: gRPC reads a unary one before it calls anybody.
+    # Unary requests use a streaming handler too: gRPC would read a unary request before it calls the handler.
     make = grpc.stream_stream_rpc_method_handler if handler.response_streaming else grpc.stream_unary_rpc_method_handler
     return make(
         stream if handler.response_streaming else answer, handler.request_deserializer, handler.response_serializer
     )
 
 
-async def _to_their_end(requests: AsyncIterator[Any], context: Context) -> AsyncIterator[Any]:
-    """The requests of a stream, which ends where none comes for too long.
+async def _read_stream(requests: AsyncIterator[Any], context: Context) -> AsyncIterator[Any]:
+    """Yield the requests of a stream; abort the call if none arrives for too long.
 
-    That of a client who has gone ends as that of a client who has said everything does, a moment before the call is
-    cancelled; nobody takes the one for the other who waits that moment.
+    The stream of a disconnected client ends like a complete one, shortly before gRPC cancels the call. Waiting
+    ``CANCEL_DELAY_S`` tells the two apart.
     """
     while True:
         try:
             async with asyncio.timeout(REQUEST_WAIT_S):
                 request = await anext(requests, None)
         except TimeoutError:
-            await context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, f"nothing more came in {REQUEST_WAIT_S:g} s")
+            await context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, f"no message arrived within {REQUEST_WAIT_S:g} s")
         if request is None:
             break
         yield request
-    await asyncio.sleep(GONE_AFTER_S)
+    await asyncio.sleep(CANCEL_DELAY_S)
 
 
-def _inner(handler: Handler) -> Callable[[Any, Context], Any]:
+def _behaviour_of(handler: Handler) -> Callable[[Any, Context], Any]:
     kinds = (handler.unary_unary, handler.unary_stream, handler.stream_unary, handler.stream_stream)
     inner = next(kind for kind in kinds if kind is not None)
     if not (inspect.iscoroutinefunction(inner) or inspect.isasyncgenfunction(inner)):
-        raise TypeError(f"{inner!r} is no coroutine function and no asynchronous generator function")
+        raise TypeError(f"{inner!r} is neither a coroutine function nor an asynchronous generator function")
     return inner  # type: ignore[return-value]

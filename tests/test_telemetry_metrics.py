@@ -18,8 +18,8 @@ from small_service import end_of, serving
 
 from service.executor import PoolStats, WorkerState, WorkerStats
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
-from service.seen import Metrics, MetricsServer, SeenError, SentSpans, Watcher, phases
 from service.store import CloudStore, Store
+from service.telemetry import Metrics, MetricsServer, SentSpans, TelemetryError, TelemetryInterceptor, sum_phases
 from service.trust import Gate, Limits
 
 
@@ -42,7 +42,7 @@ def test_every_call_is_counted_with_the_code_it_ended_with() -> None:
 
     async def calls() -> None:
         async with (
-            serving([Watcher(metrics), Gate(None, Limits())]) as (address, _),
+            serving([TelemetryInterceptor(metrics), Gate(None, Limits())]) as (address, _),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
@@ -75,7 +75,10 @@ def test_every_call_is_counted_with_the_code_it_ended_with() -> None:
 
 def test_an_exception_nobody_expected_tells_the_client_only_where_to_find_it() -> None:
     async def calls() -> None:
-        async with serving([Watcher(Metrics())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+        async with (
+            serving([TelemetryInterceptor(Metrics())]) as (address, _),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
             call = planner_pb2_grpc.PlannerServiceStub(channel).Plan(planner_pb2.PlanRequest(request_id="raise"))
             code, words = await end_of(call)
             assert code is grpc.StatusCode.INTERNAL
@@ -88,7 +91,7 @@ def test_steps_of_a_plan_are_told_as_phases() -> None:
     timings = {"queue": 1.0, "load_robot": 2.0, "build_scene": 3.0, "perceive": 4.0, "reach": 5.0, "sampling": 6.0}
     timings |= {"certificate": 7.0, "curve and timing": 8.0, "total": 36.0}
     expected = {"queue": 1.0, "set-up": 5.0, "perceive": 4.0, "solve": 11.0, "certificate": 7.0}
-    assert phases(timings) == expected | {"timing": 8.0, "total": 36.0}
+    assert sum_phases(timings) == expected | {"timing": 8.0, "total": 36.0}
 
 
 def test_verdicts_and_phases_are_counted_by_kind() -> None:
@@ -96,7 +99,7 @@ def test_verdicts_and_phases_are_counted_by_kind() -> None:
     metrics.plan_finished("valve", "CERTIFIED", {"turn": 2.0, "certificate": 0.3, "total": 2.5})
     metrics.plan_finished("valve", "NOT_FOUND", {"turn": 60.0, "total": 60.0})
     metrics.plan_finished("goal", "CERTIFIED", {})
-    metrics.uploaded(1000)
+    metrics.upload_finished(1000)
     samples = _samples(metrics)
     assert samples["scopt_verdicts_total", "valve", "CERTIFIED"] == 1
     assert samples["scopt_verdicts_total", "valve", "NOT_FOUND"] == 1
@@ -133,11 +136,11 @@ def test_workers_and_stores_are_asked_when_somebody_looks(tmp_path: Path) -> Non
 
 def test_metrics_are_shown_on_this_machine() -> None:
     metrics = Metrics()
-    metrics.uploaded(7)
+    metrics.upload_finished(7)
     with MetricsServer("127.0.0.1:0", metrics.registry) as server:
         with urllib.request.urlopen(f"http://{server.address}/metrics", timeout=5) as answer:
             assert b"scopt_upload_bytes_total 7.0" in answer.read()
-        with pytest.raises(SeenError, match=r"cannot listen there \(Address already in use\)"):
+        with pytest.raises(TelemetryError, match=r"cannot listen there \(Address already in use\)"):
             MetricsServer(server.address, metrics.registry)
 
 
@@ -145,7 +148,7 @@ def test_metrics_are_shown_on_this_machine() -> None:
     "address", ["0.0.0.0:9464", "10.0.0.7:9464", ":9464", "9464", "localhost:http", "127.0.0.1:70000"]
 )
 def test_metrics_are_shown_to_no_other_machine(address: str) -> None:
-    with pytest.raises(SeenError, match=r"127\.0\.0\.1:9464 would do"):
+    with pytest.raises(TelemetryError, match=r"such as 127\.0\.0\.1:9464"):
         MetricsServer(address, Metrics().registry)
 
 
@@ -156,7 +159,7 @@ def test_a_call_is_a_span_of_the_clients_trace_with_its_code_and_no_metadata() -
 
     async def calls() -> None:
         async with (
-            serving([Watcher(Metrics(), spans), Gate(None, Limits())]) as (address, _),
+            serving([TelemetryInterceptor(Metrics(), spans), Gate(None, Limits())]) as (address, _),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
@@ -177,5 +180,5 @@ def test_a_call_is_a_span_of_the_clients_trace_with_its_code_and_no_metadata() -
 
 def test_without_opentelemetry_spans_say_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "opentelemetry.sdk.trace", None)
-    with pytest.raises(SeenError, match=r"pip install 'scopt\[otel\]'"):
+    with pytest.raises(TelemetryError, match=r"pip install 'scopt\[otel\]'"):
         SentSpans("http://127.0.0.1:4317")

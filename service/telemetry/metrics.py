@@ -1,4 +1,4 @@
-"""What Prometheus sees of a server: requests, plans and their phases, workers, stores."""
+"""Prometheus metrics of a server: requests, plans and their phases, workers, stores."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from prometheus_client.registry import Collector
 
 from service.errors import shown
 from service.executor import PoolStats
-from service.seen.errors import SeenError
 from service.store import CloudStore, Store
+from service.telemetry.errors import TelemetryError
 from service.trust import is_loopback
 
 _RPC_BUCKETS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 120, 300)
 _PHASE_BUCKETS = (0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2, 4, 8, 15, 30, 60, 120, 300)
 
-# Steps by phase; whatever the planner calls its other steps, they are part of the solve.
+# Phase of each planner step; all other steps belong to the solve.
 _PHASES = {
     "queue": "queue",
     "load_robot": "set-up",
@@ -60,63 +60,65 @@ class Metrics:
         self._upload_bytes = Counter("scopt_upload_bytes", "Bytes of clouds that came in.", registry=registry)
 
     def request_began(self, method: str) -> None:
-        """An RPC has come in."""
+        """Count the begin of an RPC."""
         self._open.labels(method).inc()
 
     def request_ended(self, method: str, code: str, seconds: float) -> None:
-        """An RPC that began has ended."""
+        """Count the end of an RPC."""
         self._open.labels(method).dec()
         self._requests.labels(method, code).inc()
         self._seconds.labels(method).observe(seconds)
 
     def plan_finished(self, kind: str, verdict: str, timings: Mapping[str, float]) -> None:
-        """A plan has a verdict.
+        """Count a finished plan.
 
         Args:
-            kind: of request.
-            verdict: how it ended.
-            timings: seconds by step of the planner, with ``total`` and ``queue`` where they are known.
+            kind: kind of request.
+            verdict: the plan's verdict.
+            timings: seconds by step of the planner, with ``total`` and ``queue`` where known.
         """
         self._verdicts.labels(kind, verdict).inc()
-        for phase, seconds in phases(timings).items():
+        for phase, seconds in sum_phases(timings).items():
             self._phases.labels(kind, phase).observe(seconds)
 
-    def uploaded(self, n_bytes: int) -> None:
-        """Bytes of a cloud have come in."""
+    def upload_finished(self, n_bytes: int) -> None:
+        """Count the bytes of an uploaded cloud."""
         self._upload_bytes.inc(n_bytes)
 
     def watch(self, *, pool: Callable[[], PoolStats], store: Store, clouds: CloudStore) -> None:
-        """Ask workers and stores how they are whenever somebody looks."""
-        self.registry.register(_Watched(pool, store, clouds))
+        """Read workers and stores at every scrape."""
+        self.registry.register(_StateCollector(pool, store, clouds))
 
 
-def phases(timings: Mapping[str, float]) -> dict[str, float]:
-    """Seconds by phase, of seconds by step."""
-    found: dict[str, float] = {}
+def sum_phases(timings: Mapping[str, float]) -> dict[str, float]:
+    """Sum seconds by step to seconds by phase."""
+    sums: dict[str, float] = {}
     for step, seconds in timings.items():
         phase = _PHASES.get(step, SOLVE)
-        found[phase] = found.get(phase, 0.0) + seconds
-    return found
+        sums[phase] = sums.get(phase, 0.0) + seconds
+    return sums
 
 
 class MetricsServer:
-    """Shows metrics at ``http://HOST:PORT/metrics`` to this machine.
+    """Server of metrics at ``http://HOST:PORT/metrics``, for this machine only.
 
     Args:
-        address: ``HOST:PORT`` on the loopback; port 0 for any that is free.
+        address: ``HOST:PORT`` on the loopback; port 0 takes a free one.
 
     Raises:
-        SeenError: other machines could reach the address, or it is taken.
+        TelemetryError: other machines could reach the address, or it is in use.
     """
 
     def __init__(self, address: str, registry: CollectorRegistry) -> None:
         host, _, port = address.rpartition(":")
         if not port.isdecimal() or int(port) > 65535 or not is_loopback(host):
-            raise SeenError(f"--metrics {shown(address)}: HOST:PORT on this machine is needed; 127.0.0.1:9464 would do")
+            raise TelemetryError(
+                f"--metrics {shown(address)}: expected HOST:PORT on this machine, such as 127.0.0.1:9464"
+            )
         try:
             self._server, self._thread = start_http_server(int(port), host.strip("[]"), registry)
         except OSError as error:
-            raise SeenError(f"--metrics {address}: cannot listen there ({error.strerror})") from None
+            raise TelemetryError(f"--metrics {address}: cannot listen there ({error.strerror})") from None
         self.address = f"{host}:{self._server.server_port}"
 
     def __enter__(self) -> Self:
@@ -128,26 +130,26 @@ class MetricsServer:
         self.close()
 
     def close(self) -> None:
-        """Stop showing them."""
+        """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
 
 
-class _Watched(Collector):
-    """What is not counted but asked for."""
+class _StateCollector(Collector):
+    """Metrics read from workers and stores at every scrape."""
 
     def __init__(self, pool: Callable[[], PoolStats], store: Store, clouds: CloudStore) -> None:
         self._pool, self._store, self._clouds = pool, store, clouds
 
     def describe(self) -> Iterable[Metric]:
-        return ()  # nobody need be asked before somebody looks
+        return ()  # registration must not read the state
 
     def collect(self) -> Iterator[Metric]:
-        yield from _of_pool(self._pool())
+        yield from _collect_pool(self._pool())
         store, clouds = self._store.stats(), self._clouds.stats()
-        kept = GaugeMetricFamily("scopt_store_entries", "What is kept.", labels=["what"])
-        n_bytes = GaugeMetricFamily("scopt_store_bytes", "Bytes of what is kept.", labels=["what"])
+        kept = GaugeMetricFamily("scopt_store_entries", "Stored entries.", labels=["what"])
+        n_bytes = GaugeMetricFamily("scopt_store_bytes", "Bytes of stored entries.", labels=["what"])
         for what, n, size in (
             ("plans", store.n_plans, store.plan_bytes),
             ("scenes", store.n_scenes, store.scene_bytes),
@@ -159,16 +161,16 @@ class _Watched(Collector):
         yield GaugeMetricFamily("scopt_uploads_open", "Clouds on their way in.", value=clouds.n_uploads)
 
 
-def _of_pool(pool: PoolStats) -> Iterator[Metric]:
+def _collect_pool(pool: PoolStats) -> Iterator[Metric]:
     yield GaugeMetricFamily("scopt_queue_length", "Jobs that wait for a worker.", value=pool.queued)
     yield GaugeMetricFamily("scopt_jobs_running", "Jobs that workers are at.", value=pool.running)
     yield CounterMetricFamily("scopt_worker_restarts", "Workers that were replaced.", value=pool.restarts)
-    workers = GaugeMetricFamily("scopt_workers", "Workers by what they do.", labels=["state"])
+    workers = GaugeMetricFamily("scopt_workers", "Workers by state.", labels=["state"])
     states = [worker.state.value for worker in pool.workers]
     for state in sorted(set(states)):
         workers.add_metric([state], states.count(state))
     yield workers
     memory = GaugeMetricFamily("scopt_worker_rss_bytes", "Resident memory of a worker.", labels=["worker"])
-    for number, worker in enumerate(pool.workers):  # by place, not by pid: a restart makes no new series
+    for number, worker in enumerate(pool.workers):  # by position, since a pid would make a new series at a restart
         memory.add_metric([str(number)], worker.rss_bytes)
     yield memory

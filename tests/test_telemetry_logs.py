@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from small_service import end_of, serving
 
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
-from service.seen import Metrics, Watcher, bind, set_up_logs, without_secrets
+from service.telemetry import Metrics, TelemetryInterceptor, bind, remove_secrets, set_up_logs
 from service.trust import Gate, Limits, Role, Tokens, make_token
 
 
@@ -131,7 +131,7 @@ TOKEN = "scopt_" + "Ab1-_" * 8
     ],
 )
 def test_secrets_are_taken_out_of_any_text(text: str) -> None:
-    clean = without_secrets(text)
+    clean = remove_secrets(text)
     assert "[secret]" in clean
     assert TOKEN not in clean
     assert "abc.def-123" not in clean
@@ -153,7 +153,7 @@ def test_a_token_that_is_logged_by_mistake_is_not_in_the_line(log: io.StringIO) 
 
 @given(st.text(), st.text())
 def test_a_token_is_found_wherever_it_stands(before: str, after: str) -> None:
-    assert TOKEN not in without_secrets(f"{before}{TOKEN}{after}")
+    assert TOKEN not in remove_secrets(f"{before}{TOKEN}{after}")
 
 
 def test_no_token_is_in_the_log_of_calls_good_refused_and_broken(log: io.StringIO, tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_no_token_is_in_the_log_of_calls_good_refused_and_broken(log: io.StringI
 
     async def calls() -> None:
         async with (
-            serving([Watcher(Metrics()), Gate(Tokens(path), Limits())]) as (address, _),
+            serving([TelemetryInterceptor(Metrics()), Gate(Tokens(path), Limits())]) as (address, _),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
