@@ -18,7 +18,7 @@ class RequestError(ServiceError):
     """A request, or a file it names, that cannot be used.
 
     Attributes:
-        problems: one line each, naming the field, the value and what would do.
+        problems: one line each, naming the field, the value and what is expected.
     """
 
     def __init__(self, problems: str | Sequence[str]) -> None:

@@ -94,7 +94,7 @@ def test_a_wrong_request_is_one_line_and_exit_code_3(planner: SimpleNamespace, t
     path.write_text("robot: {name: atlas}\ngoal: {posture: stand}\noptions: {wayponts: 3}\n")
     result = _scopt("plan", path, "--out", tmp_path / "plan", "--json")
     assert result.exit_code == 3
-    problem = "wrong.yaml: options: unknown key 'wayponts'; waypoints, … would do"
+    problem = "wrong.yaml: options: unknown key 'wayponts'; expected waypoints, …"
     assert result.stderr.splitlines()[-1] == problem
     data = _only_object(result)
     assert (data["verdict"], data["explanation"]) == ("INVALID_REQUEST", [problem])

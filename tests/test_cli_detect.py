@@ -96,7 +96,7 @@ def test_a_time_that_is_over_before_the_clouds_were_read_is_one_line(
     monkeypatch.setattr(detect_file, "read_input", late)
     result = scopt("detect", "valve", scan, "--time-limit", 0.5, "--json")
     assert result.exit_code == 5
-    line = "--time-limit: 0.5 s were over before anything could be looked for; more would do"
+    line = "--time-limit: 0.5 s were over before anything could be looked for; expected more"
     assert result.stderr.splitlines()[-1] == line
     told = json.loads(result.stdout)
     assert (told["verdict"], told["explanation"]) == ("TIME_LIMIT", [line])

@@ -127,8 +127,8 @@ def test_units_and_poses_bring_several_clouds_together(scan: Path, tmp_path: Pat
         (("scene", "a.pcd", "--transform", "nan 0 0 0 0 0", "--out", "s.json"), "--transform: transform holds NaN"),
         (("scene", "a.pcd", "--transform", "0 0 0 90 0 0", "--out", "s.json"), "--transform: transform turns by 90"),
         (("scene", "a.pcd", "--top", "-1", "--out", "s.json"), "--top: -1 m is not above --bottom -0.5 m"),
-        (("scene", "a.pcd", "--top", "nan", "--out", "s.json"), "--top: nan m is no height; a finite number would do"),
-        (("detect", "valve", "a.pcd", "--bottom", "-inf"), "--bottom: -inf m is no height; a finite number would do"),
+        (("scene", "a.pcd", "--top", "nan", "--out", "s.json"), "--top: nan m is no height; expected a finite number"),
+        (("detect", "valve", "a.pcd", "--bottom", "-inf"), "--bottom: -inf m is no height; expected a finite number"),
         (("scene", "a.pcd", "--out", ".json"), "--out: .json has no name before its ending; one like scene.json would"),
         (("scene", "a.pcd", "--message", "last", "--out", "s.json"), "--message: a whole number, -1 for the last, or"),
         (("detect", "valve", "a.pcd", "--hint", "nan", "0", "0"), "--hint: nan 0 0 is no place; three finite numbers"),
@@ -183,7 +183,7 @@ def test_a_place_that_cannot_be_written_is_told_before_anything_is_read(tmp_path
     assert result.exit_code == 3
     line = result.stderr.splitlines()[-1]
     assert line.startswith("--out: ")
-    assert line.endswith(f" cannot be written ({why}); another place would do")
+    assert line.endswith(f" cannot be written ({why}); expected another place")
     assert {path.name for path in tmp_path.iterdir()} == {"file", "lost"}
 
 
@@ -194,7 +194,7 @@ def test_a_place_that_cannot_be_written_is_told_before_anything_is_read(tmp_path
         (("scan.pcd", "--mesh", "x" * 300 + ".obj"), " is not there; FILE, 'FILE near X Y Z'"),
         (("scan.pcd", "--mesh", "x" * 300 + ".obj at 1 2 3"), " is not there; FILE, 'FILE near X Y Z'"),
         (("scan.pcd", "--robot", "x" * 300 + ".urdf"), " is not there; a URDF that is, or a robot of"),
-        (("scan.pcd", "--robot", "atlas", "--posture", "x" * 300), "at most 200 characters would do"),
+        (("scan.pcd", "--robot", "atlas", "--posture", "x" * 300), "expected at most 200 characters"),
         (("scan.pcd", "--update", "pipe.json"), "pipe.json is no regular file; the file that 'scopt scene' writes"),
         (("scan.pcd", "--update", "/dev/zero"), "/dev/zero is no regular file; the file that 'scopt scene' writes"),
     ],
@@ -558,5 +558,5 @@ def test_a_time_that_is_over_before_there_are_pieces_is_one_line(
     cloud, out = crate_scan(tmp_path / "a.npz"), tmp_path / "scene.json"
     result = scopt("scene", cloud, "--out", out, "--time-limit", 0.5)
     assert result.exit_code == 5
-    assert result.stderr.splitlines()[-1] == "--time-limit: 0.5 s were over before the pieces were made; more would do"
+    assert result.stderr.splitlines()[-1] == "--time-limit: 0.5 s were over before the pieces were made; expected more"
     assert not out.exists()

@@ -140,12 +140,12 @@ def test_a_mesh_is_asked_for_anywhere_near_a_place_or_at_a_pose(
         ("gone.obj", "--mesh: {}/gone.obj is not there; FILE, 'FILE near X Y Z'"),
         ("gone.obj at 1 2 3", "--mesh: {}/gone.obj is not there"),
         ("", "--mesh: {} is a folder; FILE, "),
-        ("scan.pcd", "--mesh: {}/scan.pcd: format '.pcd' is not read; .stl, .obj, .ply, .urdf would do"),
+        ("scan.pcd", "--mesh: {}/scan.pcd: format '.pcd' is not read; expected .stl, .obj, .ply, .urdf"),
         ("crate.obj at", "--mesh: {}/crate.obj at: 'X Y Z', 'X Y Z YAW PITCH ROLL', 'X Y Z QW QX QY QZ', '16 numbers'"),
         ("crate.obj at 1 2", "--mesh: {}/crate.obj at: 'X Y Z', "),
         (
             "crate.obj near here",
-            "--mesh: {}/crate.obj near: numbers separated by spaces or commas would do, got 'here'",
+            "--mesh: {}/crate.obj near: expected numbers separated by spaces or commas, got 'here'",
         ),
         ("crate.obj at 0 0 0 90 0 0", "--mesh: {}/crate.obj at: pose turns by 90 rad"),
         ("crate.obj at nan 0 0", "--mesh: {}/crate.obj at: pose holds NaN"),
@@ -175,7 +175,7 @@ def test_a_scale_that_makes_a_speck_of_a_mesh_is_refused(tmp_path: Path) -> None
     shape = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
     path.write_text(f'<robot name="a"><link name="a">{shape}</link></robot>')
     with pytest.raises(
-        RequestError, match=r"speck\.urdf spans 1e-05 m at --mesh-scale 1e-05; 0\.001 to 100 m would do"
+        RequestError, match=r"speck\.urdf spans 1e-05 m at --mesh-scale 1e-05; expected 0\.001 to 100 m"
     ):
         load_known_meshes([parse_mesh_option(str(path), 1e-5)])
 
@@ -263,8 +263,8 @@ def _damaged(data: dict[str, Any], *path: str | int, value: object) -> bytes:
 @pytest.mark.parametrize(
     ("damage", "problem"),
     [
-        (lambda data: b"pieces", " is no JSON; the file that 'scopt scene' writes would do"),
-        (lambda data: b"[1, 2]", " is no scene, its format is None, scopt-scene/1 would do"),
+        (lambda data: b"pieces", " is no JSON; expected the file that 'scopt scene' writes"),
+        (lambda data: b"[1, 2]", " is no scene, its format is None, expected scopt-scene/1"),
         (lambda data: b'{"format": "scopt-detections/1"}', " is no scene, its format is 'scopt-detections/1', scopt"),
         (lambda data: b'{"format": "scopt-scene/1"}', " does not say what it was made with; make it anew"),
         (lambda data: _damaged(data, "settings", "reach_m", value=-1), ": settings.reach_m: "),

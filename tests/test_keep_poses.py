@@ -57,9 +57,9 @@ def test_a_start_that_is_not_as_asked_says_by_how_much() -> None:
     moved = tuple(held[:3, 3] + [0.03, 0.0, 0.0])
     assert _problems(KeepRequest("l_hand", "r_hand", moved, _quaternion(turned))) == (
         "keep[0]: at the start l_hand relative to r_hand is 30.0 mm off the position asked for; "
-        "at most 2.5 mm, half of position_tolerance_m, would do",
+        "expected at most 2.5 mm, half of position_tolerance_m",
         "keep[0]: at the start l_hand relative to r_hand is turned by 5.7 deg from what is asked for; "
-        "at most 0.5 deg, half of rotation_tolerance_deg, would do",
+        "expected at most 0.5 deg, half of rotation_tolerance_deg",
     )
 
 

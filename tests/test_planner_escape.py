@@ -190,7 +190,7 @@ def test_a_piece_may_be_called_anything_that_no_link_is_called(tmp_path):
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     with pytest.raises(RequestError) as caught:
         prepare(arm_request(tmp_path, block={**BLOCK, "name": "l0"}, escape=True))
-    assert caught.value.problems == ("scene.obstacles[0].name: 'l0' is a link of arm; another name would do",)
+    assert caught.value.problems == ("scene.obstacles[0].name: 'l0' is a link of arm; expected another name",)
 
 
 def test_a_planted_foot_cannot_leave_the_floor():
@@ -205,7 +205,7 @@ def test_a_planted_foot_cannot_leave_the_floor():
     with pytest.raises(RequestError) as caught:
         prepare(request)
     assert caught.value.problems == tuple(
-        f"start is out of balance: the ground is 50.0 mm above the sole of {foot}; at most 3 mm would do: "
+        f"start is out of balance: the ground is 50.0 mm above the sole of {foot}; expected at most 3 mm: "
         "move start.base, or leave it out"
         for foot in ("l_foot", "r_foot")
     )

@@ -63,7 +63,7 @@ def refused(request):
     ],
 )
 def test_an_obstacle_that_has_the_name_of_something_else_is_refused_with_field_name_and_owner(name, does, owner):
-    line = f"scene.obstacles[1].name: {name!r} is {owner}; another name would do"
+    line = f"scene.obstacles[1].name: {name!r} is {owner}; expected another name"
     assert refused(asked("crate", name, does=does)) == (line,)
 
 
@@ -74,9 +74,9 @@ def test_names_that_nothing_else_has_are_taken_as_they_are(name):
 
 def test_a_carried_body_is_a_link_whose_name_no_obstacle_has():
     beam = {"name": "beam", "link": "l_hand", "type": "box", "size": [0.05, 0.05, 0.3], "position": [0, 0, -0.3]}
-    line = "scene.obstacles[0].name: 'beam' is a link of atlas; another name would do"
+    line = "scene.obstacles[0].name: 'beam' is a link of atlas; expected another name"
     assert refused(asked("beam", attached=[beam])) == (line,)
-    line = "attached[0].name: 'valve' is also the valve that the task turns, or a part of it; another name would do"
+    line = "attached[0].name: 'valve' is also the valve that the task turns, or a part of it; expected another name"
     assert refused(asked(does=TURN, attached=[{**beam, "name": "valve"}])) == (line,)
 
 
@@ -86,7 +86,7 @@ def test_a_robot_that_has_a_valve_of_its_own_turns_none(tmp_path):
     urdf.write_text(text)
     request = parse_request({"robot": {"urdf": str(urdf)}, **TURN})
     assert refused(request) == (
-        "robot: 'valve' is also the valve that the task turns, or a part of it; another name would do",
+        "robot: 'valve' is also the valve that the task turns, or a part of it; expected another name",
         "robot: 'valve_turn' is also the joint of the valve that the task turns; rename it",
     )
 
@@ -97,7 +97,7 @@ def test_the_numbered_pieces_of_a_mesh_are_no_links_either(tmp_path):
     (tmp_path / "rock.stl").write_text(MESH)
     rock = {"name": "rock", "type": "mesh", "file": str(tmp_path / "rock.stl"), "position": [5, 0, 0]}
     request = {"robot": {"urdf": str(urdf)}, "scene": {"obstacles": [rock]}, "goal": {"joints": {"j0": 0.5}}}
-    line = "scene.obstacles[0].name: 'rock/1' is a link of arm; another name would do"
+    line = "scene.obstacles[0].name: 'rock/1' is a link of arm; expected another name"
     assert refused(parse_request(request)) == (line,)
     box = {**crate("rock"), "position": [5, 0, 0]}
     assert prepare(parse_request({**request, "scene": {"obstacles": [box]}})).scene.pieces[0].name == "rock"
@@ -108,7 +108,7 @@ def test_a_piece_of_a_scenes_file_that_has_the_name_of_a_link_is_refused(tmp_pat
     path = tmp_path / "scene.json"
     path.write_text(json.dumps({"format": "scopt-scene/1", "pieces": [piece], "detections": []}))
     request = parse_request({"robot": {"name": "atlas"}, "scene": {"file": str(path)}, **REACH})
-    assert refused(request) == ("scene.file: piece 'l_hand' is a link of atlas; another name would do",)
+    assert refused(request) == ("scene.file: piece 'l_hand' is a link of atlas; expected another name",)
 
 
 def test_pieces_of_a_scan_get_another_name_where_theirs_is_taken(monkeypatch, tmp_path):

@@ -89,5 +89,5 @@ def test_an_integer_too_long_for_decimals_is_shown_in_hexadecimals() -> None:
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_floor_at_a_height_that_no_double_comes_near_is_refused() -> None:
     scene = {"floor": 10**400}
-    with pytest.raises(RequestError, match=r"scene.floor: true, false or a height in metres would do"):
+    with pytest.raises(RequestError, match=r"scene.floor: expected true, false or a height in metres"):
         parse_request({"robot": {"name": "atlas"}, "goal": {"posture": "stand"}, "scene": scene})

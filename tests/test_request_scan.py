@@ -61,8 +61,8 @@ def test_a_request_and_the_command_line_make_the_same_world(
 @pytest.mark.parametrize(
     ("scene", "problem"),
     [
-        ({"cloud": "a.pcd", "method": "magic"}, "scene.method: 'planes' or 'coacd' would do, got 'magic'"),
-        ({"cloud": "a.pcd", "unknown": "maybe"}, "scene.unknown: 'free' or 'occupied' would do, got 'maybe'"),
+        ({"cloud": "a.pcd", "method": "magic"}, "scene.method: expected 'planes' or 'coacd', got 'magic'"),
+        ({"cloud": "a.pcd", "unknown": "maybe"}, "scene.unknown: expected 'free' or 'occupied', got 'maybe'"),
         ({"unknown": "occupied"}, "scene: unknown: occupied needs a scan that says what was seen; give cloud"),
     ],
 )

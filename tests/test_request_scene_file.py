@@ -101,7 +101,7 @@ def test_file_and_cloud_exclude_each_other() -> None:
     ("parts", "words"),
     [
         ({"format": None}, "is no scene, its format is None"),
-        ({"format": "scopt-scene/9"}, "is no scene, its format is 'scopt-scene/9', scopt-scene/1 would do"),
+        ({"format": "scopt-scene/9"}, "is no scene, its format is 'scopt-scene/9', expected scopt-scene/1"),
         ({"pieces": 3}, "pieces: Input should be a valid list"),
         ({"pieces": [{"name": "a"}]}, "pieces.0.kind: Field required"),
         ({"pieces": [_cube("a", (0.0, 0.0, 0.0), 1.0)] * 2}, "pieces: piece names must be unique; repeated: a"),
@@ -125,9 +125,9 @@ def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, parts: dict[str, Any],
     [
         (
             b"VERSION 0.7\nFIELDS x y z\n",
-            "is no JSON; the file that 'scopt scene' writes would do, a scan goes into scene.cloud",
+            "is no JSON; expected the file that 'scopt scene' writes, a scan goes into scene.cloud",
         ),
-        (b"[1, 2]", "is no scene, its format is None, scopt-scene/1 would do, a scan goes into scene.cloud"),
+        (b"[1, 2]", "is no scene, its format is None, expected scopt-scene/1, a scan goes into scene.cloud"),
         (b"[" * 100_000, "is no JSON"),
         (b"\xff\xfe\x00", "is no JSON"),
         (b"", "is no JSON"),

@@ -273,7 +273,7 @@ def test_everything_wrong_with_a_problem_is_one_line_each_and_exit_code_3(tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ((), "--robot is missing: a bundled robot (atlas) or a URDF would do"),
+        ((), "--robot is missing: expected a bundled robot (atlas) or a URDF"),
         (("--robot", "atlass"), "--robot: 'atlass' is neither a bundled robot nor a file; did you mean atlas?"),
         (("--robot", "atlas", "--srdf", "x"), "--srdf and --package-root go with a URDF; atlas brings its own"),
         ((*ARM, "--scene", "nowhere.yaml"), "nowhere.yaml: cannot be read: No such file or directory"),

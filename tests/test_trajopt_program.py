@@ -61,7 +61,7 @@ def test_a_manip_is_groups_joints_and_base_in_the_order_they_are_named():
         (arm, "right_arn", "basic_info.manip: arm7 has no group or joint 'right_arn'; did you mean right_arm?"),
         (arm, "right_arm+elbow_pitch", "basic_info.manip: elbow_pitch is named twice"),
         (arm, "right_arm+base", "basic_info.manip: the base of arm7 is fixed; leave 'base' out"),
-        (arm, "x+" * 100, "basic_info.manip: at most 100 groups and joints would do, got 101"),
+        (arm, "x+" * 100, "basic_info.manip: expected at most 100 groups and joints, got 101"),
         (atlas, "left_arm+", "basic_info.manip: atlas has no group or joint ''"),
     ],
 )
@@ -142,10 +142,10 @@ def test_joint_constraints_become_ranges_and_a_waypoint_without_freedom_is_fixed
         ),
         (document(costs=[term("joint_vel", coeffs=[1, 2])]), "costs[0].params.coeffs: 7 numbers are needed"),
         (document(init={"type": "straight_line", "endpoint": [0.0]}), "init_info.endpoint: 7 numbers are needed"),
-        (document(dofs_fixed=[7]), "basic_info.dofs_fixed: 7 is no degree of freedom; 0 to 6 would do"),
+        (document(dofs_fixed=[7]), "basic_info.dofs_fixed: 7 is no degree of freedom; expected 0 to 6"),
         (
             document(constraints=[term("joint", vals=[0, 0, 0, 2.4, 0, 0, 0])]),
-            "constraints[0].params.vals[3]: 2.4 is outside the limits of elbow_pitch; -2.3 to 2.3 would do",
+            "constraints[0].params.vals[3]: 2.4 is outside the limits of elbow_pitch; expected -2.3 to 2.3",
         ),
         (
             document(constraints=[term("joint", vals=[0.2] * 7), term("joint", vals=[0.1] * 7)]),
@@ -165,7 +165,7 @@ def test_joint_constraints_become_ranges_and_a_waypoint_without_freedom_is_fixed
         ),
         (
             document(init={"type": "given_traj", "data": [[3.0] * 7] * 5}),
-            "init_info.data[0][0]: 3 is outside the limits of shoulder_yaw; -2.6 to 2.6 would do",
+            "init_info.data[0][0]: 3 is outside the limits of shoulder_yaw; expected -2.6 to 2.6",
         ),
         (
             document(constraints=[term("pose", link="tol", xyz=[1, 0, 1], wxyz=[1, 0, 0, 0])]),

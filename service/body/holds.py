@@ -219,11 +219,11 @@ def _problems(robot: RobotModel, start: Float[np.ndarray, "n"], kept: Sequence[K
         most = 1e3 * START_SHARE * one.position_tolerance_m
         yield (
             f"{field}: at the start {one.name} is {1e3 * off:.1f} mm off the position asked for; "
-            f"at most {most:.2g} mm, half of position_tolerance_m, would do"
+            f"expected at most {most:.2g} mm, half of position_tolerance_m"
         )
     if turn > START_SHARE * one.rotation_tolerance_rad:
         most = np.rad2deg(START_SHARE * one.rotation_tolerance_rad)
         yield (
             f"{field}: at the start {one.name} is turned by {np.rad2deg(turn):.1f} deg from what is asked for; "
-            f"at most {most:.2g} deg, half of rotation_tolerance_deg, would do"
+            f"expected at most {most:.2g} deg, half of rotation_tolerance_deg"
         )

@@ -114,7 +114,7 @@ def _token(name: str, roles: list[str]) -> None:
     known = [role.value for role in Role]
     for role in roles:
         if role not in known:
-            raise RequestError(f"--role: unknown role {role!r}; {would_do(role, known)} would do")
+            raise RequestError(f"--role: unknown role {role!r}; expected {would_do(role, known)}")
     token, lines = make_token(name, [Role(role) for role in roles])
     typer.echo(token)
     typer.echo(lines, err=True)

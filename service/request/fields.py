@@ -50,7 +50,7 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
         unit = f"[{w / norm:.6g}, {x / norm:.6g}, {y / norm:.6g}, {z / norm:.6g}]" if norm > 1e-9 else "[1, 0, 0, 0]"
         raise PydanticCustomError(
             "quaternion",
-            "a quaternion (w, x, y, z) needs length 1, not {norm}; {unit} would do",
+            "a quaternion (w, x, y, z) needs length 1, not {norm}; expected {unit}",
             {"norm": f"{norm:.6g}", "unit": unit},
         )
     w, x, y, z = (component / norm for component in quaternion)
@@ -73,13 +73,13 @@ def _flag_or_height(value: object) -> object:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if isinstance(value, bool) or (is_number and abs(value) <= WORKSPACE_M):  # type: ignore[arg-type]
         return value
-    raise PydanticCustomError("floor", "true, false or a height in metres would do")
+    raise PydanticCustomError("floor", "expected true, false or a height in metres")
 
 
 def _number_or_all(value: object) -> object:
     if value == "all" or (isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**9):
         return value
-    raise PydanticCustomError("message", "a whole number or 'all' would do")
+    raise PydanticCustomError("message", "expected a whole number or 'all'")
 
 
 def _single_line(name: str) -> str:
@@ -141,7 +141,7 @@ class Section:
                 if key not in known:
                     raise PydanticCustomError(
                         "unknown_key",
-                        "unknown key {key}; {known} would do",
+                        "unknown key {key}; expected {known}",
                         {"key": shown(key), "known": would_do(key, known)},
                     )
         return data

@@ -42,12 +42,12 @@ _WORDS = {
     "greater_than": "more than {gt:g} is needed",
     "greater_than_equal": "at least {ge:g} is needed",
     "less_than": "less than {lt:g} is needed",
-    "less_than_equal": "at most {le:g} would do",
-    "too_long": "at most {max_length} entries would do",
+    "less_than_equal": "expected at most {le:g}",
+    "too_long": "expected at most {max_length} entries",
     "too_short": "at least {min_length} entries are needed",
-    "string_too_long": "at most {max_length} characters would do",
+    "string_too_long": "expected at most {max_length} characters",
     "string_too_short": "a text with at least {min_length} character is needed",
-    "literal_error": "{expected} would do",
+    "literal_error": "expected {expected}",
 }
 _SPEAK_FOR_THEMSELVES = {"unknown_key", "exactly_one", "quaternion", "unit"}
 
@@ -205,7 +205,7 @@ def _read_text(path: Path) -> str:
         if not path.is_file():
             raise RequestError("is not a file; a YAML file is needed")
         if size > MAX_BYTES:
-            raise RequestError(f"is {size} bytes long; at most {MAX_BYTES} would do")
+            raise RequestError(f"is {size} bytes long; expected at most {MAX_BYTES}")
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise RequestError(f"is no UTF-8 text (byte {error.start}); a YAML file is needed") from None
@@ -228,7 +228,7 @@ def _read_yaml(text: str) -> object:
 def _in_plain_words(error: yaml.MarkedYAMLError) -> str:
     problem = str(error.problem or "no valid YAML")
     if isinstance(error, yaml.constructor.ConstructorError) and "tag" in problem:
-        return f"{problem.split(' for ')[-1]} is not read; plain values would do"
+        return f"{problem.split(' for ')[-1]} is not read; expected plain values"
     return problem
 
 
@@ -269,8 +269,8 @@ def _line(data: Mapping[str, Any], detail: ErrorDetails) -> str:
 def _union_problem(value: object, context: Mapping[str, Any]) -> str:
     expected = [tag.strip("'") for tag in str(context.get("expected_tags", "")).split(", ")]
     if not context.get("expected_tags"):
-        return f"a type is needed, got {shown(value)}; box, sphere, cylinder, capsule, convex or mesh would do"
-    return f"unknown type {shown(context.get('tag'))}; {would_do(context.get('tag'), expected)} would do"
+        return f"a type is needed, got {shown(value)}; expected box, sphere, cylinder, capsule, convex or mesh"
+    return f"unknown type {shown(context.get('tag'))}; expected {would_do(context.get('tag'), expected)}"
 
 
 def _field_path(data: object, location: tuple[int | str, ...], is_missing: bool) -> str:

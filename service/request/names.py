@@ -72,7 +72,7 @@ def check_names(request: PlanRequest, robot: RobotModel, taken: TakenNames) -> N
     for name in taken.owners:
         if taken.is_of_mechanism(name):
             field = f"attached[{carried[name]}].name" if name in carried else "robot"
-            problems.append(f"{field}: {shown(name)} is also {taken.owner(name)}; another name would do")
+            problems.append(f"{field}: {shown(name)} is also {taken.owner(name)}; expected another name")
     if taken.mechanism is not None and (VALVE_JOINT in robot.joint_names or VALVE_JOINT in taken.owners):
         problems.append(f"robot: {shown(VALVE_JOINT)} is also the joint of the valve that the task turns; rename it")
     if problems:
@@ -117,7 +117,7 @@ def rename_clashing(
 
 
 def _is_taken(name: str, taken: TakenNames) -> str:
-    return f"{shown(name)} is {taken.owner(name)}; another name would do"
+    return f"{shown(name)} is {taken.owner(name)}; expected another name"
 
 
 def _is_numbered(name: str, stem: str) -> bool:

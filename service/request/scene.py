@@ -212,7 +212,9 @@ class KnownMeshRequest(Section):
         if self.position is None and (self.quaternion_wxyz is not None or self.is_placed):
             raise PydanticCustomError("known_mesh", "a pose needs a position; give position as well")
         if self.name is not None and "/" in self.name:
-            raise PydanticCustomError("known_mesh", "name: one without '/' would do, which its pieces have")
+            raise PydanticCustomError(
+                "known_mesh", "name: expected a name without '/', which separates the numbers of its pieces"
+            )
 
 
 @dataclass(config=SECTION)

@@ -126,7 +126,7 @@ class GoalRequest(Section):
         require_exactly_one(self, ("joints", "poses", "posture"))
         twice = find_repeated(pose.link for pose in self.poses)
         if twice:
-            words = "link {link} has two poses; one for each link would do"
+            words = "link {link} has two poses; expected one for each link"
             raise PydanticCustomError("goal", words, {"link": shown(twice[0])})
 
 
@@ -151,9 +151,9 @@ class ValveRequest(Section):
 
     def __post_init__(self) -> None:
         if self.turn_deg == 0.0:
-            raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; -360 to 360 except 0 would do")
+            raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; expected -360 to 360 except 0")
         if self.axis is not None and math.hypot(*self.axis) < 1e-6:
-            raise PydanticCustomError("valve", "axis has no length; a direction such as [-1, 0, 0] would do")
+            raise PydanticCustomError("valve", "axis has no length; expected a direction such as [-1, 0, 0]")
 
 
 @dataclass(config=SECTION)

@@ -109,7 +109,7 @@ def read_result(path: str | Path) -> dict[str, Any]:
         raise ResultError(f"{path} is no JSON: {shown(str(error))}") from None
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         found = data.get("format") if isinstance(data, dict) else data
-        raise ResultError(f"{path}: format is {shown(found)}; {FORMAT!r} would do")
+        raise ResultError(f"{path}: format is {shown(found)}; expected {FORMAT!r}")
     return data
 
 

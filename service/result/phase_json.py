@@ -189,7 +189,7 @@ def _read_target(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Target:
         case "joint":
             return JointTarget(data["joint"], float(data["value"]), float(data["tolerance"]), float(s[data["at"]]))
         case kind:
-            raise ValueError(f"unknown target kind {kind!r}; pose, circle, axis, relative_pose or joint would do")
+            raise ValueError(f"unknown target kind {kind!r}; expected pose, circle, axis, relative_pose or joint")
 
 
 def _support(support: SupportPolygon) -> dict[str, Any]:

@@ -26,21 +26,21 @@ def check_out(path: Path, inputs: Iterable[Path]) -> None:
             its folder takes no files.
     """
     if path.name.lower() == ".json":
-        raise RequestError(f"--out: {path} has no name before its ending; one like scene.json would do")
+        raise RequestError(f"--out: {path} has no name before its ending; expected one like scene.json")
     if path.suffix.lower() != ".json":
-        raise RequestError(f"--out: {path} does not end in .json; a name that does, of a file for the pieces, would do")
+        raise RequestError(f"--out: {path} does not end in .json; expected a name that does, of a file for the pieces")
     try:
         for written in (path, _page_beside(path)):
             if os.path.lexists(written) and written.is_dir():
-                raise RequestError(f"--out: {written} is a folder; the name of a file would do")
+                raise RequestError(f"--out: {written} is a folder; expected the name of a file")
         _try_folder(path)
     except OSError as error:
         why = error.strerror or error
-        raise RequestError(f"--out: {shown(str(path))} cannot be written ({why}); another place would do") from None
+        raise RequestError(f"--out: {shown(str(path))} cannot be written ({why}); expected another place") from None
     read = {os.path.realpath(one) for one in inputs}
     for written in (path, _page_beside(path)):
         if os.path.realpath(written) in read:
-            raise RequestError(f"--out: {written} is read and would be overwritten; another name would do")
+            raise RequestError(f"--out: {written} is read and would be overwritten; expected another name")
 
 
 def _try_folder(path: Path) -> None:

@@ -88,9 +88,9 @@ def parse_cloud_options(options: Mapping[str, Any]) -> CloudInput:
     given = dict(options)
     for height in ("top", "bottom"):
         if not np.isfinite(given[f"{height}_m"]):
-            raise RequestError(f"--{height}: {given[f'{height}_m']:g} m is no height; a finite number would do")
+            raise RequestError(f"--{height}: {given[f'{height}_m']:g} m is no height; expected a finite number")
     if given["top_m"] <= given["bottom_m"]:
-        raise RequestError(f"--top: {given['top_m']:g} m is not above --bottom {given['bottom_m']:g} m; more would do")
+        raise RequestError(f"--top: {given['top_m']:g} m is not above --bottom {given['bottom_m']:g} m; expected more")
     sensor, posture, message = given.pop("sensor"), given.pop("posture"), given.pop("message")
     robot = given.pop("robot")
     return CloudInput(
@@ -109,7 +109,7 @@ def read_input(asked: CloudInput, on_step: OnStep) -> CloudRead:
         RequestError: one line for a file, name or value that cannot be used.
     """
     if asked.unit not in METRES_BY_UNIT:
-        raise RequestError(f"--unit: unknown unit '{asked.unit}'; {would_do(asked.unit, METRES_BY_UNIT)} would do")
+        raise RequestError(f"--unit: unknown unit '{asked.unit}'; expected {would_do(asked.unit, METRES_BY_UNIT)}")
     poses = _poses(asked)
     hulls: list[np.ndarray] = []
     soles: list[np.ndarray] = []
@@ -154,7 +154,7 @@ def numbers(text: str, option: str) -> tuple[float, ...]:
     try:
         return tuple(float(word) for word in text.translate(_BETWEEN_NUMBERS).split())
     except ValueError:
-        raise RequestError(f"{option}: numbers separated by spaces or commas would do, got '{text}'") from None
+        raise RequestError(f"{option}: expected numbers separated by spaces or commas, got '{text}'") from None
 
 
 def point(text: str, option: str) -> tuple[float, float, float]:
@@ -165,7 +165,7 @@ def point(text: str, option: str) -> tuple[float, float, float]:
     """
     values = numbers(text, option)
     if len(values) != 3 or not np.isfinite(values).all():
-        raise RequestError(f"{option}: three numbers 'X Y Z' (in quotes) would do, got '{text}'")
+        raise RequestError(f"{option}: expected three numbers 'X Y Z' (in quotes), got '{text}'")
     return values[0], values[1], values[2]
 
 
@@ -180,14 +180,14 @@ def _message(text: str) -> int | Literal["all"]:
     try:
         return int(text)
     except ValueError:
-        raise RequestError(f"--message: a whole number, -1 for the last, or all would do, got '{text}'") from None
+        raise RequestError(f"--message: expected a whole number, -1 for the last, or all, got '{text}'") from None
 
 
 def _poses(asked: CloudInput) -> list[np.ndarray | None]:
     n_files, n_given = len(asked.files), len(asked.transforms)
     if n_given not in (0, 1, n_files):
         raise RequestError(
-            f"--transform is given {n_given} times for {n_files} clouds; once, or once for each, would do"
+            f"--transform is given {n_given} times for {n_files} clouds; expected once, or once for each"
         )
     try:
         poses = [rigid_pose(numbers(text, "--transform")) for text in asked.transforms]
@@ -207,7 +207,7 @@ def _robot(text: str) -> RobotRequest:
         except RequestError as error:
             raise RequestError([f"--robot: {problem}" for problem in error.problems]) from None
     if not os.path.isfile(path):
-        raise RequestError(f"--robot: {path} is not there; a URDF that is, or a robot of `scopt robots` would do")
+        raise RequestError(f"--robot: {path} is not there; expected a URDF that exists, or a robot of `scopt robots`")
     return RobotRequest(urdf=str(path), package_dirs=(str(path.parent),))
 
 

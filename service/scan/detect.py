@@ -62,7 +62,7 @@ def detect_file(
     except TimeOver:
         if looked is None:
             raise OutOfTimeError(
-                f"--time-limit: {time_limit_s:g} s were over before anything could be looked for; more would do"
+                f"--time-limit: {time_limit_s:g} s were over before anything could be looked for; expected more"
             ) from None
     hits = sorted(looked.hits, key=lambda hit: -hit.confidence)
     return {
@@ -135,7 +135,7 @@ def check_kinds(kinds: Sequence[str], option: str) -> tuple[str, ...]:
     known = (*KINDS, EVERY_KIND)
     for kind in kinds:
         if kind not in known:
-            raise RequestError(f"{option}: unknown kind '{kind}'; {would_do(kind, known, _SHOWN_KINDS)} would do")
+            raise RequestError(f"{option}: unknown kind '{kind}'; expected {would_do(kind, known, _SHOWN_KINDS)}")
     return KINDS if EVERY_KIND in kinds else tuple(dict.fromkeys(kinds))
 
 
@@ -146,7 +146,7 @@ def check_hint(hint: tuple[float, float, float] | None) -> None:
     """
     if hint is not None and not np.isfinite(hint).all():
         given = " ".join(f"{value:g}" for value in hint)
-        raise RequestError(f"--hint: {given} is no place; three finite numbers X Y Z would do")
+        raise RequestError(f"--hint: {given} is no place; expected three finite numbers X Y Z")
 
 
 def hint_notes(view: View, hint: tuple[float, float, float] | None) -> tuple[str, ...]:

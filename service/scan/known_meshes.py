@@ -129,16 +129,16 @@ def parse_mesh_option(text: str, scale: float = 1.0) -> MeshInput:
         file, how, words = Path(said[1]), said[2], said[3] or ""
     if not os.path.isfile(file):
         how = "is a folder" if os.path.isdir(file) else "is not there"
-        raise RequestError(f"{_OPTION}: {file} {how}; {_FORMS} would do")
+        raise RequestError(f"{_OPTION}: {file} {how}; expected {_FORMS}")
     if file.suffix.lower() not in FORMATS:
         known = ", ".join(FORMATS)
-        raise RequestError(f"{_OPTION}: {file}: format '{file.suffix}' is not read; {known} would do")
+        raise RequestError(f"{_OPTION}: {file}: format '{file.suffix}' is not read; expected {known}")
     if not how:
         return MeshInput(file, scale)
     values = numbers(words, f"{_OPTION}: {file} {how}")
     if len(values) not in _AFTER:
         forms = ", ".join(f"'{form}'" for form in _AFTER.values())
-        raise RequestError(f"{_OPTION}: {file} {how}: {forms} would do, got '{words}'")
+        raise RequestError(f"{_OPTION}: {file} {how}: expected {forms}, got '{words}'")
     try:
         pose = rigid_pose((*values, 0.0, 0.0, 0.0) if len(values) == 3 else values)
     except PerceptionError as error:
@@ -180,7 +180,7 @@ def _solid(asked: MeshInput) -> Solid:
     if not _SPANS[0] <= span <= _SPANS[1]:
         raise RequestError(
             f"{_OPTION}: {asked.words} spans {span:.3g} m at --mesh-scale {asked.scale:g}; "
-            f"{_SPANS[0]:g} to {_SPANS[1]:g} m would do"
+            f"expected {_SPANS[0]:g} to {_SPANS[1]:g} m"
         )
     return solid
 

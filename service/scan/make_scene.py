@@ -120,7 +120,7 @@ def build_scene(asked: SceneInput, on_step: OnStep, time_limit_s: float | None =
     except TimeOver:
         if search is None:
             raise OutOfTimeError(
-                f"--time-limit: {time_limit_s:g} s were over before the pieces were made; more would do"
+                f"--time-limit: {time_limit_s:g} s were over before the pieces were made; expected more"
             ) from None
     if asked.before is not None:
         meshes += [asked.before.placed(one, seen) for one in asked.before.without([one.name for one in known])]

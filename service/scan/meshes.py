@@ -38,7 +38,7 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
     if not path.is_file():
         raise RequestError(f"{field}: {path} is not there; paths start at the request's folder")
     if path.suffix.lower() not in FORMATS:
-        raise RequestError(f"{field}: {path.name}: format '{path.suffix}' is not read; {', '.join(FORMATS)} would do")
+        raise RequestError(f"{field}: {path.name}: format '{path.suffix}' is not read; expected {', '.join(FORMATS)}")
     try:
         if path.suffix.lower() != URDF:
             return make_solid(read_mesh(path, scale), path.name)

@@ -193,7 +193,7 @@ def read_record(path: Path, field: str, kind: type[RecordT], *, if_scan: str = "
 def _read_json(path: Path, field: str, if_scan: str) -> Mapping[str, Any]:
     try:
         if not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device would never end
-            raise RequestError(f"{field}: {path} is no regular file; the file that 'scopt scene' writes would do")
+            raise RequestError(f"{field}: {path} is no regular file; expected the file that 'scopt scene' writes")
         if path.stat().st_size > MOST_BYTES:
             raise RequestError(f"{field}: {path} has more than {MOST_BYTES // 2**20} MB; a scene has less")
         data = json.loads(path.read_bytes())
@@ -201,19 +201,19 @@ def _read_json(path: Path, field: str, if_scan: str) -> Mapping[str, Any]:
         raise RequestError(f"{field}: {path} cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError):
         raise RequestError(
-            f"{field}: {path} is no JSON; the file that 'scopt scene' writes would do{if_scan}"
+            f"{field}: {path} is no JSON; expected the file that 'scopt scene' writes{if_scan}"
         ) from None
     named = data.get("format") if isinstance(data, Mapping) else None
     if named != FORMAT:
         scan = if_scan if named is None else ""
-        raise RequestError(f"{field}: {path} is no scene, its format is {shown(named)}, {FORMAT} would do{scan}")
+        raise RequestError(f"{field}: {path} is no scene, its format is {shown(named)}, expected {FORMAT}{scan}")
     return dict(data)
 
 
 def _check_solid(pieces: Sequence[ConvexPiece]) -> None:
     flat = next((piece.name for piece in pieces if _thickness(piece.vertices) < LEAST_THICKNESS_M), None)
     if flat is not None:
-        raise ValueError(f"the vertices of {shown(flat)} lie in a plane; four that span a volume would do")
+        raise ValueError(f"the vertices of {shown(flat)} lie in a plane; expected four that span a volume")
 
 
 def _thickness(vertices: Float[np.ndarray, "V 3"]) -> float:

@@ -258,5 +258,5 @@ def _hull(points: Float[np.ndarray, "V 3"], field: str) -> Float[np.ndarray, "W 
         return points[ConvexHull(points).vertices]
     except QhullError:
         raise RequestError(
-            f"{field}: the {len(points)} points lie in a plane; four that span a volume would do"
+            f"{field}: the {len(points)} points lie in a plane; expected four that span a volume"
         ) from None

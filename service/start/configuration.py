@@ -59,7 +59,7 @@ def find_limit_violations(
         lower, upper = float(robot.lower[index]), float(robot.upper[index])
         if not lower - tolerance <= position <= upper + tolerance:
             problems.append(
-                f"{field}.{name}: {position:.6g} is outside the joint's limits; {lower:.6g} to {upper:.6g} would do"
+                f"{field}.{name}: {position:.6g} is outside the joint's limits; expected {lower:.6g} to {upper:.6g}"
             )
     return problems
 
@@ -88,7 +88,7 @@ def _yaw_pitch_roll(quaternion_wxyz: tuple[float, float, float, float]) -> Float
     if abs(pitch_deg) > LARGEST_PITCH_DEG:
         raise RequestError(
             f"start.base.quaternion_wxyz: a pitch of {pitch_deg:.0f} deg is too near to 90; "
-            f"at most {LARGEST_PITCH_DEG:.0f} would do"
+            f"expected at most {LARGEST_PITCH_DEG:.0f}"
         )
     return np.asarray(rotation.as_euler("ZYX"))
 

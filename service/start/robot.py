@@ -81,9 +81,9 @@ def _find_unusable(robot: RobotModel, attached: Sequence[AttachedRequest], index
     one, field, names = attached[index], f"attached[{index}]", [other.name for other in attached]
     frames = sorted({frame.name for frame in robot.model.frames} - {"universe"})
     if one.name in frames or one.name in {body.name for body in robot.bodies}:
-        yield f"{field}.name: {one.name!r} is a link of {robot.name}; another name would do"
+        yield f"{field}.name: {one.name!r} is a link of {robot.name}; expected another name"
     if one.name in names[:index]:
-        yield f"{field}.name: {one.name!r} is given twice; another name would do"
+        yield f"{field}.name: {one.name!r} is given twice; expected another name"
     for key, links in (("link", (one.link,)), ("touches", one.touches)):
         for link in links:
             if link not in frames:
@@ -101,7 +101,7 @@ def _find_loose(robot: RobotModel, keep: Sequence[KeepRequest], one: AttachedReq
         if joint != carrier and {joint, carrier} not in kept:
             yield (
                 f"attached[{index}].touches: {link} may move against {one.link}; "
-                f"keep: [{{link: {link}, relative_to: {one.link}}}] would do"
+                f"expected keep: [{{link: {link}, relative_to: {one.link}}}]"
             )
 
 

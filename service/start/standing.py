@@ -42,7 +42,7 @@ def find_standing_problems(
     try:
         margin = float(SupportPolygon.of_soles(list(soles.values())).margin(com[None, :2])[0])
     except ValueError:
-        return [*problems, f"the soles of {', '.join(soles)} touch in a line; a foot flat on the floor would do"]
+        return [*problems, f"the soles of {', '.join(soles)} touch in a line; expected a foot flat on the floor"]
     if margin < 0.0:
         problems.append(
             f"the centre of mass ({com[0]:.3f}, {com[1]:.3f}) is {-margin:.3f} m outside the support polygon of "
@@ -93,9 +93,9 @@ def find_ground_problems(
         gaps = ground_gaps(corners, pieces)
         worst = float(gaps[np.abs(gaps).argmax()])
         if not np.isfinite(worst):
-            yield link, f"{describe_gap(worst, link)}; scene.floor or an obstacle there would do"
+            yield link, f"{describe_gap(worst, link)}; expected scene.floor or an obstacle there"
         elif abs(worst) > GROUND_TOLERANCE_M:
-            most = f"at most {1e3 * GROUND_TOLERANCE_M:.0f} mm would do"
+            most = f"expected at most {1e3 * GROUND_TOLERANCE_M:.0f} mm"
             yield link, f"{describe_gap(worst, link)}; {most}: move start.base, or leave it out"
 
 

@@ -23,7 +23,7 @@ def read_document(path: Path) -> dict[str, Any]:
             raise RequestError(f"{path}: is not a file; a TrajOpt problem (JSON) is needed")
         size = path.stat().st_size
         if size > MAX_BYTES:
-            raise RequestError(f"{path.name}: is {size} bytes long; at most {MAX_BYTES} would do")
+            raise RequestError(f"{path.name}: is {size} bytes long; expected at most {MAX_BYTES}")
         return parse_document(path.read_text(encoding="utf-8-sig"), path.name)
     except UnicodeDecodeError as error:
         raise RequestError(f"{path.name}: is no UTF-8 text (byte {error.start})") from None

@@ -20,7 +20,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, names, n=1, cutoff=CLOSE)
     if close:
         return f"did you mean {close[0]}?"
-    return f"{would_do(name, names)} would do" if names else "nothing would do"
+    return f"expected {would_do(name, names)}" if names else "there is none"
 
 
 class Fields:
@@ -211,7 +211,7 @@ class Fields:
             return max(least, 0.0)
         number = float(value)  # type: ignore[arg-type]
         if not least <= number <= most or not math.isfinite(number):
-            self.refuse(path, f"{_range(least, most)} would do, got {shown(value)}")
+            self.refuse(path, f"expected {_range(least, most)}, got {shown(value)}")
             return max(least, 0.0)
         return number
 
@@ -220,7 +220,7 @@ class Fields:
             self.refuse(path, f"a whole number is needed, got {shown(value)}")
             return max(least, 0)
         if not least <= value <= most:
-            self.refuse(path, f"{_range(least, most)} would do, got {shown(value)}")
+            self.refuse(path, f"expected {_range(least, most)}, got {shown(value)}")
             return max(least, 0)
         return value
 

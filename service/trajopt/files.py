@@ -66,7 +66,7 @@ def _robot(files: TrajoptFiles, named: str, folder: Path) -> Mapping[str, Any]:
     """The ``robot`` section: as the command says, else as the problem says."""
     given, what = (named, "basic_info.robot") if files.robot is None else (files.robot, "--robot")
     if not given:
-        raise RequestError(f"--robot is missing: a bundled robot ({', '.join(bundled_robots())}) or a URDF would do")
+        raise RequestError(f"--robot is missing: expected a bundled robot ({', '.join(bundled_robots())}) or a URDF")
     root = {} if files.is_floating is None else {"root": "floating" if files.is_floating else "fixed"}
     if given in bundled_robots():
         if files.srdf is not None or files.package_root is not None:

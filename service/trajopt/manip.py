@@ -23,7 +23,7 @@ def manip_columns(robot: RobotModel, manip: str) -> tuple[tuple[int, ...], tuple
     problems: list[str] = []
     parts = [piece.strip() for piece in manip.split("+")]
     if len(parts) > MAX_PARTS:
-        return (), (f"{PATH}: at most {MAX_PARTS} groups and joints would do, got {len(parts)}",)
+        return (), (f"{PATH}: expected at most {MAX_PARTS} groups and joints, got {len(parts)}",)
     for part in parts:
         found = _part(robot, part)
         if found is None:

@@ -121,7 +121,7 @@ def _named_links(problem: Problem) -> Iterator[tuple[str, str, bool]]:
 def _wrong_lengths(problem: Problem, n_dof: int) -> Iterator[str]:
     """Lists that do not have one entry per degree of freedom."""
     for key, index in ((problem.basic.fixed_dofs_key, k) for k in problem.basic.fixed_dofs if k >= n_dof):
-        yield f"basic_info.{key}: {index} is no degree of freedom; 0 to {n_dof - 1} would do"
+        yield f"basic_info.{key}: {index} is no degree of freedom; expected 0 to {n_dof - 1}"
     lists: list[tuple[str, Vector, bool]] = []
     if problem.init.kind == "straight_line":
         lists.append(("init_info.endpoint", problem.init.endpoint, False))
@@ -198,7 +198,7 @@ class _Maker:
                 if not lower - SAME_START <= value <= upper + SAME_START:
                     path = f"init_info.data[{step}][{k}]" if is_given else f"init_info.endpoint[{k}]"
                     name = self.robot.joint_names[column]
-                    yield f"{path}: {value:g} is outside the limits of {name}; {lower:g} to {upper:g} would do"
+                    yield f"{path}: {value:g} is outside the limits of {name}; expected {lower:g} to {upper:g}"
 
     def ranges(self, begin: Float[np.ndarray, "n"]) -> tuple[Mapping[int, Mapping[int, JointRange]], list[str]]:
         """What constraints on joint values leave of each coordinate, by step and coordinate."""
@@ -281,7 +281,7 @@ class _Maker:
         lower, upper = float(self.robot.lower[column]), float(self.robot.upper[column])
         if asked.lower > upper or asked.upper < lower:
             name = self.robot.joint_names[column]
-            return f"{asked.target:g} is outside the limits of {name}; {lower:g} to {upper:g} would do"
+            return f"{asked.target:g} is outside the limits of {name}; expected {lower:g} to {upper:g}"
         return ""
 
     def _conflict(

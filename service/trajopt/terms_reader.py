@@ -212,7 +212,7 @@ def _joint_rate(order: int) -> Reader:
 def _lower_tolerances(params: Fields) -> Vector:
     lower = params.numbers("lower_tols", ZEROS[:1])
     if any(value > 0.0 for value in lower):
-        params.refuse(params.at("lower_tols"), "at most 0 would do: how far below its target a value may lie, negative")
+        params.refuse(params.at("lower_tols"), "expected at most 0: how far below its target a value may lie, negative")
     return lower
 
 
@@ -237,7 +237,7 @@ def _collision(head: TermHead, params: Fields) -> Term:
         is_swept = params.flag("continuous", True)
     gap = params.whole("gap", 1, least=0)
     if gap > 1:
-        params.refuse(params.at("gap"), f"{gap} is not planned with; 1 (from waypoint to waypoint) would do")
+        params.refuse(params.at("gap"), f"{gap} is not planned with; expected 1 (from waypoint to waypoint)")
     for key, text in _COLLISION_ASIDES.items():
         if params.has(key):
             head.note(key, text)
