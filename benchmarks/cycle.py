@@ -20,7 +20,7 @@ from costs.state import MotionState
 from costs.terms import FramePose
 from scopt import Constraint, Problem, Sense
 from scopt.convex_model import assemble, convexify
-from scopt.qp import backend
+from scopt.qp import select_backend
 from service.body.whole_body import Aims, WholeBody
 
 N_WAYPOINTS = 20
@@ -70,7 +70,7 @@ def reaching_problem() -> tuple[Problem[MotionState], WholeBody, SweptCollisionC
 def main() -> None:
     """Print the median wall and processor time of every part."""
     problem, body, checker, x = reaching_problem()
-    solve = backend("piqp")
+    solve = select_backend("piqp")
     is_free = (problem.upper > problem.lower).ravel()
     box = np.tile(TRUST_RADIUS * body.step_scale(), N_WAYPOINTS)
     parts = {name: Samples() for name in ("kinematics", "collision", "linearise", "assemble", "QP")}
@@ -81,7 +81,7 @@ def main() -> None:
         model = parts["linearise"].measure(convexify, problem, state, PENALTY)
         subproblem = parts["assemble"].measure(assemble, model, is_free)
         lower, upper = (problem.lower - x).ravel(), (problem.upper - x).ravel()
-        program = subproblem.within(np.maximum(lower, -box), np.minimum(upper, box))
+        program = subproblem.bound_steps(np.maximum(lower, -box), np.minimum(upper, box))
         if not parts["QP"].measure(solve, program).is_usable:
             raise RuntimeError("the QP of the benchmark was not solved")
     rows = []

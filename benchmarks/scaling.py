@@ -27,7 +27,7 @@ from costs.kinematics import KinematicsEngine
 from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
 from scopt.convex_model import assemble, convexify
-from scopt.qp import backend
+from scopt.qp import select_backend
 from service.body.whole_body import Aims, WholeBody
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -91,14 +91,14 @@ def measure(waypoints: int, pieces: int, joints: int) -> dict[str, float]:
     checker = body.checker(ends=[x[0], x[-1]])
     problem = body.problem(*body.bounds(waypoints, {0: x[0], waypoints - 1: x[-1]}), checker)
     set_up = time.process_time() - started
-    solve = backend("piqp")
+    solve = select_backend("piqp")
     is_free = (problem.upper > problem.lower).ravel()
     cycles = []
     for _ in range(N_RUNS):
         started = time.process_time()
         subproblem = assemble(convexify(problem, problem.state(x), PENALTY), is_free)
         lower, upper = (problem.lower - x).ravel(), (problem.upper - x).ravel()
-        program = subproblem.within(np.maximum(lower, -TRUST_RADIUS), np.minimum(upper, TRUST_RADIUS))
+        program = subproblem.bound_steps(np.maximum(lower, -TRUST_RADIUS), np.minimum(upper, TRUST_RADIUS))
         if not solve(program).is_usable:
             raise RuntimeError("the QP of the benchmark was not solved")
         cycles.append(time.process_time() - started)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import perception
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
-from service.demands.world import flat_floor
+from service.demands.scene import flat_floor
 from service.errors import RequestError
 from service.request.file import parse_request
 from service.result.motion_json import file_positions
@@ -196,7 +196,7 @@ def test_one_planted_foot_under_a_middle_stance_is_refused() -> None:
 def test_feet_in_the_air_are_refused(atlas: RobotModel) -> None:
     height = float(atlas.postures["stand"][2]) + 0.1
     lines = _problems(start={"base": {"position": [0, 0, height]}})
-    assert "start is out of balance: the floor is 100.0 mm below the sole of l_foot; at most 3 mm would do" in lines[0]
+    assert "start is out of balance: the ground is 100.0 mm below the sole of l_foot; at most 3 mm would do" in lines[0]
 
 
 @pytest.mark.parametrize(

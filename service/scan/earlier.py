@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass as checked
 
 from costs.scene import ConvexPiece, Scene
 from perception import Earlier, Evidence, Perceived, Piece, Reach
-from perception.convex.hulls import hull_of
+from perception.convex.hulls import make_hull
 from perception.solids.closed import Solid
 from perception.solids.match import KnownMesh
 from service.errors import RequestError, shown
@@ -172,5 +172,5 @@ def _piece(shape: ConvexPiece, seen: _Seen) -> Piece:
         raise ValueError(f"pieces: {shown(shape.name)} is no name of a piece made of points")
     evidence = Evidence(seen.free_cells, seen.free_share, seen.open_share)
     plane: Float[np.ndarray, "4"] | None = None if seen.plane is None else np.array(seen.plane)
-    hull = hull_of(shape.vertices, np.arange(0))
+    hull = make_hull(shape.vertices, np.arange(0))
     return Piece(shape, np.arange(0), evidence, hull.simplified, plane)
