@@ -27,7 +27,7 @@ def problem(number: int, scene: str, goal: list[float]) -> dict:
 
 def write(folder, problems: list[dict]):
     file = folder / "set.json"
-    # the file names the joints in another order than the robot has them
+    # the joint order of the file differs from the robot's
     file.write_text(json.dumps({"joints": ["j1", "j0"], "problems": problems}))
     return file
 

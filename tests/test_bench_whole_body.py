@@ -73,7 +73,7 @@ def test_boxes_are_in_the_way_of_the_straight_line(robot, scenes):
         straight = q[0] + (q[-1] - q[0]) * np.linspace(0.0, 1.0, 41)[:, None]
         lines = [line for row in straight for line in describe_collisions(robot, row, pieces, FEET)]
         hits = {word for line in lines for word in line.split() if word.startswith("box")}
-        assert len(hits) >= IN_THE_WAY - 1  # the draw looks at swept hulls, which are a little larger
+        assert len(hits) >= IN_THE_WAY - 1  # boxes are drawn against swept hulls, which are slightly larger
         assert not scene.is_straight_enough
 
 

@@ -24,7 +24,7 @@ from service.request.choices import KINDS
 from service.scan import detect as detect_file
 from service.scan.time_limit import TimeOver, limit_time
 
-# Beside its function of the same name.
+# The module, which has the same name as its function.
 DETECT = sys.modules["perception.detect"]
 
 

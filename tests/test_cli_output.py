@@ -74,7 +74,7 @@ def test_the_written_robot_is_the_robot(plan: PlanResult, folder: Path) -> None:
 
 
 def test_bodies_are_written_in_the_frames_of_their_links(plan: PlanResult, folder: Path) -> None:
-    # A world position two ways: through the joint, as the planner has it, and through the link, as a stranger does.
+    # A world position computed twice: through the joint (planner) and through the link (reader of the file).
     data = plan.robot.model.createData()
     pin.framesForwardKinematics(plan.robot.model, data, plan.start)
     for written, body in zip(read_result(folder)["bodies"], plan.robot.bodies, strict=True):
@@ -89,7 +89,7 @@ def test_the_base_is_written_as_position_and_quaternion() -> None:
     rng = np.random.default_rng(1)
     q = np.tile(robot.postures["stand"], (50, 1))
     q[:, :6] = np.cumsum(0.2 * rng.normal(size=(50, 6)), axis=0)
-    q[:, 3] = np.linspace(0.0, 10.0, 50)  # more than one turn, so that the quaternion changes sides
+    q[:, 3] = np.linspace(0.0, 10.0, 50)  # more than one turn, so that the quaternion changes its sign
     q[:, 4] = np.clip(q[:, 4], -1.4, 1.4)
     rows = file_positions(robot, q)
     assert file_columns(robot)[:7] == ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")

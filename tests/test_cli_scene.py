@@ -458,7 +458,7 @@ def test_a_click_on_a_hit_looks_at_it(browser: Browser, written: tuple[Path, dic
     browser.run("document.querySelector('.check').click()")
     browser.settle()
     place = [row[3] for row in printed["detections"][0]["pose_world_object"][:3]]
-    assert np.linalg.norm(np.subtract(browser.run("window.__viewer.target"), place)) < 0.2  # all of it is in the middle
+    assert np.linalg.norm(np.subtract(browser.run("window.__viewer.target"), place)) < 0.2  # it is in the middle
 
 
 def test_the_slice_moves_and_tells_free_occupied_and_unseen(

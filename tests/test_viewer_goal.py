@@ -126,7 +126,7 @@ def test_links_without_a_shape_are_listed_and_crossed(browser, pages, results, n
     text = browser.run("document.querySelector('.panel').innerText")
     assert f"{len(expected)} LINK" in text.upper()
     assert all(link in text for link in expected)
-    # A cross hides nothing: it is drawn through what stands before it.
+    # A cross is drawn on top of everything in front of it.
     browser.run("document.body.classList.add('unlabelled')")
     places = [browser.run(f"window.__viewer.project({json.dumps(link)})") for link in expected]
     assert all(place is not None for place in places)

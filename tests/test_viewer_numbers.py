@@ -34,7 +34,7 @@ READ = """({
 })"""
 SCALE = {"m": 1e3, "rad": 180.0 / math.pi, "1": 100.0}
 ROUNDED = 5e-3  # three digits are printed
-NEAR = 2e-6  # of a line drawn from single-precision numbers [m, s]
+NEAR = 2e-6  # tolerance of a line drawn from single-precision numbers [m, s]
 
 
 @dataclass(frozen=True)

@@ -21,15 +21,15 @@ class Answer(enum.Enum):
     REFUSED = "refused"
     """An error that names what is wrong."""
     REPORTED = "reported"
-    """A verdict other than CERTIFIED, or CERTIFIED with the lie named beside it."""
+    """A verdict other than CERTIFIED, or CERTIFIED with a note that names the false data."""
     TRUE = "true"
-    """CERTIFIED, and nothing is wrong with it: a harmless edit, or a claim that independent code confirms."""
+    """Correctly CERTIFIED: a harmless edit, or a claim that independent code confirms."""
     BELIEVED = "BELIEVED"
-    """CERTIFIED although it is a lie."""
+    """CERTIFIED although the data are false."""
     ALARM = "FALSE ALARM"
     """A harmless edit was not certified."""
     CRASHED = "CRASHED"
-    """An error that nobody planned, or the death of a process."""
+    """An unexpected error, or a process that died."""
 
 
 FAILED = (Answer.BELIEVED, Answer.ALARM, Answer.CRASHED)
