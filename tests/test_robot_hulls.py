@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from costs.collision.shapes import static_convex, swept_convex
 from costs.primitive import round_shape
 from costs.robot import RobotError, load_robot, shapes
-from costs.robot.hull import hull_vertices
-from costs.robot.outer import outer_hull
+from costs.robot.hull import hull_vertices, outer_hull
 from service.start.overlaps import penetration_depth
 
 LENGTH = st.floats(1e-3, 2.0)

@@ -17,10 +17,9 @@ from lxml import etree
 from costs.primitive import round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError, suggest
-from costs.robot.hull import hull_vertices
+from costs.robot.hull import hull_vertices, outer_hull
 from costs.robot.load import body_frame, pinocchio_model
 from costs.robot.model import LinkBody, RobotModel, RobotSource
-from costs.robot.outer import outer_hull
 from costs.robot.poses import joined, origin_element
 from costs.robot.self_pairs import link_pair, same_joint_pairs
 from costs.robot.urdf import parse_urdf, urdf_text

@@ -10,9 +10,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot.errors import RobotError
-from costs.robot.hull import hull_vertices
+from costs.robot.hull import hull_vertices, outer_hull
 from costs.robot.model import LinkBody, RobotModel
-from costs.robot.outer import outer_hull
 
 
 def with_revolute(

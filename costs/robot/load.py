@@ -13,14 +13,13 @@ from jaxtyping import Float
 from costs.primitive import round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError
-from costs.robot.hull import hull_vertices
+from costs.robot.hull import hull_vertices, outer_hull
 from costs.robot.meshes import read_vertices, resolve_mesh
 from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
-from costs.robot.outer import outer_hull
 from costs.robot.self_pairs import derive_ignored_pairs, same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
 from costs.robot.urdf import Urdf, parse_urdf, pinocchio_xml, urdf_text
-from costs.robot.urdf_shape import Shape
+from costs.robot.urdf_elements import Shape
 from costs.robot.xmlfile import read_xml_text
 
 DEFAULT_ACCELERATION = 10.0

@@ -10,7 +10,7 @@ from lxml import etree
 
 from costs.robot.errors import RobotError, suggest
 from costs.robot.urdf import Urdf
-from costs.robot.urdf_joint import MOVABLE
+from costs.robot.urdf_elements import MOVABLE
 from costs.robot.xmlfile import numbers, parse_xml, required
 
 

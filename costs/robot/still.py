@@ -12,7 +12,7 @@ from costs.robot.errors import RobotError
 from costs.robot.load import primitive_points
 from costs.robot.meshes import resolve_mesh
 from costs.robot.urdf import Urdf, parse_urdf
-from costs.robot.urdf_joint import MOVABLE
+from costs.robot.urdf_elements import MOVABLE
 from costs.robot.xmlfile import parse_xml, read_xml_text
 
 MAX_SHAPES = 256

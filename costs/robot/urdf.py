@@ -11,8 +11,7 @@ from lxml import etree
 
 from costs.robot.errors import RobotError, suggest
 from costs.robot.poses import joined, origin_element, parse_origin
-from costs.robot.urdf_joint import MOVABLE, Joint, lock_joints, parse_joint
-from costs.robot.urdf_shape import Shape, parse_shape
+from costs.robot.urdf_elements import MOVABLE, Joint, Shape, lock_joints, parse_joint, parse_shape
 from costs.robot.xmlfile import number, parse_xml, required
 
 MAX_LINKS = 512

@@ -1,14 +1,12 @@
-"""The terms a motion is judged by, one file per idea."""
+"""Terms of motion problems: the residuals of costs and constraints."""
 
 from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassAt, CentreOfMassInPolygon
 from costs.terms.collision import SweptClearance
 from costs.terms.displacement import FrameDisplacement
 from costs.terms.joint import JointDifference, JointTarget
-from costs.terms.masked import Masked
 from costs.terms.pair_clearance import Asked, AskedOfPairs, PairClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
-from costs.terms.scaled import Scaled
-from costs.terms.tolerance import Between, WithinTolerance
+from costs.terms.wrappers import Between, Masked, Scaled, WithinTolerance
 
 __all__ = [
     "Asked",
