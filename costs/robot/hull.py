@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 from costs.robot.errors import RobotError
 
 EXACT_VERTICES = 32
-"""A body of no more vertices than this is its own outer hull."""
+"""Most vertices of a body that is its own outer hull."""
 
 _COUNTS = (32, 40, 48)
 _TARGET_EXCESS = 3e-3
@@ -28,11 +28,11 @@ _FACE_ROWS = 3
 _EXCESS_ROWS = 6
 
 
-def hull_vertices(points: Float[np.ndarray, "V 3"], where: str) -> Float[np.ndarray, "W 3"]:
-    """Vertices of the convex hull of ``points``, in their order.
+def find_hull_vertices(points: Float[np.ndarray, "V 3"], where: str) -> Float[np.ndarray, "W 3"]:
+    """Find the vertices of the convex hull of ``points``, in their order.
 
     Raises:
-        RobotError: when the points lie in a plane: such a hull has no inside to be in collision with.
+        RobotError: the points lie in a plane.
     """
     try:
         hull = ConvexHull(points)
@@ -41,34 +41,34 @@ def hull_vertices(points: Float[np.ndarray, "V 3"], where: str) -> Float[np.ndar
     return np.ascontiguousarray(points[np.sort(hull.vertices)])
 
 
-def outer_hull(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
-    """At most 48 points whose hull contains the hull of ``vertices``.
+def make_outer_hull(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
+    """Make at most 48 points whose hull contains the hull of ``vertices``.
 
     Aims at an excess (height above the body's nearest face plane) of 3 mm or 2 % of the body's extent, whichever is
-    less, with 32 points where these can be expected to do, else with 40 or 48.
+    less, with 32 points where these are expected to be enough, else with 40 or 48.
 
     Args:
         vertices: corners of a convex hull [m].
     """
     if len(vertices) <= EXACT_VERTICES:
         return vertices
-    return _reduced(np.ascontiguousarray(vertices, dtype=float).tobytes()).copy()
+    return _reduce(np.ascontiguousarray(vertices, dtype=float).tobytes()).copy()
 
 
 @lru_cache(maxsize=256)
-def _reduced(corners: bytes) -> Float[np.ndarray, "W 3"]:
-    """Outer hull of (V, 3) corners given as bytes; remembered, since the same robot is loaded again and again."""
+def _reduce(corners: bytes) -> Float[np.ndarray, "W 3"]:
+    """Make the outer hull of (V, 3) corners given as bytes; cached, since the same robot is loaded many times."""
     vertices = np.frombuffer(corners).reshape(-1, 3)
     target = min(_TARGET_EXCESS, _RELATIVE_TARGET * float(np.ptp(vertices, axis=0).max()))
     planes = ConvexHull(vertices).equations
-    points = _inner_points(vertices, target)
+    points = _choose_inner_points(vertices, target)
     best, best_excess = points, np.inf
     step = 0.01 * float(np.ptp(vertices, axis=0).max())
     for _ in range(_ITERATIONS):
-        points = points + _best_move(points, vertices, planes, step)
+        points = points + _find_best_move(points, vertices, planes, step)
         points = points[ConvexHull(points).vertices]
-        outer = _scaled_around(points, vertices)
-        excess = _excess(outer, planes)
+        outer = _scale_around(points, vertices)
+        excess = _measure_excess(outer, planes)
         if excess < best_excess:
             best, best_excess = outer, excess
         else:
@@ -78,9 +78,9 @@ def _reduced(corners: bytes) -> Float[np.ndarray, "W 3"]:
     return best
 
 
-def _inner_points(vertices: Float[np.ndarray, "V 3"], target: float) -> Float[np.ndarray, "W 3"]:
-    """Vertices chosen one by one, each the farthest from the hull of those before."""
-    chosen = _spread_tetrahedron(vertices)
+def _choose_inner_points(vertices: Float[np.ndarray, "V 3"], target: float) -> Float[np.ndarray, "W 3"]:
+    """Choose vertices one by one, each the farthest from the hull of those before."""
+    chosen = _choose_tetrahedron(vertices)
     while True:
         equations = ConvexHull(vertices[chosen]).equations
         gap = (vertices @ equations[:, :3].T + equations[:, 3]).max(axis=1)
@@ -90,8 +90,8 @@ def _inner_points(vertices: Float[np.ndarray, "V 3"], target: float) -> Float[np
         chosen.append(int(np.argmax(gap)))
 
 
-def _spread_tetrahedron(vertices: Float[np.ndarray, "V 3"]) -> list[int]:
-    """Four vertices off one plane, each far from those before."""
+def _choose_tetrahedron(vertices: Float[np.ndarray, "V 3"]) -> list[int]:
+    """Choose four vertices that do not lie in a plane, each far from those before."""
     first = int(np.argmax(vertices[:, 0]))
     relative = vertices - vertices[first]
     chosen = [first]
@@ -103,20 +103,20 @@ def _spread_tetrahedron(vertices: Float[np.ndarray, "V 3"]) -> list[int]:
     return chosen
 
 
-def _best_move(
+def _find_best_move(
     points: Float[np.ndarray, "W 3"],
     vertices: Float[np.ndarray, "V 3"],
     planes: Float[np.ndarray, "F 4"],
     step: float,
 ) -> Float[np.ndarray, "W 3"]:
-    """Moves of at most ``step`` per coordinate that minimise the greatest excess, to first order.
+    """Find moves of at most ``step`` per coordinate that minimise the greatest excess, to first order.
 
     Unknowns are the moves and the excess t.  A face (a, b, c) with normal n stays outside the body's vertex v when
     the moves' heights along n, weighted by the barycentric coordinates of v's foot on the face, make up for v's
     height above it.
     """
     n_unknowns = points.size + 1
-    face_rows, face_columns, face_values, face_limits = _face_rows(points, vertices)
+    face_rows, face_columns, face_values, face_limits = _make_face_rows(points, vertices)
     height = points @ planes[:, :3].T + planes[:, 3]
     nearest = np.argsort(-height, axis=1)[:, :_EXCESS_ROWS]
     point = np.repeat(np.arange(len(points)), nearest.shape[1])
@@ -141,10 +141,10 @@ def _best_move(
     return np.asarray(solution.x[:-1].reshape(-1, 3))
 
 
-def _face_rows(
+def _make_face_rows(
     points: Float[np.ndarray, "W 3"], vertices: Float[np.ndarray, "V 3"]
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "m"]]:
-    """Rows, columns, values and right-hand sides that keep the highest vertices below every face."""
+    """Make rows, columns, values and right-hand sides that keep the highest vertices below every face."""
     hull = ConvexHull(points)
     normals = hull.equations[:, :3]
     height = vertices @ normals.T + hull.equations[:, 3]
@@ -154,15 +154,17 @@ def _face_rows(
     above = height[vertex, face]
     corners = points[hull.simplices[face]]
     foot = vertices[vertex] - above[:, None] * normals[face]
-    weights = _barycentric(foot, corners)
+    weights = _compute_barycentric(foot, corners)
     values = -weights[:, :, None] * normals[face][:, None, :]
     columns = 3 * hull.simplices[face][:, :, None] + np.arange(3)
     rows = np.broadcast_to(np.arange(len(face))[:, None, None], values.shape)
     return rows.ravel(), columns.ravel(), values.ravel(), -above
 
 
-def _barycentric(points: Float[np.ndarray, "k 3"], corners: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3"]:
-    """Weights of the corners of a triangle each that make the points, which lie in its plane."""
+def _compute_barycentric(
+    points: Float[np.ndarray, "k 3"], corners: Float[np.ndarray, "k 3 3"]
+) -> Float[np.ndarray, "k 3"]:
+    """Compute barycentric coordinates of points, each in the plane of its own triangle."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.cross(first, second)
     area = np.maximum((across * across).sum(axis=1), 1e-30)
@@ -172,8 +174,8 @@ def _barycentric(points: Float[np.ndarray, "k 3"], corners: Float[np.ndarray, "k
     return np.asarray(np.stack([1.0 - of_first - of_second, of_first, of_second], axis=1))
 
 
-def _scaled_around(points: Float[np.ndarray, "W 3"], vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
-    """The points' hull, scaled about its centre by the least factor that makes it contain all vertices."""
+def _scale_around(points: Float[np.ndarray, "W 3"], vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
+    """Scale the points' hull about its centre by the least factor with which it contains all vertices."""
     centre = points.mean(axis=0)
     equations = ConvexHull(points).equations
     offset = -(equations[:, 3] + equations[:, :3] @ centre)
@@ -183,6 +185,6 @@ def _scaled_around(points: Float[np.ndarray, "W 3"], vertices: Float[np.ndarray,
     return np.asarray(centre + factor * (points - centre))
 
 
-def _excess(points: Float[np.ndarray, "W 3"], planes: Float[np.ndarray, "F 4"]) -> float:
-    """Greatest height of a point above the body's face planes [m]."""
+def _measure_excess(points: Float[np.ndarray, "W 3"], planes: Float[np.ndarray, "F 4"]) -> float:
+    """Return the greatest height of a point above the body's face planes [m]."""
     return float((points @ planes[:, :3].T + planes[:, 3]).max())

@@ -21,7 +21,7 @@ _LEAST_CAPSULE_SHARE = 0.098
 
 
 def allowed_excess(radius: float) -> float:
-    """How far a vertex may lie outside a round shape [m]: 2 mm, or 1 % of the radius where that is more."""
+    """Return the largest distance of a vertex outside a round shape [m]: 2 mm, or 1 % of the radius if larger."""
     return max(EXCESS_M, EXCESS_SHARE * radius)
 
 
@@ -62,7 +62,7 @@ def capsule(radius: float, length: float, most: int = 296) -> Float[np.ndarray, 
     return np.asarray(np.vstack([radius * polytope[is_top] + shift, radius * polytope[is_bottom] - shift]))
 
 
-def swept_hull(exact: Primitive, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
+def make_swept_hull(exact: Primitive, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
     """The polytope around a link's round shape for the optimiser's sweeps, in the frame of its joint.
 
     These are ``vertices`` (those within ``allowed_excess``) unless there are too many of them: around the vertices of

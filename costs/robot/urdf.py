@@ -1,4 +1,4 @@
-"""What a URDF says, checked: links with their collision shapes, joints with their limits, one tree."""
+"""Content of a URDF, checked: links with their collision shapes, joints with their limits, one tree."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from lxml import etree
 
 from costs.robot.errors import RobotError, suggest
-from costs.robot.poses import joined, origin_element, parse_origin
+from costs.robot.poses import format_numbers, make_origin, parse_origin
 from costs.robot.urdf_elements import MOVABLE, Joint, Shape, lock_joints, parse_joint, parse_shape
-from costs.robot.xmlfile import number, parse_xml, required
+from costs.robot.xmlfile import parse_number, parse_xml, read_attribute
 
 MAX_LINKS = 512
 MAX_DEPTH = 128
@@ -45,14 +45,14 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float]) -> Urd
         RobotError: for anything pinocchio would crash on, load from elsewhere or misread in silence.
     """
     tree = parse_xml(text, where, "robot")
-    name = required(tree, "name", where)
+    name = read_attribute(tree, "name", where)
     link_elements = tree.findall("link")
     if not link_elements:
         raise RobotError(f"{where}: no <link>; a robot has at least one")
     if len(link_elements) > MAX_LINKS:
         raise RobotError(f"{where}: {len(link_elements)} links; at most {MAX_LINKS} are read")
-    link_names = [required(element, "name", where) for element in link_elements]
-    joint_names = [required(element, "name", where) for element in tree.findall("joint")]
+    link_names = [read_attribute(element, "name", where) for element in link_elements]
+    joint_names = [read_attribute(element, "name", where) for element in tree.findall("joint")]
     _refuse_repeated(where, "link", link_names)
     _refuse_repeated(where, "joint", joint_names)
     _refuse_shared(where, link_names, joint_names)
@@ -63,13 +63,13 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float]) -> Urd
     joints = lock_joints(tree, joints, dict(locked_joints), where)
     links = {}
     for element in link_elements:
-        link = required(element, "name", where)
+        link = read_attribute(element, "name", where)
         _check_inertia(element, f"{where}: link '{link}'")
         links[link] = tuple(parse_shape(shape, f"{where}: link '{link}'") for shape in element.findall("collision"))
     return Urdf(name, tree, _check_tree(links, joints, where), links, joints)
 
 
-def pinocchio_xml(urdf: Urdf) -> str:
+def make_pinocchio_xml(urdf: Urdf) -> str:
     """The URDF as pinocchio may see it: no meshes, and continuous joints as revolute ones.
 
     A continuous joint would have nq == 2 (cosine and sine); as a revolute joint its angle is a plain number. Its
@@ -86,17 +86,17 @@ def pinocchio_xml(urdf: Urdf) -> str:
         element = etree.SubElement(robot, "joint", name=joint.name, type=kind)
         etree.SubElement(element, "parent", link=joint.parent)
         etree.SubElement(element, "child", link=joint.child)
-        element.append(origin_element(joint.pose_parent_joint))
+        element.append(make_origin(joint.pose_parent_joint))
         if joint.kind in MOVABLE:
-            etree.SubElement(element, "axis", xyz=joined(joint.axis))
+            etree.SubElement(element, "axis", xyz=format_numbers(joint.axis))
             lower, upper = np.clip([joint.lower, joint.upper], -1e6, 1e6)
             etree.SubElement(element, "limit", lower=repr(float(lower)), upper=repr(float(upper)),
                              velocity=repr(joint.velocity), effort=repr(joint.effort))  # fmt: skip
     return str(etree.tostring(robot, encoding="unicode"))
 
 
-def urdf_text(urdf: Urdf) -> str:
-    """The URDF as text, with joints locked as asked."""
+def format_urdf(urdf: Urdf) -> str:
+    """Format the URDF as text, with the locked joints fixed."""
     return str(etree.tostring(urdf.tree, encoding="unicode"))
 
 
@@ -125,10 +125,10 @@ def _check_inertia(element: etree._Element, where: str) -> None:
     inertia = inertial.find("inertia")
     if mass is None or inertia is None:
         raise RobotError(f"{where}: <inertial> needs <mass> and <inertia>")
-    if number(required(mass, "value", where), f"{where}: mass") < 0.0:
+    if parse_number(read_attribute(mass, "value", where), f"{where}: mass") < 0.0:
         raise RobotError(f"{where}: mass {mass.get('value')} is negative")
     keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    values = {key: number(required(inertia, key, where), f"{where}: inertia {key}") for key in keys}
+    values = {key: parse_number(read_attribute(inertia, key, where), f"{where}: inertia {key}") for key in keys}
     for key in ("ixx", "iyy", "izz"):
         if values[key] < 0.0:
             raise RobotError(f"{where}: inertia {key} is {values[key]:g}; a moment of inertia is never negative")

@@ -4,18 +4,17 @@ from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassAt, CentreOfM
 from costs.terms.collision import SweptClearance
 from costs.terms.displacement import FrameDisplacement
 from costs.terms.joint import JointDifference, JointTarget
-from costs.terms.pair_clearance import Asked, AskedOfPairs, PairClearance
+from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
 from costs.terms.wrappers import Between, Masked, Scaled, WithinTolerance
 
 __all__ = [
-    "Asked",
-    "AskedOfPairs",
     "AxisDirection",
     "Between",
     "CartTableZmpInPolygon",
     "CentreOfMassAt",
     "CentreOfMassInPolygon",
+    "ClearancePerPair",
     "FrameDisplacement",
     "FramePose",
     "JointDifference",
@@ -23,6 +22,7 @@ __all__ = [
     "Masked",
     "PairClearance",
     "PointHalfSpace",
+    "RequiredClearance",
     "Scaled",
     "SweptClearance",
     "WithinTolerance",

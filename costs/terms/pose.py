@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from costs.kinematics import Kinematics, frame_of
+from costs.kinematics import Kinematics, locate_frame
 from costs.robot.model import RobotModel
-from costs.rotation import log_derivative, log_rotation, skew, tangent_basis
+from costs.rotation import log_derivative, log_rotation, make_tangent_basis, skew
 from costs.state import MotionState
 from scopt import AffineRows, Residual
 
@@ -25,7 +25,7 @@ class _Frame:
         self.joint: int = 0
         self.pose_joint_frame: Float[np.ndarray, "4 4"] = np.eye(4)
         if name is not None:
-            self.joint, self.pose_joint_frame = frame_of(robot, name)
+            self.joint, self.pose_joint_frame = locate_frame(robot, name)
 
     def pose(
         self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"], offset: Float[np.ndarray, "#S 4 4"]
@@ -59,7 +59,7 @@ class FramePose(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: whose frame it is.
+            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the rows are measured.
             target: (4, 4) or (S, 4, 4) ``pose_reference_target``.
@@ -127,7 +127,7 @@ class AxisDirection(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: whose frame it is.
+            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the rows are measured.
             axis: (3,) in the frame.
@@ -139,7 +139,7 @@ class AxisDirection(Residual[MotionState]):
         self._reference = _Frame(robot, reference)
         self._axis = _unit(axis)
         self._direction = _unit(direction)
-        self._tangents = tangent_basis(self._direction)
+        self._tangents = make_tangent_basis(self._direction)
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
         along, tangential, _ = self._components(state.kinematics)
@@ -208,7 +208,7 @@ class PointHalfSpace(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: whose frame it is.
+            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the row is measured.
             normal: (3,) in the world.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from costs.robot.atlas.description import DEFAULT_TOOL_DISTANCE, FOLDER, urdf_text
+from costs.robot.atlas.description import DEFAULT_TOOL_DISTANCE, FOLDER, format_urdf
 from costs.robot.load import Root, build_robot
 from costs.robot.model import RobotModel
 from costs.robot.xmlfile import read_xml_text
@@ -23,6 +23,6 @@ def load_atlas(root: Root, tool_distance_m: float | None, locked_joints: Mapping
     if tool_distance_m is None or tool_distance_m == DEFAULT_TOOL_DISTANCE:
         text = read_xml_text(urdf)
     else:
-        text = urdf_text(tool_distance_m)
+        text = format_urdf(tool_distance_m)
     roots = (FOLDER.parent,)
     return build_robot(text, read_xml_text(srdf), roots, root, locked_joints, str(urdf), str(srdf))

@@ -22,7 +22,7 @@ HOOK_RADIUS = 0.009
 HOOK_START = 0.045
 
 
-def urdf_text(tool_distance_m: float = DEFAULT_TOOL_DISTANCE) -> str:
+def format_urdf(tool_distance_m: float = DEFAULT_TOOL_DISTANCE) -> str:
     """The URDF, with hooks that end at ``tool_distance_m`` from the hand frames.
 
     Raises:
