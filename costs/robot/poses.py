@@ -38,7 +38,7 @@ def format_numbers(values: Float[np.ndarray, "k"]) -> str:
 
 
 def rpy_matrix(rpy: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Rotation of URDF's fixed-axis roll, pitch, yaw [rad]."""
+    """Return the rotation of URDF's fixed-axis roll, pitch, yaw [rad]."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array([[cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
                      [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
@@ -46,7 +46,7 @@ def rpy_matrix(rpy: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 
 def matrix_rpy(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """Fixed-axis roll, pitch, yaw [rad] of a rotation; at pitch +-90 degrees the roll is put to 0."""
+    """Return fixed-axis roll, pitch, yaw [rad] of a rotation; at pitch +-90 degrees the roll is put to 0."""
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
     if abs(rotation[2, 0]) > 1.0 - 1e-12:
         return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
@@ -55,7 +55,7 @@ def matrix_rpy(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
 
 
 def axis_rotation(axis: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3 3"]:
-    """Rotation by ``angle`` [rad] about a unit axis (Rodrigues)."""
+    """Return the rotation by ``angle`` [rad] about a unit axis (Rodrigues)."""
     x, y, z = axis
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew)

@@ -70,7 +70,7 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float]) -> Urd
 
 
 def make_pinocchio_xml(urdf: Urdf) -> str:
-    """The URDF as pinocchio may see it: no meshes, and continuous joints as revolute ones.
+    """Format the URDF for pinocchio: no meshes, and continuous joints as revolute ones.
 
     A continuous joint would have nq == 2 (cosine and sine); as a revolute joint its angle is a plain number. Its
     unbounded limits are kept by the caller.

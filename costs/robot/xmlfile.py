@@ -15,7 +15,7 @@ MAX_XML_BYTES = 4 * 1024 * 1024
 
 
 def read_xml_text(path: Path) -> str:
-    """Text of an XML file of at most ``MAX_XML_BYTES``.
+    """Read the text of an XML file of at most ``MAX_XML_BYTES``.
 
     Raises:
         RobotError: when the file cannot be read, is too large or is not UTF-8.

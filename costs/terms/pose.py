@@ -94,7 +94,7 @@ class FramePose(Residual[MotionState]):
             if reference:
                 angular = angular - kinematics.angular_jacobian(reference)[here]
             rows = np.concatenate([rows, log_derivative(error[:, 3:]) @ (to_target @ angular)], axis=1)
-        return _rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
+        return _make_rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
 
     def _error(
         self, kinematics: Kinematics
@@ -161,7 +161,7 @@ class AxisDirection(Residual[MotionState]):
         d_angle = along[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
         rows = across[:, None, None] * d_tangential
         rows = rows + unit[:, :, None] * (d_angle - across[:, None] * d_sine)[:, None, :]
-        return _rows(angle[:, None] * unit, rows, here, kinematics)
+        return _make_rows(angle[:, None] * unit, rows, here, kinematics)
 
     def _components(
         self, kinematics: Kinematics
@@ -231,7 +231,7 @@ class PointHalfSpace(Residual[MotionState]):
         _, position = self._frame.pose(kinematics, here, self._local[None])
         direction = np.broadcast_to(self._normal, position.shape)
         rows = kinematics.directional_jacobian(here, np.full(len(here), self._frame.joint), position, direction)
-        return _rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
+        return _make_rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
 
 
 def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
@@ -242,13 +242,13 @@ def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return v / norm
 
 
-def _rows(
+def _make_rows(
     value: Float[np.ndarray, "S k"],
     jacobian: Float[np.ndarray, "S k n"],
     waypoints: Int[np.ndarray, "S"],
     kinematics: Kinematics,
 ) -> AffineRows:
-    """Rows of single waypoints."""
+    """Make rows of single waypoints."""
     n_rows, k, n = jacobian.shape
     return AffineRows.from_blocks(
         value.ravel(), np.repeat(waypoints, k), jacobian.reshape(n_rows * k, 1, n), kinematics.n_waypoints

@@ -18,7 +18,7 @@ from costs.robot.xmlfile import read_xml_text
 
 
 def load_atlas(root: Root, tool_distance_m: float | None, locked_joints: Mapping[str, float]) -> RobotModel:
-    """The bundled Atlas; see ``costs.robot.load_robot``."""
+    """Load the bundled Atlas; see ``costs.robot.load_robot``."""
     urdf, srdf = FOLDER / "atlas.urdf", FOLDER / "atlas.srdf"
     if tool_distance_m is None or tool_distance_m == DEFAULT_TOOL_DISTANCE:
         text = read_xml_text(urdf)
