@@ -96,8 +96,9 @@ def _small_capsule(radius: float, length: float) -> Float[np.ndarray, "32 3"]:
 
 def _around_unit_sphere(share: float, most: int) -> Float[np.ndarray, "V 3"]:
     """Make the first polytope at most ``share`` outside a unit sphere, else the last with few enough vertices."""
-    fitting = [polytope for polytope in (_geodesic(*one) for one in _SUBDIVISIONS) if len(polytope) <= most]
-    return next((one for one in fitting if np.linalg.norm(one, axis=1).max() <= 1.0 + share), fitting[-1])
+    polytopes = (_geodesic(*subdivision) for subdivision in _SUBDIVISIONS)
+    fitting = [points for points in polytopes if len(points) <= most]
+    return next((points for points in fitting if np.linalg.norm(points, axis=1).max() <= 1.0 + share), fitting[-1])
 
 
 @lru_cache

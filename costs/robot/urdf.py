@@ -155,8 +155,8 @@ def _check_tree(links: Mapping[str, object], joints: Mapping[str, Joint], where:
         children[joint.parent].append(joint.child)
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
-        found = ", ".join(f"'{root}'" for root in roots[:4]) or "none (the joints form a loop)"
-        raise RobotError(f"{where}: one root link is needed, found {found}")
+        names = ", ".join(f"'{root}'" for root in roots[:4]) or "none (the joints form a loop)"
+        raise RobotError(f"{where}: one root link is needed, found {names}")
     depth = {roots[0]: 0}
     queue = deque(roots)
     while queue:
