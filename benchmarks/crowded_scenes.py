@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.collision import PairMargins, SweptCollisionChecker
-from costs.kinematics import Kinematics, planted_poses
+from costs.kinematics import Kinematics, locate_links
 from costs.robot import RobotModel
 from costs.robot.shapes import box
 from costs.scene import ConvexPiece, Scene
@@ -93,8 +93,8 @@ def _crowded(
     path = _drawn_path(body, rng, side)
     if path is None:
         return None
-    place = planted_poses(body.engine, path[-1], [palm])[palm]
-    if np.linalg.norm(place[:3, 3] - planted_poses(body.engine, path[0], [palm])[palm][:3, 3]) < LEAST_TRAVEL:
+    place = locate_links(body.engine, path[-1], [palm])[palm]
+    if np.linalg.norm(place[:3, 3] - locate_links(body.engine, path[0], [palm])[palm][:3, 3]) < LEAST_TRAVEL:
         return None
     arm = {robot.model.getJointId(joint) for joint in robot.groups[arm_of(side)]}
     boxes = _boxes(body, rng, path, n_boxes, arm)

@@ -38,7 +38,7 @@ from benchmarks.crowded_scenes import (
     standing_near,
     thrown_box,
 )
-from costs.kinematics import planted_poses
+from costs.kinematics import locate_links
 from costs.robot import RobotModel
 from costs.terms import FramePose
 from scopt import Constraint, Sense, Settings, TrustRegionSQP
@@ -95,7 +95,7 @@ def _scene(robot: RobotModel, name: str, rng: np.random.Generator, n_boxes: int,
     path = _drawn_path(body, rng)
     if path is None:
         return None
-    first, last = (planted_poses(body.engine, q, PALMS) for q in (path[0], path[-1]))
+    first, last = (locate_links(body.engine, q, PALMS) for q in (path[0], path[-1]))
     if min(np.linalg.norm(last[palm][:3, 3] - first[palm][:3, 3]) for palm in PALMS) < LEAST_TRAVEL:
         return None
     boxes = _boxes(body, rng, path, n_boxes)
@@ -227,7 +227,7 @@ def _carrying(
     body: WholeBody, q: Float[np.ndarray, "n"], rng: np.random.Generator, travel: tuple[float, float]
 ) -> Float[np.ndarray, "n"] | None:
     """Return a posture near ``q`` with the beam moved and turned at random; None if none is found."""
-    place = planted_poses(body.engine, q, PALMS)[PALMS[0]]
+    place = locate_links(body.engine, q, PALMS)[PALMS[0]]
     step = rng.normal(size=3)
     place[:3, 3] += rng.uniform(*travel) * step / np.linalg.norm(step)
     place[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, BEAM_TURN, 3)).as_matrix() @ place[:3, :3]

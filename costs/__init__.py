@@ -1,1 +1,1 @@
-"""The world a motion is measured on: robots, kinematics, scenes, curves and the terms."""
+"""Robots, kinematics, scenes, curves, and the terms measured on them."""

@@ -1,4 +1,4 @@
-"""Allowances to touch: which body may touch what, and how deep.  Bodies are told by who has them, never by patterns."""
+"""Allowances to touch: pairs of bodies or pieces and their greatest penetration, named by owner, never by patterns."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class BodyRef:
     """A body of a link, all bodies of a link, or a piece of the scene.
 
     Attributes:
-        owner: who has it: the robot, the scene, or the mechanism that a task moves.
+        owner: the robot, the scene, or the mechanism that a task moves.
         link: the robot's or the mechanism's link; None for a piece.
         body: name of the body or piece; None for every body of the link.
 
@@ -36,12 +36,12 @@ class BodyRef:
 
     def __post_init__(self) -> None:
         if self.owner not in OWNERS:
-            raise ValueError(f"owner is {self.owner!r}; {', '.join(OWNERS)} would do")
+            raise ValueError(f"owner is {self.owner!r}; expected one of {', '.join(OWNERS)}")
         if self.owner == "scene":
-            is_told = self.link is None and isinstance(self.body, str)
+            is_complete = self.link is None and isinstance(self.body, str)
         else:
-            is_told = isinstance(self.link, str) and isinstance(self.body, str | None)
-        if not is_told:
+            is_complete = isinstance(self.link, str) and isinstance(self.body, str | None)
+        if not is_complete:
             kind = "a piece's name and no link" if self.owner == "scene" else "a link's name, and a body's or null"
             raise ValueError(
                 f"a reference to the {self.owner} needs {kind}, got link {self.link!r} and body {self.body!r}"
@@ -49,21 +49,21 @@ class BodyRef:
 
     @staticmethod
     def of_link(link: str) -> BodyRef:
-        """Every body of one of the robot's links."""
+        """Return a reference to every body of one of the robot's links."""
         return BodyRef("robot", link)
 
     @staticmethod
     def of_piece(name: str) -> BodyRef:
-        """A piece of the scene."""
+        """Return a reference to a piece of the scene."""
         return BodyRef("scene", None, name)
 
     @staticmethod
     def of_body(body: LinkBody, mechanism_links: AbstractSet[str] = frozenset()) -> BodyRef:
-        """One body, of the robot or of one of the mechanism's links."""
+        """Return a reference to one body of the robot or of one of the mechanism's links."""
         return BodyRef("mechanism" if body.link in mechanism_links else "robot", body.link, body.name)
 
     def names(self, other: BodyRef) -> bool:
-        """Whether it names this body or piece."""
+        """Return whether it names this body or piece."""
         is_whole_link = self.body is None and (self.owner, self.link) == (other.owner, other.link)
         return is_whole_link or self == other
 
@@ -93,17 +93,17 @@ class Allowance:
                 f"depth must be finite and not negative, got {self.depth} for {self.first} and {self.second}"
             )
 
-    def covers(self, one: BodyRef, other: BodyRef) -> bool:
-        """Whether it covers these two, in either order."""
-        return (self.first.names(one) and self.second.names(other)) or (
-            self.first.names(other) and self.second.names(one)
+    def covers(self, body: BodyRef, other: BodyRef) -> bool:
+        """Return whether it covers these two, in either order."""
+        return (self.first.names(body) and self.second.names(other)) or (
+            self.first.names(other) and self.second.names(body)
         )
 
 
 class BodyIndex:
-    """Where the bodies and pieces that references name are in a table of bodies against bodies and pieces.
+    """Indices of referenced bodies and pieces in a table of bodies against bodies and pieces.
 
-    ``rows[ref]`` are the indices of what a reference names: bodies first, in their order, then pieces.
+    Bodies come first, in their order, then pieces.
     """
 
     def __init__(
@@ -124,11 +124,11 @@ class BodyIndex:
             self._rows.setdefault(("scene", None, piece.name), []).append(row)
 
     def rows(self, ref: BodyRef) -> list[int]:
-        """Indices of the bodies or the piece that a reference names; none where there is no such thing."""
+        """Return the indices of the bodies or the piece that a reference names; empty if there are none."""
         return self._rows.get((ref.owner, ref.link, ref.body), [])
 
     def fill(self, table: Shaped[np.ndarray, "B B+P"], first: BodyRef, second: BodyRef, value: float) -> None:
-        """Set ``table`` where its row is a body that one reference names and its column what the other names."""
-        for one, other in ((first, second), (second, first)):
-            bodies = [row for row in self.rows(one) if row < self.n_bodies]
+        """Set ``table`` where its row is a body of one reference and its column a body or piece of the other."""
+        for ref, other in ((first, second), (second, first)):
+            bodies = [row for row in self.rows(ref) if row < self.n_bodies]
             table[np.ix_(bodies, self.rows(other))] = value

@@ -1,4 +1,4 @@
-"""The executed curve: a C1 cubic Hermite spline through the waypoints, and the law that times it."""
+"""The executed curve, a C1 cubic Hermite spline through the waypoints, and its time law."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Curve:
             raise ValueError("knots, positions and tangents must have the same length")
 
     def coefficients(self) -> Float[np.ndarray, "4 K-1 n"]:
-        """Per interval, ``q(s) = sum_k c_k u^k`` with ``u = s - knots[i]``; to be read only."""
+        """Return per interval the coefficients of ``q(s) = sum_k c_k u^k`` with ``u = s - knots[i]``; read-only."""
         return self._coefficients
 
     @cached_property
@@ -58,10 +58,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class TimeLaw:
-    """When the curve is where: ``s(t)`` with constant ``d2s/dt2`` between grid points.
+    """Path parameter over time: ``s(t)`` with constant ``d2s/dt2`` between grid points.
 
-    Times and path are what is executed.  Where the speeds do not lead from one point of the path to the next, they are
-    scaled step by step so that they do (:attr:`shares`); the verifier refuses a law whose shares are not all but 1.
+    Times and path are executed.  Where the speeds do not lead from one point of the path to the next, they are scaled
+    step by step so that they do (:attr:`shares`); the verifier refuses a law with shares that differ from 1.
 
     Attributes:
         times: (M,) strictly increasing [s].
@@ -75,7 +75,7 @@ class TimeLaw:
 
     @cached_property
     def shares(self) -> Float[np.ndarray, "M-1"]:
-        """Length of each step over what speeds and times come to; 1 where both are 0, huge where only the latter."""
+        """Length of each step over the integral of its speeds; 1 where both are 0, huge where only the latter is."""
         length, travelled = np.diff(self.path), 0.5 * (self.speed[:-1] + self.speed[1:]) * np.diff(self.times)
         shares = np.where(length == 0.0, 1.0, np.finfo(float).max)
         np.divide(length, travelled, out=shares, where=travelled > np.finfo(float).tiny * 1e16)

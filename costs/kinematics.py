@@ -16,7 +16,7 @@ from costs.rotation import cross, skew
 
 @dataclass(frozen=True)
 class Topology:
-    """What the kinematics need of a robot and no configuration changes.
+    """Parts of a robot's kinematics that do not depend on the configuration.
 
     Attributes:
         supports: (J, n) whether coordinate ``i`` moves joint ``j``.
@@ -30,7 +30,7 @@ class Topology:
 
     @staticmethod
     def of(model: pin.Model) -> Topology:
-        """The topology of a pinocchio model."""
+        """Return the topology of a pinocchio model."""
         supports = np.zeros((model.njoints, model.nv), dtype=bool)
         for joint in range(1, model.njoints):
             supports[joint] = supports[int(model.parents[joint])]
@@ -46,7 +46,7 @@ class Kinematics:
     """Placements and Jacobians of all joints at all waypoints.
 
     Attributes:
-        robot: whose kinematics these are.
+        robot: the robot.
         topology: of ``robot``.
         q: (T, n) the iterate.
         rotation: (T, J, 3, 3) world from joint.
@@ -65,7 +65,7 @@ class Kinematics:
     engine: KinematicsEngine = field(repr=False)
 
     def at(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
-        """The robot's kinematics at other waypoints."""
+        """Return the robot's kinematics at other waypoints."""
         return self.engine(q)
 
     @property
@@ -76,7 +76,7 @@ class Kinematics:
     def point_jacobian(
         self, waypoint: Int[np.ndarray, "m"], joint: Int[np.ndarray, "m"], point: Float[np.ndarray, "m 3"]
     ) -> Float[np.ndarray, "m 3 n"]:
-        """d point / dq of world points that move with a joint, at one waypoint each."""
+        """Return d point / dq of world points that move with a joint, at one waypoint each."""
         columns = self.jacobian[waypoint]
         linear = columns[:, :3] - skew(point) @ columns[:, 3:]
         return np.asarray(linear * self.topology.supports[joint][:, None, :])
@@ -88,13 +88,13 @@ class Kinematics:
         point: Float[np.ndarray, "m 3"],
         direction: Float[np.ndarray, "m 3"],
     ) -> Float[np.ndarray, "m n"]:
-        """``direction . d point / dq``, one row per point; direction and point in the world."""
+        """Return ``direction . d point / dq``, one row per point; direction and point in the world."""
         wrench = np.concatenate([direction, cross(point, direction)], axis=1)
         rows = np.matmul(wrench[:, None, :], self.jacobian[waypoint])[:, 0]
         return np.asarray(rows * self.topology.supports[joint])
 
     def angular_jacobian(self, joint: int) -> Float[np.ndarray, "T 3 n"]:
-        """World angular velocity of a joint's frame per dq, at every waypoint."""
+        """Return the world angular velocity of a joint's frame per dq, at every waypoint."""
         return np.asarray(self.jacobian[:, 3:] * self.topology.supports[joint])
 
     @cached_property
@@ -125,14 +125,14 @@ class KinematicsEngine:
         self.robot = robot
         self.topology = Topology.of(robot.model)
         self._data = robot.model.createData()
-        placements = _placement_block(self._data, robot.model.njoints)
+        placements = _view_placements(self._data, robot.model.njoints)
         self._columns = np.lib.stride_tricks.as_strided(
             placements, (robot.model.njoints, 3, 3), (placements.strides[0], 8, 24), writeable=False
         )
         self._origins = placements[:, 9:12]
 
     def __call__(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
-        """Kinematics of all waypoints."""
+        """Compute the kinematics of all waypoints."""
         model, data = self.robot.model, self._data
         jacobian = np.empty((len(q), 6, model.nv))
 
@@ -140,17 +140,17 @@ class KinematicsEngine:
             # pinocchio hands out the Jacobian of a single coordinate as a vector
             jacobian[t] = pin.computeJointJacobians(model, data, q[t]).reshape(6, model.nv)
 
-        return self._kinematics(q, compute, jacobian)
+        return self._collect(q, compute, jacobian)
 
-    def placed(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
-        """Placements alone: the Jacobian has no columns."""
+    def place(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
+        """Compute placements alone: the Jacobian has no columns."""
         model, data = self.robot.model, self._data
-        return self._kinematics(q, lambda t: pin.forwardKinematics(model, data, q[t]), np.empty((len(q), 6, 0)))
+        return self._collect(q, lambda t: pin.forwardKinematics(model, data, q[t]), np.empty((len(q), 6, 0)))
 
-    def _kinematics(
+    def _collect(
         self, q: Float[np.ndarray, "T n"], compute: Callable[[int], None], jacobian: Float[np.ndarray, "T 6 n"]
     ) -> Kinematics:
-        """Kinematics of what ``compute`` leaves in pinocchio's data, waypoint by waypoint."""
+        """Collect the placements that ``compute`` leaves in pinocchio's data, waypoint by waypoint."""
         rotation = np.empty((len(q), self.robot.model.njoints, 3, 3))
         position = np.empty((len(q), self.robot.model.njoints, 3))
         for t in range(len(q)):
@@ -160,8 +160,8 @@ class KinematicsEngine:
         return Kinematics(self.robot, self.topology, np.array(q), rotation, position, jacobian, self)
 
 
-def _placement_block(data: pin.Data, n_joints: int) -> Float[np.ndarray, "J 12"]:
-    """A live view of all joint placements: rotation (column-major) and translation of each.
+def _view_placements(data: pin.Data, n_joints: int) -> Float[np.ndarray, "J 12"]:
+    """Return a live view of all joint placements: rotation (column-major) and translation of each.
 
     ``data.oMi`` is contiguous; reading it element by element costs ten times the kinematics themselves.
     """
@@ -189,8 +189,8 @@ class _Memory:
         return np.asarray(self)
 
 
-def frame_of(robot: RobotModel, name: str) -> tuple[int, Float[np.ndarray, "4 4"]]:
-    """Joint that carries a frame (link) and ``pose_joint_frame``.
+def locate_frame(robot: RobotModel, name: str) -> tuple[int, Float[np.ndarray, "4 4"]]:
+    """Find the joint that carries a frame (link) and ``pose_joint_frame``.
 
     Raises:
         KeyError: the robot has no frame of that name.
@@ -201,14 +201,14 @@ def frame_of(robot: RobotModel, name: str) -> tuple[int, Float[np.ndarray, "4 4"
     return int(frame.parentJoint), np.asarray(frame.placement.homogeneous)
 
 
-def planted_poses(
+def locate_links(
     engine: KinematicsEngine, q: Float[np.ndarray, "n"], links: Sequence[str]
 ) -> dict[str, Float[np.ndarray, "4 4"]]:
-    """``pose_world_link`` of the named links at one configuration."""
+    """Compute ``pose_world_link`` of the named links at one configuration."""
     kinematics = engine(q[None])
     poses = {}
     for link in links:
-        joint, pose_joint_link = frame_of(engine.robot, link)
+        joint, pose_joint_link = locate_frame(engine.robot, link)
         pose = np.eye(4)
         pose[:3, :3] = kinematics.rotation[0, joint]
         pose[:3, 3] = kinematics.position[0, joint]

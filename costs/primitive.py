@@ -1,4 +1,4 @@
-"""Round shapes as they were given, kept beside the polytopes that stand for them in planning."""
+"""Exact round shapes, which planning replaces by polytopes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ RoundKind = Literal["sphere", "cylinder", "capsule"]
 
 @dataclass(frozen=True, eq=False)
 class Primitive:
-    """A round shape in the frame of what it belongs to: a link's joint, or the world.
+    """A round shape in the frame of its link's joint, or in the world.
 
     Attributes:
         kind: ``sphere``, ``cylinder`` or ``capsule``; the latter two lie along their own z.
@@ -27,13 +27,13 @@ class Primitive:
     length: float
     pose: Float[np.ndarray, "4 4"]
 
-    def moved(self, pose: Float[np.ndarray, "4 4"]) -> Primitive:
-        """The same shape in another frame, in which its present frame has the given pose."""
+    def move(self, pose: Float[np.ndarray, "4 4"]) -> Primitive:
+        """Return the same shape in another frame, in which its present frame has the given pose."""
         return replace(self, pose=pose @ self.pose)
 
 
-def round_shape(kind: str, size: Float[np.ndarray, "k"] | tuple[float, ...]) -> Primitive | None:
-    """The round shape of this kind and size (radius, then length) at its own origin; None for any other kind."""
+def make_round_shape(kind: str, size: Float[np.ndarray, "k"] | tuple[float, ...]) -> Primitive | None:
+    """Make a round shape of a kind and size (radius, then length) at its own origin; None for any other kind."""
     if kind not in ("sphere", "cylinder", "capsule"):
         return None
     radius, length = float(size[0]), 0.0 if kind == "sphere" else float(size[1])

@@ -1,4 +1,4 @@
-"""Rotations of many waypoints at once: logarithm, its derivative, the direction of an axis, quaternions."""
+"""Rotations of many waypoints at once: logarithm and its derivative, tangents of an axis, quaternions."""
 
 from __future__ import annotations
 
@@ -92,16 +92,16 @@ def log_derivative(phi: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
     return np.asarray(np.eye(3) - 0.5 * K + coefficient[:, None, None] * (K @ K))
 
 
-def tangent_basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:
-    """Two unit vectors that make a right-handed frame with a unit axis as the third."""
+def make_tangent_basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:
+    """Return two unit vectors that make a right-handed frame with a unit axis as the third."""
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(axis, helper)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first)])
 
 
-def quaternions_of(yaw_pitch_roll: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 4"]:
-    """Unit quaternions (w, x, y, z) of ``Rz(yaw) Ry(pitch) Rx(roll)`` [rad].
+def make_quaternions(yaw_pitch_roll: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 4"]:
+    """Return unit quaternions (w, x, y, z) of ``Rz(yaw) Ry(pitch) Rx(roll)`` [rad].
 
     They are products of half angles: their sign does not flip between samples, as long as the angles do not jump.
     """

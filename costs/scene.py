@@ -1,4 +1,4 @@
-"""The world a robot moves in: convex pieces given by their vertices."""
+"""Scenes: convex pieces given by their vertices."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from costs.primitive import Primitive
 
 @dataclass(frozen=True)
 class ConvexPiece:
-    """A convex piece of the world, the hull of its vertices.
+    """A convex piece of a scene, the hull of its vertices.
 
     Attributes:
         name: unique in its scene.
         vertices: (V, 3) world coordinates [m]; at least one, all finite.
-        kind: what it is (``obstacle``, ``floor``, ``wall``, ``plane``, ``clutter``, ``rim``, ``hub``).
-        exact: the round shape that was given, in the world, where ``vertices`` are a polytope around one.
+        kind: class of object (``obstacle``, ``floor``, ``wall``, ``plane``, ``clutter``, ``rim``, ``hub``).
+        exact: the round shape in the world that ``vertices`` contain; None for any other shape.
     """
 
     name: str

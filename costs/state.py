@@ -1,4 +1,4 @@
-"""What all terms of a motion problem share at one iterate."""
+"""State that all terms of a motion problem share at one iterate."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ class MotionState:
         return self.kinematics.robot.joint_names
 
     def at(self, x: Float[np.ndarray, "T n"]) -> MotionState:
-        """The state at another iterate, for finite differences: kinematics alone, since contacts come and go."""
+        """Return the state at another iterate for finite differences, without contacts, whose number changes."""
         return MotionState(self.kinematics.at(x), _Unmeasured())
 
 
 class _Unmeasured(Contacts):
-    """Contacts that nobody has looked for; reading them is an error."""
+    """Contacts that were not computed; reading them is an error."""
 
     def __init__(self) -> None:
         pass  # no field is set, so that reading one arrives at __getattr__
 
     def __getattr__(self, name: str) -> Any:
         raise DerivativeError(
-            f"contacts.{name} was read, but contacts come and go and are not looked for beside the iterate; a residual "
-            "measured on contacts needs a `linearize` of its own"
+            f"contacts.{name} was read, but finite differences compute no contacts beside the iterate, since their "
+            "number changes; a residual measured on contacts needs a `linearize` of its own"
         )
 
     def __len__(self) -> int:

@@ -1,6 +1,6 @@
-"""Stopping long work: loops poll whether to go on, and an ordinary exception ends them where they poll.
+"""Cancellation of long work: loops poll, and an ordinary exception ends them where they poll.
 
-Nothing is ever raised from a signal handler, which could leave native threads with memory that is freed under them.
+Nothing is raised from a signal handler, which could free memory that native threads still use.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from contextvars import ContextVar
 
 
 class Stopped(Exception):  # noqa: N818 - how work ends early, not an error
-    """The work was asked to stop; raised by ``poll`` alone."""
+    """A request to stop the work; raised by ``poll`` alone."""
 
 
 def never() -> bool:
-    """Nobody asks to stop."""
+    """Return False: the work is not to stop."""
     return False
 
 
@@ -24,10 +24,10 @@ _SHOULD_STOP: ContextVar[Callable[[], bool]] = ContextVar("should_stop", default
 
 @contextmanager
 def stops_when(should_stop: Callable[[], bool]) -> Iterator[None]:
-    """Have ``poll`` raise in the body once ``should_stop`` is true, or what surrounds the body asks to stop.
+    """Make ``poll`` raise in the body once ``should_stop``, or that of a surrounding ``stops_when``, returns True.
 
     Args:
-        should_stop: cheap; asked by the thread of the body alone.
+        should_stop: cheap; called by the thread of the body alone.
     """
     outer = _SHOULD_STOP.get()
     token = _SHOULD_STOP.set(should_stop if outer is never else lambda: should_stop() or outer())
@@ -41,12 +41,12 @@ def poll() -> None:
     """Call this in every loop, at least every 100 ms; without ``stops_when`` it does nothing.
 
     Raises:
-        Stopped: the work was asked to stop.
+        Stopped: the work is to stop.
     """
     if _SHOULD_STOP.get()():
-        raise Stopped("stopped as asked")
+        raise Stopped("stopped on request")
 
 
 def is_stopped() -> bool:
-    """Whether the next ``poll`` raises, for those who have something to end first."""
+    """Return whether the next ``poll`` raises, for callers that must clean up first."""
     return _SHOULD_STOP.get()()

@@ -26,7 +26,7 @@ class SupportPolygon:
 
     @staticmethod
     def of_points(points: Float[np.ndarray, "N 2"]) -> SupportPolygon:
-        """The hull of contact points.
+        """Return the hull of contact points.
 
         Raises:
             ValueError: fewer than three points, or all on a line.
@@ -41,14 +41,9 @@ class SupportPolygon:
 
     @staticmethod
     def of_soles(soles: Sequence[Float[np.ndarray, "C 3"]]) -> SupportPolygon:
-        """The hull of sole corners given in the world; the feet's yaw is in the corners."""
+        """Return the hull of sole corners in the world."""
         return SupportPolygon.of_points(np.concatenate([sole[:, :2] for sole in soles]))
 
     def margin(self, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
-        """How far each point lies inside (negative: outside its nearest edge line) [m]."""
+        """Return each point's distance from the nearest edge line, negative outside [m]."""
         return np.asarray((self.offsets - np.atleast_2d(points) @ self.normals.T).min(axis=1))
-
-    def shrunk_to(self, fraction: float) -> SupportPolygon:
-        """The polygon scaled about the mean of its vertices: the seeds' very small box between the feet."""
-        centre = self.vertices.mean(axis=0)
-        return SupportPolygon.of_points(centre + fraction * (self.vertices - centre))

@@ -1,4 +1,4 @@
-"""How many threads long searches may use; one, unless a program says otherwise that has the machine to itself."""
+"""Number of threads for long searches: one, unless a program that runs alone on its machine sets more."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _n_threads = 1
 
 
 def use_threads(n_threads: int) -> None:
-    """Have searches use so many threads from now on; results are the same for any number.
+    """Set the number of threads of all later searches; results are the same for any number.
 
     Raises:
         ValueError: it is less than one.
@@ -20,10 +20,10 @@ def use_threads(n_threads: int) -> None:
 
 
 def use_all_cores() -> None:
-    """Have searches use as many threads as this process may run at once."""
+    """Let searches use as many threads as this process may run at once."""
     use_threads(len(os.sched_getaffinity(0)))
 
 
 def thread_count() -> int:
-    """Threads that a search may use."""
+    """Return the number of threads of a search."""
     return _n_threads

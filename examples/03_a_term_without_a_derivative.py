@@ -10,7 +10,7 @@ import sys
 import numpy as np
 
 from costs.collision import Contacts
-from costs.kinematics import KinematicsEngine, frame_of
+from costs.kinematics import KinematicsEngine, locate_frame
 from costs.robot import RobotModel, load_robot
 from costs.state import MotionState
 from scopt import AffineRows, Cost, Penalty, Residual, check_derivative
@@ -28,7 +28,7 @@ class BelowHeight(Residual[MotionState]):
     """Distance of the elbow below a target height, one row per waypoint [m]."""
 
     def __init__(self, robot: RobotModel, height: float) -> None:
-        self.joint, _ = frame_of(robot, LINK)
+        self.joint, _ = locate_frame(robot, LINK)
         self.height = height
 
     def value(self, state: MotionState) -> np.ndarray:
@@ -54,7 +54,7 @@ def terms(phase: str, robot: RobotModel, n_waypoints: int) -> list[Cost[MotionSt
 
 robot = load_robot("atlas")
 engine = KinematicsEngine(robot)
-elbow, _ = frame_of(robot, LINK)
+elbow, _ = locate_frame(robot, LINK)
 for name, own in (("without", None), ("with", terms)):
     result = plan(parse_request(REQUEST), robot=robot, terms=own)
     if result.motion is None:

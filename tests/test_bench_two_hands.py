@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.crowded_scenes import LEAST_TRAVEL, POSITION_TOLERANCE
 from benchmarks.two_handed_scenes import PALMS, two_handed_scenes
-from costs.kinematics import KinematicsEngine, planted_poses
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import load_robot
 from service.body.holds import relative_pose
 from service.setup.prepare import prepare
@@ -49,10 +49,10 @@ def test_the_planner_is_told_where_the_palms_go_and_nothing_of_the_motion(robot,
         for pose in poses:
             assert (pose.quaternion_wxyz is None) == (task == "beam")
             np.testing.assert_allclose(
-                planted_poses(engine, q[-1], PALMS)[pose.link][:3, 3], pose.position, atol=POSITION_TOLERANCE
+                locate_links(engine, q[-1], PALMS)[pose.link][:3, 3], pose.position, atol=POSITION_TOLERANCE
             )
         for palm in PALMS:
-            places = [planted_poses(engine, row, PALMS)[palm][:3, 3] for row in (q[0], q[-1])]
+            places = [locate_links(engine, row, PALMS)[palm][:3, 3] for row in (q[0], q[-1])]
             assert np.linalg.norm(places[1] - places[0]) >= LEAST_TRAVEL
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.crowded_scenes import BALANCE_MARGIN, IN_THE_WAY, LEAST_TRAVEL, POSITION_TOLERANCE, crowded_scenes
-from costs.kinematics import KinematicsEngine, planted_poses
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import load_robot
 from costs.support import SupportPolygon
 from service.setup.prepare import prepare
@@ -45,9 +45,9 @@ def test_the_known_motion_stands_balanced_on_feet_that_stay_where_they_are(robot
         q = samples(scene)
         polygon = SupportPolygon.of_soles(list(setup.soles.values()))
         assert polygon.margin(engine(q).com[:, :2]).min() >= BALANCE_MARGIN
-        at_first = planted_poses(engine, setup.start, FEET)
+        at_first = locate_links(engine, setup.start, FEET)
         for row in q:
-            for foot, pose in planted_poses(engine, row, FEET).items():
+            for foot, pose in locate_links(engine, row, FEET).items():
                 np.testing.assert_allclose(pose, at_first[foot], atol=1e-3)
 
 
@@ -61,7 +61,7 @@ def test_the_planner_is_told_where_the_palm_goes_and_nothing_of_the_motion(robot
         assert goal.posture is None
         (pose,) = goal.poses
         assert (pose.quaternion_wxyz is not None) == is_pose
-        places = [planted_poses(engine, row, [pose.link])[pose.link][:3, 3] for row in (q[0], q[-1])]
+        places = [locate_links(engine, row, [pose.link])[pose.link][:3, 3] for row in (q[0], q[-1])]
         np.testing.assert_allclose(places[1], pose.position, atol=POSITION_TOLERANCE)
         assert np.linalg.norm(places[1] - places[0]) >= LEAST_TRAVEL
 

@@ -6,7 +6,7 @@ import pytest
 from jacobian import central_differences
 from tiny_robots import PLANAR, SPATIAL, atlas, atlas_with_wheel, chain, random_configurations
 
-from costs.kinematics import KinematicsEngine, frame_of, planted_poses
+from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 
 ROBOTS = {
     "atlas": atlas,
@@ -102,7 +102,7 @@ def test_a_mechanism_leaves_the_robot_as_it_is():
     alone, together = KinematicsEngine(plain)(q[:, :-1]), KinematicsEngine(augmented)(q)
     np.testing.assert_allclose(together.com, alone.com, atol=1e-13)
     assert not together.com_jacobian[:, :, -1].any()
-    wheel, _ = frame_of(augmented, "valve")
+    wheel, _ = locate_frame(augmented, "valve")
     np.testing.assert_array_equal(together.topology.supports[wheel], np.arange(augmented.n) == augmented.n - 1)
     np.testing.assert_allclose(together.position[:, wheel], [[0.7, 0.0, 1.1]] * 2, atol=1e-14)
 
@@ -112,12 +112,12 @@ def test_planar_arm_by_hand():
     robot = chain(PLANAR)
     engine = KinematicsEngine(robot)
     q = np.array([0.0, 0.5 * np.pi])
-    pose = planted_poses(engine, q, ["tip"])["tip"]
+    pose = locate_links(engine, q, ["tip"])["tip"]
     np.testing.assert_allclose(pose[:3, 3], [1.0, 1.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(pose[:3, 0], [0.0, 1.0, 0.0], atol=1e-12)
     kinematics = engine(q[None])
     np.testing.assert_allclose(kinematics.com[0], [0.75, 0.25, 0.0], atol=1e-12)  # of (0.5, 0) and (1, 0.5)
-    joint, _ = frame_of(robot, "tip")
+    joint, _ = locate_frame(robot, "tip")
     columns = kinematics.point_jacobian(np.array([0]), np.array([joint]), pose[None, :3, 3])[0]
     np.testing.assert_allclose(columns, [[-1.0, -1.0], [1.0, 0.0], [0.0, 0.0]], atol=1e-12)
 
@@ -127,11 +127,11 @@ def test_planted_poses_are_those_of_pinocchios_frames():
     q = random_configurations(robot, np.random.default_rng(7), 1)[0]
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, q)
-    for link, pose in planted_poses(KinematicsEngine(robot), q, ["l_foot", "r_tool"]).items():
+    for link, pose in locate_links(KinematicsEngine(robot), q, ["l_foot", "r_tool"]).items():
         expected = data.oMf[robot.model.getFrameId(link)].homogeneous
         np.testing.assert_allclose(pose, expected, atol=1e-13)
 
 
 def test_an_unknown_frame_is_named():
     with pytest.raises(KeyError, match=r"unknown frame 'l_tol' of robot 'atlas"):
-        frame_of(atlas(), "l_tol")
+        locate_frame(atlas(), "l_tol")

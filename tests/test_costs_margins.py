@@ -123,10 +123,10 @@ def test_relaxed_margins_are_what_a_fixed_configuration_leaves():
     )
     checker = checker_of(robot, walls, 0.03)
     engine = KinematicsEngine(robot)
-    relaxed = checker.margins.relaxed_to(checker(engine(np.array([[0.24]]))), reserve=0.002)
+    relaxed = checker.margins.relax_to(checker(engine(np.array([[0.24]]))), reserve=0.002)
     np.testing.assert_allclose(relaxed.world[0], [0.008, 0.03], atol=1e-9)  # 1 cm away, less the reserve
     np.testing.assert_allclose(checker.margins.world[0], [0.03, 0.03])  # the old margins stand
-    inside = checker.margins.relaxed_to(checker(engine(np.array([[0.26]]))), reserve=0.0)
+    inside = checker.margins.relax_to(checker(engine(np.array([[0.26]]))), reserve=0.0)
     np.testing.assert_allclose(inside.world[0, 0], -0.01, atol=1e-9)
     contacts = checker.with_margins(relaxed)(engine(np.array([[0.24]])))
     np.testing.assert_allclose(contacts.margin - contacts.distance, [-0.002], atol=1e-9)
@@ -138,7 +138,7 @@ def test_relaxed_margins_of_links_are_found_whichever_of_them_sweeps():
     contacts = checker(KinematicsEngine(robot)(robot.postures["stand"][None]))
     assert (contacts.body > contacts.other).any()
     assert (contacts.body < contacts.other).any()
-    relaxed = checker.margins.relaxed_to(contacts, reserve=0.001)
+    relaxed = checker.margins.relax_to(contacts, reserve=0.001)
     for body, other, distance in zip(contacts.body, contacts.other, contacts.distance, strict=True):
         asked = own_margin(robot, relaxed, robot.bodies[body].name, robot.bodies[other].name)
         assert asked == pytest.approx(min(0.5, distance - 0.001))
@@ -146,7 +146,7 @@ def test_relaxed_margins_of_links_are_found_whichever_of_them_sweeps():
 
 def test_margins_of_other_pairs_are_refused():
     checker = checker_of(atlas(), SCENE, 0.03)
-    with pytest.raises(ValueError, match="speak of other pairs"):
+    with pytest.raises(ValueError, match="own pairs"):
         checker.with_margins(PairMargins.of(atlas_with_wheel(), SCENE, 0.03))
 
 

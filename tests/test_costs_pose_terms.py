@@ -8,7 +8,7 @@ from jacobian import check_jacobian
 from scipy.spatial.transform import Rotation
 from tiny_robots import PLANAR, SPATIAL, atlas, atlas_with_wheel, chain, contact_free_state, random_configurations
 
-from costs.kinematics import KinematicsEngine, planted_poses
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.terms import AxisDirection, FramePose, PointHalfSpace
 
 CASES = {
@@ -32,7 +32,7 @@ def _case(request):
 
 
 def relative_rotation(robot, frame, reference, q):
-    poses = planted_poses(KinematicsEngine(robot), q, [frame, *([reference] if reference else [])])
+    poses = locate_links(KinematicsEngine(robot), q, [frame, *([reference] if reference else [])])
     base = poses[reference][:3, :3] if reference else np.eye(3)
     return base.T @ poses[frame][:3, :3]
 

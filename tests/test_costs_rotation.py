@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from costs.rotation import log_derivative, log_rotation, quaternions_of, skew, tangent_basis
+from costs.rotation import log_derivative, log_rotation, make_quaternions, make_tangent_basis, skew
 
 ANGLES = (0.0, 1e-13, 1e-9, 1e-6, 1e-4, 1e-3, 0.5 * np.pi, 3.0, np.pi - 1e-6, np.pi - 1e-9)
 
@@ -78,7 +78,7 @@ def test_skew_is_the_cross_product():
 
 @pytest.mark.parametrize("axis", [*np.eye(3), *-np.eye(3), *random_axes(5, 20)])
 def test_tangent_basis_is_right_handed_and_orthonormal(axis):
-    frame = np.vstack([tangent_basis(axis), axis])
+    frame = np.vstack([make_tangent_basis(axis), axis])
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(frame) == pytest.approx(1.0)
 
@@ -86,7 +86,7 @@ def test_tangent_basis_is_right_handed_and_orthonormal(axis):
 @given(arrays(float, (4, 3), elements=st.floats(-7.0, 7.0)))
 def test_quaternions_are_those_of_yaw_pitch_and_roll(angles: np.ndarray) -> None:
     expected = Rotation.from_euler("ZYX", angles)
-    found = quaternions_of(angles)
+    found = make_quaternions(angles)
     assert (Rotation.from_quat(found, scalar_first=True) * expected.inv()).magnitude() == pytest.approx(0.0, abs=1e-12)
     assert np.linalg.norm(found, axis=1) == pytest.approx(1.0, abs=1e-14)
 
@@ -96,4 +96,4 @@ def test_quaternions_do_not_flip_where_angles_go_on() -> None:
     for column in range(3):
         angles = np.full((500, 3), 0.3)
         angles[:, column] = turn
-        assert np.abs(np.diff(quaternions_of(angles), axis=0)).max() < 0.03
+        assert np.abs(np.diff(make_quaternions(angles), axis=0)).max() < 0.03

@@ -44,13 +44,6 @@ def test_two_feet_with_yaw_span_the_hull_of_all_their_corners():
     assert polygon.margin(np.array([[0.0, 0.0]]))[0] > 0.0
 
 
-def test_the_small_box_between_the_feet_keeps_centre_and_shape():
-    small = SupportPolygon.of_points(SQUARE).shrunk_to(0.1)
-    np.testing.assert_allclose(small.vertices.min(axis=0), [0.9, 0.9])
-    np.testing.assert_allclose(small.vertices.max(axis=0), [1.1, 1.1])
-    np.testing.assert_allclose(small.margin(np.array([[1.0, 1.0]])), [0.1])
-
-
 @given(seed=st.integers(0, 10_000))
 def test_normals_point_outwards_and_margins_agree_with_membership(seed):
     rng = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ from swept_scenes import (
 )
 from tiny_robots import PLANAR, Segment, atlas, chain
 
-from costs.collision.shapes import rewritable_convex, static_convex
+from costs.collision.shapes import make_convex, make_rewritable_convex
 from costs.kinematics import KinematicsEngine
 from costs.scene import ConvexPiece, Scene
 
@@ -159,13 +159,13 @@ def test_distances_are_exact_beyond_the_points_coal_scans_one_by_one(n_swept, n_
     rng = np.random.default_rng(n_swept)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.enable_signed_distance = True
-    swept, written = rewritable_convex(n_swept)
+    swept, written = make_rewritable_convex(n_swept)
     here = coal.Transform3s()
     worst = 0.0
     for trial in range(40):
         still = rng.normal(size=(n_still, 3))
         still /= np.linalg.norm(still, axis=1, keepdims=True)  # all of them vertices of the hull
-        fixed = static_convex(still)
+        fixed = make_convex(still)
         half = rng.normal(size=(n_swept // 2, 3)) * [0.5, 0.2, 0.1]
         turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         shift = rng.normal(size=3) * (1.5 if trial % 2 else 0.3)

@@ -12,7 +12,7 @@ from planar_arm import write_planar_arm
 from scipy.spatial.transform import Rotation
 from tiny_robots import atlas
 
-from costs.primitive import round_shape
+from costs.primitive import make_round_shape
 from costs.robot import load_robot, shapes
 from costs.scene import ConvexPiece, Scene
 from service.body.whole_body import Aims, WholeBody
@@ -36,8 +36,8 @@ def _piece(kind: str, rng: np.random.Generator, scale: float) -> tuple[ConvexPie
     vertices = shapes.box(np.array(size)) if kind == "box" else getattr(shapes, kind)(*size)
     pose = np.eye(4)
     pose[:3, :3] = Rotation.random(random_state=int(rng.integers(1 << 31))).as_matrix()
-    exact = round_shape(kind, size)
-    moved = None if exact is None else exact.moved(pose)
+    exact = make_round_shape(kind, size)
+    moved = None if exact is None else exact.move(pose)
     return ConvexPiece(kind, vertices @ pose[:3, :3].T, exact=moved), 0.0 if exact is None else shapes.allowed_excess(
         size[0]
     )
@@ -46,7 +46,7 @@ def _piece(kind: str, rng: np.random.Generator, scale: float) -> tuple[ConvexPie
 def _shifted(piece: ConvexPiece, offset: np.ndarray) -> ConvexPiece:
     pose = np.eye(4)
     pose[:3, 3] = offset
-    exact = None if piece.exact is None else piece.exact.moved(pose)
+    exact = None if piece.exact is None else piece.exact.move(pose)
     return ConvexPiece(piece.name, piece.vertices + offset, exact=exact)
 
 
@@ -68,16 +68,16 @@ def test_shapes_are_as_deep_as_their_hulls_less_what_the_hulls_exceed_them(first
 
 
 def test_depths_of_round_shapes_are_those_worked_out_by_hand() -> None:
-    ball = round_shape("sphere", (0.1,))
-    tube = round_shape("cylinder", (3.0, 5.0))
+    ball = make_round_shape("sphere", (0.1,))
+    tube = make_round_shape("cylinder", (3.0, 5.0))
     assert ball is not None
     assert tube is not None
     beside = np.eye(4)
     beside[0, 3] = 3.05
-    one, other = (ConvexPiece(p.kind, shapes.box(np.ones(3)), exact=p) for p in (ball.moved(beside), tube))
+    one, other = (ConvexPiece(p.kind, shapes.box(np.ones(3)), exact=p) for p in (ball.move(beside), tube))
     assert ExactShape.of(one).depth_in(ExactShape.of(other)) == pytest.approx(0.05, abs=1e-6)
     beside[0, 3] = 2.5  # its centre is inside, where coal's own shortcut for the two is metres off
-    inside = ConvexPiece("ball", shapes.box(np.ones(3)), exact=ball.moved(beside))
+    inside = ConvexPiece("ball", shapes.box(np.ones(3)), exact=ball.move(beside))
     assert ExactShape.of(inside).depth_in(ExactShape.of(other)) == pytest.approx(0.6, abs=1e-6)
 
 

@@ -12,7 +12,7 @@ from small_plan import small_plan
 from small_robots import box
 from tiny_robots import atlas
 
-from costs.kinematics import planted_poses
+from costs.kinematics import locate_links
 from costs.robot import load_robot
 from costs.scene import Scene
 from costs.terms import JointTarget
@@ -274,7 +274,7 @@ def test_what_costs_and_margins_keep_from_being_found_is_found_without_them():
     last = restore_feasibility(solver, "goal pose", solved)
     assert last.is_feasible
     assert solver.monitor.attempts("goal pose") == 1
-    tool = planted_poses(body.engine, last.x[0], ["l_tool"])["l_tool"][:3, 3]
+    tool = locate_links(body.engine, last.x[0], ["l_tool"])["l_tool"][:3, 3]
     np.testing.assert_allclose(tool, (1.245, 0.2, 1.1), atol=1.1e-3)
     state = solved.problem.state(last.x)
     assert state.contacts.distance[state.contacts.margin > 0.0].min() >= LEAST_CLEARANCE

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from small_robots import box
 from tiny_robots import SPATIAL, Segment, Z, atlas, chain, random_configurations
 
-from costs.collision.shapes import static_convex
-from costs.kinematics import KinematicsEngine, planted_poses
+from costs.collision.shapes import make_convex
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import load_robot
 from costs.scene import Scene
 from service.body.reach import chain_length, find_out_of_reach
@@ -54,7 +54,7 @@ def test_no_configuration_is_farther_than_the_chain_is_long(seed):
         (atlas(), "r_foot", "l_tool"),
     ):
         q = random_configurations(robot, rng, 1)[0]
-        poses = planted_poses(KinematicsEngine(robot), q, [frame] if start is None else [frame, start])
+        poses = locate_links(KinematicsEngine(robot), q, [frame] if start is None else [frame, start])
         origin = np.zeros(3) if start is None else poses[start][:3, 3]
         assert np.linalg.norm(poses[frame][:3, 3] - origin) <= chain_length(robot, start, frame) + 1e-9
 
@@ -170,7 +170,7 @@ def test_a_link_said_to_be_inside_however_turned_is_inside_for_every_rotation(se
 def _stays_inside(robot, piece, target, line, rng, turn):
     link = line.rsplit(" is ", 1)[0].split()[-1]
     frame = robot.model.frames[robot.model.getFrameId(target.frame)]
-    shape = static_convex(piece.vertices)
+    shape = make_convex(piece.vertices)
     for _ in range(20):
         rotation = Rotation.random(random_state=rng.integers(1 << 31)).as_matrix()
         if turn is not None:
@@ -180,7 +180,7 @@ def _stays_inside(robot, piece, target, line, rng, turn):
         depths = []
         for one in (one for one in robot.bodies if one.link == link):
             in_frame = (one.vertices - frame.placement.translation) @ frame.placement.rotation
-            depths.append(penetration_depth(static_convex(in_frame @ rotation.T + position), shape))
+            depths.append(penetration_depth(make_convex(in_frame @ rotation.T + position), shape))
         assert max(depths) > 0.0, line
 
 

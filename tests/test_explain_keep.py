@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tiny_robots import atlas
 
-from costs.kinematics import planted_poses
+from costs.kinematics import locate_links
 from costs.scene import Scene
 from service.body.holds import make_kept_poses, project_onto_holds
 from service.body.whole_body import Aims, WholeBody
@@ -25,7 +25,7 @@ def keeping(*keep: KeepRequest) -> WholeBody:
 
 def places(body: WholeBody, q: np.ndarray, **shift: list[float]) -> tuple[Target, ...]:
     """Goals for frames where they are at ``q``, shifted by so much."""
-    now = planted_poses(body.engine, q, list(shift))
+    now = locate_links(body.engine, q, list(shift))
     poses = tuple(PoseGoalRequest(frame, tuple(now[frame][:3, 3] + by)) for frame, by in shift.items())
     return Goal.of(body, GoalRequest(poses=poses)).targets(0.0)
 

@@ -3,7 +3,7 @@
 import numpy as np
 from tiny_robots import atlas, contact_free_state, random_configurations
 
-from costs.kinematics import KinematicsEngine, planted_poses
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.terms import FramePose
 from service.body.holds import (
     PROJECTION_TOLERANCE,
@@ -21,7 +21,7 @@ def standing_with_both_hands():
     robot = atlas()
     ready = robot.postures["reach_ready"]
     engine = KinematicsEngine(robot)
-    feet = planted_poses(engine, ready, ["l_foot", "r_foot"])
+    feet = locate_links(engine, ready, ["l_foot", "r_foot"])
     holds = [lambda where, link=link: FramePose(robot, link, where, feet[link]) for link in feet]
     (kept,) = make_kept_poses(robot, ready, [KeepRequest("l_hand", "r_hand", free_axis="y")])
     return robot, engine, ready, (*holds, *kept.holds(robot))

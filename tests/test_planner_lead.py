@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tiny_robots import atlas
 
-from costs.kinematics import planted_poses
+from costs.kinematics import locate_links
 from costs.scene import Scene
 from service.body.holds import largest_hold_error, make_kept_poses
 from service.body.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight_path
@@ -28,14 +28,14 @@ def with_both_hands() -> WholeBody:
 
 def asked(body: WholeBody, **more) -> Goal:
     """The left hand 15 cm forwards and 20 cm up from where it is."""
-    place = planted_poses(body.engine, body.nominal, ["l_hand"])["l_hand"]
+    place = locate_links(body.engine, body.nominal, ["l_hand"])["l_hand"]
     goal = PoseGoalRequest("l_hand", tuple(place[:3, 3] + [0.15, 0.0, 0.2]), **more)
     return Goal.of(body, GoalRequest(poses=(goal,)))
 
 
 def turned(body: WholeBody, angle: float) -> tuple[float, float, float, float]:
     """The left hand's orientation turned about the vertical."""
-    place = planted_poses(body.engine, body.nominal, ["l_hand"])["l_hand"]
+    place = locate_links(body.engine, body.nominal, ["l_hand"])["l_hand"]
     w, x, y, z = (Rotation.from_rotvec([0.0, 0.0, angle]) * Rotation.from_matrix(place[:3, :3])).as_quat(
         scalar_first=True
     )
@@ -57,7 +57,7 @@ def test_a_led_start_arrives_and_keeps_what_is_held_all_along(free_axis):
 def test_half_way_the_hand_is_half_way():
     body = with_both_hands()
     q = lead_path(asked(body), 11)
-    first, middle, last = (planted_poses(body.engine, row, ["l_hand"])["l_hand"][:3, 3] for row in q[[0, 5, 10]])
+    first, middle, last = (locate_links(body.engine, row, ["l_hand"])["l_hand"][:3, 3] for row in q[[0, 5, 10]])
     np.testing.assert_allclose(middle, 0.5 * (first + last), atol=1e-4)
 
 

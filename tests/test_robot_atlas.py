@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.robot.atlas.description import FOLDER
 from costs.robot.atlas.generate import generate
-from costs.robot.self_pairs import convex, link_pair
+from costs.robot.self_pairs import convex, sort_pair
 
 URDF = etree.fromstring((FOLDER / "atlas.urdf").read_bytes())
 
@@ -65,7 +65,7 @@ def _clearances(robot: RobotModel, q: np.ndarray) -> dict[tuple[str, str], float
         placed.append((convex(body.vertices), coal.Transform3s(pose.rotation, pose.translation)))
     found: dict[tuple[str, str], float] = {}
     for i, j in combinations(range(len(placed)), 2):
-        pair = link_pair(robot.bodies[i].link, robot.bodies[j].link)
+        pair = sort_pair(robot.bodies[i].link, robot.bodies[j].link)
         if pair[0] != pair[1] and pair not in robot.ignored_pairs:
             distance = coal.distance(*placed[i], *placed[j], coal.DistanceRequest(), coal.DistanceResult())
             found[pair] = min(distance, found.get(pair, np.inf))
@@ -222,7 +222,7 @@ def test_ready_hands_are_20_cm_in_front_of_the_torso(atlas: RobotModel) -> None:
     clearances = _clearances(atlas, atlas.postures["reach_ready"])
     assert min(clearances.values()) > 0.03
     for side in ("l", "r"):
-        assert clearances[link_pair(f"{side}_hand", "utorso")] > 0.2
+        assert clearances[sort_pair(f"{side}_hand", "utorso")] > 0.2
     data = _placements(atlas, atlas.postures["reach_ready"])
     tool = _frame(atlas, data, "l_tool")
     assert tool.translation[0] > 0.5

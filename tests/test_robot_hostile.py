@@ -242,4 +242,4 @@ def test_text_and_binary_stl_give_the_same_body(tmp_path: Path) -> None:
 
 def test_second_body_named_like_another_link_is_refused(tmp_path: Path) -> None:
     text = robot(link("a", BOX, BOX), link("a/1", BOX), joint("j", "a", "a/1", inside=LIMIT))
-    assert "two bodies would be called 'a/1'" in _refusal(write_urdf(tmp_path, text))
+    assert "two bodies have the name 'a/1'" in _refusal(write_urdf(tmp_path, text))

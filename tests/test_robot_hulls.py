@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from costs.collision.shapes import static_convex, swept_convex
-from costs.primitive import round_shape
+from costs.collision.shapes import make_convex, make_swept_convex
+from costs.primitive import make_round_shape
 from costs.robot import RobotError, load_robot, shapes
-from costs.robot.hull import hull_vertices
-from costs.robot.outer import outer_hull
+from costs.robot.hull import find_hull_vertices, make_outer_hull
 from service.start.overlaps import penetration_depth
 
 LENGTH = st.floats(1e-3, 2.0)
@@ -87,8 +86,8 @@ def test_outer_hull_of_few_vertices_contains_the_body(
     points = rng.normal(size=(count, 3))
     if is_round:
         points /= np.linalg.norm(points, axis=1, keepdims=True)
-    vertices = hull_vertices(points * np.maximum(size, 0.05 * max(size)), "sample")
-    outer = outer_hull(vertices)
+    vertices = find_hull_vertices(points * np.maximum(size, 0.05 * max(size)), "sample")
+    outer = make_outer_hull(vertices)
     extent = float(np.ptp(vertices, axis=0).max())
     assert len(outer) <= (48 if len(vertices) > 32 else 32)
     assert _overhang(outer, vertices) <= 1e-9 * extent
@@ -97,7 +96,7 @@ def test_outer_hull_of_few_vertices_contains_the_body(
 
 def test_outer_hull_of_a_small_body_is_the_body() -> None:
     vertices = shapes.box(np.ones(3))
-    assert outer_hull(vertices) is vertices
+    assert make_outer_hull(vertices) is vertices
 
 
 def test_outer_hull_of_many_panda_vertices_exceeds_by_3_mm(shared_data: Path) -> None:
@@ -112,14 +111,14 @@ def test_outer_hull_of_many_panda_vertices_exceeds_by_3_mm(shared_data: Path) ->
 
 
 def test_outer_hull_is_the_same_every_time() -> None:
-    vertices = hull_vertices(np.random.default_rng(1).normal(size=(300, 3)), "sample")
-    np.testing.assert_array_equal(outer_hull(vertices), outer_hull(vertices.copy()))
+    vertices = find_hull_vertices(np.random.default_rng(1).normal(size=(300, 3)), "sample")
+    np.testing.assert_array_equal(make_outer_hull(vertices), make_outer_hull(vertices.copy()))
 
 
 def test_flat_points_have_no_hull() -> None:
     flat = np.column_stack([np.random.default_rng(2).normal(size=(20, 2)), np.zeros(20)])
     with pytest.raises(RobotError, match="lie in a plane"):
-        hull_vertices(flat, "sheet")
+        find_hull_vertices(flat, "sheet")
 
 
 @given(kind=st.sampled_from(["sphere", "capsule", "cylinder"]), radius=RADIUS, length=LENGTH)
@@ -127,14 +126,14 @@ def test_flat_points_have_no_hull() -> None:
 def test_what_sweeps_contains_the_round_shape_with_no_more_vertices_than_coal_can_sweep(
     kind: str, radius: float, length: float
 ) -> None:
-    given_shape = round_shape(kind, (radius, length))
+    given_shape = make_round_shape(kind, (radius, length))
     assert given_shape is not None
-    exact = given_shape.moved(np.array([[0.0, 0, 1, 2], [1, 0, 0, 3], [0, 1, 0, 4], [0, 0, 0, 1]]))
+    exact = given_shape.move(np.array([[0.0, 0, 1, 2], [1, 0, 0, 3], [0, 1, 0, 4], [0, 0, 0, 1]]))
     size = (radius,) if kind == "sphere" else (radius, length)
     vertices = getattr(shapes, kind)(*size) @ exact.pose[:3, :3].T + exact.pose[:3, 3]
-    outer = shapes.swept_hull(exact, vertices)
+    outer = shapes.make_swept_hull(exact, vertices)
     assert len(outer) <= shapes.MOST_SWEPT
-    swept, points = swept_convex(outer)
+    swept, points = make_swept_convex(outer)
     assert swept.num_points == len(points) == 2 * len(outer)
     local = (outer - exact.pose[:3, 3]) @ exact.pose[:3, :3]
     ends = np.array([0.0, 0.0, 0.5 * exact.length])
@@ -150,18 +149,18 @@ def test_a_swept_hull_of_many_vertices_is_as_far_as_the_hull_of_both_its_poses(
     seed: int, radius: float, is_capsule: bool
 ) -> None:
     rng = np.random.default_rng(seed)
-    exact = round_shape("capsule" if is_capsule else "sphere", (radius, 0.3))
+    exact = make_round_shape("capsule" if is_capsule else "sphere", (radius, 0.3))
     assert exact is not None
     around = shapes.capsule(radius, 0.3) if is_capsule else shapes.sphere(radius)
-    outer = shapes.swept_hull(exact, around)
-    swept, points = swept_convex(outer)
+    outer = shapes.make_swept_hull(exact, around)
+    swept, points = make_swept_convex(outer)
     for _ in range(5):
         turns = Rotation.random(2, random_state=int(rng.integers(1 << 31))).as_matrix()
         ends = [outer @ turn.T + rng.normal(scale=0.3, size=3) for turn in turns]
         points[: len(outer)], points[len(outer) :] = ends
         box = shapes.box(rng.uniform(0.05, 0.5, 3)) + rng.normal(scale=0.8, size=3)
         found, expected = (
-            penetration_depth(hull, static_convex(box)) for hull in (swept, static_convex(np.concatenate(ends)))
+            penetration_depth(hull, make_convex(box)) for hull in (swept, make_convex(np.concatenate(ends)))
         )
         if expected < 0.0:
             assert found == pytest.approx(expected, abs=1e-6)

@@ -11,11 +11,11 @@ from robot_files import LIMIT, joint, link, robot, write_urdf
 
 from costs.robot import RobotModel, load_robot
 from costs.robot.self_pairs import (
-    adjacent_pairs,
-    contact_counts,
-    link_pair,
-    random_poses,
-    same_joint_pairs,
+    count_contacts,
+    draw_poses,
+    find_adjacent_pairs,
+    find_same_joint_pairs,
+    sort_pair,
 )
 
 WIDE = LIMIT.replace('"-1"', '"-3"').replace('upper="1"', 'upper="3"')
@@ -25,13 +25,13 @@ BOX = '<box size="0.4 0.1 0.1"/>'
 def _rates(model: RobotModel, seed: int, count: int = 200) -> dict[tuple[str, str], float]:
     """Share of random poses in which each pair of links overlaps."""
     links = sorted({body.link for body in model.bodies})
-    poses = random_poses(model.model, model.lower, model.upper, count, seed)
-    counts = contact_counts(model.model, model.bodies, [link_pair(a, b) for a, b in combinations(links, 2)], poses)
+    poses = draw_poses(model.model, model.lower, model.upper, count, seed)
+    counts = count_contacts(model.model, model.bodies, [sort_pair(a, b) for a, b in combinations(links, 2)], poses)
     return {pair: hits / count for pair, hits in counts.items()}
 
 
 def _near(model: RobotModel) -> frozenset[tuple[str, str]]:
-    return same_joint_pairs(model.bodies) | adjacent_pairs(model.model, model.bodies)
+    return find_same_joint_pairs(model.bodies) | find_adjacent_pairs(model.model, model.bodies)
 
 
 def test_neighbours_are_ignored_also_across_links_without_a_body(tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_sampled_poses_lie_within_the_limits_and_turn_unbounded_joints(tmp_path:
         joint("j2", "b", "c", "continuous", '<limit velocity="1" effort="1"/>'),
     )  # fmt: skip
     model = load_robot(urdf=write_urdf(tmp_path, text), root="floating")
-    poses = random_poses(model.model, model.lower, model.upper, 500)
+    poses = draw_poses(model.model, model.lower, model.upper, 500)
     assert np.all(poses[:, :6] == 0.0)
     assert np.abs(poses[:, 6]).max() <= 1.0
     assert 3.0 < np.abs(poses[:, 7]).max() <= np.pi

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from robot_files import CUBE_OBJ, LIMIT, joint, link, robot, two_links, write_urdf
 
-from costs.robot import RobotError, StillShape, object_shapes
+from costs.robot import RobotError, StillShape, read_object_shapes
 
 BOX = '<box size="1 1 1"/>'
 TURNED = BOX + '</geometry><origin xyz="0.5 0 0" rpy="0 0 1.5707963267948966"/><geometry>'
@@ -18,7 +18,7 @@ TURNED = BOX + '</geometry><origin xyz="0.5 0 0" rpy="0 0 1.5707963267948966"/><
 
 def _refusal(urdf: Path) -> str:
     with pytest.raises(RobotError) as refusal:
-        object_shapes(urdf)
+        read_object_shapes(urdf)
     message = str(refusal.value)
     assert "\n" not in message
     return message
@@ -32,7 +32,7 @@ def test_shapes_stand_where_the_joints_at_zero_put_them(tmp_path: Path) -> None:
         joint("turn", "base", "arm", xyz="0 0 2"),
         joint("slide", "arm", "tip", "prismatic", xyz="3 0 0"),
     )
-    box, tip = object_shapes(write_urdf(tmp_path, text))
+    box, tip = read_object_shapes(write_urdf(tmp_path, text))
     np.testing.assert_allclose(box.pose_object_shape, np.eye(4))
     assert box.points is not None
     np.testing.assert_allclose(np.ptp(box.points, axis=0), 1.0)
@@ -48,14 +48,14 @@ def test_a_joint_that_mimics_is_where_the_other_at_zero_puts_it(tmp_path: Path) 
         link("base"), link("a"), link("b", '<box size="1 2 3"/>'), joint("turn", "base", "a"),
         joint("follow", "a", "b", inside=follower),
     )  # fmt: skip
-    (shape,) = object_shapes(write_urdf(tmp_path, text))
+    (shape,) = read_object_shapes(write_urdf(tmp_path, text))
     np.testing.assert_allclose(shape.pose_object_shape[:3, 0], [0.0, 1.0, 0.0], atol=1e-12)
 
 
 def test_a_mesh_comes_with_its_file_and_scale(tmp_path: Path) -> None:
     (tmp_path / "cube.obj").write_text(CUBE_OBJ)
     urdf = write_urdf(tmp_path, robot(link("crate", '<mesh filename="cube.obj" scale="0.001 0.002 0.003"/>')))
-    (shape,) = object_shapes(urdf)
+    (shape,) = read_object_shapes(urdf)
     assert shape.points is None
     assert shape.mesh == (tmp_path / "cube.obj").resolve()
     np.testing.assert_allclose(shape.scale, [0.001, 0.002, 0.003])
@@ -98,6 +98,6 @@ def test_damaged_files_are_read_or_refused(tmp_path_factory: pytest.TempPathFact
 
 def _read_or_refused(path: Path) -> tuple[StillShape, ...]:
     try:
-        return object_shapes(path)
+        return read_object_shapes(path)
     except RobotError:
         return ()

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tiny_robots import PLANAR, atlas, chain, contact_free_state
 
-from costs.kinematics import KinematicsEngine, planted_poses
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.terms import FramePose, PointHalfSpace
 from service.motion.spline import Path, make_spline
 
@@ -19,7 +19,7 @@ def tip_height_hold(robot):
 
 
 def foot_holds(robot, q):
-    poses = planted_poses(KinematicsEngine(robot), q, ["l_foot", "r_foot"])
+    poses = locate_links(KinematicsEngine(robot), q, ["l_foot", "r_foot"])
     return tuple(
         lambda waypoints, link=link, pose=pose: FramePose(robot, link, waypoints, pose) for link, pose in poses.items()
     )

@@ -16,7 +16,7 @@ from tiny_robots import atlas
 from trajopt_problems import ARM_FILES, EXAMPLES, arm, document, straight_rows, term
 from typer.testing import CliRunner
 
-from costs.kinematics import KinematicsEngine, frame_of
+from costs.kinematics import KinematicsEngine, locate_frame
 from service.cli.app import app
 from service.errors import RequestError
 from service.planner import plan
@@ -57,7 +57,7 @@ def waypoints(result: PlanResult) -> np.ndarray:
 
 
 def origins(robot: Any, link: str, q: np.ndarray) -> np.ndarray:
-    kinematics, (joint, pose) = KinematicsEngine(robot)(q), frame_of(robot, link)
+    kinematics, (joint, pose) = KinematicsEngine(robot)(q), locate_frame(robot, link)
     return kinematics.rotation[:, joint] @ pose[:3, 3] + kinematics.position[:, joint]
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tiny_robots import PLANAR, atlas, chain
 from trajopt_problems import EXAMPLES, arm, document, findings_of, program_of, straight_rows, term
 
-from costs.kinematics import KinematicsEngine, planted_poses
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import load_robot
 from service.request.schema import PoseRequest, StartRequest
 from service.trajopt.manip import manip_columns
@@ -27,7 +27,7 @@ def names(robot, columns):
 
 def foot_poses(robot=None, q=None):
     robot = robot or atlas()
-    poses = planted_poses(KinematicsEngine(robot), robot.postures["stand"] if q is None else q, FEET)
+    poses = locate_links(KinematicsEngine(robot), robot.postures["stand"] if q is None else q, FEET)
     return {
         foot: {
             "link": foot,

@@ -12,18 +12,18 @@ from costs.collision import Contacts
 from costs.kinematics import KinematicsEngine
 from costs.scene import ConvexPiece, Scene
 from costs.terms import (
-    Asked,
-    AskedOfPairs,
     Between,
+    ClearancePerPair,
     FrameDisplacement,
     FramePose,
     JointDifference,
     JointTarget,
     PairClearance,
+    RequiredClearance,
     Scaled,
     SweptClearance,
 )
-from costs.terms.pair_clearance import pose_contacts
+from costs.terms.pair_clearance import find_pose_contacts
 
 ROBOTS = {"atlas": (atlas, "l_tool"), "chain": (lambda: chain(SPATIAL), "tip")}
 CUBE = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
@@ -88,7 +88,7 @@ def test_pair_clearance_without_exceptions_is_the_swept_clearance_times_its_gain
     checker = checker_of(robot, random_scene(rng, 12, 0.8), 0.05, buffer=0.1)
     state = state_of(robot, checker)(random_motion(robot, rng, n_waypoints, 0.1))
     n_intervals = max(n_waypoints - 1, 1)
-    asked = AskedOfPairs.of(checker, Asked(np.full(n_intervals, 0.05), np.full(n_intervals, 3.0)))
+    asked = ClearancePerPair.of(checker, RequiredClearance(np.full(n_intervals, 0.05), np.full(n_intervals, 3.0)))
     rows = PairClearance(robot, asked).linearize(state)
     parts = [SweptClearance(robot, is_self=is_self) for is_self in (False, True)]
     assert len(rows.value) > 10
@@ -104,7 +104,7 @@ def test_contacts_of_poses_are_those_of_each_waypoint_alone():
     checker = checker_of(robot, random_scene(rng, 12, 0.8), 0.05, buffer=0.1)
     engine = KinematicsEngine(robot)
     x = random_motion(robot, rng, 3, 0.1)
-    found = pose_contacts(checker, engine(x))
+    found = find_pose_contacts(checker, engine(x))
     assert set(found.first.tolist()) == {0, 1, 2}
     for t in range(3):
         alone = checker(engine(x[t : t + 1]))
@@ -123,9 +123,11 @@ def test_pair_clearance_by_hand():
     robot, scene = _box_above(0.08)  # 3 cm apart
     checker = checker_of(robot, scene, 0.2)
     state = state_of(robot, checker)(np.array([[0.0], [0.0], [1.5]]))
-    swept = AskedOfPairs.of(checker, Asked(np.array([0.05, 0.04]), np.array([20.0, 10.0])))
+    swept = ClearancePerPair.of(checker, RequiredClearance(np.array([0.05, 0.04]), np.array([20.0, 10.0])))
     np.testing.assert_allclose(PairClearance(robot, swept).value(state), [0.4, 0.1], atol=1e-9)
-    at_poses = AskedOfPairs.of(checker, Asked(np.array([0.05, 0.04, 0.04]), np.array([20.0, 0.0, 10.0])))
+    at_poses = ClearancePerPair.of(
+        checker, RequiredClearance(np.array([0.05, 0.04, 0.04]), np.array([20.0, 0.0, 10.0]))
+    )
     value = PairClearance(robot, at_poses, poses=checker).value(state)  # the link has turned away at the last
     assert value[0] == pytest.approx(0.4)
     assert len(value) == 1 or value[1] < 0.0
@@ -135,16 +137,16 @@ def test_a_pair_may_be_asked_for_something_else_or_nothing_or_no_more_than_it_ha
     robot, scene = _box_above(0.08)
     checker = checker_of(robot, scene, 0.2)
     state = state_of(robot, checker)(np.array([[0.0], [0.0]]))
-    usual = Asked(np.array([0.05]), np.array([1.0]))
+    usual = RequiredClearance(np.array([0.05]), np.array([1.0]))
     link1, above = BodyRef.of_link("link1"), BodyRef.of_piece("box")
-    special = [(link1, above, Asked(np.array([0.07]), np.array([2.0])))]
-    value = PairClearance(robot, AskedOfPairs.of(checker, usual, special)).value(state)
+    special = [(link1, above, RequiredClearance(np.array([0.07]), np.array([2.0])))]
+    value = PairClearance(robot, ClearancePerPair.of(checker, usual, special)).value(state)
     np.testing.assert_allclose(value, [0.08], atol=1e-9)
-    exempt = AskedOfPairs.of(checker, usual, exempt=[Allowance(link1, above, 0.0)])
+    exempt = ClearancePerPair.of(checker, usual, exempt=[Allowance(link1, above, 0.0)])
     assert len(PairClearance(robot, exempt).value(state)) == 0
-    relaxed = AskedOfPairs.of(checker, usual).relaxed_to(state.contacts, 0.01)
+    relaxed = ClearancePerPair.of(checker, usual).relax_to(state.contacts, 0.01)
     np.testing.assert_allclose(PairClearance(robot, relaxed).value(state), [-0.01], atol=1e-9)
-    assert relaxed.relaxed_to(Contacts.none(), 0.0).largest == 0.05
+    assert relaxed.relax_to(Contacts.none(), 0.0).largest == 0.05
 
 
 @pytest.mark.parametrize("n_waypoints", [1, 3])
@@ -153,14 +155,14 @@ def test_pose_clearance_gradient_against_differences(n_waypoints):
     scene = Scene((ConvexPiece("tip", np.array([[0.9, 0.1, 0.5], [0.9, 0.1, 0.2], [1.2, 0.1, 0.2], [0.9, 0.4, 0.2]])),))
     checker = checker_of(robot, scene, 0.5)
     x = np.random.default_rng(6).uniform(-0.15, 0.15, (n_waypoints, robot.n))
-    asked = AskedOfPairs.of(
+    asked = ClearancePerPair.of(
         checker,
-        Asked(np.full(n_waypoints, 0.5), np.zeros(n_waypoints)),
+        RequiredClearance(np.full(n_waypoints, 0.5), np.zeros(n_waypoints)),
         [
             (
                 BodyRef.of_link("link4"),
                 BodyRef.of_piece("tip"),
-                Asked(np.full(n_waypoints, 0.5), np.arange(1.0, n_waypoints + 1.0)),
+                RequiredClearance(np.full(n_waypoints, 0.5), np.arange(1.0, n_waypoints + 1.0)),
             )
         ],
     )

@@ -1,4 +1,4 @@
-"""Finds the swept contacts of all waypoints at once: boxes in numpy, GJK/EPA in coal for what is near."""
+"""Search for the swept contacts of all waypoints at once: boxes in numpy, GJK/EPA in coal for near pairs."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 
 from costs.collision.contacts import Contacts
 from costs.collision.pairs import PairMargins
-from costs.collision.shapes import outer_convex, static_convex, swept_convex
-from costs.collision.sweep import BodyVertices, extent, share_gradient
+from costs.collision.shapes import make_convex, make_outer_convex, make_swept_convex
+from costs.collision.sweep import BodyVertices, find_extent, share_gradient
 from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
 from costs.scene import Scene
@@ -23,60 +23,63 @@ _IDENTITY = coal.Transform3s()
 class SweptCollisionChecker:
     """Swept contacts of one robot in one scene.
 
-    Keeps coal's objects and work space between queries; what it answers depends on the query alone.
+    Keeps coal's objects and work space between queries; its results depend on the query alone.
     """
 
     def __init__(self, robot: RobotModel, scene: Scene, margins: PairMargins, buffer: float = 0.03) -> None:
         """
         Args:
-            robot: whose bodies sweep.
-            scene: what they may hit.
-            margins: distances asked of the pairs.
+            robot: the robot.
+            scene: its obstacles.
+            margins: required clearance per pair.
             buffer: pairs are reported up to this beyond their margin [m].
         """
         self.robot, self.scene, self.margins, self.buffer = robot, scene, margins, buffer
         self._bodies = BodyVertices.of(robot)
-        swept = [swept_convex(body.outer) for body in robot.bodies]
+        swept = [make_swept_convex(body.outer) for body in robot.bodies]
         self._swept, self._points = [convex for convex, _ in swept], [points for _, points in swept]
-        self._pieces = [static_convex(piece.vertices) for piece in scene.pieces]
-        self._still = [outer_convex(body) for body in robot.bodies]
+        self._pieces = [make_convex(piece.vertices) for piece in scene.pieces]
+        self._still = [make_outer_convex(body) for body in robot.bodies]
         self._lower = np.array([piece.lower for piece in scene.pieces]).reshape(-1, 3)
         self._upper = np.array([piece.upper for piece in scene.pieces]).reshape(-1, 3)
         self._functors: dict[tuple[bool, int, int], coal.ComputeDistance] = {}
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = True
         self._result = coal.DistanceResult()
-        self._pairs = np.array([self._swept_last(a, b) for a, b in margins.self_pairs], dtype=int).reshape(-1, 2)
+        self._pairs = np.array([self._order_pair(a, b) for a, b in margins.self_pairs], dtype=int).reshape(-1, 2)
 
     def with_margins(self, margins: PairMargins) -> SweptCollisionChecker:
-        """A checker of the same pairs with other margins; it shares this one's work space."""
+        """Return a checker of the same pairs with other margins, which shares this one's work space."""
         if not np.array_equal(margins.self_pairs, self.margins.self_pairs):
-            raise ValueError("the margins speak of other pairs")
+            raise ValueError("the margins must be those of the checker's own pairs")
         other = copy.copy(self)
         other.margins = margins
         return other
 
-    def _swept_last(self, a: int, b: int) -> tuple[int, int]:
-        """The body with fewer vertices is the one that sweeps."""
+    def _order_pair(self, a: int, b: int) -> tuple[int, int]:
+        """Return two bodies with the one that sweeps, which has fewer vertices, last."""
         return (a, b) if self._bodies.count[a] >= self._bodies.count[b] else (b, a)
 
     def __call__(self, kinematics: Kinematics) -> Contacts:
-        """Contacts of all intervals; of the single pose if there is one waypoint."""
+        """Find the contacts of all intervals, or of the single pose if there is one waypoint."""
         n_waypoints = kinematics.n_waypoints
         first = np.arange(max(n_waypoints - 1, 1))
         second = np.minimum(first + 1, n_waypoints - 1)
         world = self._bodies.in_world(kinematics)
         return Contacts.join(
-            [self._world_contacts(world, first, second), self._self_contacts(kinematics, world, first, second)]
+            [
+                self._find_world_contacts(world, first, second),
+                self._find_self_contacts(kinematics, world, first, second),
+            ]
         )
 
-    def _world_contacts(
+    def _find_world_contacts(
         self, world: Float[np.ndarray, "T B V 3"], first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> Contacts:
         poll()
         if not self._pieces:
             return Contacts.none()
-        low, high = extent(world)
+        low, high = find_extent(world)
         low, high = np.minimum(low[first], low[second]), np.maximum(high[first], high[second])
         reach = self.margins.world + self.buffer
         near = np.ones((len(first), *reach.shape), dtype=bool)
@@ -85,8 +88,9 @@ class SweptCollisionChecker:
             near &= self._lower[:, axis] - reach <= high[:, :, axis, None]
         interval, body, piece = np.nonzero(near)
         query = reach[body, piece]
-        found = self._narrow(world[first], world[second], interval, body, piece, query, is_self=False)
-        keep, distance, normal, witness = found
+        keep, distance, normal, witness = self._measure(
+            world[first], world[second], interval, body, piece, query, is_self=False
+        )
         interval, body, piece = interval[keep], body[keep], piece[keep]
         at_first, at_second = world[first[interval], body], world[second[interval], body]
         share, point_first, point_second = share_gradient(at_first, at_second, normal, witness)
@@ -103,7 +107,7 @@ class SweptCollisionChecker:
             point=np.stack([point_first, point_second], axis=1),
         )
 
-    def _self_contacts(
+    def _find_self_contacts(
         self,
         kinematics: Kinematics,
         world: Float[np.ndarray, "T B V 3"],
@@ -111,7 +115,7 @@ class SweptCollisionChecker:
         second: Int[np.ndarray, "I"],
     ) -> Contacts:
         poll()
-        interval, pair = self._near_pairs(kinematics, first, second)
+        interval, pair = self._find_near_pairs(kinematics, first, second)
         still, moving = self._pairs[pair].T
         joint = self._bodies.joint[still]
         ends = []
@@ -119,14 +123,14 @@ class SweptCollisionChecker:
             rotation, position = kinematics.rotation[waypoint, joint], kinematics.position[waypoint, joint]
             ends.append(np.matmul(world[waypoint, moving] - position[:, None], rotation))
         reach = (self.margins.own[pair] + self.buffer)[:, None]
-        (low_first, high_first), (low_second, high_second) = extent(ends[0]), extent(ends[1])
+        (low_first, high_first), (low_second, high_second) = find_extent(ends[0]), find_extent(ends[1])
         low, high = np.minimum(low_first, low_second) - reach, np.maximum(high_first, high_second) + reach
         near = np.all((low <= self._bodies.upper[still]) & (self._bodies.lower[still] <= high), axis=1)
         interval, pair, still, moving, joint = interval[near], pair[near], still[near], moving[near], joint[near]
         at_first, at_second = ends[0][near], ends[1][near]
 
         rows = np.arange(len(pair))
-        keep, distance, normal, witness = self._narrow(
+        keep, distance, normal, witness = self._measure(
             at_first[:, None],
             at_second[:, None],
             rows,
@@ -155,10 +159,10 @@ class SweptCollisionChecker:
             point=np.stack(points, axis=1),
         )
 
-    def _near_pairs(
+    def _find_near_pairs(
         self, kinematics: Kinematics, first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Intervals and self pairs whose bounding spheres come near while the relative centre moves on its chord."""
+        """Find intervals and self pairs whose bounding spheres come near as the relative centre moves on its chord."""
         poll()
         if not len(self._pairs):
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
@@ -177,7 +181,7 @@ class SweptCollisionChecker:
         intervals, pairs = np.nonzero(is_near)
         return intervals, pairs
 
-    def _narrow(
+    def _measure(
         self,
         at_first: Float[np.ndarray, "I B V 3"],
         at_second: Float[np.ndarray, "I B V 3"],
@@ -188,7 +192,7 @@ class SweptCollisionChecker:
         *,
         is_self: bool,
     ) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
-        """GJK/EPA of candidate pairs: those nearer than asked, with distance, normal to the body and witness on it."""
+        """Measure candidate pairs by GJK/EPA: keep those nearer than ``query``, with distance, normal and witness."""
         keep: list[int] = []
         distances: list[float] = []
         normals: list[np.ndarray] = []
@@ -206,7 +210,7 @@ class SweptCollisionChecker:
                 points[count:] = at_second[i, column, :count]
                 written = (i, b)
             clear()
-            distance = self._functor(is_self, b, o)(_IDENTITY, _IDENTITY, request, result)
+            distance = self._get_functor(is_self, b, o)(_IDENTITY, _IDENTITY, request, result)
             if distance < limit:
                 keep.append(row)
                 distances.append(distance)
@@ -220,7 +224,7 @@ class SweptCollisionChecker:
             np.array(witnesses).reshape(shape),
         )
 
-    def _functor(self, is_self: bool, body: int, other: int) -> coal.ComputeDistance:
+    def _get_functor(self, is_self: bool, body: int, other: int) -> coal.ComputeDistance:
         key = (is_self, body, other)
         functor = self._functors.get(key)
         if functor is None:

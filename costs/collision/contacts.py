@@ -1,4 +1,4 @@
-"""Swept contacts: what the collision terms are made of."""
+"""Swept contacts, which the collision terms measure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Contacts:
         other: (m,) index of the piece, or of the other body.
         is_self: (m,) whether ``other`` is a body.
         distance: (m,) signed, negative in penetration [m].
-        margin: (m,) distance asked of the pair [m].
+        margin: (m,) required clearance [m].
         share: (m,) weight of the second waypoint in the gradient, 0 to 1.
         normal: (m, 2, 3) unit, from the other convex to the body, in the world at both waypoints.
         point: (m, 2, 3) supporting point of the body at both waypoints, in the world [m].
@@ -42,18 +42,18 @@ class Contacts:
         return len(self.distance)
 
     def where(self, rows: np.ndarray) -> Contacts:
-        """The rows picked by a mask or by indices."""
+        """Return the rows of a mask or of indices."""
         return Contacts(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
     @staticmethod
     def join(parts: list[Contacts]) -> Contacts:
-        """The rows of all parts."""
+        """Return the rows of all parts."""
         names = Contacts.__dataclass_fields__
         return Contacts(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     @staticmethod
     def none() -> Contacts:
-        """No contacts."""
+        """Return no contacts."""
         index, number = np.zeros(0, dtype=int), np.zeros(0)
         vector = np.zeros((0, 2, 3))
         return Contacts(index, index, index, index, np.zeros(0, dtype=bool), number, number, number, vector, vector)

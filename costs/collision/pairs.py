@@ -1,4 +1,4 @@
-"""Which pairs are checked, and how far apart they shall be."""
+"""Checked pairs and the clearance they require."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from costs.scene import Scene
 
 @dataclass(frozen=True)
 class PairMargins:
-    """Distance asked of every pair [m]; ``-inf`` where a pair is not checked.
+    """Required clearance per pair [m]; ``-inf`` where a pair is not checked.
 
     Attributes:
         world: (B, P) bodies against pieces.
@@ -37,31 +37,31 @@ class PairMargins:
         overrides: Sequence[tuple[BodyRef, BodyRef, float]] = (),
         self_margin: float | None = None,
     ) -> PairMargins:
-        """Margins of all pairs of a robot in a scene.
+        """Return the margins of all pairs of a robot in a scene.
 
         Args:
             robot: its ignored pairs, fixed links and mechanism links are left out as far as they are exempt.
             scene: the pieces.
-            margin: distance asked of a link and a piece [m].
-            allowances: pairs that may touch; asked of them is minus the depth they may reach.
-            overrides: ``(one, other, margin)`` for single pairs; the last that covers a pair counts.
-            self_margin: distance asked of two links; ``margin`` if None.
+            margin: required clearance of a link and a piece [m].
+            allowances: pairs that may touch; their margin is minus their depth.
+            overrides: ``(first, second, margin)`` for single pairs; the last that covers a pair counts.
+            self_margin: required clearance of two links; ``margin`` if None.
         """
         index = BodyIndex(robot.bodies, robot.mechanism_links, scene.pieces)
-        asked = np.full(index.shape, margin if self_margin is None else self_margin)
-        asked[:, index.n_bodies :] = margin
+        margins = np.full(index.shape, margin if self_margin is None else self_margin)
+        margins[:, index.n_bodies :] = margin
         for first, second, value in overrides:
-            index.fill(asked, first, second, value)
+            index.fill(margins, first, second, value)
         for allowance in allowances:
-            index.fill(asked, allowance.first, allowance.second, -allowance.depth)
-        world, self_pairs = asked[:, index.n_bodies :].copy(), _pairs_of(robot)
-        own = asked[self_pairs[:, 0], self_pairs[:, 1]]
+            index.fill(margins, allowance.first, allowance.second, -allowance.depth)
+        world, self_pairs = margins[:, index.n_bodies :].copy(), _find_pairs(robot)
+        own = margins[self_pairs[:, 0], self_pairs[:, 1]]
         exempt = robot.fixed_links | robot.mechanism_links
         world[[body.link in exempt for body in robot.bodies]] = -np.inf
         return PairMargins(world, self_pairs, own)
 
-    def relaxed_to(self, contacts: Contacts, reserve: float) -> PairMargins:
-        """Margins no larger than the distances of the given contacts less ``reserve`` [m]."""
+    def relax_to(self, contacts: Contacts, reserve: float) -> PairMargins:
+        """Return margins no larger than the distances of the given contacts less ``reserve`` [m]."""
         world, own = self.world.copy(), self.own.copy()
         reach = contacts.distance - reserve
         rows = ~contacts.is_self
@@ -75,15 +75,15 @@ class PairMargins:
         return PairMargins(world, self.self_pairs, own)
 
 
-def _pairs_of(robot: RobotModel) -> Int[np.ndarray, "K 2"]:
-    """Bodies that can move against each other, less the pairs that the robot ignores."""
+def _find_pairs(robot: RobotModel) -> Int[np.ndarray, "K 2"]:
+    """Find pairs of bodies that can move against each other, without those that the robot ignores."""
     links = {body.link: row for row, body in enumerate(robot.bodies)}
     number = np.array([links[body.link] for body in robot.bodies], dtype=int)
     joint = np.array([body.joint for body in robot.bodies], dtype=int)
     ignored = np.zeros((len(robot.bodies), len(robot.bodies)), dtype=bool)
-    for one, other in robot.ignored_pairs:
-        if one in links and other in links:
-            ignored[links[one], links[other]] = ignored[links[other], links[one]] = True
+    for link, other in robot.ignored_pairs:
+        if link in links and other in links:
+            ignored[links[link], links[other]] = ignored[links[other], links[link]] = True
     first, second = np.triu_indices(len(robot.bodies), 1)
     is_checked = (joint[first] != joint[second]) & ~ignored[number[first], number[second]]
     return np.stack([first[is_checked], second[is_checked]], axis=1)

@@ -1,4 +1,4 @@
-"""Whether single poses are clear: bounding spheres in numpy for all of them, coal for what is near, nearest first."""
+"""Clearance check of single poses: bounding spheres in numpy, then coal for near pairs, the nearest first."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import coal
 import numpy as np
 
 from costs.collision.pairs import PairMargins
-from costs.collision.shapes import outer_convex, static_convex
+from costs.collision.shapes import make_convex, make_outer_convex
 from costs.collision.sweep import BodyVertices
 from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
@@ -16,18 +16,18 @@ _IDENTITY = coal.Transform3s()
 
 
 class PoseChecker:
-    """Answers for many poses at once whether every pair keeps its margin; what lies between poses is not looked at."""
+    """Checks many poses at once for pairs nearer than their margin; motion between poses is not checked."""
 
     def __init__(self, robot: RobotModel, scene: Scene, margins: PairMargins) -> None:
         """
         Args:
-            robot: whose bodies are placed.
-            scene: what they may hit.
-            margins: distances asked of the pairs.
+            robot: the robot.
+            scene: its obstacles.
+            margins: required clearance per pair.
         """
         self._bodies = BodyVertices.of(robot)
-        self._shapes = [outer_convex(body) for body in robot.bodies]
-        self._pieces = [static_convex(piece.vertices) for piece in scene.pieces]
+        self._shapes = [make_outer_convex(body) for body in robot.bodies]
+        self._pieces = [make_convex(piece.vertices) for piece in scene.pieces]
         self._middle = np.array([0.5 * (piece.lower + piece.upper) for piece in scene.pieces]).reshape(-1, 3)
         self._half = np.array([0.5 * (piece.upper - piece.lower) for piece in scene.pieces]).reshape(-1, 3)
         self._margins = margins
@@ -41,7 +41,7 @@ class PoseChecker:
         self._result = coal.DistanceResult()
 
     def are_clear(self, kinematics: Kinematics) -> bool:
-        """Whether no pair at any pose is nearer than its margin."""
+        """Return whether no pair at any pose is nearer than its margin."""
         centres = self._bodies.centres_in_world(kinematics)
         gap = np.abs(centres[:, :, None] - self._middle)
         gap -= self._half
@@ -55,18 +55,18 @@ class PoseChecker:
         size = len(pose)
         if not size and not len(own_pose):
             return True
-        # What lies deepest by its spheres is asked first: most bad poses end with the first answers.
+        # The deepest pairs by their spheres come first: most poses in collision end at the first queries.
         excess = np.sqrt(squared[pose, body, piece]) - self._reach[body, piece]
         own_excess = np.sqrt(own_squared[own_pose, pair]) - self._own_reach[pair]
         order = np.argsort(np.concatenate([excess, own_excess]), kind="stable")
-        placed: dict[tuple[int, int], coal.Transform3s] = {}
+        transforms: dict[tuple[int, int], coal.Transform3s] = {}
 
-        def at(t: int, b: int) -> coal.Transform3s:
-            known = placed.get((t, b))
+        def place(t: int, b: int) -> coal.Transform3s:
+            known = transforms.get((t, b))
             if known is None:
                 joint = self._bodies.joint[b]
                 known = coal.Transform3s(kinematics.rotation[t, joint], kinematics.position[t, joint])
-                placed[t, b] = known
+                transforms[t, b] = known
             return known
 
         poses, bodies, pieces = pose.tolist(), body.tolist(), piece.tolist()
@@ -78,13 +78,13 @@ class PoseChecker:
             else:
                 t, k = own_poses[row - size], pairs[row - size]
                 b, other = self._margins.self_pairs[k].tolist()
-                there, margin, is_self = at(t, other), self._margins.own[k], True
+                there, margin, is_self = place(t, other), self._margins.own[k], True
             self._result.clear()
-            if self._functor(is_self, b, other)(at(t, b), there, self._request, self._result) < margin:
+            if self._get_functor(is_self, b, other)(place(t, b), there, self._request, self._result) < margin:
                 return False
         return True
 
-    def _functor(self, is_self: bool, body: int, other: int) -> coal.ComputeDistance:
+    def _get_functor(self, is_self: bool, body: int, other: int) -> coal.ComputeDistance:
         key = (is_self, body, other)
         functor = self._functors.get(key)
         if functor is None:

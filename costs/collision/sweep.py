@@ -1,4 +1,4 @@
-"""The bodies' vertices at all waypoints, and how a swept hull's gradient is shared between its two poses."""
+"""Vertices of the bodies at all waypoints, and the shares of a swept hull's two poses in its gradient."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class BodyVertices:
 
     Attributes:
         local: (B, V, 3) vertices in the joint's frame; the last vertex repeats up to V [m].
-        count: (B,) how many are real.
+        count: (B,) number of vertices without repetitions.
         joint: (B,) joint that carries each body.
         lower, upper: (B, 3) bounding box in the joint's frame [m].
         centre: (B, 3) centre of the bounding sphere in the joint's frame.
@@ -37,20 +37,20 @@ class BodyVertices:
 
     @staticmethod
     def of(robot: RobotModel) -> BodyVertices:
-        """The bodies of a robot."""
+        """Return the bodies of a robot."""
         count = np.array([len(body.outer) for body in robot.bodies], dtype=int)
         longest = int(count.max(initial=1))
         local = np.empty((len(robot.bodies), longest, 3))
         for row, body in zip(local, robot.bodies, strict=True):
             row[: len(body.outer)], row[len(body.outer) :] = body.outer, body.outer[-1]
-        lower, upper = extent(local)
+        lower, upper = find_extent(local)
         centre = 0.5 * (lower + upper)
         radius = np.linalg.norm(local - centre[:, None], axis=2).max(axis=1)
         joint = np.array([body.joint for body in robot.bodies], dtype=int)
         return BodyVertices(local, count, joint, lower, upper, centre, radius)
 
     def in_world(self, kinematics: Kinematics) -> Float[np.ndarray, "T B V 3"]:
-        """World coordinates of all vertices at all waypoints."""
+        """Return the world coordinates of all vertices at all waypoints."""
         poll()
         rotation = kinematics.rotation[:, self.joint]
         return np.asarray(
@@ -58,13 +58,13 @@ class BodyVertices:
         )
 
     def centres_in_world(self, kinematics: Kinematics) -> Float[np.ndarray, "T B 3"]:
-        """World coordinates of the bounding spheres' centres."""
+        """Return the world coordinates of the bounding spheres' centres."""
         rotation = kinematics.rotation[:, self.joint]
         return np.asarray(np.einsum("tbkl,bl->tbk", rotation, self.centre) + kinematics.position[:, self.joint])
 
 
-def extent(points: Float[np.ndarray, "*m V 3"]) -> tuple[Float[np.ndarray, "*m 3"], Float[np.ndarray, "*m 3"]]:
-    """Lower and upper corners of the bounding boxes of many point sets."""
+def find_extent(points: Float[np.ndarray, "*m V 3"]) -> tuple[Float[np.ndarray, "*m 3"], Float[np.ndarray, "*m 3"]]:
+    """Find the lower and upper corners of the bounding boxes of many point sets."""
     axes = (points.ndim - 2, *range(points.ndim - 2), points.ndim - 1)
     first = np.ascontiguousarray(points.transpose(axes))  # reduced over its first axis: eight times as fast
     return first.min(axis=0), first.max(axis=0)
@@ -76,7 +76,7 @@ def share_gradient(
     normal: Float[np.ndarray, "m 3"],
     witness: Float[np.ndarray, "m 3"],
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
-    """Where on the sweep a witness point lies: weight of the second pose, and the point it is made of at each pose.
+    """Locate a witness point on the sweep: return the weight of the second pose and its point at each pose.
 
     The pose whose support along ``-normal`` is nearer the witness gets the larger share (Schulman et al., IJRR 2014,
     sec. V.B); a pose that lies further off by more than the band has no share.  The gradient is exact for a single

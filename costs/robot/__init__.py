@@ -6,7 +6,7 @@ from costs.robot.errors import RobotError
 from costs.robot.load import Root
 from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
 from costs.robot.named import bundled_robots, load_robot
-from costs.robot.still import StillShape, object_shapes
+from costs.robot.still import StillShape, read_object_shapes
 
 __all__ = [
     "BASE_NAMES",
@@ -19,7 +19,7 @@ __all__ = [
     "StillShape",
     "bundled_robots",
     "load_robot",
-    "object_shapes",
+    "read_object_shapes",
     "with_attached",
     "with_revolute",
 ]

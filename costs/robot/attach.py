@@ -1,7 +1,6 @@
 """A robot with bodies that its links carry (a beam in its hands), as links of its own description.
 
-They are written into the URDF and the SRDF that the robot brings along, so that whoever reads these files sees the same
-robot.
+They are written into the robot's own URDF and SRDF, so that readers of these files get the same robot.
 """
 
 from __future__ import annotations
@@ -14,16 +13,15 @@ import numpy as np
 from jaxtyping import Float
 from lxml import etree
 
-from costs.primitive import round_shape
+from costs.primitive import make_round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError, suggest
-from costs.robot.hull import hull_vertices
-from costs.robot.load import body_frame, pinocchio_model
+from costs.robot.hull import find_hull_vertices, make_outer_hull
+from costs.robot.load import build_pinocchio_model, find_body_frame
 from costs.robot.model import LinkBody, RobotModel, RobotSource
-from costs.robot.outer import outer_hull
-from costs.robot.poses import joined, origin_element
-from costs.robot.self_pairs import link_pair, same_joint_pairs
-from costs.robot.urdf import parse_urdf, urdf_text
+from costs.robot.poses import format_numbers, make_origin
+from costs.robot.self_pairs import find_same_joint_pairs, sort_pair
+from costs.robot.urdf import format_urdf, parse_urdf
 from costs.robot.xmlfile import parse_xml
 
 
@@ -51,7 +49,7 @@ class AttachedBody:
 
 
 def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotModel:
-    """The robot with further bodies fixed to its links; its joints stay as they are.
+    """Return the robot with further bodies fixed to its links; its joints stay as they are.
 
     Raises:
         RobotError: a name in use, an unknown link, or a description that cannot be extended.
@@ -59,100 +57,102 @@ def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotM
     if not attached:
         return robot
     tree = parse_xml(robot.source.urdf, robot.name, "robot")
-    for one in attached:
-        _check_names(robot, one)
-        tree.append(_link_element(one))
-        tree.append(_joint_element(one))
+    for item in attached:
+        _check_names(robot, item)
+        tree.append(_make_link(item))
+        tree.append(_make_joint(item))
     urdf = parse_urdf(str(etree.tostring(tree, encoding="unicode")), robot.name, {})
-    model = pinocchio_model(urdf, "floating" if robot.is_floating else "fixed", robot.name)
+    model = build_pinocchio_model(urdf, "floating" if robot.is_floating else "fixed", robot.name)
     bodies = list(robot.bodies)
-    for one in attached:
-        frame = body_frame(model, one.name)
-        points = _points(one) @ frame.placement.rotation.T + frame.placement.translation
-        vertices = hull_vertices(points, f"attached body '{one.name}'")
-        given = round_shape(one.kind, one.size)
-        exact = None if given is None else given.moved(frame.placement.homogeneous)
-        outer = outer_hull(vertices) if exact is None else shapes.swept_hull(exact, vertices)
-        bodies.append(LinkBody(one.name, one.name, int(frame.parentJoint), vertices, outer, exact))
-    held = {link_pair(one.name, link) for one in attached for link in (one.link, *one.touching)}
-    ignored = robot.ignored_pairs | same_joint_pairs(bodies) | held
-    # They stand in its SRDF from now on.
+    for item in attached:
+        frame = find_body_frame(model, item.name)
+        points = _make_points(item) @ frame.placement.rotation.T + frame.placement.translation
+        vertices = find_hull_vertices(points, f"attached body '{item.name}'")
+        shape = make_round_shape(item.kind, item.size)
+        exact = None if shape is None else shape.move(frame.placement.homogeneous)
+        outer = make_outer_hull(vertices) if exact is None else shapes.make_swept_hull(exact, vertices)
+        bodies.append(LinkBody(item.name, item.name, int(frame.parentJoint), vertices, outer, exact))
+    held = {sort_pair(item.name, link) for item in attached for link in (item.link, *item.touching)}
+    ignored = robot.ignored_pairs | find_same_joint_pairs(bodies) | held
+    # The new SRDF lists them.
     words = {"adjacent": "Adjacent", "same joint": "Adjacent", "derived": "Always"}
-    said = {pair: robot.ignored_reasons.get(pair, "User").removeprefix("srdf").strip(" ()") for pair in ignored}
-    said = {pair: words.get(word, word or "User") for pair, word in said.items()}
-    still = {one.name for one in attached if int(body_frame(model, one.name).parentJoint) == 0}
+    srdf_reasons = {pair: robot.ignored_reasons.get(pair, "User").removeprefix("srdf").strip(" ()") for pair in ignored}
+    srdf_reasons = {pair: words.get(word, word or "User") for pair, word in srdf_reasons.items()}
+    still = {item.name for item in attached if int(find_body_frame(model, item.name).parentJoint) == 0}
     return replace(
         robot,
         model=model,
         bodies=tuple(bodies),
         ignored_pairs=ignored,
         fixed_links=robot.fixed_links | still,
-        source=RobotSource(urdf_text(urdf), _srdf_text(robot, said), robot.source.files),
-        ignored_reasons={pair: f"srdf ({word})" for pair, word in said.items()},
+        source=RobotSource(format_urdf(urdf), _format_srdf(robot, srdf_reasons), robot.source.files),
+        ignored_reasons={pair: f"srdf ({word})" for pair, word in srdf_reasons.items()},
     )
 
 
-def _check_names(robot: RobotModel, one: AttachedBody) -> None:
+def _check_names(robot: RobotModel, item: AttachedBody) -> None:
     links = {frame.name for frame in robot.model.frames}
-    if one.name in links or one.name in {body.name for body in robot.bodies} | {"universe", "root_joint"}:
-        raise RobotError(f"attached body '{one.name}': the name is in use by {robot.name}; choose another")
-    for link in (one.link, *one.touching):
+    if item.name in links or item.name in {body.name for body in robot.bodies} | {"universe", "root_joint"}:
+        raise RobotError(f"attached body '{item.name}': the name is in use by {robot.name}; choose another")
+    for link in (item.link, *item.touching):
         if not robot.model.existFrame(link):
-            raise RobotError(f"attached body '{one.name}': unknown link '{link}'; {suggest(link, links)}")
+            raise RobotError(f"attached body '{item.name}': unknown link '{link}'; {suggest(link, links)}")
 
 
-def _points(one: AttachedBody) -> Float[np.ndarray, "V 3"]:
-    match one.kind:
+def _make_points(item: AttachedBody) -> Float[np.ndarray, "V 3"]:
+    match item.kind:
         case "box":
-            return shapes.box(np.array(one.size))
+            return shapes.box(np.array(item.size))
         case "sphere":
-            return shapes.sphere(one.size[0])
+            return shapes.sphere(item.size[0])
         case "cylinder":
-            return shapes.cylinder(*one.size)
+            return shapes.cylinder(*item.size)
 
 
-def _link_element(one: AttachedBody) -> etree._Element:
-    """The body about its centre, with its mass if it has one."""
-    link = etree.Element("link", name=one.name)
-    if one.mass > 0.0:
+def _make_link(item: AttachedBody) -> etree._Element:
+    """Make the body about its centre, with its mass if it has one."""
+    link = etree.Element("link", name=item.name)
+    if item.mass > 0.0:
         inertial = etree.SubElement(link, "inertial")
-        etree.SubElement(inertial, "mass", value=repr(float(one.mass)))
-        inertial.append(origin_element(np.eye(4)))
-        ixx, iyy, izz = (repr(float(value)) for value in one.mass * _gyration(one))
+        etree.SubElement(inertial, "mass", value=repr(float(item.mass)))
+        inertial.append(make_origin(np.eye(4)))
+        ixx, iyy, izz = (repr(float(value)) for value in item.mass * _compute_gyration(item))
         etree.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
     names: Mapping[str, Sequence[str]] = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
-    values = [joined(np.array(one.size))] if one.kind == "box" else [repr(float(value)) for value in one.size]
+    values = (
+        [format_numbers(np.array(item.size))] if item.kind == "box" else [repr(float(value)) for value in item.size]
+    )
     for tag in ("visual", "collision"):
         geometry = etree.SubElement(etree.SubElement(link, tag), "geometry")
-        etree.SubElement(geometry, one.kind, dict(zip(names[one.kind], values, strict=True)))
+        etree.SubElement(geometry, item.kind, dict(zip(names[item.kind], values, strict=True)))
     return link
 
 
-def _gyration(one: AttachedBody) -> Float[np.ndarray, "3"]:
-    """Moments of inertia about the centre of an evenly filled body of 1 kg [m^2]."""
-    size = np.array(one.size)
-    if one.kind == "box":
+def _compute_gyration(item: AttachedBody) -> Float[np.ndarray, "3"]:
+    """Return the moments of inertia about the centre of an evenly filled body of 1 kg [m^2]."""
+    size = np.array(item.size)
+    if item.kind == "box":
         return np.asarray((np.sum(size**2) - size**2) / 12.0)
-    if one.kind == "sphere":
+    if item.kind == "sphere":
         return np.full(3, 0.4 * size[0] ** 2)
     across = (3.0 * size[0] ** 2 + size[1] ** 2) / 12.0
     return np.array([across, across, 0.5 * size[0] ** 2])
 
 
-def _joint_element(one: AttachedBody) -> etree._Element:
-    joint = etree.Element("joint", name=f"{one.name}_attached", type="fixed")
-    etree.SubElement(joint, "parent", link=one.link)
-    etree.SubElement(joint, "child", link=one.name)
-    joint.append(origin_element(one.pose_link_body))
+def _make_joint(item: AttachedBody) -> etree._Element:
+    joint = etree.Element("joint", name=f"{item.name}_attached", type="fixed")
+    etree.SubElement(joint, "parent", link=item.link)
+    etree.SubElement(joint, "child", link=item.name)
+    joint.append(make_origin(item.pose_link_body))
     return joint
 
 
-def _srdf_text(robot: RobotModel, said: Mapping[tuple[str, str], str]) -> str:
-    """The robot's SRDF (or a new one) that lists every pair which is not checked, with a reason each."""
+def _format_srdf(robot: RobotModel, srdf_reasons: Mapping[tuple[str, str], str]) -> str:
+    """Format the robot's SRDF (or a new one), which lists every pair that is not checked with its reason."""
     source = robot.source.srdf or f'<robot name="{robot.name}"/>'
     tree = parse_xml(source, robot.name, "robot")
     for element in tree.findall("disable_collisions"):
         tree.remove(element)
-    for (first, second), reason in sorted(said.items()):
+    for (first, second), reason in sorted(srdf_reasons.items()):
         etree.SubElement(tree, "disable_collisions", link1=first, link2=second, reason=reason)
     return str(etree.tostring(tree, encoding="unicode"))

@@ -10,9 +10,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot.errors import RobotError
-from costs.robot.hull import hull_vertices
+from costs.robot.hull import find_hull_vertices, make_outer_hull
 from costs.robot.model import LinkBody, RobotModel
-from costs.robot.outer import outer_hull
 
 
 def with_revolute(
@@ -28,7 +27,7 @@ def with_revolute(
     velocity: float,
     acceleration: float,
 ) -> RobotModel:
-    """The robot with one more revolute joint, fixed in the world, as its last coordinate.
+    """Return the robot with one more revolute joint, fixed in the world, as its last coordinate.
 
     The new joint's frame stands at ``origin`` with the world's axes at angle 0. Its link has no mass, so that the
     model's centre of mass stays the robot's.
@@ -65,19 +64,19 @@ def with_revolute(
         velocity=np.append(robot.velocity, velocity),
         acceleration=np.append(robot.acceleration, acceleration),
         effort=np.append(robot.effort, np.inf),
-        bodies=(*robot.bodies, *_mechanism_bodies(bodies, link, int(joint), origin)),
+        bodies=(*robot.bodies, *_make_bodies(bodies, link, int(joint), origin)),
         postures={key: np.append(posture, 0.0) for key, posture in robot.postures.items()},
         mechanism_links=robot.mechanism_links | {link},
     )
 
 
-def _mechanism_bodies(
+def _make_bodies(
     bodies: Mapping[str, Float[np.ndarray, "V 3"]], link: str, joint: int, origin: Float[np.ndarray, "3"]
 ) -> tuple[LinkBody, ...]:
     made = []
     for name, points in bodies.items():
-        vertices = hull_vertices(np.asarray(points, dtype=float) - origin, f"body '{name}' of link '{link}'")
-        outer = outer_hull(vertices)
+        vertices = find_hull_vertices(np.asarray(points, dtype=float) - origin, f"body '{name}' of link '{link}'")
+        outer = make_outer_hull(vertices)
         made.append(LinkBody(name, link, joint, vertices, outer))
     return tuple(made)
 

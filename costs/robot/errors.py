@@ -1,4 +1,4 @@
-"""The one error of the robot loader."""
+"""Error of the robot loader."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Iterable
 
 
 class RobotError(ValueError):
-    """A robot file, option or name that cannot be used; one line that names it, the value and what would do."""
+    """A robot file, option or name that cannot be used; one line that names it, the value and what is expected."""
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
-    """What to write instead of ``name``: its closest matches, or the first few known names."""
+    """Suggest names instead of an unknown one: its closest matches, or the first few known names."""
     names = sorted(known)
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     if close:

@@ -1,4 +1,4 @@
-"""Finding and reading collision meshes without trusting the URDF that names them."""
+"""Safe search and reading of collision meshes that a URDF names."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _STL_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attri
 
 
 def resolve_mesh(uri: str, roots: Sequence[Path], where: str) -> tuple[str, Path]:
-    """Key and real path of a mesh that lies inside one of ``roots``.
+    """Find the key and real path of a mesh inside one of ``roots``.
 
-    ``package://name/rest`` is looked for as ``root/name/rest`` (or ``root/rest`` where root is itself the package),
+    ``package://name/rest`` is searched as ``root/name/rest`` (or ``root/rest`` where root is itself the package),
     anything else as a path relative to a root. The key is the path a result folder stores the mesh under.
 
     Raises:
@@ -53,10 +53,10 @@ def resolve_mesh(uri: str, roots: Sequence[Path], where: str) -> tuple[str, Path
 
 
 def read_vertices(path: Path, where: str) -> Float[np.ndarray, "V 3"]:
-    """Vertices of an OBJ or STL file, in the file's units.
+    """Read the vertices of an OBJ or STL file, in the file's units.
 
     Raises:
-        RobotError: for another format, a file that is too large, lies about its size or holds NaN.
+        RobotError: for another format, a file that is too large, states a wrong size or holds NaN.
     """
     readers = {".obj": _read_obj, ".stl": _read_stl}
     reader = readers.get(path.suffix.lower())
@@ -74,7 +74,7 @@ def read_vertices(path: Path, where: str) -> Float[np.ndarray, "V 3"]:
 
 
 def _read_obj(data: bytes, where: str) -> Float[np.ndarray, "V 3"]:
-    return _vertex_lines(data, b"v", where)
+    return _read_vertex_lines(data, b"v", where)
 
 
 def _read_stl(data: bytes, where: str) -> Float[np.ndarray, "V 3"]:
@@ -87,11 +87,11 @@ def _read_stl(data: bytes, where: str) -> Float[np.ndarray, "V 3"]:
             return facets["corners"].reshape(-1, 3).astype(float)
     if not data.lstrip().startswith(b"solid"):
         raise RobotError(f"{where}: neither text STL nor a binary one of the length its header claims")
-    return _vertex_lines(data, b"vertex", where)
+    return _read_vertex_lines(data, b"vertex", where)
 
 
-def _vertex_lines(data: bytes, keyword: bytes, where: str) -> Float[np.ndarray, "V 3"]:
-    """Coordinates of the lines that begin with ``keyword``; what follows the third number is left out."""
+def _read_vertex_lines(data: bytes, keyword: bytes, where: str) -> Float[np.ndarray, "V 3"]:
+    """Read the coordinates of lines that begin with ``keyword``; only the first three numbers count."""
     values: list[float] = []
     for line in data.splitlines():
         words = line.split(None, 4)

@@ -1,4 +1,4 @@
-"""The robot as every other room sees it: pinocchio model, limits, convex bodies, groups and postures."""
+"""Robots: pinocchio model, limits, convex bodies, groups and postures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BASE_NAMES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll
 
 @dataclass(frozen=True, eq=False)
 class LinkBody:
-    """A convex body of a link; equal to itself only, so that what is made of it can be kept by it.
+    """A convex body of a link; equal to itself only, so that results can be cached per body.
 
     Attributes:
         name: the link's name, with ``/1``, ``/2`` ... for its further bodies.
@@ -26,7 +26,7 @@ class LinkBody:
         vertices: (V, 3) hull in the frame of that joint [m].
         outer: (W, 3) vertices whose hull contains ``vertices``, for the optimiser's sweeps [m]: at most 48, or 240 of a
             round shape (the same array when the hull has no more than 32, or no more than 240 of a round shape).
-        exact: the round shape that was given, in the frame of that joint, where ``vertices`` are a polytope around one.
+        exact: the round shape in the frame of that joint that ``vertices`` contain; None for any other shape.
     """
 
     name: str
@@ -39,7 +39,7 @@ class LinkBody:
 
 @dataclass(frozen=True)
 class RobotSource:
-    """The files a robot was made from, so that a result can carry them along.
+    """The files a robot was made from, which results include.
 
     Attributes:
         urdf: text of the URDF.
@@ -72,8 +72,8 @@ class RobotModel:
         mechanism_links: links of a task's mechanism (``with_revolute``), not part of the robot's mass; not checked
             against the scene.
         source: the files it came from.
-        ignored_reasons: why each of ``ignored_pairs`` is one: ``srdf (what it says)``, ``adjacent``, ``derived`` (they
-            overlap in nearly all poses), ``same joint``; told to people, believed by no check.
+        ignored_reasons: reason for each of ``ignored_pairs``: ``srdf (its reason)``, ``adjacent``, ``derived`` (they
+            overlap in nearly all poses), ``same joint``; for users only, no check relies on it.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The front door: robots by name or by path."""
+"""Loading of robots by name or by path."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _BUNDLED = {"atlas": "Atlas v5: 30 joints, floating base, 158.6 kg, a hook on ea
 
 
 def bundled_robots() -> Mapping[str, str]:
-    """Description by name of the robots that ship with the package."""
+    """Return the description of each robot that ships with the package, by name."""
     return dict(_BUNDLED)
 
 
@@ -28,7 +28,7 @@ def load_robot(
     tool_distance_m: float | None = None,
     locked_joints: Mapping[str, float] | None = None,
 ) -> RobotModel:
-    """A bundled robot by name, or any robot by its URDF.
+    """Load a bundled robot by name, or any robot by its URDF.
 
     Args:
         name: one of ``bundled_robots()``; or None when ``urdf`` is given.

@@ -7,38 +7,38 @@ from jaxtyping import Float
 from lxml import etree
 
 from costs.robot.errors import RobotError
-from costs.robot.xmlfile import numbers
+from costs.robot.xmlfile import parse_numbers
 
-FARTHEST_M = 1000.0  # no part of a robot is farther from the one that carries it
+FARTHEST_M = 1000.0  # largest distance of a part from the one that carries it
 
 
 def parse_origin(element: etree._Element, where: str) -> Float[np.ndarray, "4 4"]:
-    """Pose of an element's <origin>; the identity without one."""
+    """Read the pose of an element's <origin>; the identity without one."""
     pose = np.eye(4)
     origin = element.find("origin")
     if origin is not None:
-        pose[:3, 3] = numbers(origin.get("xyz", "0 0 0"), 3, f"{where}: origin xyz")
+        pose[:3, 3] = parse_numbers(origin.get("xyz", "0 0 0"), 3, f"{where}: origin xyz")
         farthest = float(np.abs(pose[:3, 3]).max())
         if farthest > FARTHEST_M:
             raise RobotError(
                 f"{where}: origin xyz: {farthest:g} m is farther than {FARTHEST_M:g} m; are these millimetres?"
             )
-        pose[:3, :3] = rpy_matrix(numbers(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy"))
+        pose[:3, :3] = rpy_matrix(parse_numbers(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy"))
     return pose
 
 
-def origin_element(pose: Float[np.ndarray, "4 4"]) -> etree._Element:
-    """<origin> of a pose."""
-    return etree.Element("origin", xyz=joined(pose[:3, 3]), rpy=joined(matrix_rpy(pose[:3, :3])))
+def make_origin(pose: Float[np.ndarray, "4 4"]) -> etree._Element:
+    """Make the <origin> of a pose."""
+    return etree.Element("origin", xyz=format_numbers(pose[:3, 3]), rpy=format_numbers(matrix_rpy(pose[:3, :3])))
 
 
-def joined(values: Float[np.ndarray, "k"]) -> str:
-    """Numbers separated by blanks, exact."""
+def format_numbers(values: Float[np.ndarray, "k"]) -> str:
+    """Format numbers exactly, separated by blanks."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def rpy_matrix(rpy: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Rotation of URDF's fixed-axis roll, pitch, yaw [rad]."""
+    """Return the rotation of URDF's fixed-axis roll, pitch, yaw [rad]."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array([[cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
                      [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
@@ -46,7 +46,7 @@ def rpy_matrix(rpy: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 
 def matrix_rpy(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """Fixed-axis roll, pitch, yaw [rad] of a rotation; at pitch +-90 degrees the roll is put to 0."""
+    """Return fixed-axis roll, pitch, yaw [rad] of a rotation; at pitch +-90 degrees the roll is put to 0."""
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
     if abs(rotation[2, 0]) > 1.0 - 1e-12:
         return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
@@ -55,7 +55,7 @@ def matrix_rpy(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
 
 
 def axis_rotation(axis: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3 3"]:
-    """Rotation by ``angle`` [rad] about a unit axis (Rodrigues)."""
+    """Return the rotation by ``angle`` [rad] about a unit axis (Rodrigues)."""
     x, y, z = axis
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew)

@@ -1,4 +1,4 @@
-"""Which link pairs need no check against each other, found by sampling many poses and never from one."""
+"""Link pairs that need no check against each other, derived from the tree and from many sampled poses."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from costs.robot.model import LinkBody
 
 N_POSES = 500
 ALWAYS_FRACTION = 0.95
-JOINT_SIZE_M = 0.25  # what is fixed to a link and all within this of its joint counts as part of the joint
+JOINT_SIZE_M = 0.25  # a part fixed to a link within this distance of its joint counts as part of the joint
 
 
-def link_pair(a: str, b: str) -> tuple[str, str]:
-    """The pair's name: sorted."""
+def sort_pair(a: str, b: str) -> tuple[str, str]:
+    """Return the pair's name: sorted."""
     return (a, b) if a < b else (b, a)
 
 
-def same_joint_pairs(bodies: Sequence[LinkBody]) -> frozenset[tuple[str, str]]:
-    """Pairs of links that one joint carries: they never move against each other."""
+def find_same_joint_pairs(bodies: Sequence[LinkBody]) -> frozenset[tuple[str, str]]:
+    """Find pairs of links that one joint carries: they never move against each other."""
     joint_of = {body.link: body.joint for body in bodies}
-    return frozenset(link_pair(a, b) for a, b in combinations(joint_of, 2) if joint_of[a] == joint_of[b])
+    return frozenset(sort_pair(a, b) for a, b in combinations(joint_of, 2) if joint_of[a] == joint_of[b])
 
 
-def adjacent_pairs(model: pin.Model, bodies: Sequence[LinkBody]) -> frozenset[tuple[str, str]]:
-    """Pairs of joint neighbours: a link and the nearest link above it in the tree that has a body.
+def find_adjacent_pairs(model: pin.Model, bodies: Sequence[LinkBody]) -> frozenset[tuple[str, str]]:
+    """Find joint neighbours: a link and the nearest link above it in the tree that has a body.
 
-    What is fixed to either of the two counts as part of it only where all of it is near the joint; what is fixed to
-    the world is a neighbour of nothing but what it carries.
+    A part fixed to either of the two counts as part of it only where all of it is near the joint.  A link fixed to the
+    world is a neighbour only of the links it carries.
     """
     joint_of = {body.link: body.joint for body in bodies}
-    above = links_above(model, joint_of)
-    mounts = {link: _first_with_body(above, link, joint_of) for link in joint_of}
-    pairs = {link_pair(link, mount) for link, mount in mounts.items() if mount is not None}
+    above = find_carriers(model, joint_of)
+    mounts = {link: _find_mount(above, link, joint_of) for link in joint_of}
+    pairs = {sort_pair(link, mount) for link, mount in mounts.items() if mount is not None}
     for joint in sorted(set(joint_of.values()) - {0}):
         hinge, parent = joint, int(model.parents[joint])
         while parent > 0 and parent not in joint_of.values():
@@ -50,22 +50,22 @@ def adjacent_pairs(model: pin.Model, bodies: Sequence[LinkBody]) -> frozenset[tu
             for link, mount in mounts.items()
             if joint_of[link] == joint and mount and joint_of[mount] == parent
         }
-        near = _near(bodies, joint, np.zeros(3)) | set(heads)
-        others = _near(bodies, parent, model.jointPlacements[hinge].translation) | set(heads.values())
-        pairs.update(link_pair(a, b) for a in near for b in others)
+        near = _find_near(bodies, joint, np.zeros(3)) | set(heads)
+        others = _find_near(bodies, parent, model.jointPlacements[hinge].translation) | set(heads.values())
+        pairs.update(sort_pair(a, b) for a in near for b in others)
     return frozenset(pairs)
 
 
-def _first_with_body(above: Mapping[str, str | None], link: str, joint_of: Mapping[str, int]) -> str | None:
-    """The nearest link above one that has a body."""
+def _find_mount(above: Mapping[str, str | None], link: str, joint_of: Mapping[str, int]) -> str | None:
+    """Find the nearest link above that has a body."""
     mount = above[link]
     while mount is not None and mount not in joint_of:
         mount = above[mount]
     return mount
 
 
-def _near(bodies: Sequence[LinkBody], joint: int, origin: Float[np.ndarray, "3"]) -> set[str]:
-    """Links of a joint all of whose vertices are near a point of its frame."""
+def _find_near(bodies: Sequence[LinkBody], joint: int, origin: Float[np.ndarray, "3"]) -> set[str]:
+    """Find links of a joint with all vertices near a point of its frame."""
     links = {body.link for body in bodies if body.joint == joint}
     far = {
         b.link for b in bodies if b.joint == joint and np.linalg.norm(b.vertices - origin, axis=1).max() > JOINT_SIZE_M
@@ -73,8 +73,8 @@ def _near(bodies: Sequence[LinkBody], joint: int, origin: Float[np.ndarray, "3"]
     return links - far
 
 
-def links_above(model: pin.Model, joint_of: Mapping[str, int]) -> dict[str, str | None]:
-    """The link that carries each link, None for the root.
+def find_carriers(model: pin.Model, joint_of: Mapping[str, int]) -> dict[str, str | None]:
+    """Find the link that carries each link, None for the root.
 
     Links are the model's body frames; a link of ``joint_of`` (joint by name) that has no frame is carried by the first
     one that moves with the nearest joint above.
@@ -103,17 +103,17 @@ def links_above(model: pin.Model, joint_of: Mapping[str, int]) -> dict[str, str 
     return above
 
 
-def contact_counts(
+def count_contacts(
     model: pin.Model,
     bodies: Sequence[LinkBody],
     pairs: Iterable[tuple[str, str]],
     poses: Float[np.ndarray, "N n"],
 ) -> Mapping[tuple[str, str], int]:
-    """In how many of ``poses`` each link pair overlaps."""
+    """Count in how many of ``poses`` each link pair overlaps."""
     counts = dict.fromkeys(pairs, 0)
     if not counts:
         return counts
-    wanted = np.array([[link_pair(a.link, b.link) in counts for b in bodies] for a in bodies], dtype=bool)
+    wanted = np.array([[sort_pair(a.link, b.link) in counts for b in bodies] for a in bodies], dtype=bool)
     wanted &= np.triu(np.ones_like(wanted), 1)
     longest = max(len(body.vertices) for body in bodies)
     local = np.array([np.resize(body.vertices, (longest, 3)) for body in bodies])
@@ -122,20 +122,20 @@ def contact_counts(
     for pose in poses:
         pin.forwardKinematics(model, data, pose)
         placements = [coal.Transform3s(data.oMi[b.joint].rotation, data.oMi[b.joint].translation) for b in bodies]
-        found: set[tuple[str, str]] = set()
+        overlapping: set[tuple[str, str]] = set()
         for i, j in np.argwhere(wanted & _boxes_meet(local, placements)):
-            pair = link_pair(bodies[i].link, bodies[j].link)
-            if pair not in found and _overlap(solids[i], placements[i], solids[j], placements[j]):
-                found.add(pair)
-        for pair in found:
+            pair = sort_pair(bodies[i].link, bodies[j].link)
+            if pair not in overlapping and _overlap(solids[i], placements[i], solids[j], placements[j]):
+                overlapping.add(pair)
+        for pair in overlapping:
             counts[pair] += 1
     return counts
 
 
-def random_poses(
+def draw_poses(
     model: pin.Model, lower: Float[np.ndarray, "n"], upper: Float[np.ndarray, "n"], count: int, seed: int = 0
 ) -> Float[np.ndarray, "N n"]:
-    """Uniform poses within the limits; unbounded revolute joints over a turn, an unbounded base at zero."""
+    """Draw uniform poses within the limits; unbounded revolute joints over a turn, an unbounded base at zero."""
     rng = np.random.default_rng(seed)
     low, high = lower.copy(), upper.copy()
     for joint in range(1, model.njoints):
@@ -152,21 +152,21 @@ def derive_ignored_pairs(
     upper: Float[np.ndarray, "n"],
     n_poses: int = N_POSES,
 ) -> Mapping[tuple[str, str], str]:
-    """Link pairs not to check, with the reason: ``Adjacent`` or ``Always`` (they overlap in nearly all poses)."""
-    fixed = same_joint_pairs(bodies) | adjacent_pairs(model, bodies)
+    """Derive link pairs not to check, with the reason: ``Adjacent``, or ``Always`` (overlap in nearly all poses)."""
+    fixed = find_same_joint_pairs(bodies) | find_adjacent_pairs(model, bodies)
     reasons = dict.fromkeys(sorted(fixed), "Adjacent")
     links = sorted({body.link for body in bodies})
-    rest = [pair for pair in (link_pair(a, b) for a, b in combinations(links, 2)) if pair not in fixed]
+    rest = [pair for pair in (sort_pair(a, b) for a, b in combinations(links, 2)) if pair not in fixed]
     # A pair apart in one of the first poses can hardly overlap in nearly all: the many poses are for the few left.
-    first = contact_counts(model, bodies, rest, random_poses(model, lower, upper, 20))
+    first = count_contacts(model, bodies, rest, draw_poses(model, lower, upper, 20))
     suspects = [pair for pair in rest if first[pair] >= 0.8 * 20]
-    counts = contact_counts(model, bodies, suspects, random_poses(model, lower, upper, n_poses, seed=1))
+    counts = count_contacts(model, bodies, suspects, draw_poses(model, lower, upper, n_poses, seed=1))
     reasons.update((pair, "Always") for pair in suspects if counts[pair] >= ALWAYS_FRACTION * n_poses)
     return reasons
 
 
 def _boxes_meet(local: Float[np.ndarray, "B V 3"], placements: Sequence[coal.Transform3s]) -> Bool[np.ndarray, "B B"]:
-    """Which bodies' axis-aligned boxes overlap."""
+    """Return which bodies' axis-aligned boxes overlap."""
     rotation = np.array([placement.getRotation() for placement in placements]).reshape(-1, 3, 3)
     translation = np.array([placement.getTranslation() for placement in placements]).reshape(-1, 1, 3)
     world = local @ rotation.transpose(0, 2, 1) + translation
@@ -179,7 +179,7 @@ def _overlap(a: coal.Convex, pose_a: coal.Transform3s, b: coal.Convex, pose_b: c
 
 
 def convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
-    """The hull of ``vertices`` as coal sees it, with triangles that face outwards."""
+    """Make coal's hull of ``vertices``, with triangles that face outwards."""
     hull = ConvexHull(vertices)
     a, b, c = vertices[hull.simplices].transpose(1, 0, 2)
     # Qhull does not orient its triangles; coal wants them counter-clockwise seen from outside.

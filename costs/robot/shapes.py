@@ -21,18 +21,18 @@ _LEAST_CAPSULE_SHARE = 0.098
 
 
 def allowed_excess(radius: float) -> float:
-    """How far a vertex may lie outside a round shape [m]: 2 mm, or 1 % of the radius where that is more."""
+    """Return the largest distance of a vertex outside a round shape [m]: 2 mm, or 1 % of the radius if larger."""
     return max(EXCESS_M, EXCESS_SHARE * radius)
 
 
 def box(size: Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 3"]:
-    """Corners of a box with full edge lengths ``size`` [m]."""
+    """Make the corners of a box with full edge lengths ``size`` [m]."""
     signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     return np.asarray(0.5 * signs * size)
 
 
 def cylinder(radius: float, length: float) -> Float[np.ndarray, "V 3"]:
-    """Prism around a cylinder along z: exact in length, within ``allowed_excess`` of the radius; 32 to 46 vertices."""
+    """Make a prism around a cylinder along z: exact in length, within ``allowed_excess``; 32 to 46 vertices."""
     sides = max(_LEAST_SIDES, int(np.ceil(np.pi / np.arccos(1.0 / (1.0 + allowed_excess(radius) / radius)))))
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = radius / np.cos(np.pi / sides) * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -40,7 +40,7 @@ def cylinder(radius: float, length: float) -> Float[np.ndarray, "V 3"]:
 
 
 def sphere(radius: float, most: int = 272) -> Float[np.ndarray, "V 3"]:
-    """Polytope around a sphere, within ``allowed_excess`` of it: 32 vertices (up to 23 mm) to 272 (from 0.2 m).
+    """Make a polytope around a sphere, within ``allowed_excess`` of it: 32 vertices (up to 23 mm) to 272 (from 0.2 m).
 
     Args:
         radius: [m].
@@ -50,7 +50,7 @@ def sphere(radius: float, most: int = 272) -> Float[np.ndarray, "V 3"]:
 
 
 def capsule(radius: float, length: float, most: int = 296) -> Float[np.ndarray, "V 3"]:
-    """Polytope around a capsule along z, within ``allowed_excess`` of it; ``length`` is without the caps.
+    """Make a polytope around a capsule along z, within ``allowed_excess`` of it; ``length`` is without the caps.
 
     A sphere's polytope, swept along the axis: 32 vertices (up to 20 mm) to 296 (from 0.2 m); ``most`` as for a sphere.
     """
@@ -62,8 +62,8 @@ def capsule(radius: float, length: float, most: int = 296) -> Float[np.ndarray, 
     return np.asarray(np.vstack([radius * polytope[is_top] + shift, radius * polytope[is_bottom] - shift]))
 
 
-def swept_hull(exact: Primitive, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
-    """The polytope around a link's round shape for the optimiser's sweeps, in the frame of its joint.
+def make_swept_hull(exact: Primitive, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
+    """Make the polytope around a link's round shape for the optimiser's sweeps, in the frame of its joint.
 
     These are ``vertices`` (those within ``allowed_excess``) unless there are too many of them: around the vertices of
     spheres and capsules of more than 110 mm, it exceeds the shape by at most 3.7 % of the radius.
@@ -77,7 +77,7 @@ def swept_hull(exact: Primitive, vertices: Float[np.ndarray, "V 3"]) -> Float[np
 
 
 def _small_capsule(radius: float, length: float) -> Float[np.ndarray, "32 3"]:
-    """Polytope of 32 vertices around a capsule, at most 9.8 % of the radius outside it.
+    """Make a polytope of 32 vertices around a capsule, at most 9.8 % of the radius outside it.
 
     Each cap is a ring of 9 vertices, one of 6 and a tip; the rings' radii and heights come from a numerical search for
     the smallest excess.
@@ -95,14 +95,15 @@ def _small_capsule(radius: float, length: float) -> Float[np.ndarray, "32 3"]:
 
 
 def _around_unit_sphere(share: float, most: int) -> Float[np.ndarray, "V 3"]:
-    """The first polytope no farther than ``share`` outside a unit sphere, else the last of at most so many vertices."""
-    fitting = [polytope for polytope in (_geodesic(*one) for one in _SUBDIVISIONS) if len(polytope) <= most]
-    return next((one for one in fitting if np.linalg.norm(one, axis=1).max() <= 1.0 + share), fitting[-1])
+    """Make the first polytope at most ``share`` outside a unit sphere, else the last with few enough vertices."""
+    polytopes = (_geodesic(*subdivision) for subdivision in _SUBDIVISIONS)
+    fitting = [points for points in polytopes if len(points) <= most]
+    return next((points for points in fitting if np.linalg.norm(points, axis=1).max() <= 1.0 + share), fitting[-1])
 
 
 @lru_cache
 def _geodesic(edges: int, with_centres: bool) -> Float[np.ndarray, "V 3"]:
-    """Icosahedron with its edges divided and all points on one sphere, scaled so that a unit sphere is inside."""
+    """Make an icosahedron with divided edges and all points on one sphere, scaled to contain a unit sphere."""
     golden = 0.5 * (1.0 + np.sqrt(5.0))
     corners = _cyclic([(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
     weights = np.array([(i, j, edges - i - j) for i in range(edges + 1) for j in range(edges + 1 - i)]) / edges
@@ -116,7 +117,7 @@ def _geodesic(edges: int, with_centres: bool) -> Float[np.ndarray, "V 3"]:
 
 @lru_cache
 def _swept_unit_sphere(share: float, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A unit sphere's polytope, and which of its vertices are corners at either end when it is swept along z."""
+    """Make a unit sphere's polytope; also return which vertices are corners at either end when it is swept along z."""
     up = np.array([0.0, 0.0, 1.0])
     polytope = _around_unit_sphere(share, most)
     while True:
@@ -133,5 +134,5 @@ def _cyclic(points: list[tuple[float, float, float]]) -> Float[np.ndarray, "V 3"
 
 
 def _inradius(points: Float[np.ndarray, "V 3"]) -> float:
-    """Largest radius of a sphere about the origin inside the hull of ``points``."""
+    """Return the largest radius of a sphere about the origin inside the hull of ``points``."""
     return float(-ConvexHull(points).equations[:, 3].max())

@@ -1,4 +1,4 @@
-"""What an SRDF says, checked against its URDF: groups, named states, link pairs not to check."""
+"""Content of an SRDF, checked against its URDF: groups, named states, link pairs not to check."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from lxml import etree
 
 from costs.robot.errors import RobotError, suggest
 from costs.robot.urdf import Urdf
-from costs.robot.urdf_joint import MOVABLE
-from costs.robot.xmlfile import numbers, parse_xml, required
+from costs.robot.urdf_elements import MOVABLE
+from costs.robot.xmlfile import parse_numbers, parse_xml, read_attribute
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,15 @@ def parse_srdf(text: str, where: str, urdf: Urdf) -> Srdf:
     reader = _GroupReader(tree, where, urdf)
     names = list(reader.elements)
     virtual = tree.find("virtual_joint")
-    virtual_name = "" if virtual is None else required(virtual, "name", where)
+    virtual_name = "" if virtual is None else read_attribute(virtual, "name", where)
     return Srdf(
-        groups={name: reader.joints(name, ()) for name in names},
-        link_groups={name: links for name in names if (links := reader.links(name, ()))},
-        states=_states(tree, where, urdf, virtual_name),
+        groups={name: reader.find_joints(name, ()) for name in names},
+        link_groups={name: links for name in names if (links := reader.find_links(name, ()))},
+        states=_read_states(tree, where, urdf, virtual_name),
         virtual_joint=virtual_name,
         disabled_pairs={
-            _pair(element, where, urdf): element.get("reason", "") for element in tree.findall("disable_collisions")
+            _read_pair(element, where, urdf): element.get("reason", "")
+            for element in tree.findall("disable_collisions")
         },
     )
 
@@ -63,85 +64,92 @@ class _GroupReader:
 
     def __init__(self, tree: etree._Element, where: str, urdf: Urdf) -> None:
         self.where, self.urdf = where, urdf
-        self.elements = {required(element, "name", where): element for element in tree.findall("group")}
+        self.elements = {read_attribute(element, "name", where): element for element in tree.findall("group")}
         self.parent_joint = {joint.child: joint.name for joint in urdf.joints.values()}
 
-    def joints(self, group: str, above: tuple[str, ...]) -> frozenset[str]:
-        """Movable joints of a group: named ones, the parents of named links, those along chains."""
-        element = self._element(group, above)
-        found = {_known(required(item, "name", self.where), self.urdf.joints, f"{self._in(group)}: joint")
-                 for item in element.findall("joint")}  # fmt: skip
-        found.update(self.parent_joint.get(link, "") for link in self._named_links(element, group))
+    def find_joints(self, group: str, above: tuple[str, ...]) -> frozenset[str]:
+        """Return the movable joints of a group: named ones, the parents of named links, those along chains."""
+        element = self._find_element(group, above)
+        place = f"{self._locate(group)}: joint"
+        items = element.findall("joint")
+        names = {_check_known(read_attribute(item, "name", self.where), self.urdf.joints, place) for item in items}
+        names.update(self.parent_joint.get(link, "") for link in self._read_links(element, group))
         for chain in element.findall("chain"):
-            found.update(self.parent_joint[link] for link in self._chain(chain, group)[1:])
+            names.update(self.parent_joint[link] for link in self._follow_chain(chain, group)[1:])
         for item in element.findall("group"):
-            found |= self.joints(required(item, "name", self.where), (*above, group))
-        return frozenset(name for name in found if name and self.urdf.joints[name].kind in MOVABLE)
+            names |= self.find_joints(read_attribute(item, "name", self.where), (*above, group))
+        return frozenset(name for name in names if name and self.urdf.joints[name].kind in MOVABLE)
 
-    def links(self, group: str, above: tuple[str, ...]) -> tuple[str, ...]:
-        """Links a group names, those along its chains and those of its subgroups, in file order."""
-        element = self._element(group, above)
-        found = dict.fromkeys(self._named_links(element, group))
+    def find_links(self, group: str, above: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the links a group names, those along its chains and those of its subgroups, in file order."""
+        element = self._find_element(group, above)
+        links = dict.fromkeys(self._read_links(element, group))
         for chain in element.findall("chain"):
-            found.update(dict.fromkeys(self._chain(chain, group)))
+            links.update(dict.fromkeys(self._follow_chain(chain, group)))
         for item in element.findall("group"):
-            found.update(dict.fromkeys(self.links(required(item, "name", self.where), (*above, group))))
-        return tuple(found)
+            links.update(dict.fromkeys(self.find_links(read_attribute(item, "name", self.where), (*above, group))))
+        return tuple(links)
 
-    def _element(self, group: str, above: tuple[str, ...]) -> etree._Element:
+    def _find_element(self, group: str, above: tuple[str, ...]) -> etree._Element:
         if group in above:
             raise RobotError(f"{self.where}: group '{group}' contains itself ({' > '.join(above)}); break the loop")
-        _known(group, self.elements, f"{self.where}: group")
+        _check_known(group, self.elements, f"{self.where}: group")
         return self.elements[group]
 
-    def _named_links(self, element: etree._Element, group: str) -> list[str]:
-        names = [required(item, "name", self.where) for item in element.findall("link")]
-        return [_known(name, self.urdf.links, f"{self._in(group)}: link") for name in names]
+    def _read_links(self, element: etree._Element, group: str) -> list[str]:
+        names = [read_attribute(item, "name", self.where) for item in element.findall("link")]
+        return [_check_known(name, self.urdf.links, f"{self._locate(group)}: link") for name in names]
 
-    def _chain(self, chain: etree._Element, group: str) -> list[str]:
-        """Links from base to tip, both included."""
-        base = _known(required(chain, "base_link", self.where), self.urdf.links, f"{self._in(group)}: base_link")
-        tip = _known(required(chain, "tip_link", self.where), self.urdf.links, f"{self._in(group)}: tip_link")
+    def _follow_chain(self, chain: etree._Element, group: str) -> list[str]:
+        """Return the links from base to tip, both included."""
+        base = _check_known(
+            read_attribute(chain, "base_link", self.where), self.urdf.links, f"{self._locate(group)}: base_link"
+        )
+        tip = _check_known(
+            read_attribute(chain, "tip_link", self.where), self.urdf.links, f"{self._locate(group)}: tip_link"
+        )
         links = [tip]
         while links[-1] != base:
             joint = self.parent_joint.get(links[-1])
             if joint is None:
-                raise RobotError(f"{self._in(group)}: base_link '{base}' is not above tip_link '{tip}' in the tree")
+                raise RobotError(f"{self._locate(group)}: base_link '{base}' is not above tip_link '{tip}' in the tree")
             links.append(self.urdf.joints[joint].parent)
         return links[::-1]
 
-    def _in(self, group: str) -> str:
+    def _locate(self, group: str) -> str:
         return f"{self.where}: group '{group}'"
 
 
-def _states(
+def _read_states(
     tree: etree._Element, where: str, urdf: Urdf, virtual: str
 ) -> Mapping[str, Mapping[str, tuple[float, ...]]]:
-    """Joint values by state name; states of one name (for several groups) are joined."""
+    """Read joint values by state name; states of one name (for several groups) are merged."""
     states: dict[str, dict[str, tuple[float, ...]]] = {}
     for element in tree.findall("group_state"):
-        name = required(element, "name", where)
+        name = read_attribute(element, "name", where)
         inside = f"{where}: group_state '{name}'"
         values = states.setdefault(name, {})
         for item in element.findall("joint"):
-            joint = required(item, "name", inside)
+            joint = read_attribute(item, "name", inside)
             if joint not in urdf.joints and joint != virtual:
                 raise RobotError(f"{inside}: unknown joint '{joint}'; {suggest(joint, urdf.joints)}")
             count = 7 if joint == virtual else 1
-            values[joint] = tuple(numbers(required(item, "value", inside), count, f"{inside}: joint '{joint}'"))
+            values[joint] = tuple(
+                parse_numbers(read_attribute(item, "value", inside), count, f"{inside}: joint '{joint}'")
+            )
             if joint == virtual and math.hypot(*values[joint][3:]) < 1e-6:
                 raise RobotError(f"{inside}: joint '{joint}': the quaternion is zero; write x y z qx qy qz qw")
     return states
 
 
-def _pair(element: etree._Element, where: str, urdf: Urdf) -> tuple[str, str]:
+def _read_pair(element: etree._Element, where: str, urdf: Urdf) -> tuple[str, str]:
     inside = f"{where}: disable_collisions"
-    a = _known(required(element, "link1", inside), urdf.links, f"{inside}: link1")
-    b = _known(required(element, "link2", inside), urdf.links, f"{inside}: link2")
+    a = _check_known(read_attribute(element, "link1", inside), urdf.links, f"{inside}: link1")
+    b = _check_known(read_attribute(element, "link2", inside), urdf.links, f"{inside}: link2")
     return (a, b) if a < b else (b, a)
 
 
-def _known(name: str, known: Mapping[str, object], what: str) -> str:
+def _check_known(name: str, known: Mapping[str, object], what: str) -> str:
     if name not in known:
         raise RobotError(f"{what} '{name}' is unknown; {suggest(name, known)}")
     return name

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot.errors import RobotError
-from costs.robot.load import primitive_points
+from costs.robot.load import make_primitive_points
 from costs.robot.meshes import resolve_mesh
 from costs.robot.urdf import Urdf, parse_urdf
-from costs.robot.urdf_joint import MOVABLE
+from costs.robot.urdf_elements import MOVABLE
 from costs.robot.xmlfile import parse_xml, read_xml_text
 
 MAX_SHAPES = 256
@@ -23,7 +23,7 @@ class StillShape:
     """One collision shape of an object.
 
     Attributes:
-        where: what to call it in messages.
+        where: its name in messages.
         points: (V, 3) whose hull contains a box, sphere, cylinder or capsule, in its own frame [m]; None for a mesh.
         mesh: its file; None for the others.
         scale: (3,) metres per unit of that file.
@@ -37,49 +37,48 @@ class StillShape:
     pose_object_shape: Float[np.ndarray, "4 4"]
 
 
-def object_shapes(urdf: Path) -> tuple[StillShape, ...]:
-    """Collision shapes of what a URDF describes, as it is with every joint at zero.
+def read_object_shapes(urdf: Path) -> tuple[StillShape, ...]:
+    """Read the collision shapes of an object from its URDF, with every joint at zero.
 
     Meshes are read from inside the URDF's folder only.  A joint that mimics another follows it.
 
     Raises:
-        RobotError: one line for whatever a robot's URDF would be refused for, for a joint that cannot be at zero, and
-            for an object without shapes or with too many.
+        RobotError: one line; the URDF is not valid, a joint cannot be at zero, or there are no shapes or too many.
     """
     where, text = urdf.name, read_xml_text(urdf)
-    read = parse_urdf(text, where, dict.fromkeys(_free_joints(text, where), 0.0))
+    read = parse_urdf(text, where, dict.fromkeys(_find_free_joints(text, where), 0.0))
     for joint in read.joints.values():
         if not joint.lower <= 0.0 <= joint.upper:
             raise RobotError(
                 f"{where}: joint '{joint.name}' moves from {joint.lower:g} to {joint.upper:g} and is never at 0; "
                 "describe the object with its joints fixed where they are"
             )
-    poses = _link_poses(read)
-    found = [(link, shape) for link, shapes in read.links.items() for shape in shapes]
-    if not found:
+    poses = _compute_link_poses(read)
+    link_shapes = [(link, shape) for link, shapes in read.links.items() for shape in shapes]
+    if not link_shapes:
         raise RobotError(f"{where}: no link has a <collision>; an object needs one")
-    if len(found) > MAX_SHAPES:
-        raise RobotError(f"{where}: {len(found)} collision shapes; at most {MAX_SHAPES} are read")
+    if len(link_shapes) > MAX_SHAPES:
+        raise RobotError(f"{where}: {len(link_shapes)} collision shapes; at most {MAX_SHAPES} are read")
     shapes = []
-    for link, shape in found:
+    for link, shape in link_shapes:
         inside, pose = f"{where}: link '{link}'", poses[link] @ shape.pose_link_shape
         if shape.kind == "mesh":
             _, path = resolve_mesh(shape.uri, (urdf.parent,), inside)
             shapes.append(StillShape(inside, None, path, shape.size, pose))
         else:
-            shapes.append(StillShape(inside, primitive_points(shape), None, np.ones(3), pose))
+            shapes.append(StillShape(inside, make_primitive_points(shape), None, np.ones(3), pose))
     return tuple(shapes)
 
 
-def _free_joints(text: str, where: str) -> list[str]:
-    """Names of the joints that move by themselves; what is wrong with them is told by who reads them next."""
+def _find_free_joints(text: str, where: str) -> list[str]:
+    """Return the names of the joints that move by themselves; ``parse_urdf`` checks them."""
     joints = parse_xml(text, where, "robot").findall("joint")
     free = [joint.get("name") for joint in joints if joint.get("type") in MOVABLE and joint.find("mimic") is None]
     return [name for name in free if name]
 
 
-def _link_poses(urdf: Urdf) -> dict[str, Float[np.ndarray, "4 4"]]:
-    """Pose of each link in the root link's frame; all joints are fixed."""
+def _compute_link_poses(urdf: Urdf) -> dict[str, Float[np.ndarray, "4 4"]]:
+    """Return the pose of each link in the root link's frame; all joints are fixed."""
     children: dict[str, list[str]] = {}
     for joint in urdf.joints.values():
         children.setdefault(joint.parent, []).append(joint.name)

@@ -1,4 +1,4 @@
-"""What a URDF says, checked: links with their collision shapes, joints with their limits, one tree."""
+"""Content of a URDF, checked: links with their collision shapes, joints with their limits, one tree."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import numpy as np
 from lxml import etree
 
 from costs.robot.errors import RobotError, suggest
-from costs.robot.poses import joined, origin_element, parse_origin
-from costs.robot.urdf_joint import MOVABLE, Joint, lock_joints, parse_joint
-from costs.robot.urdf_shape import Shape, parse_shape
-from costs.robot.xmlfile import number, parse_xml, required
+from costs.robot.poses import format_numbers, make_origin, parse_origin
+from costs.robot.urdf_elements import MOVABLE, Joint, Shape, lock_joints, parse_joint, parse_shape
+from costs.robot.xmlfile import parse_number, parse_xml, read_attribute
 
 MAX_LINKS = 512
 MAX_DEPTH = 128
@@ -46,14 +45,14 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float]) -> Urd
         RobotError: for anything pinocchio would crash on, load from elsewhere or misread in silence.
     """
     tree = parse_xml(text, where, "robot")
-    name = required(tree, "name", where)
+    name = read_attribute(tree, "name", where)
     link_elements = tree.findall("link")
     if not link_elements:
         raise RobotError(f"{where}: no <link>; a robot has at least one")
     if len(link_elements) > MAX_LINKS:
         raise RobotError(f"{where}: {len(link_elements)} links; at most {MAX_LINKS} are read")
-    link_names = [required(element, "name", where) for element in link_elements]
-    joint_names = [required(element, "name", where) for element in tree.findall("joint")]
+    link_names = [read_attribute(element, "name", where) for element in link_elements]
+    joint_names = [read_attribute(element, "name", where) for element in tree.findall("joint")]
     _refuse_repeated(where, "link", link_names)
     _refuse_repeated(where, "joint", joint_names)
     _refuse_shared(where, link_names, joint_names)
@@ -64,14 +63,14 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float]) -> Urd
     joints = lock_joints(tree, joints, dict(locked_joints), where)
     links = {}
     for element in link_elements:
-        link = required(element, "name", where)
+        link = read_attribute(element, "name", where)
         _check_inertia(element, f"{where}: link '{link}'")
         links[link] = tuple(parse_shape(shape, f"{where}: link '{link}'") for shape in element.findall("collision"))
     return Urdf(name, tree, _check_tree(links, joints, where), links, joints)
 
 
-def pinocchio_xml(urdf: Urdf) -> str:
-    """The URDF as pinocchio may see it: no meshes, and continuous joints as revolute ones.
+def make_pinocchio_xml(urdf: Urdf) -> str:
+    """Format the URDF for pinocchio: no meshes, and continuous joints as revolute ones.
 
     A continuous joint would have nq == 2 (cosine and sine); as a revolute joint its angle is a plain number. Its
     unbounded limits are kept by the caller.
@@ -87,17 +86,17 @@ def pinocchio_xml(urdf: Urdf) -> str:
         element = etree.SubElement(robot, "joint", name=joint.name, type=kind)
         etree.SubElement(element, "parent", link=joint.parent)
         etree.SubElement(element, "child", link=joint.child)
-        element.append(origin_element(joint.pose_parent_joint))
+        element.append(make_origin(joint.pose_parent_joint))
         if joint.kind in MOVABLE:
-            etree.SubElement(element, "axis", xyz=joined(joint.axis))
+            etree.SubElement(element, "axis", xyz=format_numbers(joint.axis))
             lower, upper = np.clip([joint.lower, joint.upper], -1e6, 1e6)
             etree.SubElement(element, "limit", lower=repr(float(lower)), upper=repr(float(upper)),
                              velocity=repr(joint.velocity), effort=repr(joint.effort))  # fmt: skip
     return str(etree.tostring(robot, encoding="unicode"))
 
 
-def urdf_text(urdf: Urdf) -> str:
-    """The URDF as text, with joints locked as asked."""
+def format_urdf(urdf: Urdf) -> str:
+    """Format the URDF as text, with the locked joints fixed."""
     return str(etree.tostring(urdf.tree, encoding="unicode"))
 
 
@@ -126,10 +125,10 @@ def _check_inertia(element: etree._Element, where: str) -> None:
     inertia = inertial.find("inertia")
     if mass is None or inertia is None:
         raise RobotError(f"{where}: <inertial> needs <mass> and <inertia>")
-    if number(required(mass, "value", where), f"{where}: mass") < 0.0:
+    if parse_number(read_attribute(mass, "value", where), f"{where}: mass") < 0.0:
         raise RobotError(f"{where}: mass {mass.get('value')} is negative")
     keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    values = {key: number(required(inertia, key, where), f"{where}: inertia {key}") for key in keys}
+    values = {key: parse_number(read_attribute(inertia, key, where), f"{where}: inertia {key}") for key in keys}
     for key in ("ixx", "iyy", "izz"):
         if values[key] < 0.0:
             raise RobotError(f"{where}: inertia {key} is {values[key]:g}; a moment of inertia is never negative")
@@ -156,8 +155,8 @@ def _check_tree(links: Mapping[str, object], joints: Mapping[str, Joint], where:
         children[joint.parent].append(joint.child)
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
-        found = ", ".join(f"'{root}'" for root in roots[:4]) or "none (the joints form a loop)"
-        raise RobotError(f"{where}: one root link is needed, found {found}")
+        names = ", ".join(f"'{root}'" for root in roots[:4]) or "none (the joints form a loop)"
+        raise RobotError(f"{where}: one root link is needed, found {names}")
     depth = {roots[0]: 0}
     queue = deque(roots)
     while queue:

@@ -15,7 +15,7 @@ MAX_XML_BYTES = 4 * 1024 * 1024
 
 
 def read_xml_text(path: Path) -> str:
-    """Text of an XML file of at most ``MAX_XML_BYTES``.
+    """Read the text of an XML file of at most ``MAX_XML_BYTES``.
 
     Raises:
         RobotError: when the file cannot be read, is too large or is not UTF-8.
@@ -61,37 +61,37 @@ def parse_xml(text: str, where: str, root_tag: str) -> etree._Element:
     return root
 
 
-def required(element: etree._Element, attribute: str, where: str) -> str:
-    """A non-empty attribute of ``element``."""
+def read_attribute(element: etree._Element, attribute: str, where: str) -> str:
+    """Read a non-empty attribute of ``element``."""
     value = element.get(attribute)
     if value is None or not value.strip():
         raise RobotError(f"{where}: <{element.tag}> lacks {attribute}; give it one")
     return str(value)
 
 
-def numbers(text: str, count: int, where: str) -> Float[np.ndarray, "count"]:
-    """Exactly ``count`` finite numbers separated by blanks."""
+def parse_numbers(text: str, count: int, where: str) -> Float[np.ndarray, "count"]:
+    """Parse exactly ``count`` finite numbers separated by blanks."""
     parts = text.split()
     if len(parts) != count:
-        raise RobotError(f"{where}: {_short(text)!r} holds {len(parts)} numbers; {count} are needed")
-    values = [_finite(part, where) for part in parts]
+        raise RobotError(f"{where}: {_shorten(text)!r} holds {len(parts)} numbers; {count} are needed")
+    values = [_parse_finite(part, where) for part in parts]
     return np.array(values)
 
 
-def number(text: str, where: str) -> float:
-    """One finite number."""
-    return float(numbers(text, 1, where)[0])
+def parse_number(text: str, where: str) -> float:
+    """Parse one finite number."""
+    return float(parse_numbers(text, 1, where)[0])
 
 
-def _finite(text: str, where: str) -> float:
+def _parse_finite(text: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise RobotError(f"{where}: {_short(text)!r} is not a number") from None
+        raise RobotError(f"{where}: {_shorten(text)!r} is not a number") from None
     if not math.isfinite(value):
-        raise RobotError(f"{where}: {_short(text)!r} is not a finite number")
+        raise RobotError(f"{where}: {_shorten(text)!r} is not a finite number")
     return value
 
 
-def _short(text: str) -> str:
+def _shorten(text: str) -> str:
     return text if len(text) <= 40 else text[:37] + "..."

@@ -1,23 +1,20 @@
-"""The terms a motion is judged by, one file per idea."""
+"""Terms of motion problems: the residuals of costs and constraints."""
 
 from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassAt, CentreOfMassInPolygon
 from costs.terms.collision import SweptClearance
 from costs.terms.displacement import FrameDisplacement
 from costs.terms.joint import JointDifference, JointTarget
-from costs.terms.masked import Masked
-from costs.terms.pair_clearance import Asked, AskedOfPairs, PairClearance
+from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
-from costs.terms.scaled import Scaled
-from costs.terms.tolerance import Between, WithinTolerance
+from costs.terms.wrappers import Between, Masked, Scaled, WithinTolerance
 
 __all__ = [
-    "Asked",
-    "AskedOfPairs",
     "AxisDirection",
     "Between",
     "CartTableZmpInPolygon",
     "CentreOfMassAt",
     "CentreOfMassInPolygon",
+    "ClearancePerPair",
     "FrameDisplacement",
     "FramePose",
     "JointDifference",
@@ -25,6 +22,7 @@ __all__ = [
     "Masked",
     "PairClearance",
     "PointHalfSpace",
+    "RequiredClearance",
     "Scaled",
     "SweptClearance",
     "WithinTolerance",

@@ -12,7 +12,7 @@ from scopt import AffineRows, Residual
 
 
 class SweptClearance(Residual[MotionState]):
-    """How much a pair falls short of its margin, one row per contact [m]; at most zero where the margin is kept.
+    """Margin less distance of a pair, one row per contact [m]; at most zero where the margin is kept.
 
     The rows are those of ``MotionState.contacts``: signed distances of swept hulls, split between the two waypoints by
     where the witness point lies.
@@ -21,7 +21,7 @@ class SweptClearance(Residual[MotionState]):
     def __init__(self, robot: RobotModel, *, is_self: bool) -> None:
         """
         Args:
-            robot: whose bodies the contacts speak of.
+            robot: of the contacts.
             is_self: whether to take the robot's contacts with itself or with the world.
         """
         self._joint = np.array([body.joint for body in robot.bodies], dtype=int)

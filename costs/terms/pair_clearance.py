@@ -1,4 +1,4 @@
-"""Clearance that is asked pair by pair and interval by interval, of swept hulls or of single poses."""
+"""Clearance per pair and interval, of swept hulls or of single poses."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from scopt import AffineRows, Residual
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is asked of pairs over time.
+class RequiredClearance:
+    """Required clearance over time.
 
     Attributes:
-        distance: (I,) clearance asked, by interval (of single poses: by waypoint) [m].
-        gain: (I,) factor of the rows; an interval of gain 0 has none.
+        distance: (I,) per interval (for single poses: per waypoint) [m].
+        gain: (I,) factor of the rows; an interval of gain 0 has no rows.
     """
 
     distance: Float[np.ndarray, "I"]
@@ -31,17 +31,17 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class AskedOfPairs:
-    """What is asked of every pair.
+class ClearancePerPair:
+    """Required clearance of every pair.
 
     Attributes:
-        asked: what may be asked; the pairs point here.
-        world: (B, P) index of ``asked`` for a body and a piece; -1 where nothing is asked.
+        required: the clearances that pairs refer to.
+        world: (B, P) index in ``required`` for a body and a piece; -1 for none.
         own: (B, B) for two bodies, symmetric.
-        world_limit, own_limit: no more than this is asked of a pair, whatever ``asked`` says [m].
+        world_limit, own_limit: upper limits of the required clearance [m].
     """
 
-    asked: tuple[Asked, ...]
+    required: tuple[RequiredClearance, ...]
     world: Int[np.ndarray, "B P"]
     own: Int[np.ndarray, "B B"]
     world_limit: Float[np.ndarray, "B P"]
@@ -50,36 +50,36 @@ class AskedOfPairs:
     @staticmethod
     def of(
         checker: SweptCollisionChecker,
-        everywhere: Asked,
-        pairs: Sequence[tuple[BodyRef, BodyRef, Asked]] = (),
+        everywhere: RequiredClearance,
+        pairs: Sequence[tuple[BodyRef, BodyRef, RequiredClearance]] = (),
         exempt: Sequence[Allowance] = (),
-    ) -> AskedOfPairs:
-        """The same of all pairs that a checker looks at, but for some.
+    ) -> ClearancePerPair:
+        """Require the same clearance of all pairs of a checker, except for some.
 
         Args:
-            checker: whose robot and scene it is.
-            everywhere: asked of all other pairs.
-            pairs: ``(one, other, asked)``; the last that covers a pair counts.
-            exempt: pairs of which nothing is asked.
+            checker: of the robot in its scene.
+            everywhere: for all other pairs.
+            pairs: ``(first, second, required)``; the last that covers a pair counts.
+            exempt: pairs without required clearance.
         """
         robot, scene = checker.robot, checker.scene
         index = BodyIndex(robot.bodies, robot.mechanism_links, scene.pieces)
         which = np.zeros(index.shape, dtype=int)
-        for row, (one, other, _) in enumerate(pairs, start=1):
-            index.fill(which, one, other, row)
+        for row, (first, second, _) in enumerate(pairs, start=1):
+            index.fill(which, first, second, row)
         for allowance in exempt:
             index.fill(which, allowance.first, allowance.second, -1)
         own, world = which[:, : index.n_bodies], which[:, index.n_bodies :]
-        asked = (everywhere, *(each for _, _, each in pairs))
-        return AskedOfPairs(asked, world, own, np.full(world.shape, np.inf), np.full(own.shape, np.inf))
+        required = (everywhere, *(each for _, _, each in pairs))
+        return ClearancePerPair(required, world, own, np.full(world.shape, np.inf), np.full(own.shape, np.inf))
 
     @property
     def largest(self) -> float:
-        """The largest distance that is asked of any pair [m]."""
-        return max(float(each.distance.max(initial=0.0)) for each in self.asked)
+        """Largest required clearance [m]."""
+        return max(float(each.distance.max(initial=0.0)) for each in self.required)
 
-    def relaxed_to(self, contacts: Contacts, reserve: float) -> AskedOfPairs:
-        """No more asked of a pair than the distances of the given contacts, less ``reserve`` [m]."""
+    def relax_to(self, contacts: Contacts, reserve: float) -> ClearancePerPair:
+        """Limit the required clearance to the distances of the given contacts less ``reserve`` [m]."""
         world, own = self.world_limit.copy(), self.own_limit.copy()
         reach = contacts.distance - reserve
         rows = ~contacts.is_self
@@ -90,45 +90,47 @@ class AskedOfPairs:
 
 
 class PairClearance(Residual[MotionState]):
-    """``gain (asked - distance)``, one row per contact of which something is asked [m]; at most zero where kept.
+    """``gain (required - distance)``, one row per contact with a required clearance [m]; at most zero where kept.
 
     With a checker of poses the rows are those of the single waypoints, else those of ``MotionState.contacts``, swept
     over the intervals.  As a hinge cost this is the collision cost of Schulman et al., IJRR 2014, sec. IV and V.
     """
 
-    def __init__(self, robot: RobotModel, asked: AskedOfPairs, poses: SweptCollisionChecker | None = None) -> None:
+    def __init__(
+        self, robot: RobotModel, required: ClearancePerPair, poses: SweptCollisionChecker | None = None
+    ) -> None:
         """
         Args:
-            robot: whose bodies the contacts speak of.
-            asked: of the pairs, by interval; of single poses, by waypoint.
+            robot: of the contacts.
+            required: per interval; for single poses, per waypoint.
             poses: finds the contacts of single waypoints; None for swept ones.
         """
-        self._asked = asked
+        self._required = required
         self._poses = poses
-        self._distance = np.stack([each.distance for each in asked.asked])
-        self._gain = np.stack([each.gain for each in asked.asked])
+        self._distance = np.stack([each.distance for each in required.required])
+        self._gain = np.stack([each.gain for each in required.required])
         self._parts = (SweptClearance(robot, is_self=False), SweptClearance(robot, is_self=True))
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
-        state, gain = self._counted(state)
+        state, gain = self._select_contacts(state)
         return np.asarray(gain * np.concatenate([part.value(state) for part in self._parts]))
 
     def linearize(self, state: MotionState) -> AffineRows:
-        state, gain = self._counted(state)
+        state, gain = self._select_contacts(state)
         rows = AffineRows.stack([part.linearize(state) for part in self._parts])
         jacobian = rows.jacobian.copy()
         jacobian.data *= np.repeat(gain, np.diff(jacobian.indptr))
         return AffineRows(gain * rows.value, jacobian)
 
-    def _counted(self, state: MotionState) -> tuple[MotionState, Float[np.ndarray, "m"]]:
-        """The contacts that count with what is asked of them as their margin, world before self, and their gains."""
-        contacts = state.contacts if self._poses is None else pose_contacts(self._poses, state.kinematics)
+    def _select_contacts(self, state: MotionState) -> tuple[MotionState, Float[np.ndarray, "m"]]:
+        """Select the contacts with a required clearance as their margin, world before self; also return their gains."""
+        contacts = state.contacts if self._poses is None else find_pose_contacts(self._poses, state.kinematics)
         world, own = ~contacts.is_self, contacts.is_self
         index = np.zeros(len(contacts), dtype=int)
         limit = np.zeros(len(contacts))
         for rows, indices, limits in (
-            (world, self._asked.world, self._asked.world_limit),
-            (own, self._asked.own, self._asked.own_limit),
+            (world, self._required.world, self._required.world_limit),
+            (own, self._required.own, self._required.own_limit),
         ):
             pair = contacts.body[rows], contacts.other[rows]
             index[rows], limit[rows] = indices[pair], limits[pair]
@@ -138,8 +140,8 @@ class PairClearance(Residual[MotionState]):
         return MotionState(state.kinematics, replace(contacts, margin=margin).where(order)), gain[order]
 
 
-def pose_contacts(checker: SweptCollisionChecker, kinematics: Kinematics) -> Contacts:
-    """Contacts of the single waypoints: each is swept to itself."""
+def find_pose_contacts(checker: SweptCollisionChecker, kinematics: Kinematics) -> Contacts:
+    """Find the contacts of the single waypoints: each is swept to itself."""
     twice = np.repeat(np.arange(kinematics.n_waypoints), 2)
     doubled = replace(
         kinematics,

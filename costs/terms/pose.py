@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from costs.kinematics import Kinematics, frame_of
+from costs.kinematics import Kinematics, locate_frame
 from costs.robot.model import RobotModel
-from costs.rotation import log_derivative, log_rotation, skew, tangent_basis
+from costs.rotation import log_derivative, log_rotation, make_tangent_basis, skew
 from costs.state import MotionState
 from scopt import AffineRows, Residual
 
@@ -25,7 +25,7 @@ class _Frame:
         self.joint: int = 0
         self.pose_joint_frame: Float[np.ndarray, "4 4"] = np.eye(4)
         if name is not None:
-            self.joint, self.pose_joint_frame = frame_of(robot, name)
+            self.joint, self.pose_joint_frame = locate_frame(robot, name)
 
     def pose(
         self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"], offset: Float[np.ndarray, "#S 4 4"]
@@ -59,7 +59,7 @@ class FramePose(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: whose frame it is.
+            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the rows are measured.
             target: (4, 4) or (S, 4, 4) ``pose_reference_target``.
@@ -94,7 +94,7 @@ class FramePose(Residual[MotionState]):
             if reference:
                 angular = angular - kinematics.angular_jacobian(reference)[here]
             rows = np.concatenate([rows, log_derivative(error[:, 3:]) @ (to_target @ angular)], axis=1)
-        return _rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
+        return _make_rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
 
     def _error(
         self, kinematics: Kinematics
@@ -127,7 +127,7 @@ class AxisDirection(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: whose frame it is.
+            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the rows are measured.
             axis: (3,) in the frame.
@@ -139,7 +139,7 @@ class AxisDirection(Residual[MotionState]):
         self._reference = _Frame(robot, reference)
         self._axis = _unit(axis)
         self._direction = _unit(direction)
-        self._tangents = tangent_basis(self._direction)
+        self._tangents = make_tangent_basis(self._direction)
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
         along, tangential, _ = self._components(state.kinematics)
@@ -161,7 +161,7 @@ class AxisDirection(Residual[MotionState]):
         d_angle = along[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
         rows = across[:, None, None] * d_tangential
         rows = rows + unit[:, :, None] * (d_angle - across[:, None] * d_sine)[:, None, :]
-        return _rows(angle[:, None] * unit, rows, here, kinematics)
+        return _make_rows(angle[:, None] * unit, rows, here, kinematics)
 
     def _components(
         self, kinematics: Kinematics
@@ -208,7 +208,7 @@ class PointHalfSpace(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: whose frame it is.
+            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the row is measured.
             normal: (3,) in the world.
@@ -231,7 +231,7 @@ class PointHalfSpace(Residual[MotionState]):
         _, position = self._frame.pose(kinematics, here, self._local[None])
         direction = np.broadcast_to(self._normal, position.shape)
         rows = kinematics.directional_jacobian(here, np.full(len(here), self._frame.joint), position, direction)
-        return _rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
+        return _make_rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
 
 
 def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
@@ -242,13 +242,13 @@ def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return v / norm
 
 
-def _rows(
+def _make_rows(
     value: Float[np.ndarray, "S k"],
     jacobian: Float[np.ndarray, "S k n"],
     waypoints: Int[np.ndarray, "S"],
     kinematics: Kinematics,
 ) -> AffineRows:
-    """Rows of single waypoints."""
+    """Make rows of single waypoints."""
     n_rows, k, n = jacobian.shape
     return AffineRows.from_blocks(
         value.ravel(), np.repeat(waypoints, k), jacobian.reshape(n_rows * k, 1, n), kinematics.n_waypoints

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from costs.collision import Contacts
-from costs.kinematics import KinematicsEngine, frame_of, planted_poses
+from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.stopping import poll
@@ -201,7 +201,7 @@ def relative_pose(
     robot: RobotModel, q: Float[np.ndarray, "n"], link: str, reference: str | None
 ) -> Float[np.ndarray, "4 4"]:
     """``pose_reference_link`` at one configuration."""
-    poses = planted_poses(KinematicsEngine(robot), q, [link] if reference is None else [link, reference])
+    poses = locate_links(KinematicsEngine(robot), q, [link] if reference is None else [link, reference])
     return poses[link] if reference is None else np.linalg.inv(poses[reference]) @ poses[link]
 
 
@@ -211,8 +211,8 @@ def _problems(robot: RobotModel, start: Float[np.ndarray, "n"], kept: Sequence[K
     pairs = [{other.link, other.reference} for other in kept[:index]]
     if {one.link, one.reference} in pairs:
         yield f"{field}: {one.name} is kept by keep[{pairs.index({one.link, one.reference})}] already; leave one out"
-    joint = frame_of(robot, one.link)[0]
-    if joint == (0 if one.reference is None else frame_of(robot, one.reference)[0]):
+    joint = locate_frame(robot, one.link)[0]
+    if joint == (0 if one.reference is None else locate_frame(robot, one.reference)[0]):
         yield f"{field}: no joint moves {one.name}; leave it out"
     off, turn = one.errors(one.held)
     if off > START_SHARE * one.position_tolerance_m:

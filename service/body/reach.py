@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from costs.kinematics import frame_of
+from costs.kinematics import locate_frame
 from costs.robot import RobotModel
 from service.body.whole_body import WholeBody
 
@@ -25,12 +25,12 @@ def chain_length(robot: RobotModel, start: str | None, frame: str) -> float:
         Infinity where a joint between them has no bound: a free base, a sliding joint without limits.
     """
     model = robot.model
-    end_joint, pose_joint_end = frame_of(robot, frame)
+    end_joint, pose_joint_end = locate_frame(robot, frame)
     length = float(np.linalg.norm(pose_joint_end[:3, 3]))
     end_path = _to_root(model, end_joint)
     start_path: list[int] = []
     if start is not None:
-        start_joint, pose_joint_start = frame_of(robot, start)
+        start_joint, pose_joint_start = locate_frame(robot, start)
         length += float(np.linalg.norm(pose_joint_start[:3, 3]))
         start_path = _to_root(model, start_joint)
     for joint in {*end_path} ^ {*start_path}:

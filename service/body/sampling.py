@@ -40,7 +40,7 @@ class SamplingProblem:
         q = np.empty((len(poses), len(self.start)))
         q[:] = self.start
         q[:, self.free] = poses
-        placed = self.body.engine.placed(q)
+        placed = self.body.engine.place(q)
         polygon = self.body.polygon
         if polygon is not None and polygon.margin(placed.com[:, :2]).min() < self.body.aims.balance_margin:
             return False

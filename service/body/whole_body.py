@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts, PairMargins, PoseChecker, SweptCollisionChecker
-from costs.kinematics import KinematicsEngine, planted_poses
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from costs.state import MotionState
@@ -111,7 +111,7 @@ class WholeBody:
     ) -> WholeBody:
         """The robot planted at configuration ``q`` on the links ``feet`` (none for a fixed base)."""
         engine = KinematicsEngine(robot)
-        poses = planted_poses(engine, q, feet)
+        poses = locate_links(engine, q, feet)
         planted = tuple(PlantedLink(link, pose, _sole_of(robot, q, link, pose)) for link, pose in poses.items())
         polygon = SupportPolygon.of_soles([foot.sole_in_world for foot in planted]) if planted else None
         return WholeBody(robot, scene, engine, planted, polygon, q, aims)
@@ -156,7 +156,7 @@ class WholeBody:
         """The checker with no pair asked for more than it has at the given ends, less a reserve [m]."""
         margins = checker.margins
         for q in ends:
-            margins = margins.relaxed_to(checker(self.engine(q[None])), reserve)
+            margins = margins.relax_to(checker(self.engine(q[None])), reserve)
         return checker.with_margins(margins)
 
     def holds(self) -> tuple[Hold, ...]:
@@ -235,7 +235,7 @@ class WholeBody:
             (*standing, *constraints),
             state,
             self.step_scale(),
-            lambda x: MotionState(self.engine.placed(x), Contacts.none()),
+            lambda x: MotionState(self.engine.place(x), Contacts.none()),
             self._mobility(),
         )
 

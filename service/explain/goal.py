@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from costs.kinematics import frame_of, planted_poses
+from costs.kinematics import locate_frame, locate_links
 from costs.robot import BASE_NAMES, LinkBody, RobotModel
 from costs.scene import ConvexPiece
 from service.body.reach import find_out_of_reach, too_far_apart
@@ -120,13 +120,13 @@ def _standing_base(
         return None
     found: list[np.ndarray] = []
     for foot in body.planted:
-        chain = body.engine.topology.supports[frame_of(robot, foot.link)[0]].copy()
+        chain = body.engine.topology.supports[locate_frame(robot, foot.link)[0]].copy()
         chain[: len(BASE_NAMES)] = False
         if (chain & ~given).any():
             continue
         at_zero = q.copy()
         at_zero[: len(BASE_NAMES)] = 0.0
-        pose_base_foot = planted_poses(body.engine, at_zero, [foot.link])[foot.link]
+        pose_base_foot = locate_links(body.engine, at_zero, [foot.link])[foot.link]
         pose = foot.pose_world_link @ np.linalg.inv(pose_base_foot)
         found.append(np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX")]))
     if not found or any(np.abs(other - found[0]).max() > SAME_STANCE for other in found[1:]):
@@ -173,7 +173,7 @@ def check_given_poses(body: WholeBody, poses: Sequence[PoseTarget]) -> Iterator[
 
 def _carried(robot: RobotModel, frame: str) -> list[_InFrame]:
     """The bodies that a frame carries along; none where no joint moves it."""
-    joint, pose_joint_frame = frame_of(robot, frame)
+    joint, pose_joint_frame = locate_frame(robot, frame)
     pose_frame_joint = np.linalg.inv(pose_joint_frame)
     return [_InFrame(one, pose_frame_joint) for one in robot.bodies if one.joint == joint > 0]
 

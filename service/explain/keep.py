@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from costs.kinematics import frame_of
+from costs.kinematics import locate_frame
 from costs.robot import RobotModel
 from service.body.holds import KeptPose, relative_pose
 from service.body.reach import chain_length
@@ -55,7 +55,7 @@ def _apart(robot: RobotModel, kept: KeptPose, poses: Sequence[PoseTarget]) -> It
 
 def _place_in(robot: RobotModel, link: str, frame: str) -> Float[np.ndarray, "3"] | None:
     """Origin of a frame in a link's; None where a joint moves one against the other."""
-    (joint, pose_joint_link), (other, pose_joint_frame) = frame_of(robot, link), frame_of(robot, frame)
+    (joint, pose_joint_link), (other, pose_joint_frame) = locate_frame(robot, link), locate_frame(robot, frame)
     return np.asarray((np.linalg.inv(pose_joint_link) @ pose_joint_frame)[:3, 3]) if joint == other else None
 
 
@@ -71,9 +71,9 @@ def _turn(kept: KeptPose) -> float:
 def _let_go(body: WholeBody, kept: KeptPose, joints: Mapping[str, JointTarget]) -> Iterator[str]:
     """Joint positions at the goal that are given for all joints between the two, and break the pose."""
     robot, supports = body.robot, body.engine.topology.supports
-    chain = supports[frame_of(robot, kept.link)[0]]
+    chain = supports[locate_frame(robot, kept.link)[0]]
     if kept.reference is not None:
-        chain = chain ^ supports[frame_of(robot, kept.reference)[0]]
+        chain = chain ^ supports[locate_frame(robot, kept.reference)[0]]
     between = [robot.joint_names[index] for index in np.flatnonzero(chain)]
     if not all(name in joints for name in between):
         return

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from costs.curve import Curve, TimeLaw
 from costs.robot import BASE_NAMES, RobotModel, with_revolute
-from costs.rotation import quaternions_of
+from costs.rotation import make_quaternions
 from costs.scene import ConvexPiece, Scene
 from service.result.phase_json import phase_from_json, phase_json, sample_index
 from service.result.zmp_json import zmp_json
@@ -100,7 +100,7 @@ def file_positions(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> Float[np.n
     """Configurations in the columns of ``file_columns``."""
     if not robot.is_floating or not len(q):
         return q if len(q) else np.zeros((0, len(file_columns(robot))))
-    return np.hstack([q[:, :3], quaternions_of(q[:, 3:6]), q[:, 6:]])
+    return np.hstack([q[:, :3], make_quaternions(q[:, 3:6]), q[:, 6:]])
 
 
 def _curve(motion: Motion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:

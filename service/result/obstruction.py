@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.kinematics import KinematicsEngine, frame_of, planted_poses
+from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.body.whole_body import Aims, WholeBody
@@ -56,7 +56,7 @@ def describe_obstruction(setup: PlanSetup) -> dict[str, Any] | None:
     placed: dict[str, np.ndarray] = {}
     found: list[dict[str, Any]] = []
     if end.q is not None:
-        placed |= planted_poses(KinematicsEngine(robot), end.q, sorted({body.link for body in robot.bodies}))
+        placed |= locate_links(KinematicsEngine(robot), end.q, sorted({body.link for body in robot.bodies}))
         inside = find_overlaps(robot, end.q, setup.scene, planted)
         found += [{"link": one.link, "other": one.other, "depth_m": one.depth} for one in inside]
     for frame, pose, is_turned in end.poses:
@@ -117,7 +117,7 @@ def _turned_as_at_start(
 ) -> tuple[tuple[str, Float[np.ndarray, "4 4"], bool], ...]:
     """Each frame's pose, with the start's orientation where none is asked for."""
     frames = sorted({frame for frame, *_ in poses})
-    now = planted_poses(KinematicsEngine(setup.robot), setup.start, frames)
+    now = locate_links(KinematicsEngine(setup.robot), setup.start, frames)
     found = []
     for frame, position, rotation in poses:
         pose = now[frame].copy()
@@ -130,10 +130,10 @@ def _turned_as_at_start(
 
 def _carried(robot: RobotModel, frame: str, pose: Float[np.ndarray, "4 4"]) -> dict[str, np.ndarray]:
     """World poses of the links with bodies that are rigidly connected with a frame, which is at a pose."""
-    joint, pose_joint_frame = frame_of(robot, frame)
+    joint, pose_joint_frame = locate_frame(robot, frame)
     pose_world_joint = pose @ np.linalg.inv(pose_joint_frame)
     links = {body.link for body in robot.bodies if body.joint == joint > 0}
-    return {link: pose_world_joint @ frame_of(robot, link)[1] for link in links}
+    return {link: pose_world_joint @ locate_frame(robot, link)[1] for link in links}
 
 
 def _inside(
@@ -144,7 +144,7 @@ def _inside(
     for body in robot.bodies:
         if body.link not in placed or body.link in planted:
             continue
-        pose = placed[body.link] @ np.linalg.inv(frame_of(robot, body.link)[1])
+        pose = placed[body.link] @ np.linalg.inv(locate_frame(robot, body.link)[1])
         shape, at = convex_of(body.vertices), coal.Transform3s(pose[:3, :3], pose[:3, 3])
         low, high = (end(body.vertices @ pose[:3, :3].T + pose[:3, 3], axis=0) for end in (np.min, np.max))
         for piece in scene.pieces:

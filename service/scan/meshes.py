@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from costs.robot import RobotError, StillShape, object_shapes
+from costs.robot import RobotError, StillShape, read_object_shapes
 from service.errors import RequestError
 
 if TYPE_CHECKING:
@@ -42,7 +42,9 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
     try:
         if path.suffix.lower() != URDF:
             return make_solid(read_mesh(path, scale), path.name)
-        return unite_solids([make_solid(_body(shape, scale), shape.where) for shape in object_shapes(path)], path.name)
+        return unite_solids(
+            [make_solid(_body(shape, scale), shape.where) for shape in read_object_shapes(path)], path.name
+        )
     except (PerceptionError, RobotError) as error:
         raise RequestError(f"{field}: {error}") from None
 

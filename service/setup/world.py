@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from costs.primitive import Primitive, round_shape
+from costs.primitive import Primitive, make_round_shape
 from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece
 from service.errors import RequestError
@@ -243,14 +243,14 @@ def _round(obstacle: ObstacleRequest, pose: Float[np.ndarray, "4 4"]) -> Primiti
     """The round shape in the world that an obstacle is; None for the others, whose vertices are exact."""
     match obstacle:
         case SphereRequest():
-            given = round_shape("sphere", (obstacle.radius,))
+            given = make_round_shape("sphere", (obstacle.radius,))
         case CylinderRequest():
-            given = round_shape("cylinder", (obstacle.radius, obstacle.height))
+            given = make_round_shape("cylinder", (obstacle.radius, obstacle.height))
         case CapsuleRequest():
-            given = round_shape("capsule", (obstacle.radius, obstacle.height))
+            given = make_round_shape("capsule", (obstacle.radius, obstacle.height))
         case _:
             return None
-    return None if given is None else given.moved(pose)
+    return None if given is None else given.move(pose)
 
 
 def _hull(points: Float[np.ndarray, "V 3"], field: str) -> Float[np.ndarray, "W 3"]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.kinematics import frame_of
+from costs.kinematics import locate_frame
 from costs.robot import AttachedBody, RobotError, RobotModel, load_robot, with_attached
 from service.errors import RequestError, would_do
 from service.request.schema import AttachedBox, AttachedRequest, AttachedSphere, KeepRequest, PlanRequest
@@ -107,4 +107,4 @@ def _find_loose(robot: RobotModel, keep: Sequence[KeepRequest], one: AttachedReq
 
 def _joint(robot: RobotModel, frame: str | None) -> int | None:
     """The joint that carries a frame; None for a frame that the robot does not have."""
-    return frame_of(robot, frame)[0] if frame is not None and robot.model.existFrame(frame) else None
+    return locate_frame(robot, frame)[0] if frame is not None and robot.model.existFrame(frame) else None

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
-from costs.kinematics import planted_poses
+from costs.kinematics import locate_links
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
@@ -132,7 +132,7 @@ def lead_path(goal: Goal, n_waypoints: int) -> Float[np.ndarray, "T n"] | None:
 
 def ways(goal: Goal, share: float) -> tuple[Hold, ...]:
     """What the goal's links hold when they have gone a share of their straight ways."""
-    first = planted_poses(goal.body.engine, goal.body.nominal, [pose.link for pose in goal.poses])
+    first = locate_links(goal.body.engine, goal.body.nominal, [pose.link for pose in goal.poses])
     return tuple(hold for pose in goal.poses for hold in _way(goal.body, pose, first[pose.link], share))
 
 

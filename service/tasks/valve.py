@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
-from costs.kinematics import planted_poses
+from costs.kinematics import locate_links
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
@@ -195,8 +195,8 @@ class ValveTurn:
 
     def _grasp_rotation(self, stroke: Stroke, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"]:
         """rotation_valve_tool of a grasp: z along the wheel's axis inwards, x as the hand has it in ``pose``."""
-        tool = planted_poses(self.body.engine, pose, [self.hand.tool])[self.hand.tool][:3, :3]
-        valve = planted_poses(self.body.engine, pose, [VALVE_LINK])[VALVE_LINK][:3, :3]
+        tool = locate_links(self.body.engine, pose, [self.hand.tool])[self.hand.tool][:3, :3]
+        valve = locate_links(self.body.engine, pose, [VALVE_LINK])[VALVE_LINK][:3, :3]
         z = -self.wheel.axis
         x = tool[:, 0] - (tool[:, 0] @ z) * z
         x /= np.linalg.norm(x)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from costs.kinematics import planted_poses
+from costs.kinematics import locate_links
 from perception import ValveDetection, has_clear_spokes
 from service.body.phases import PhaseSolver, TaskPlan
 from service.body.reach import find_out_of_reach
@@ -92,13 +92,13 @@ def _hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> lis
         raise RequestError(
             f"task.valve.hand: robot '{body.robot.name}' has no {request.hand} tool frame (l_tool, r_tool)"
         )
-    poses = planted_poses(body.engine, body.nominal, [hand.tool for hand in known])
+    poses = locate_links(body.engine, body.nominal, [hand.tool for hand in known])
     return sorted(known, key=lambda hand: float(np.linalg.norm(poses[hand.tool][:3, 3] - valve.centre)))
 
 
 def _wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
     """The wheel as a mechanism, its gaps ordered by how near they are to the hand."""
     wheel = wheel_of(valve)
-    at = planted_poses(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
+    at = locate_links(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
     gaps = sorted(wheel.gaps, key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
     return replace(wheel, gaps=tuple(gaps))

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from costs.kinematics import KinematicsEngine, frame_of
+from costs.kinematics import KinematicsEngine, locate_frame
 from costs.robot import RobotModel
-from costs.rotation import tangent_basis
+from costs.rotation import make_tangent_basis
 from service.body.whole_body import WholeBody
 from service.demands.wheel import HAND_AXIS, Hand, Wheel, robot_with_wheel
 
 
 def wrist_of(hand: Hand, robot: RobotModel) -> tuple[int, float]:
     """The coordinate that turns a hand about its axis, and its sense about the tool's z axis."""
-    joint, pose_joint_tool = frame_of(robot, hand.tool)
+    joint, pose_joint_tool = locate_frame(robot, hand.tool)
     column = int(robot.model.joints[joint].idx_v)
     kinematics = KinematicsEngine(robot)(np.zeros((1, robot.n)))
     turns = kinematics.jacobian[0, 3:, column]
@@ -29,7 +29,7 @@ def add_wheel(body: WholeBody, wheel: Wheel) -> WholeBody:
 
 def tool_positions(robot: RobotModel, tool: str, q: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "S 3"]:
     """World positions of a frame at separate configurations [m]."""
-    joint, pose_joint_tool = frame_of(robot, tool)
+    joint, pose_joint_tool = locate_frame(robot, tool)
     kinematics = KinematicsEngine(robot)(q)
     return np.asarray(kinematics.rotation[:, joint] @ pose_joint_tool[:3, 3] + kinematics.position[:, joint])
 
@@ -38,7 +38,7 @@ def turned_angle(
     points: Float[np.ndarray, "S 3"], centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
 ) -> float:
     """Angle by which a point has gone round an axis from the first sample to the last, unwrapped [rad]."""
-    first, second = tangent_basis(np.asarray(axis))
+    first, second = make_tangent_basis(np.asarray(axis))
     offset = points - centre
     angle = np.unwrap(np.arctan2(offset @ second, offset @ first))
     return float(angle[-1] - angle[0])

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from costs.kinematics import KinematicsEngine, frame_of, planted_poses
+from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from service.request.schema import StartRequest
 from service.trajopt.demanded import pose_matrix
@@ -79,9 +79,9 @@ def _in_the_world(problem: Problem, robot: RobotModel, start: Float[np.ndarray, 
 def _pose_in_the_world(term: PoseTerm, robot: RobotModel, start: Float[np.ndarray, "n"]) -> PoseTerm:
     if term.reference is None or not robot.model.existFrame(term.reference):
         return replace(term, reference=None) if term.reference in WORLD_FRAMES else term
-    if frame_of(robot, term.reference)[0] != 0:
+    if locate_frame(robot, term.reference)[0] != 0:
         return term
-    reference = planted_poses(KinematicsEngine(robot), start, [term.reference])[term.reference]
+    reference = locate_links(KinematicsEngine(robot), start, [term.reference])[term.reference]
     pose = reference @ pose_matrix(term.xyz, term.wxyz)
     wxyz = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
     return replace(term, reference=None, xyz=tuple(pose[:3, 3].tolist()), wxyz=tuple(wxyz.tolist()))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from costs.kinematics import KinematicsEngine, Topology, frame_of, planted_poses
+from costs.kinematics import KinematicsEngine, Topology, locate_frame, locate_links
 from costs.robot import RobotModel
 from service.start.standing import FEET_GROUP
 from service.trajopt.demanded import pose_matrix
@@ -110,7 +110,7 @@ def _held(problem: Problem) -> dict[str, list[PoseTerm]]:
 
 def _is_where_it_starts(robot: RobotModel, start: Float[np.ndarray, "n"], terms: list[PoseTerm]) -> bool:
     term = terms[0]
-    pose = planted_poses(KinematicsEngine(robot), start, [term.frame])[term.frame]
+    pose = locate_links(KinematicsEngine(robot), start, [term.frame])[term.frame]
     error = np.linalg.inv(pose_matrix(term.xyz, term.wxyz)) @ pose @ pose_matrix(term.offset_xyz, term.offset_wxyz)
     turn = Rotation.from_matrix(error[:3, :3]).magnitude()
     return bool(np.linalg.norm(error[:3, 3]) < SHIFT and turn < TURN)
@@ -118,7 +118,7 @@ def _is_where_it_starts(robot: RobotModel, start: Float[np.ndarray, "n"], terms:
 
 def _moves(robot: RobotModel, link: str, moving: Int[np.ndarray, "f"]) -> bool:
     """Whether any of the coordinates moves a link."""
-    joint = frame_of(robot, link)[0]
+    joint = locate_frame(robot, link)[0]
     return bool(Topology.of(robot.model).supports[joint][moving].any())
 
 

@@ -14,17 +14,17 @@ from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.support import SupportPolygon
 from costs.terms import (
-    Asked,
-    AskedOfPairs,
     AxisDirection,
     Between,
     CentreOfMassInPolygon,
+    ClearancePerPair,
     FrameDisplacement,
     FramePose,
     JointDifference,
     JointTarget,
     PairClearance,
     PointHalfSpace,
+    RequiredClearance,
     Scaled,
     WithinTolerance,
 )
@@ -236,7 +236,7 @@ class Builder:
     def _poses(self, term: CollisionTerm) -> SweptCollisionChecker | None:
         return None if term.is_swept else self.checker
 
-    def _asked(self, term: CollisionTerm, is_cost: bool) -> AskedOfPairs:
+    def _asked(self, term: CollisionTerm, is_cost: bool) -> ClearancePerPair:
         """What a collision term asks: as a cost weighed, as a constraint without weights and no more than can be."""
         everywhere = self._over_time(term, term.dist_pen, term.coeffs, is_cost)
         pairs = [
@@ -244,12 +244,12 @@ class Builder:
             for pair in term.pairs
             for other in pair.others
         ]
-        asked = AskedOfPairs.of(self.checker, everywhere, pairs, self.body.standing_allowances())
+        asked = ClearancePerPair.of(self.checker, everywhere, pairs, self.body.standing_allowances())
         if is_cost:
             return asked
         for q in self.program.fixed.values():
             contacts = self.checker(self.body.engine(q[None]))
-            asked = asked.relaxed_to(contacts, CLEARANCE_TOLERANCE)
+            asked = asked.relax_to(contacts, CLEARANCE_TOLERANCE)
         return asked
 
     def _named(self, name: str) -> BodyRef:
@@ -260,7 +260,7 @@ class Builder:
         own = (BodyRef.of_body(body, self.robot.mechanism_links) for body in bodies if body.name == name)
         return next(own, BodyRef.of_piece(name))
 
-    def _over_time(self, term: CollisionTerm, dist_pen: Vector, coeffs: Vector, is_cost: bool) -> Asked:
+    def _over_time(self, term: CollisionTerm, dist_pen: Vector, coeffs: Vector, is_cost: bool) -> RequiredClearance:
         """Per interval between waypoints (per waypoint, for poses); none where the term does not reach."""
         timeline = self.timeline
         count = max(timeline.n_waypoints - 1, 1) if term.is_swept else timeline.n_waypoints
@@ -271,7 +271,7 @@ class Builder:
         distance[where] = dist_pen[0] if len(dist_pen) == 1 else np.array(dist_pen)[index]
         weights = coeffs[0] if len(coeffs) == 1 else np.array(coeffs)[index]
         gain[where] = weights if is_cost else np.where(np.asarray(weights) > 0.0, 1.0, 0.0)
-        return Asked(distance, gain)
+        return RequiredClearance(distance, gain)
 
 
 def turn_residual(robot: RobotModel, term: PoseTerm, waypoints: Int[np.ndarray, "S"]) -> Residual[MotionState] | None:

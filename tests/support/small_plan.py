@@ -6,7 +6,7 @@ import numpy as np
 
 from costs.allowance import Allowance, BodyRef
 from costs.curve import Curve, TimeLaw
-from costs.kinematics import KinematicsEngine, planted_poses
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import RobotModel, with_revolute
 from costs.support import SupportPolygon as FeetHull
 from service.request.file import parse_request
@@ -79,14 +79,14 @@ def _motion(setup: PlanSetup) -> Motion:
     law = TimeLaw(
         np.array([0.0, 2.0, 4.0, 6.0, 8.0]), np.array([0.0, 0.5, 1.0, 1.5, 2.0]), np.array([0.0, 0.5, 0.0, 0.5, 0.0])
     )
-    poses = planted_poses(KinematicsEngine(setup.robot), setup.start, setup.contacts)
+    poses = locate_links(KinematicsEngine(setup.robot), setup.start, setup.contacts)
     contacts = tuple(
         PlantedContact(link, pose, (setup.soles[link] - pose[:3, 3]) @ pose[:3, :3]) for link, pose in poses.items()
     )
     support = SupportPolygon(FeetHull.of_soles(list(setup.soles.values())).vertices, 0.02)
     allowances = tuple(Allowance(BodyRef.of_link(link), BodyRef.of_piece("floor"), 0.01) for link in poses)
     up, far = np.array([0.0, 0.0, 1.0]), np.full(3, np.inf)
-    poses_of = planted_poses(KinematicsEngine(setup.robot), setup.start, ["utorso", "r_hand"])
+    poses_of = locate_links(KinematicsEngine(setup.robot), setup.start, ["utorso", "r_hand"])
     chest = poses_of["utorso"]
     rim = ORIGIN + np.array([0.0, 0.0, 0.3])
     held = (_held(chest, far), _kept("r_hand", "utorso", poses_of))

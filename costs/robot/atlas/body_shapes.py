@@ -19,7 +19,7 @@ _OCTAGON = 8
 
 
 def _section(outline: Outline, corners: int, along: str) -> Points:
-    """A rectangle (4 corners) or one with its corners cut (8) across the axis ``along``.
+    """Make a rectangle (4 corners) or one with its corners cut (8) across the axis ``along``.
 
     ``outline`` is (at, low_a, high_a, low_b, high_b): place on the axis and extents across it [m]; (a, b) is (x, y)
     along z, (x, z) along y, (y, z) along x.
@@ -38,7 +38,7 @@ def _section(outline: Outline, corners: int, along: str) -> Points:
 
 
 def _stack(along: str, *sections: Outline, corners: int = _OCTAGON) -> Points:
-    """Vertices of sections stacked along an axis."""
+    """Stack sections along an axis and return their vertices."""
     return np.vstack([_section(section, corners, along) for section in sections])
 
 
@@ -119,7 +119,7 @@ _LEFT: Mapping[str, tuple[Points, ...]] = {
 
 
 def foot(sole: Float[np.ndarray, "4 3"]) -> Points:
-    """A foot whose lowest face is exactly ``sole`` (4 corners), with a rim, an instep and an ankle above it."""
+    """Make a foot whose lowest face is exactly ``sole`` (4 corners), with a rim, an instep and an ankle above it."""
     rim = sole + np.array([0.0, 0.0, 0.022])
     low, high = sole.min(axis=0), sole.max(axis=0)
     instep = _section((-0.010, -0.06, 0.075, low[1] + 0.018, high[1] - 0.018), _OCTAGON, "z")
@@ -128,7 +128,7 @@ def foot(sole: Float[np.ndarray, "4 3"]) -> Points:
 
 
 def link_shapes() -> Mapping[str, tuple[Points, ...]]:
-    """Vertices of each link's convex bodies in its own frame [m]; right links mirror left ones; feet apart."""
+    """Return the convex bodies of each link but the feet in its own frame [m]; right links mirror left ones."""
     mirror = np.array([1.0, -1.0, 1.0])
     shapes = dict(_CENTRE)
     for name, bodies in _LEFT.items():

@@ -22,8 +22,8 @@ HOOK_RADIUS = 0.009
 HOOK_START = 0.045
 
 
-def urdf_text(tool_distance_m: float = DEFAULT_TOOL_DISTANCE) -> str:
-    """The URDF, with hooks that end at ``tool_distance_m`` from the hand frames.
+def format_urdf(tool_distance_m: float = DEFAULT_TOOL_DISTANCE) -> str:
+    """Format the URDF, with hooks that end at ``tool_distance_m`` from the hand frames.
 
     Raises:
         RobotError: when the distance would put the tool inside the hand or out of any proportion.
@@ -40,20 +40,20 @@ def urdf_text(tool_distance_m: float = DEFAULT_TOOL_DISTANCE) -> str:
     ]
     shapes = mesh_points()
     for link in LINKS:
-        lines += [f'  <link name="{link.name}">', "    <inertial>", f"      <mass value={quoted([link.mass])}/>",
-                  f'      <origin xyz={quoted(link.com)} rpy="0 0 0"/>']  # fmt: skip
+        lines += [f'  <link name="{link.name}">', "    <inertial>", f"      <mass value={quote([link.mass])}/>",
+                  f'      <origin xyz={quote(link.com)} rpy="0 0 0"/>']  # fmt: skip
         keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        values = " ".join(f"{key}={quoted([value])}" for key, value in zip(keys, link.inertia, strict=True))
+        values = " ".join(f"{key}={quote([value])}" for key, value in zip(keys, link.inertia, strict=True))
         lines += [f"      <inertia {values}/>", "    </inertial>"]
         lines += [line for name in shapes if name.rpartition("_")[0] == link.name for line in _mesh_lines(name)]
         lines.append("  </link>")
     lines += [f'  <link name="{name}"/>' for name in MASSLESS_LINKS]
     for joint in JOINTS:
         lines += [f'  <joint name="{joint.name}" type="revolute">', *_ends(joint.parent, joint.child),
-                  _origin(joint.xyz, joint.rpy), f"    <axis xyz={quoted(joint.axis)}/>",
-                  f"    <limit lower={quoted([joint.lower])} upper={quoted([joint.upper])}"
-                  f" velocity={quoted([joint.velocity])} effort={quoted([joint.effort])}/>",
-                  f"    <dynamics damping={quoted([joint.damping])} friction={quoted([joint.friction])}/>",
+                  _origin(joint.xyz, joint.rpy), f"    <axis xyz={quote(joint.axis)}/>",
+                  f"    <limit lower={quote([joint.lower])} upper={quote([joint.upper])}"
+                  f" velocity={quote([joint.velocity])} effort={quote([joint.effort])}/>",
+                  f"    <dynamics damping={quote([joint.damping])} friction={quote([joint.friction])}/>",
                   "  </joint>"]  # fmt: skip
     for fixed in FIXED_JOINTS:
         lines += _fixed(fixed.name, fixed.parent, fixed.child, fixed.xyz, fixed.rpy)
@@ -63,15 +63,15 @@ def urdf_text(tool_distance_m: float = DEFAULT_TOOL_DISTANCE) -> str:
 
 
 def mesh_points() -> Mapping[str, Float[np.ndarray, "V 3"]]:
-    """Vertices by mesh name, ``link_0``, ``link_1``, ..., rounded to a hundredth of a millimetre."""
+    """Return vertices by mesh name, ``link_0``, ``link_1``, ..., rounded to a hundredth of a millimetre."""
     shapes = {link: tuple(bodies) for link, bodies in link_shapes().items()}
     shapes.update({link: (foot(np.array(sole)),) for link, sole in SOLES.items()})
     return {f"{link}_{index}": np.round(points[np.sort(ConvexHull(points).vertices)], 5) + 0.0
             for link, bodies in sorted(shapes.items()) for index, points in enumerate(bodies)}  # fmt: skip
 
 
-def quoted(values: tuple[float, ...] | list[float]) -> str:
-    """Numbers as an XML attribute value, quotes included."""
+def quote(values: tuple[float, ...] | list[float]) -> str:
+    """Format numbers as an XML attribute value, quotes included."""
     return quoteattr(" ".join(f"{float(value):.15g}" for value in values))
 
 
@@ -84,8 +84,8 @@ def _hook_lines(side: str, sign: float, tool_distance: float) -> list[str]:
     """Hook link and tool frame: z along the hand axis, away from the elbow; x as the hand's."""
     turned = (-sign * 0.5 * np.pi, 0.0, 0.0)
     length = tool_distance - HOOK_START
-    rod = (f'<origin xyz={quoted([0.0, 0.0, 0.5 * length])} rpy="0 0 0"/>'
-           f'<geometry><cylinder radius="{HOOK_RADIUS}" length={quoted([length])}/></geometry>')  # fmt: skip
+    rod = (f'<origin xyz={quote([0.0, 0.0, 0.5 * length])} rpy="0 0 0"/>'
+           f'<geometry><cylinder radius="{HOOK_RADIUS}" length={quote([length])}/></geometry>')  # fmt: skip
     return [
         f'  <link name="{side}_hook">',
         f"    <visual>{rod}</visual>",
@@ -106,4 +106,4 @@ def _ends(parent: str, child: str) -> list[str]:
 
 
 def _origin(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> str:
-    return f"    <origin xyz={quoted(xyz)} rpy={quoted(rpy)}/>"
+    return f"    <origin xyz={quote(xyz)} rpy={quote(rpy)}/>"

@@ -11,7 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from costs.robot.atlas.description import FOLDER, mesh_points, quoted, urdf_text
+from costs.robot.atlas.description import FOLDER, format_urdf, mesh_points, quote
 from costs.robot.atlas.figures import SOLES
 from costs.robot.atlas.postures import GROUPS, LINK_GROUPS, POSTURES, whole_posture
 from costs.robot.load import build_robot
@@ -20,15 +20,15 @@ from costs.robot.self_pairs import derive_ignored_pairs
 
 
 def generate() -> Mapping[str, str]:
-    """Text of every file of the bundled robot by its path in this folder."""
+    """Generate the text of every file of the bundled robot by its path in this folder."""
     files = {f"meshes/{name}.obj": _obj(name, points) for name, points in mesh_points().items()}
-    files["atlas.urdf"] = urdf_text()
+    files["atlas.urdf"] = format_urdf()
     with TemporaryDirectory() as scratch:
         package = Path(scratch) / "atlas"
         write(package, files)
         robot = build_robot(files["atlas.urdf"], "", (Path(scratch),), "floating", {}, "atlas.urdf", "")
     reasons = derive_ignored_pairs(robot.model, robot.bodies, robot.lower, robot.upper)
-    files["atlas.srdf"] = _srdf_text(robot, reasons)
+    files["atlas.srdf"] = _format_srdf(robot, reasons)
     return files
 
 
@@ -40,8 +40,8 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
         path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _srdf_text(robot: RobotModel, reasons: Mapping[tuple[str, str], str]) -> str:
-    """The SRDF: groups, postures and the pairs not to check."""
+def _format_srdf(robot: RobotModel, reasons: Mapping[tuple[str, str], str]) -> str:
+    """Format the SRDF: groups, postures and the pairs not to check."""
     lines = [
         '<?xml version="1.0"?>',
         "<!-- Written by costs.robot.atlas.generate. The virtual joint's value is x y z qx qy qz qw. -->",
@@ -56,7 +56,7 @@ def _srdf_text(robot: RobotModel, reasons: Mapping[tuple[str, str], str]) -> str
         angles = whole_posture(name)
         lines.append(f'  <group_state name="{name}" group="whole_body">')
         lines.append(f'    <joint name="base" value="0 0 {_standing_height(robot, angles):.9f} 0 0 0 1"/>')
-        lines += [f'    <joint name="{joint}" value={quoted([angle])}/>' for joint, angle in angles.items()]
+        lines += [f'    <joint name="{joint}" value={quote([angle])}/>' for joint, angle in angles.items()]
         lines.append("  </group_state>")
     lines += [
         f'  <disable_collisions link1="{a}" link2="{b}" reason="{reason}"/>' for (a, b), reason in reasons.items()

@@ -1,4 +1,4 @@
-"""A URDF's joints: their limits, and joints locked at a position."""
+"""A URDF's collision shapes and joints: their limits, and joints locked at a position."""
 
 from __future__ import annotations
 
@@ -9,10 +9,56 @@ from jaxtyping import Float
 from lxml import etree
 
 from costs.robot.errors import RobotError, suggest
-from costs.robot.poses import axis_rotation, origin_element, parse_origin
-from costs.robot.xmlfile import number, numbers, required
+from costs.robot.poses import axis_rotation, format_numbers, make_origin, parse_origin
+from costs.robot.xmlfile import parse_number, parse_numbers, read_attribute
 
 MOVABLE = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One <collision> element.
+
+    Attributes:
+        kind: ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``.
+        size: box: full edge lengths (3,); sphere: radius; cylinder and capsule: radius, length along z (a capsule's
+            without its caps); mesh: scale (3,) [m, -].
+        uri: the mesh as the URDF names it ("" otherwise).
+        pose_link_shape: (4, 4).
+        element: the <geometry> child it came from.
+    """
+
+    kind: str
+    size: Float[np.ndarray, "k"]
+    uri: str
+    pose_link_shape: Float[np.ndarray, "4 4"]
+    element: etree._Element
+
+
+def parse_shape(element: etree._Element, where: str) -> Shape:
+    """Read and check one <collision>."""
+    geometry = element.find("geometry")
+    if geometry is None or len(geometry) != 1:
+        raise RobotError(f"{where}: <collision> needs a <geometry> with one shape in it")
+    shape = geometry[0]
+    kind, uri = str(shape.tag), ""
+    if kind == "box":
+        size = parse_numbers(read_attribute(shape, "size", where), 3, f"{where}: box size")
+    elif kind == "sphere":
+        size = parse_numbers(read_attribute(shape, "radius", where), 1, f"{where}: sphere radius")
+    elif kind in ("cylinder", "capsule"):
+        text = f"{read_attribute(shape, 'radius', where)} {read_attribute(shape, 'length', where)}"
+        size = parse_numbers(text, 2, f"{where}: {kind} radius and length")
+    elif kind == "mesh":
+        uri = read_attribute(shape, "filename", where)
+        size = parse_numbers(shape.get("scale", "1 1 1"), 3, f"{where}: mesh scale")
+    else:
+        raise RobotError(f"{where}: shape <{kind}> is not known; use box, sphere, cylinder, capsule or mesh")
+    if kind == "mesh" and np.any(size == 0.0):
+        raise RobotError(f"{where}: mesh scale {shape.get('scale')!r} flattens the mesh; no factor may be 0")
+    if kind != "mesh" and np.any(size <= 0.0):
+        raise RobotError(f"{where}: {kind} of size {format_numbers(size)}; every length must be positive")
+    return Shape(kind, size, uri, parse_origin(element, where), shape)
 
 
 @dataclass(frozen=True)
@@ -46,9 +92,9 @@ class Joint:
 
 def parse_joint(element: etree._Element, where: str) -> Joint:
     """Read and check one <joint>."""
-    name = required(element, "name", where)
+    name = read_attribute(element, "name", where)
     where = f"{where}: joint '{name}'"
-    kind = required(element, "type", where)
+    kind = read_attribute(element, "type", where)
     if kind not in (*MOVABLE, "fixed"):
         raise RobotError(f"{where}: type '{kind}' is not supported; use {', '.join(MOVABLE)} or fixed")
     ends = {}
@@ -56,11 +102,11 @@ def parse_joint(element: etree._Element, where: str) -> Joint:
         child = element.find(tag)
         if child is None:
             raise RobotError(f"{where}: lacks <{tag}>; name the {tag} link")
-        ends[tag] = required(child, "link", where)
+        ends[tag] = read_attribute(child, "link", where)
     axis_element = element.find("axis")
     axis = np.array([1.0, 0.0, 0.0])
     if axis_element is not None:
-        axis = numbers(axis_element.get("xyz", "1 0 0"), 3, f"{where}: axis xyz")
+        axis = parse_numbers(axis_element.get("xyz", "1 0 0"), 3, f"{where}: axis xyz")
     if kind != "fixed":
         length = float(np.linalg.norm(axis))
         if length < 1e-6:
@@ -110,12 +156,12 @@ def _with_limits(joint: Joint, element: etree._Element, where: str) -> Joint:
         raise RobotError(f"{where}: {joint.kind} but without <limit>; give lower, upper, velocity and effort")
     if limit is not None:
         if joint.kind != "continuous":
-            lower = number(limit.get("lower", "0"), f"{where}: limit lower")
-            upper = number(limit.get("upper", "0"), f"{where}: limit upper")
-        velocity = number(required(limit, "velocity", where), f"{where}: limit velocity")
-        effort = number(required(limit, "effort", where), f"{where}: limit effort")
+            lower = parse_number(limit.get("lower", "0"), f"{where}: limit lower")
+            upper = parse_number(limit.get("upper", "0"), f"{where}: limit upper")
+        velocity = parse_number(read_attribute(limit, "velocity", where), f"{where}: limit velocity")
+        effort = parse_number(read_attribute(limit, "effort", where), f"{where}: limit effort")
         if limit.get("acceleration") is not None:
-            acceleration = number(limit.get("acceleration", ""), f"{where}: limit acceleration")
+            acceleration = parse_number(limit.get("acceleration", ""), f"{where}: limit acceleration")
     if lower > upper:
         raise RobotError(f"{where}: limit lower {lower:g} exceeds upper {upper:g}; swap them")
     if velocity <= 0.0 or effort < 0.0 or (acceleration is not None and acceleration <= 0.0):
@@ -123,9 +169,9 @@ def _with_limits(joint: Joint, element: etree._Element, where: str) -> Joint:
     mimic_element = element.find("mimic")
     mimic = None
     if mimic_element is not None:
-        mimic = (required(mimic_element, "joint", where),
-                 number(mimic_element.get("multiplier", "1"), f"{where}: mimic multiplier"),
-                 number(mimic_element.get("offset", "0"), f"{where}: mimic offset"))  # fmt: skip
+        mimic = (read_attribute(mimic_element, "joint", where),
+                 parse_number(mimic_element.get("multiplier", "1"), f"{where}: mimic multiplier"),
+                 parse_number(mimic_element.get("offset", "0"), f"{where}: mimic offset"))  # fmt: skip
     return replace(joint, lower=lower, upper=upper, velocity=velocity, effort=effort,
                    acceleration=acceleration, mimic=mimic)  # fmt: skip
 
@@ -135,4 +181,4 @@ def _fix_element(element: etree._Element, pose: Float[np.ndarray, "4 4"]) -> Non
     for child in list(element):
         if child.tag not in ("parent", "child"):
             element.remove(child)
-    element.append(origin_element(pose))
+    element.append(make_origin(pose))

@@ -1,0 +1,119 @@
+"""Residuals made of another residual: scaled, bounded from both sides, or with coordinates that do not move."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import sparse
+
+from scopt import AffineRows, Residual
+from scopt.residual import StateT
+
+
+class Scaled(Residual[StateT]):
+    """``gain * (r - target)`` for each row ``r`` [unit of gain times unit of r]."""
+
+    def __init__(
+        self,
+        residual: Residual[StateT],
+        gain: Float[np.ndarray, "k"] | float,
+        target: Float[np.ndarray, "k"] | float = 0.0,
+    ) -> None:
+        """
+        Args:
+            residual: wrapped.
+            gain: one number for all rows, or ``(k,)`` repeated over the rows (k rows per waypoint).
+            target: likewise, subtracted from each row.
+        """
+        self._residual = residual
+        self.is_smooth = residual.is_smooth
+        self._gain = _as_rows(gain)
+        self._target = _as_rows(target)
+
+    def value(self, state: StateT) -> Float[np.ndarray, "m"]:
+        value = self._residual.value(state)
+        return np.asarray(_tile(self._gain, value) * (value - _tile(self._target, value)))
+
+    def linearize(self, state: StateT) -> AffineRows:
+        rows = self._residual.linearize(state)
+        gain = _tile(self._gain, rows.value)
+        value = gain * (rows.value - _tile(self._target, rows.value))
+        return AffineRows(value, sparse.csr_array(sparse.diags_array(gain) @ rows.jacobian))
+
+
+class Masked(Residual[StateT]):
+    """The rows of a residual, without derivatives by coordinates that do not move."""
+
+    def __init__(self, residual: Residual[StateT], moves: Bool[np.ndarray, "n"]) -> None:
+        """
+        Args:
+            residual: wrapped.
+            moves: (n,) whether each coordinate of a waypoint moves.
+        """
+        self._residual = residual
+        self.is_smooth = residual.is_smooth
+        self._moves = np.asarray(moves, dtype=float)
+
+    def value(self, state: StateT) -> Float[np.ndarray, "m"]:
+        return self._residual.value(state)
+
+    def linearize(self, state: StateT) -> AffineRows:
+        rows = self._residual.linearize(state)
+        n_waypoints = rows.jacobian.shape[1] // len(self._moves)
+        kept = sparse.diags_array(np.tile(self._moves, n_waypoints))
+        return AffineRows(rows.value, sparse.csr_array(rows.jacobian @ kept))
+
+
+class Between(Residual[StateT]):
+    """``r - upper`` and ``lower - r`` for each row ``r``: at most zero where ``lower <= r <= upper``."""
+
+    def __init__(
+        self,
+        residual: Residual[StateT],
+        lower: Float[np.ndarray, "k"] | float,
+        upper: Float[np.ndarray, "k"] | float,
+    ) -> None:
+        """
+        Args:
+            residual: bounded.
+            lower, upper: one number for all rows, or ``(k,)`` repeated over the rows (k rows per waypoint).
+        """
+        self._residual = residual
+        self.is_smooth = residual.is_smooth
+        self._lower, self._upper = _as_rows(lower), _as_rows(upper)
+
+    def value(self, state: StateT) -> Float[np.ndarray, "m"]:
+        value = self._residual.value(state)
+        return np.concatenate([value - _tile(self._upper, value), _tile(self._lower, value) - value])
+
+    def linearize(self, state: StateT) -> AffineRows:
+        rows = self._residual.linearize(state)
+        return AffineRows.stack(
+            [
+                AffineRows(rows.value - _tile(self._upper, rows.value), rows.jacobian),
+                AffineRows(_tile(self._lower, rows.value) - rows.value, -rows.jacobian),
+            ]
+        )
+
+
+class WithinTolerance(Between[StateT]):
+    """``r - tolerance`` and ``-r - tolerance`` for each row ``r``: at most zero where ``|r| <= tolerance``."""
+
+    def __init__(self, residual: Residual[StateT], tolerance: Float[np.ndarray, "k"] | float) -> None:
+        """
+        Args:
+            residual: bounded.
+            tolerance: one number for all rows, or ``(k,)`` repeated over the rows (k rows per waypoint).
+        """
+        tolerances = _as_rows(tolerance)
+        super().__init__(residual, -tolerances, tolerances)
+
+
+def _as_rows(values: Float[np.ndarray, "k"] | float) -> Float[np.ndarray, "k"]:
+    """Return the numbers as an array, also a single one."""
+    return np.atleast_1d(np.asarray(values, dtype=float))
+
+
+def _tile(values: Float[np.ndarray, "k"], rows: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
+    """Repeat the numbers over all rows, as often as they fit."""
+    return np.tile(values, len(rows) // len(values))
