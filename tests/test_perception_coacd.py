@@ -211,7 +211,7 @@ def test_cancelling_kills_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not _running(pids[0])
 
 
-def test_too_long_and_too_much_memory_are_told() -> None:
+def test_too_long_and_too_much_memory_are_reported() -> None:
     fine = make_solid(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
     with pytest.raises(MeshError, match=r"ring: .* takes longer than 0.2 s; simplify it"):
         run_coacd([fine], CoacdSettings(0.001).options(), replace(COACD_LIMITS, max_wall_s=0.2), name="ring")

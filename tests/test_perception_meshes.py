@@ -105,7 +105,7 @@ def test_no_bytes_do_worse_than_a_mesh_error(tmp_path_factory: pytest.TempPathFa
         read_mesh(path)
 
 
-def test_millimetres_are_told(tmp_path: Path) -> None:
+def test_millimetres_are_reported(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_bytes(_obj(Mesh(1000.0 * RING.vertices, RING.triangles)))
     with pytest.raises(MeshError, match=r"spans 360 m; is it in millimetres\? with scale 0.001 it would be 0.36 m"):
         read_mesh(tmp_path / "a.obj")
@@ -132,7 +132,7 @@ def test_a_corner_that_is_not_there_is_refused() -> None:
 
 
 @pytest.mark.parametrize("turned", [slice(None), slice(None, None, 3)], ids=["all", "a third"])
-def test_triangles_wound_inside_out_are_turned_and_told(turned: slice) -> None:
+def test_triangles_wound_inside_out_are_turned_and_noted(turned: slice) -> None:
     right = make_solid(RING).closed[0]
     triangles = right.triangles.copy()
     triangles[turned] = triangles[turned, ::-1]
@@ -142,7 +142,7 @@ def test_triangles_wound_inside_out_are_turned_and_told(turned: slice) -> None:
     assert solid.notes == (f"ring: turned {n} of {len(triangles)} triangles that were wound inside out",)
 
 
-def test_a_small_hole_is_filled_and_told() -> None:
+def test_a_small_hole_is_filled_and_noted() -> None:
     right = make_solid(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 32, 12)).closed[0]
     solid = make_solid(Mesh(right.vertices, right.triangles[1:]), "ring")
     assert is_closed(solid.closed[0])
@@ -234,7 +234,7 @@ def test_another_object_gets_a_low_confidence(
     assert match_mesh(other, view, hint=middle).confidence < CONFIDENT
 
 
-def test_a_tool_on_a_table_is_found_without_being_told_where(
+def test_a_tool_on_a_table_is_found_without_a_hint(
     tool_on_a_table: tuple[View, np.ndarray, np.ndarray],
 ) -> None:
     view, rotation, middle = tool_on_a_table
