@@ -39,7 +39,7 @@ def test_words_for_no_number_are_nan(word: str) -> None:
         (b"x;y;z\n1,5;2,5;3,5\n1.234,5;2;3\n", "line 3: '1.234,5' is not a number"),
         (
             text(["40", *ROWS, "40", *ROWS]),
-            "line 42 has 1 columns, the first has 3; if it counts the points of a further scan, a file for each",
+            "line 42 has 1 columns, the first has 3; if it counts the points of a further scan, give a file for each",
         ),
         (text(["50", *ROWS]), "50 points are announced, 40 lines are there"),
         (text([f"{i} {row}" for i, row in enumerate(ROWS)]), "its first column counts the rows; name all columns in a"),
@@ -146,8 +146,8 @@ def test_tables_of_coordinates_are_read_without_a_word(content: bytes) -> None:
         ),
         (b"\0\0\x80?", "a.pcd.bin", "has no header"),
         (b"\xd4\xc3\xb2\xa1", "a.pcap", "holds packets of a sensor, not points; give a bag of its driver"),
-        (b"\xd0\xcf\x11\xe0", "a.fls", "is a maker's own kind of file; export it as .e57 or .las"),
-        (b"\xd0\xcf\x11\xe0", "a.RCP", "is a maker's own kind of file"),
+        (b"\xd0\xcf\x11\xe0", "a.fls", "is a manufacturer's own kind of file; export it as .e57 or .las"),
+        (b"\xd0\xcf\x11\xe0", "a.RCP", "is a manufacturer's own kind of file"),
     ],
 )
 def test_what_is_no_cloud_is_reported_with_what_is_expected(

@@ -368,7 +368,7 @@ def test_a_table_may_begin_with_a_byte_order_mark(encoding: str) -> None:
         ("5\n6\n", "line 2 has 1 columns; at least 3"),
         ("1,2,\ufffd\x07\ufffd\ufffd\n", "line 1: '.' is not a number"),
         ("# viewpoint a b\n1 2 3\n", "viewpoint 'a b'"),
-        ("x y z\n1 0.1 0.2 0.3\n", "line 2 has 4 columns, the header names 3; one name for each"),
+        ("x y z\n1 0.1 0.2 0.3\n", "line 2 has 4 columns, the header names 3; give one name for each"),
         ('x,y,z\n"1,017.5","2.5","3.5"\n', "line 2 has 4 columns, the header names 3"),
         ("GPS time X Y Z I\n0 1 2 3 4\n", "line 2 has 5 columns, the header names 6"),
     ],
