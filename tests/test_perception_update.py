@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hull_faces import half_spaces
 
 from costs.scene import ConvexPiece
 from perception import Cloud, Evidence, Perceived, Piece, Reach, perceive
-from perception.clean import half_spaces
 from perception.convex.freespace import Crossing
 from perception.convex.hulls import make_hull
 from perception.convex.updated import update_pieces
