@@ -18,6 +18,7 @@ from sandboxed import (
     count_limits,
     crash,
     fill,
+    print_and_return,
     return_values,
     sleep_beside_a_child,
     work_without_end,
@@ -100,6 +101,10 @@ def test_a_fresh_process_imports_the_function_alone() -> None:
     assert not is_running(result["pid"])
 
 
+def test_what_a_library_prints_is_no_part_of_the_result() -> None:
+    assert run_in_sandbox(print_and_return, {"text": "{}\nMemoryError"}, LIMITS) == {"text": "{}\nMemoryError"}
+
+
 def test_large_results_come_back_whole() -> None:
     numbers = run_in_sandbox(fill, {"n": 10_000_000}, LIMITS)["numbers"]
     np.testing.assert_array_equal(numbers, np.arange(10_000_000.0))
@@ -162,6 +167,9 @@ def test_a_process_ends_as_soon_as_the_caller_is_to_stop(tmp_path: Path) -> None
         ("error", "exit 1"),
         ("no JSON\n", "an unreadable result"),
         ("{}\n", "an unreadable result"),
+        ("[]\n", "an unreadable result"),
+        ('{"values": {}, "arrays": []}\n', "an unreadable result"),
+        ("[" * 100_000, "an unreadable result"),
         ('{"values": {}, "arrays": {"a": ["|O", [1]]}}\n', "an unreadable result"),
         ('{"values": {}, "arrays": {"a": ["<f8", [1000000000000]]}}\n', "an unreadable result"),
         ('{"values": {}, "arrays": {"a": ["<f8", [-1]]}}\n', "an unreadable result"),
