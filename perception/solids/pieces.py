@@ -90,7 +90,7 @@ class _Cells:
 
     def crop(self, part: Float[np.ndarray, "V 3"]) -> _Cells:
         """Return only the cells whose middle lies in a convex part."""
-        hull = make_hull(part, np.arange(0))
+        hull = make_hull(part)
         first = np.maximum(np.floor((hull.lower - self.lower) / self.size).astype(int), 0)
         last = np.floor((hull.upper - self.lower) / self.size).astype(int) + 1
         block = self.occupied[tuple(slice(a, b) for a, b in zip(first, last, strict=True))].copy()
@@ -145,13 +145,13 @@ def _split_grid(grid: _Cells, free: FreeSpace, work: Work) -> Parts:
     done: list[Float[np.ndarray, "V 3"]] = []
     coacd, todo = _COACD, grid.wrap()
     for again in range(_PASSES + 1):
-        hulls = [make_hull(mesh.vertices, np.arange(0)) for mesh in todo]
+        hulls = [make_hull(mesh.vertices) for mesh in todo]
         whole = [is_free_of(hull, free) for hull in hulls]
         done += [hull.vertices for hull, fits in zip(hulls, whole, strict=True) if fits]
         rest = [mesh for mesh, fits in zip(todo, whole, strict=True) if not fits]
         todo = []
         for part in (part for parts in decompose(rest, coacd, work, "cloud") for part in parts):
-            if again == _PASSES or measure_evidence(make_hull(part, np.arange(0)), free).free_share < _MOST_FREE:
+            if again == _PASSES or measure_evidence(make_hull(part), free).free_share < _MOST_FREE:
                 done.append(part)
             else:
                 todo += grid.crop(part).wrap()
@@ -165,7 +165,7 @@ def _name_parts(parts: Parts, points: Float[np.ndarray, "N 3"], free: FreeSpace)
     pieces = []
     for i, part in enumerate(parts):
         vertices = limit_vertices(part)
-        hull = make_hull(vertices, np.arange(0))
+        hull = make_hull(vertices)
         near = left & ((points >= hull.lower - _WITHIN) & (points <= hull.upper + _WITHIN)).all(axis=1)
         mine: Int[np.ndarray, "K"] = np.flatnonzero(near)
         mine = mine[hull.is_within(points[mine], _WITHIN)]
