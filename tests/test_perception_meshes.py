@@ -19,7 +19,7 @@ from perception.perceive import unexplained
 from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, make_solid, unite_solids
-from perception.solids.decompose import CoacdSettings, Work, split_solid
+from perception.solids.decompose import CoacdResources, CoacdSettings, split_solid
 from perception.solids.fit import MeshPose, Region, Surface, fit_pose
 from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, locate, match_mesh
 from perception.solids.read import read_mesh
@@ -154,7 +154,9 @@ def test_a_box_without_a_lid_is_a_shell_that_can_be_reached_into(tmp_path: Path)
     lid = (np.abs(whole.vertices[whole.triangles][:, :, 2] - 0.2) < 1e-9).all(axis=1)
     solid = make_solid(Mesh(whole.vertices, whole.triangles[~lid]), "bin")
     assert "1 of 1 parts are not closed (4 open edges)" in solid.notes[-1]
-    parts = split_solid(solid, CoacdSettings(0.04, iterations=10, nodes=3, depth=1), Work(PartsCache(tmp_path)))
+    parts = split_solid(
+        solid, CoacdSettings(0.04, iterations=10, nodes=3, depth=1), CoacdResources(PartsCache(tmp_path))
+    )
     hulls = [ConvexHull(part).equations for part in parts]
     inside = np.array([[0.2, 0.15, 0.1], [0.2, 0.15, 0.19], [0.05, 0.05, 0.1]])
     assert min((inside @ h[:, :3].T + h[:, 3]).max(axis=1).min() for h in hulls) > 0.0
@@ -170,7 +172,7 @@ def test_boxes_that_share_an_edge_are_two_solids() -> None:
 
 
 def test_parts_contain_the_surface_and_leave_the_hole(tmp_path: Path) -> None:
-    parts = split_solid(make_solid(RING), work=Work(PartsCache(tmp_path)))
+    parts = split_solid(make_solid(RING), resources=CoacdResources(PartsCache(tmp_path)))
     assert max(len(part) for part in parts) <= 64
     hulls = [ConvexHull(part).equations for part in parts]
     surface = np.concatenate([RING.vertices, RING.vertices[RING.triangles].mean(axis=1)])

@@ -21,7 +21,7 @@ from perception.convex.split import is_free_of
 from perception.mesh import Mesh
 from perception.neighbours import nearest
 from perception.solids.cache import Parts
-from perception.solids.decompose import CoacdSettings, Work, decompose
+from perception.solids.decompose import CoacdResources, CoacdSettings, decompose
 from perception.solids.voxels import wrap_cells
 
 _VOXEL = 0.015
@@ -43,7 +43,7 @@ def make_coacd_pieces(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-    work: Work | None = None,
+    resources: CoacdResources | None = None,
 ) -> Pieces:
     """Make convex pieces ``coacd/0`` ... of obstacle points, as ``perception.convex.make_pieces`` gives them.
 
@@ -54,7 +54,7 @@ def make_coacd_pieces(
         points: (N, 3) obstacle points, cleaned [m].
         starts: (3,) or (N, 3), where their rays started [m].
         rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan [m].
-        work: cache, and limits of the CoACD process.
+        resources: cache, and limits of the CoACD process.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
@@ -65,7 +65,7 @@ def make_coacd_pieces(
     clock = Clock()
     grid, free = _make_cells(points, starts, rays)
     clock.lap("voxels")
-    parts = _split_grid(grid, free, work or Work())
+    parts = _split_grid(grid, free, resources or CoacdResources())
     clock.lap("coacd")
     pieces = _name_parts(parts, points, free)
     clock.lap("evidence")
@@ -140,7 +140,7 @@ def _bridge_gaps(
     return np.asarray((points[row] + steps * (ends - points[row])).reshape(-1, 3))
 
 
-def _split_grid(grid: _Cells, free: FreeSpace, work: Work) -> Parts:
+def _split_grid(grid: _Cells, free: FreeSpace, resources: CoacdResources) -> Parts:
     """Split all groups of cells; parts that hold free space are split again at half the threshold."""
     done: list[Float[np.ndarray, "V 3"]] = []
     coacd, todo = _COACD, grid.wrap()
@@ -150,7 +150,7 @@ def _split_grid(grid: _Cells, free: FreeSpace, work: Work) -> Parts:
         done += [hull.vertices for hull, fits in zip(hulls, whole, strict=True) if fits]
         rest = [mesh for mesh, fits in zip(todo, whole, strict=True) if not fits]
         todo = []
-        for part in (part for parts in decompose(rest, coacd, work, "cloud") for part in parts):
+        for part in (part for parts in decompose(rest, coacd, resources, "cloud") for part in parts):
             if again == _PASSES or measure_evidence(make_hull(part), free).free_share < _MOST_FREE:
                 done.append(part)
             else:
