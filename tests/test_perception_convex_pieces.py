@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from hull_faces import half_spaces
+from half_spaces import half_spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hull_faces import half_spaces
+from half_spaces import half_spaces
 
 from costs.scene import ConvexPiece
 from perception import Cloud, Perceived, Reach, perceive

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hull_faces import half_spaces
+from half_spaces import half_spaces
 
 from costs.scene import ConvexPiece
 from perception import Cloud, Evidence, Perceived, Piece, Reach, perceive

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hull_faces import half_spaces
+from half_spaces import half_spaces
 from scipy.spatial import ConvexHull
 from valve_targets import assert_matches
 
