@@ -110,7 +110,7 @@ def run_in_sandbox(
         if code == 0:
             try:
                 return _read(result, json.loads(result.readline()))
-            except (ValueError, KeyError, TypeError):
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 raise SandboxError(Cause.CRASH, memory, "an unreadable result") from None
     ending = signal.Signals(-code).name if -code in set(signal.Signals) else f"exit {code}"
     if code == -signal.SIGXCPU:
@@ -179,7 +179,7 @@ def _read(file: IO[bytes], head: dict[str, Any]) -> dict[str, Any]:
     """Read what ``_write`` wrote after its line.
 
     Raises:
-        ValueError, KeyError, TypeError: something else wrote it.
+        ValueError, KeyError, TypeError, AttributeError: something else wrote it.
     """
     import numpy as np
 
@@ -204,7 +204,8 @@ def _main() -> None:
         package.__path__ = [str(Path(__file__).parent)]
         sys.modules["perception"] = package
         values = _read(task, head)
-    with open(sys.stdout.fileno(), "wb", closefd=False) as result:
+    with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as result:
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print is no result
         _write(result, {}, getattr(import_module(head["module"]), head["function"])(**values))
 
 

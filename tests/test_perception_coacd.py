@@ -24,7 +24,7 @@ from perception.simulate import Pose, Room, Scanner, box, scan, torus
 from perception.solids import decompose
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, make_solid
-from perception.solids.decompose import CoacdSettings, Work
+from perception.solids.decompose import CoacdResources, CoacdSettings
 from perception.solids.pieces import make_coacd_pieces
 from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import wrap_cells
@@ -53,7 +53,7 @@ def view() -> View:
 
 def _pieces_of(view: View) -> Pieces:
     """Pieces of its obstacles, nothing of them taken from a cache."""
-    return make_coacd_pieces(view.obstacles, view.starts, view.cloud.rays, Work(cache=None))
+    return make_coacd_pieces(view.obstacles, view.starts, view.cloud.rays, CoacdResources(cache=None))
 
 
 def _depth(points: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:
@@ -92,7 +92,7 @@ def test_the_noise_of_a_wall_is_no_part_of_it() -> None:
     wall = np.column_stack([np.ones(15_000), rng.uniform(-0.5, 0.5, (15_000, 2))])
     points = wall * (1.0 + rng.normal(0.0, 0.01, (15_000, 1)))
     starts = np.zeros((15_000, 3))
-    made = make_coacd_pieces(points, starts, (starts, points), work=Work(cache=None))
+    made = make_coacd_pieces(points, starts, (starts, points), resources=CoacdResources(cache=None))
     assert min(piece.shape.vertices[:, 0].min() for piece in made.pieces) > 0.96
 
 
@@ -125,14 +125,14 @@ def _no_process(*_: object, **__: object) -> None:
 
 
 def test_what_is_known_starts_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    work = Work(PartsCache(tmp_path))
-    (first,) = decompose.decompose([ANGLE], FAST, work)
+    resources = CoacdResources(PartsCache(tmp_path))
+    (first,) = decompose.decompose([ANGLE], FAST, resources)
     monkeypatch.setattr(decompose, "run_coacd", _no_process)
-    (second,) = decompose.decompose([ANGLE], FAST, work)
+    (second,) = decompose.decompose([ANGLE], FAST, resources)
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one, other)
     with pytest.raises(AssertionError, match="a process was started"):
-        decompose.decompose([ANGLE], CoacdSettings(0.03), work)
+        decompose.decompose([ANGLE], CoacdSettings(0.03), resources)
 
 
 @pytest.mark.parametrize(
@@ -140,12 +140,12 @@ def test_what_is_known_starts_no_process(tmp_path: Path, monkeypatch: pytest.Mon
 )
 def test_a_damaged_entry_is_dropped_and_made_anew(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     cache = PartsCache(tmp_path)
-    (first,) = decompose.decompose([ANGLE], FAST, Work(cache))
+    (first,) = decompose.decompose([ANGLE], FAST, CoacdResources(cache))
     (entry,) = tmp_path.glob("*.npz")
     entry.write_bytes(damage(entry.read_bytes()))
     assert cache.get(entry.stem) is None
     assert not entry.exists()
-    (second,) = decompose.decompose([ANGLE], FAST, Work(cache))
+    (second,) = decompose.decompose([ANGLE], FAST, CoacdResources(cache))
     assert len(second) == len(first)
     assert entry.exists()
 
@@ -211,7 +211,7 @@ def test_cancelling_kills_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not _running(pids[0])
 
 
-def test_too_long_and_too_much_memory_are_told() -> None:
+def test_too_long_and_too_much_memory_are_reported() -> None:
     fine = make_solid(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
     with pytest.raises(MeshError, match=r"ring: .* takes longer than 0.2 s; simplify it"):
         run_coacd([fine], CoacdSettings(0.001).options(), replace(COACD_LIMITS, max_wall_s=0.2), name="ring")
@@ -246,5 +246,5 @@ def test_what_crashes_coacd_is_an_error_here() -> None:
 
 def test_a_convex_mesh_needs_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decompose, "run_coacd", _no_process)
-    (part,) = decompose.split_solid(make_solid(box((0, 0, 0), (1, 2, 3))), work=Work(cache=None))
+    (part,) = decompose.split_solid(make_solid(box((0, 0, 0), (1, 2, 3))), resources=CoacdResources(cache=None))
     assert ConvexHull(part).volume == pytest.approx(6.0)

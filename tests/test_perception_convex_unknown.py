@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from half_spaces import half_spaces
 
 from costs.scene import ConvexPiece
 from perception import Cloud, Perceived, Reach, perceive
-from perception.clean import half_spaces
 from perception.convex.hulls import MAX_VERTICES
 from perception.simulate import Pose, Room, Scanner, scan
 
@@ -44,7 +44,7 @@ def test_what_lies_behind_a_box_is_occupied(seen: Perceived) -> None:
     assert inside(BEHIND, unknown(seen)).all()
 
 
-def test_unknown_space_is_left_open_unless_asked_for(cloud: Cloud) -> None:
+def test_unknown_space_is_left_open_unless_requested(cloud: Cloud) -> None:
     plain = perceive(cloud, reach=REACH, valve=False)
     assert not unknown(plain)
     assert not inside(BEHIND, list(plain.scene.pieces)).any()

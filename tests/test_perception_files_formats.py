@@ -75,7 +75,7 @@ def test_the_unit_of_a_las_may_be_a_key(code: int, unit: str) -> None:
     assert read_las(las_bytes(POINTS, crs=keys), "a.las").unit == unit
 
 
-def test_a_las_in_feet_that_is_read_as_metres_is_told(tmp_path: Path) -> None:
+def test_a_las_in_feet_that_is_read_as_metres_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.las"
     path.write_bytes(las_bytes(POINTS, crs=laspy.vlrs.known.WktCoordinateSystemVlr(FEET)))
     assert read_cloud(path).notes[0] == "its header says ft, but it was read as m: give the unit ft"
@@ -239,7 +239,7 @@ def test_a_bag_without_clouds_lists_what_it_has(tmp_path: Path) -> None:
         parse_file(tmp_path / "quiet")
 
 
-def test_a_message_without_points_is_told_or_merged(tmp_path: Path) -> None:
+def test_a_message_without_points_is_reported_or_merged(tmp_path: Path) -> None:
     path = bag(tmp_path, (POINTS[:0], "lidar"), (POINTS, "lidar"))
     with pytest.raises(CloudError, match="message 0 of 2 holds no points; choose another one, or all"):
         read_cloud(path)
@@ -256,7 +256,7 @@ def test_a_bag_without_its_metadata_names_the_files_in_it(tmp_path: Path) -> Non
         read_cloud(path)
 
 
-def test_a_recording_that_was_cut_off_is_told_with_what_mends_it(tmp_path: Path) -> None:
+def test_a_recording_that_was_cut_off_is_reported_with_what_mends_it(tmp_path: Path) -> None:
     path = next(bag(tmp_path, (POINTS, "lidar")).glob("*.mcap"))
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(CloudError, match="its recording was cut off, it seems; 'mcap recover' makes it whole again"):
@@ -268,7 +268,7 @@ def test_a_recording_that_was_cut_off_is_told_with_what_mends_it(tmp_path: Path)
         read_cloud(tmp_path / "old.bag")
 
 
-def test_packed_messages_outside_of_their_bag_are_told(tmp_path: Path) -> None:
+def test_packed_messages_outside_of_their_bag_are_reported(tmp_path: Path) -> None:
     pytest.importorskip("rosbags")
     from rosbags.rosbag2 import CompressionMode
 

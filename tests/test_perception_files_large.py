@@ -133,7 +133,7 @@ def test_text_that_is_too_long_for_memory_is_thinned_further(monkeypatch: pytest
     assert scan.notes == (f"took 1 of every 4 of its {N} points, since at most 2000000 are used",)
 
 
-def test_a_word_in_a_row_that_is_taken_is_told_with_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_word_in_a_row_that_is_taken_is_reported_with_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(thinning, "MAX_POINTS", 100)
     lines = rows(" ").splitlines()
     row = int(np.arange(N)[pick_rows(N, STEP)][7])

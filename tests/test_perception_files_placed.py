@@ -106,7 +106,7 @@ def test_map_coordinates_keep_their_millimetres(tmp_path: Path) -> None:
     np.testing.assert_allclose(cloud.origin, SENSOR, atol=2e-9)
 
 
-def test_coordinates_that_float32_rounds_are_told(tmp_path: Path) -> None:
+def test_coordinates_that_float32_rounds_are_reported(tmp_path: Path) -> None:
     far = np.array([412_345.678, 5_318_008.135, 512.25])
     rounded = (ROOM + far).astype(np.float32)
     notes = read_cloud(npz(tmp_path, rounded), transform=[*-far, 0, 0, 0]).notes
@@ -119,7 +119,7 @@ def test_coordinates_that_float32_rounds_are_told(tmp_path: Path) -> None:
     ("scale", "says"),
     [(1000.0, "unit mm .it would be 3.9 m."), (200.0, "cm .it would be 7.9 m."), (0.001, "only 0.0039 m")],
 )
-def test_a_wrong_unit_is_told(tmp_path: Path, scale: float, says: str) -> None:
+def test_a_wrong_unit_is_reported(tmp_path: Path, scale: float, says: str) -> None:
     (note,) = read_cloud(npz(tmp_path, scale * ROOM, scale * SENSOR)).notes
     assert re.search(says, note)
 

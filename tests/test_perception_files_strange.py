@@ -39,7 +39,7 @@ def test_words_for_no_number_are_nan(word: str) -> None:
         (b"x;y;z\n1,5;2,5;3,5\n1.234,5;2;3\n", "line 3: '1.234,5' is not a number"),
         (
             text(["40", *ROWS, "40", *ROWS]),
-            "line 42 has 1 columns, the first has 3; if it counts the points of a further scan, a file for each",
+            "line 42 has 1 columns, the first has 3; if it counts the points of a further scan, give a file for each",
         ),
         (text(["50", *ROWS]), "50 points are announced, 40 lines are there"),
         (text([f"{i} {row}" for i, row in enumerate(ROWS)]), "its first column counts the rows; name all columns in a"),
@@ -53,7 +53,7 @@ def test_a_table_that_would_be_read_from_wrong_columns_or_in_part_is_refused(con
 
 
 @pytest.mark.parametrize("comment", ["# viewpoint 0 0 1.6", "# VIEWPOINT: 0 0 1.6", "// Viewpoint 0 0 1.6 1 0 0 0"])
-def test_a_viewpoint_may_be_told_in_capitals_and_with_a_colon(comment: str) -> None:
+def test_a_viewpoint_may_be_written_in_capitals_and_with_a_colon(comment: str) -> None:
     assert read_text(text([comment, *ROWS]), "cloud").viewpoint == (0, 0, 1.6, 1, 0, 0, 0)
     content = PLY.format(more=comment.replace("#", "comment").replace("//", "comment") + "\n").encode()
     assert read_ply(content, "cloud").viewpoint == (0, 0, 1.6, 1, 0, 0, 0)
@@ -76,7 +76,7 @@ def test_coordinates_in_different_units_are_refused() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".xyz", ".mcap", ""])
-def test_a_name_that_no_file_can_have_is_told(suffix: str) -> None:
+def test_a_name_that_no_file_can_have_is_reported(suffix: str) -> None:
     with pytest.raises(
         CloudError, match=r"x: cannot be read \(File name too long\)|cannot be read \(File name too long"
     ):
@@ -95,7 +95,7 @@ def test_a_single_array_of_objects_is_named_without_a_key(tmp_path: Path) -> Non
         parse_file(tmp_path / "a.npy")
 
 
-def test_colours_before_coordinates_are_told() -> None:
+def test_colours_before_coordinates_are_reported() -> None:
     scan = read_text(text([f"255 {i} 0 {row}" for i, row in enumerate(ROWS)]), "cloud")
     (note,) = scan.notes
     assert note.startswith("its first three columns hold nothing but whole numbers from 0 to 255, as colours do")
@@ -146,11 +146,13 @@ def test_tables_of_coordinates_are_read_without_a_word(content: bytes) -> None:
         ),
         (b"\0\0\x80?", "a.pcd.bin", "has no header"),
         (b"\xd4\xc3\xb2\xa1", "a.pcap", "holds packets of a sensor, not points; give a bag of its driver"),
-        (b"\xd0\xcf\x11\xe0", "a.fls", "is a maker's own kind of file; export it as .e57 or .las"),
-        (b"\xd0\xcf\x11\xe0", "a.RCP", "is a maker's own kind of file"),
+        (b"\xd0\xcf\x11\xe0", "a.fls", "is a manufacturer's own kind of file; export it as .e57 or .las"),
+        (b"\xd0\xcf\x11\xe0", "a.RCP", "is a manufacturer's own kind of file"),
     ],
 )
-def test_what_is_no_cloud_is_told_with_what_is_expected(tmp_path: Path, content: bytes, name: str, says: str) -> None:
+def test_what_is_no_cloud_is_reported_with_what_is_expected(
+    tmp_path: Path, content: bytes, name: str, says: str
+) -> None:
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(CloudError) as raised:
@@ -181,7 +183,7 @@ def test_the_element_that_announces_too_much_is_named() -> None:
         read_ply(content, "cloud")
 
 
-def test_origins_of_another_number_than_points_are_told() -> None:
+def test_origins_of_another_number_than_points_are_reported() -> None:
     stream = io.BytesIO()
     np.savez(stream, points=POINTS, origin=POINTS[:7])
     with pytest.raises(CloudError, match="40 points but 7 rows of origin; one each, or one x y z, is needed"):
@@ -189,14 +191,14 @@ def test_origins_of_another_number_than_points_are_told() -> None:
 
 
 @pytest.mark.parametrize("message", [0, -1, "all"])
-def test_a_topic_without_messages_is_told(tmp_path: Path, message: Any) -> None:
+def test_a_topic_without_messages_is_reported(tmp_path: Path, message: Any) -> None:
     pytest.importorskip("rosbags")
     write_bag(tmp_path / "bag", {"/points": []})
     with pytest.raises(CloudError, match="topic /points: holds no message; at least one is needed"):
         parse_file(tmp_path / "bag", message=message)
 
 
-def test_numbers_too_large_to_be_places_are_told_as_such(tmp_path: Path) -> None:
+def test_numbers_too_large_to_be_places_are_reported_as_such(tmp_path: Path) -> None:
     path = tmp_path / "cloud.xyz"
     path.write_bytes(text([f"{1.6e9 + 0.1 * i:.1f} {row}" for i, row in enumerate(ROWS)]))
     with pytest.raises(CloudError, match=r"40 of 40 points lie beyond 1e\+09; are x, y, z other columns, or its bytes"):

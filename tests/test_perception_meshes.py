@@ -19,7 +19,7 @@ from perception.perceive import unexplained
 from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, make_solid, unite_solids
-from perception.solids.decompose import CoacdSettings, Work, split_solid
+from perception.solids.decompose import CoacdResources, CoacdSettings, split_solid
 from perception.solids.fit import MeshPose, Region, Surface, fit_pose
 from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, locate, match_mesh
 from perception.solids.read import read_mesh
@@ -79,7 +79,7 @@ def test_every_format_gives_the_same_solid(tmp_path: Path, name: str, written: o
     ("name", "content", "problem"),
     [
         ("a.dae", b"<x/>", "a.dae: format '.dae' is not read; expected .stl, .obj, .ply"),
-        ("a.obj", b"rubbish\n", "a.obj: has 0 triangles; a solid with 4 to"),
+        ("a.obj", b"rubbish\n", "a.obj: has 0 triangles; expected a solid with 4 to"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999\n", "a.obj: is no readable OBJ file ("),
         ("a.stl", b"", "a.stl: "),
         ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f" + b"\x00" * 50, "a.stl: "),
@@ -105,7 +105,7 @@ def test_no_bytes_do_worse_than_a_mesh_error(tmp_path_factory: pytest.TempPathFa
         read_mesh(path)
 
 
-def test_millimetres_are_told(tmp_path: Path) -> None:
+def test_millimetres_are_reported(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_bytes(_obj(Mesh(1000.0 * RING.vertices, RING.triangles)))
     with pytest.raises(MeshError, match=r"spans 360 m; is it in millimetres\? with scale 0.001 it would be 0.36 m"):
         read_mesh(tmp_path / "a.obj")
@@ -132,7 +132,7 @@ def test_a_corner_that_is_not_there_is_refused() -> None:
 
 
 @pytest.mark.parametrize("turned", [slice(None), slice(None, None, 3)], ids=["all", "a third"])
-def test_triangles_wound_inside_out_are_turned_and_told(turned: slice) -> None:
+def test_triangles_wound_inside_out_are_turned_and_noted(turned: slice) -> None:
     right = make_solid(RING).closed[0]
     triangles = right.triangles.copy()
     triangles[turned] = triangles[turned, ::-1]
@@ -142,7 +142,7 @@ def test_triangles_wound_inside_out_are_turned_and_told(turned: slice) -> None:
     assert solid.notes == (f"ring: turned {n} of {len(triangles)} triangles that were wound inside out",)
 
 
-def test_a_small_hole_is_filled_and_told() -> None:
+def test_a_small_hole_is_filled_and_noted() -> None:
     right = make_solid(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 32, 12)).closed[0]
     solid = make_solid(Mesh(right.vertices, right.triangles[1:]), "ring")
     assert is_closed(solid.closed[0])
@@ -154,7 +154,9 @@ def test_a_box_without_a_lid_is_a_shell_that_can_be_reached_into(tmp_path: Path)
     lid = (np.abs(whole.vertices[whole.triangles][:, :, 2] - 0.2) < 1e-9).all(axis=1)
     solid = make_solid(Mesh(whole.vertices, whole.triangles[~lid]), "bin")
     assert "1 of 1 parts are not closed (4 open edges)" in solid.notes[-1]
-    parts = split_solid(solid, CoacdSettings(0.04, iterations=10, nodes=3, depth=1), Work(PartsCache(tmp_path)))
+    parts = split_solid(
+        solid, CoacdSettings(0.04, iterations=10, nodes=3, depth=1), CoacdResources(PartsCache(tmp_path))
+    )
     hulls = [ConvexHull(part).equations for part in parts]
     inside = np.array([[0.2, 0.15, 0.1], [0.2, 0.15, 0.19], [0.05, 0.05, 0.1]])
     assert min((inside @ h[:, :3].T + h[:, 3]).max(axis=1).min() for h in hulls) > 0.0
@@ -170,7 +172,7 @@ def test_boxes_that_share_an_edge_are_two_solids() -> None:
 
 
 def test_parts_contain_the_surface_and_leave_the_hole(tmp_path: Path) -> None:
-    parts = split_solid(make_solid(RING), work=Work(PartsCache(tmp_path)))
+    parts = split_solid(make_solid(RING), resources=CoacdResources(PartsCache(tmp_path)))
     assert max(len(part) for part in parts) <= 64
     hulls = [ConvexHull(part).equations for part in parts]
     surface = np.concatenate([RING.vertices, RING.vertices[RING.triangles].mean(axis=1)])
@@ -234,7 +236,7 @@ def test_another_object_gets_a_low_confidence(
     assert match_mesh(other, view, hint=middle).confidence < CONFIDENT
 
 
-def test_a_tool_on_a_table_is_found_without_being_told_where(
+def test_a_tool_on_a_table_is_found_without_a_hint(
     tool_on_a_table: tuple[View, np.ndarray, np.ndarray],
 ) -> None:
     view, rotation, middle = tool_on_a_table

@@ -214,7 +214,7 @@ def test_a_binary_ply_may_have_a_header_with_carriage_returns_alone() -> None:
 
 
 @pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
-def test_a_mesh_that_is_read_as_a_cloud_is_told(form: str) -> None:
+def test_a_mesh_that_is_read_as_a_cloud_is_reported(form: str) -> None:
     header = PLY.format(form=form, n=1, kind="float z").replace(
         "end_header", "element face 12\nproperty list uchar int vertex_indices\nend_header"
     )
@@ -330,7 +330,7 @@ def test_columns_are_those_that_the_header_names_or_the_table_is_refused(
 
 
 @pytest.mark.parametrize("header", ["X [mm],Y [mm],Z [mm]", "x_mm,y_mm,z_mm", "x (millimetres);y (millimetres);z (MM)"])
-def test_a_unit_in_the_header_is_told_when_another_is_taken(header: str, tmp_path: Path) -> None:
+def test_a_unit_in_the_header_is_noted_when_another_is_taken(header: str, tmp_path: Path) -> None:
     path = tmp_path / "cloud.csv"
     path.write_text(f"{header}\n1000{';' if ';' in header else ','}2000{';' if ';' in header else ','}3000\n")
     (note,) = [note for note in read_cloud(path).notes if "header" in note]
@@ -340,7 +340,7 @@ def test_a_unit_in_the_header_is_told_when_another_is_taken(header: str, tmp_pat
     assert not any("header" in note for note in cloud.notes)
 
 
-def test_decimal_commas_are_told() -> None:
+def test_decimal_commas_are_reported() -> None:
     assert read_text(b"1,5\t2\t3,25\n", "cloud.csv").notes == ("commas are read as decimal points",)
 
 
@@ -368,7 +368,7 @@ def test_a_table_may_begin_with_a_byte_order_mark(encoding: str) -> None:
         ("5\n6\n", "line 2 has 1 columns; at least 3"),
         ("1,2,\ufffd\x07\ufffd\ufffd\n", "line 1: '.' is not a number"),
         ("# viewpoint a b\n1 2 3\n", "viewpoint 'a b'"),
-        ("x y z\n1 0.1 0.2 0.3\n", "line 2 has 4 columns, the header names 3; one name for each"),
+        ("x y z\n1 0.1 0.2 0.3\n", "line 2 has 4 columns, the header names 3; give one name for each"),
         ('x,y,z\n"1,017.5","2.5","3.5"\n', "line 2 has 4 columns, the header names 3"),
         ("GPS time X Y Z I\n0 1 2 3 4\n", "line 2 has 5 columns, the header names 6"),
     ],
@@ -611,7 +611,7 @@ def test_unit_and_frame_oddities_earn_a_note() -> None:
     assert "viewpoint" not in make_cloud(low, np.zeros(3)).notes[0]
 
 
-def test_the_viewpoint_is_ray_origin_and_moves_points_only_when_asked(tmp_path: Path) -> None:
+def test_the_viewpoint_is_ray_origin_and_moves_points_only_on_request(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     sensor = np.column_stack([rng.uniform(0.3, 2, 4000), rng.uniform(-1, 1, 4000), np.full(4000, -1.6)])
     half = np.sqrt(0.5)

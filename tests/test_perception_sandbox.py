@@ -18,6 +18,7 @@ from sandboxed import (
     count_limits,
     crash,
     fill,
+    print_and_return,
     return_values,
     sleep_beside_a_child,
     work_without_end,
@@ -40,6 +41,26 @@ try:
     print(run_in_sandbox({function}, {values}, ProcessLimits(2**32, 30.0, {max_cpu_s})))
 except SandboxError as error:
     print(error.cause.name, "|", error.limit, "|", error.ending)
+"""
+
+# In the place of a library that a process in the sandbox imports.
+SLEEPING_LIBRARY = (
+    "import os, pathlib, time; pathlib.Path(__file__).with_name('pid').write_text(str(os.getpid())); time.sleep(60)"
+)
+PARSE_A_SCAN = """
+import sys
+from pathlib import Path
+from perception.files.read import parse_in_sandbox
+sys.path.insert(0, sys.argv[1])
+parse_in_sandbox(Path(sys.argv[1]) / "scan.las")
+"""
+SPLIT_A_MESH = """
+import sys
+import numpy as np
+from perception.mesh import Mesh
+from perception.solids.process import run_coacd
+sys.path.insert(0, sys.argv[1])
+run_coacd([Mesh(np.eye(3), np.array([[0, 1, 2]]))], {})
 """
 
 
@@ -80,6 +101,10 @@ def test_a_fresh_process_imports_the_function_alone() -> None:
     assert not is_running(result["pid"])
 
 
+def test_what_a_library_prints_is_no_part_of_the_result() -> None:
+    assert run_in_sandbox(print_and_return, {"text": "{}\nMemoryError"}, LIMITS) == {"text": "{}\nMemoryError"}
+
+
 def test_large_results_come_back_whole() -> None:
     numbers = run_in_sandbox(fill, {"n": 10_000_000}, LIMITS)["numbers"]
     np.testing.assert_array_equal(numbers, np.arange(10_000_000.0))
@@ -97,20 +122,20 @@ def test_limits_hold_in_the_process() -> None:
 
 
 @pytest.mark.parametrize("n_bytes", [2**31, 2**40])
-def test_too_much_memory_is_told_with_the_limit(n_bytes: int) -> None:
+def test_too_much_memory_is_reported_with_the_limit(n_bytes: int) -> None:
     with pytest.raises(SandboxError) as caught:
         run_in_sandbox(allocate, {"n_bytes": n_bytes}, LIMITS)
     assert (caught.value.cause, caught.value.limit) == (Cause.MEMORY, "1024 MB")
 
 
-def test_too_little_memory_to_begin_is_told_as_such() -> None:
+def test_too_little_memory_to_begin_is_reported_as_such() -> None:
     for megabytes in (1, 20):
         with pytest.raises(SandboxError) as caught:
             run_in_sandbox(return_values, {"a": np.zeros(3)}, replace(LIMITS, max_bytes=megabytes * 2**20))
         assert (caught.value.cause, caught.value.limit) == (Cause.MEMORY, f"{megabytes} MB")
 
 
-def test_too_much_processor_time_is_told_with_the_limit() -> None:
+def test_too_much_processor_time_is_reported_with_the_limit() -> None:
     with pytest.raises(SandboxError) as caught:
         run_in_sandbox(work_without_end, {}, replace(LIMITS, max_cpu_s=1))
     assert (caught.value.cause, caught.value.limit, caught.value.ending) == (Cause.CPU_TIME, "1 s", "SIGXCPU")
@@ -142,12 +167,15 @@ def test_a_process_ends_as_soon_as_the_caller_is_to_stop(tmp_path: Path) -> None
         ("error", "exit 1"),
         ("no JSON\n", "an unreadable result"),
         ("{}\n", "an unreadable result"),
+        ("[]\n", "an unreadable result"),
+        ('{"values": {}, "arrays": []}\n', "an unreadable result"),
+        ("[" * 100_000, "an unreadable result"),
         ('{"values": {}, "arrays": {"a": ["|O", [1]]}}\n', "an unreadable result"),
         ('{"values": {}, "arrays": {"a": ["<f8", [1000000000000]]}}\n', "an unreadable result"),
         ('{"values": {}, "arrays": {"a": ["<f8", [-1]]}}\n', "an unreadable result"),
     ],
 )
-def test_a_crash_is_told_by_how_the_process_ended(how: str, ending: str) -> None:
+def test_a_crash_is_reported_by_how_the_process_ended(how: str, ending: str) -> None:
     with pytest.raises(SandboxError) as caught:
         run_in_sandbox(crash, {"how": how}, LIMITS)
     assert (caught.value.cause, caught.value.ending) == (Cause.CRASH, ending)
@@ -155,8 +183,8 @@ def test_a_crash_is_told_by_how_the_process_ended(how: str, ending: str) -> None
 
 def test_a_lower_inherited_limit_of_memory_holds_and_is_named() -> None:
     shown = run_under("RLIMIT_AS", 2**29, "allocate", {"n_bytes": 2**30})
-    told = "512 MB (the hard limit RLIMIT_AS that scopt was started with; its own is 4096 MB)"
-    assert shown == f"MEMORY | {told} | exit 1"
+    limit = "512 MB (the hard limit RLIMIT_AS that scopt was started with; its own is 4096 MB)"
+    assert shown == f"MEMORY | {limit} | exit 1"
     assert run_under("RLIMIT_AS", 2**29, "allocate", {"n_bytes": 2**20}) == "{'n_bytes': 1048576}"
 
 
@@ -169,3 +197,14 @@ def test_a_lower_inherited_limit_of_processor_time_holds_and_is_named(max_cpu_s:
 def test_a_higher_inherited_limit_changes_nothing() -> None:
     shown = run_under("RLIMIT_AS", 2**33, "count_limits", {})
     assert shown == f"{{'limits': [{2**32}, 20, 0]}}"
+
+
+@pytest.mark.parametrize(("code", "library"), [(PARSE_A_SCAN, "laspy"), (SPLIT_A_MESH, "coacd")])
+def test_a_process_ends_with_the_one_that_started_it(tmp_path: Path, code: str, library: str) -> None:
+    (tmp_path / f"{library}.py").write_text(SLEEPING_LIBRARY)
+    (tmp_path / "scan.las").write_bytes(b"LASF" + bytes(400))
+    pid = tmp_path / "pid"
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) as parent:
+        assert until(lambda: pid.exists() and pid.read_text(), timeout_s=30.0)
+        parent.kill()
+        assert until(lambda: not is_running(int(pid.read_text())))

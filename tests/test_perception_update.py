@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from half_spaces import half_spaces
 
 from costs.scene import ConvexPiece
 from perception import Cloud, Evidence, Perceived, Piece, Reach, perceive
-from perception.clean import half_spaces
 from perception.convex.freespace import Crossing
 from perception.convex.hulls import make_hull
 from perception.convex.updated import update_pieces
@@ -122,7 +122,7 @@ def test_what_is_as_thin_as_the_noise_of_points_is_new(before: Perceived, thickn
 def test_a_plate_that_rays_go_through_is_gone_wherever_it_lies_between_cells(height: float, thickness: float) -> None:
     corners = np.array(list(np.ndindex(2, 2, 2))) * (0.4, 0.4, thickness) + (0.8, -0.2, height)
     shape = ConvexPiece("clutter/0", corners, "clutter")
-    plate = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), make_hull(corners, np.arange(0)).simplified)
+    plate = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), make_hull(corners).simplified)
     ends = np.stack(np.meshgrid(np.arange(0.6, 1.6, 0.02), np.arange(-0.5, 0.5, 0.02), [0.0]), axis=-1).reshape(-1, 3)
     through = np.array([0.0, 0.0, 1.6]), ends
     assert not update_pieces([plate], np.zeros((0, 3)), np.zeros((0, 3)), through).pieces
@@ -132,7 +132,7 @@ def test_a_plate_that_rays_go_through_is_gone_wherever_it_lies_between_cells(hei
 def test_a_piece_goes_when_only_mixed_pixels_hide_that_rays_went_through_it() -> None:
     corners = np.array(list(np.ndindex(2, 2, 2))) * 0.3 + (0.8, -0.15, 0.5)
     shape = ConvexPiece("clutter/0", corners, "clutter")
-    body = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), make_hull(corners, np.arange(0)).simplified)
+    body = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), make_hull(corners).simplified)
     ends = np.stack(np.meshgrid(np.arange(1.0, 2.4, 0.02), np.arange(-0.5, 0.5, 0.02), [0.0]), axis=-1).reshape(-1, 3)
     start, inner = np.array([0.0, 0.0, 1.6]), np.stack(np.meshgrid(*[np.arange(0.01, 0.3, 0.02)] * 3), axis=-1)
     pixels = inner.reshape(-1, 3) + corners[0]
@@ -354,7 +354,7 @@ def test_what_is_flat_and_low_may_be_a_level_unless_the_floor_is_seen_under_it()
 
 def test_what_an_earlier_piece_stands_for_is_no_new_level() -> None:
     floor = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.005, 4.0)
-    low = make_hull(np.array(list(np.ndindex(2, 2, 2))) * (0.8, 0.8, 0.3) + (1.0, 0.0, 0.0), np.arange(0))
+    low = make_hull(np.array(list(np.ndindex(2, 2, 2))) * (0.8, 0.8, 0.3) + (1.0, 0.0, 0.0))
     assert may_be_level(flat(0.3, 0.03), [floor], np.zeros((0, 3)))
     assert not may_be_level(flat(0.3, 0.03), [floor], np.zeros((0, 3)), [low])
 

@@ -88,7 +88,7 @@ def test_a_hollow_solid_is_split_into_parts_that_contain_its_surface(tmp_path: P
     ("name", "content", "problem"),
     [
         ("a.dae", b"<x/>", "file: a.dae: format '.dae' is not read; expected .stl, .obj, .ply, .urdf"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "file: a.obj: has 1 triangles; a solid with 4 to"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "file: a.obj: has 1 triangles; expected a solid with 4 to"),
         ("a.obj", b"rubbish\n", "file: a.obj: has 0 triangles"),
         ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f" + b"\x00" * 50, "file: a.stl: "),
         (

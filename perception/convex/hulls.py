@@ -14,6 +14,7 @@ from perception.clean import row_keys
 MAX_VERTICES = 64
 SKIN = 0.005
 _FACES = 8
+_NOTHING = np.arange(0)
 # Corners of an octahedron: the smallest symmetric body that gives flat points a volume.
 _OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
 
@@ -66,7 +67,7 @@ class Hull:
         return inside
 
 
-def make_hull(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"]) -> Hull:
+def make_hull(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"] = _NOTHING) -> Hull:
     """Make the hull of the points; flat ones are given a skin of 5 mm."""
     poll()
     try:
@@ -84,17 +85,17 @@ def thicken(points: Float[np.ndarray, "N 3"], skin: float) -> Float[np.ndarray, 
     return np.asarray((points[:, None, :] + skin * _OCTAHEDRON).reshape(-1, 3))
 
 
-def limit_vertices(vertices: Float[np.ndarray, "V 3"], most: int = MAX_VERTICES) -> Float[np.ndarray, "W 3"]:
-    """Return the vertices of a hull of at most ``most`` that contains the given hull.
+def limit_vertices(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
+    """Return at most 64 vertices of a hull that contains the given one.
 
     The extreme vertices in evenly spread directions are kept and scaled about their centre until they hold the rest.
     """
     poll()
     vertices = vertices[ConvexHull(vertices).vertices]
-    if len(vertices) <= most:
+    if len(vertices) <= MAX_VERTICES:
         return vertices
-    k = np.arange(most)
-    z = 1.0 - 2.0 * (k + 0.5) / most
+    k = np.arange(MAX_VERTICES)
+    z = 1.0 - 2.0 * (k + 0.5) / MAX_VERTICES
     angle = np.pi * (3.0 - np.sqrt(5.0)) * k
     spread = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
     # Directions are spread over the body's own shape, or a long thin one would get all its vertices at its ends.

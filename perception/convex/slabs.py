@@ -337,4 +337,4 @@ def attach_hulls(
 
 
 def _count_free_cells(slab: Slab, free: FreeSpace) -> int:
-    return free.count_inside(make_hull(slab.vertices, np.zeros(0, dtype=np.int64)).simplified)
+    return free.count_inside(make_hull(slab.vertices).simplified)

@@ -47,15 +47,13 @@ _DEFAULT = Allowance()
 _REFINED = Allowance(share=0.03, skin=SKIN)
 
 
-def find_clusters(
-    points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], floor_of_link: float = 0.05
-) -> list[Int[np.ndarray, "K"]]:
+def find_clusters(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"]) -> list[Int[np.ndarray, "K"]]:
     """Return indices of connected points, linked over max(5 cm, 4.5 % of range)."""
     if len(points) == 1:
         return [np.array([0])]
     k = min(_NEIGHBOURS, len(points))
     distance, neighbour = nearest(cKDTree(points), points, np.arange(1, k + 1))
-    link = np.maximum(floor_of_link, 0.045 * np.linalg.norm(points - starts, axis=1))
+    link = np.maximum(0.05, 0.045 * np.linalg.norm(points - starts, axis=1))
     row, column = np.nonzero(distance <= link[:, None])
     links = np.ones(len(row), dtype=bool), (row, neighbour[row, column])
     graph = sparse.csr_matrix(links, shape=(len(points), len(points)))

@@ -102,7 +102,7 @@ def _make_bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Flo
             break
         first, last = _grow_box(hidden, at - depth[tuple(at)] + 1, at + depth[tuple(at)] - 1)
         box = seen.lower + seen.size * np.where(_CORNERS == 0, first, last + 1)
-        body = _inflate(make_hull(box, np.zeros(0, dtype=np.int64)), walls, seen)
+        body = _inflate(make_hull(box), walls, seen)
         block, inside = _find_cells(body, seen)
         if (left[block] & inside).sum() * seen.size**3 >= _LEAST_GAIN:
             bodies.append(body.vertices)

@@ -146,13 +146,13 @@ def _parse_message(cloud: Any, where: str) -> Scan:
     row = max(row, width * stride)
     if (height - 1) * row + width * stride > there:
         raise CloudError(f"{where}: {n_points} points of {stride} bytes are announced, {there} bytes are there")
-    found = index_columns([str(field.name) for field in cloud.fields])
-    if missing := find_missing_axis(found):
+    indices = index_columns([str(field.name) for field in cloud.fields])
+    if missing := find_missing_axis(indices):
         raise CloudError(f"{where}: its fields have no '{missing}'; x, y and z are needed")
     order = ">" if cloud.is_bigendian else "<"
     data = np.ascontiguousarray(cloud.data)
     columns: dict[str, Shaped[np.ndarray, "N"]] = {}
-    for key, i in found.items():
+    for key, i in indices.items():
         field = cloud.fields[i]
         if int(field.datatype) not in _KINDS:
             raise CloudError(f"{where}: field '{key}' has datatype {field.datatype}; 1 to 8 are possible")

@@ -240,11 +240,11 @@ def _split_columns(
     """
     if array.dtype.names is None:
         return _take_coordinates(array, key, name), {}
-    found = index_columns(array.dtype.names)
-    if missing := find_missing_axis(found):
+    indices = index_columns(array.dtype.names)
+    if missing := find_missing_axis(indices):
         held = quote(", ".join(array.dtype.names))
         raise CloudError(f"{name}: {_name_array(key)} has columns {held}, and no '{missing}'; x, y and z are needed")
-    columns = {column: array[array.dtype.names[at]] for column, at in found.items()}
+    columns = {column: array[array.dtype.names[at]] for column, at in indices.items()}
     more: dict[str, Shaped[np.ndarray, "..."]] = {}
     if NO_RETURN in columns:
         more[NO_RETURN] = columns[NO_RETURN]

@@ -73,12 +73,12 @@ def read_pcd(data: Content, name: str) -> Scan:
     data = use_line_feeds(data, b"DATA ascii")
     header = _parse_header(data, name)
     names = [field for field, _, _ in header.fields]
-    found = index_columns(names)
-    if missing := find_missing_axis(found):
+    indices = index_columns(names)
+    if missing := find_missing_axis(indices):
         raise CloudError(f"{name}: FIELDS '{quote(' '.join(names))}' has no '{missing}'; x, y and z are needed")
     read = {"ascii": _read_ascii, "binary": _read_binary, "binary_compressed": _read_packed}[header.encoding]
-    columns, notes = read(data, header, list(found.values()), name)
-    return make_scan(dict(zip(found, columns, strict=True)), header.viewpoint, notes)
+    columns, notes = read(data, header, list(indices.values()), name)
+    return make_scan(dict(zip(indices, columns, strict=True)), header.viewpoint, notes)
 
 
 def write_pcd(

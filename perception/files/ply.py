@@ -64,20 +64,20 @@ def read_ply(data: Content, name: str) -> Scan:
     order = _parse_byte_order(lines, name)
     elements = _parse_elements(lines, name)
     before, vertex = _split_at_vertex(elements, name)
-    found = index_columns([field for field, _ in vertex.properties])
-    if missing := find_missing_axis(found):
+    indices = index_columns([field for field, _ in vertex.properties])
+    if missing := find_missing_axis(indices):
         raise CloudError(f"{name}: element vertex has no property '{missing}'; x, y and z are needed")
     viewpoint = _find_viewpoint(lines, name)
     if order is None:
-        rows = _read_ascii(data, start, sum(e.count for e in before), vertex, found, name)
+        rows = _read_ascii(data, start, sum(e.count for e in before), vertex, indices, name)
         notes = (*_note_mesh(elements), *rows.notes)
-        return make_scan({key: rows.values[:, i] for i, key in enumerate(found)}, viewpoint, notes)
+        return make_scan({key: rows.values[:, i] for i, key in enumerate(indices)}, viewpoint, notes)
     for element in before:
         start += _read_table(data, start, element, order, name).nbytes
     table = _read_table(data, start, vertex, order, name)
     step = choose_step(vertex.count)
     taken_rows = pick_rows(vertex.count, step)
-    columns = {key: table[str(i)][taken_rows] for key, i in found.items()}
+    columns = {key: table[str(i)][taken_rows] for key, i in indices.items()}
     return make_scan(columns, viewpoint, (*_note_mesh(elements), *note_thinning(vertex.count, step)))
 
 
@@ -205,7 +205,7 @@ def _find_viewpoint(lines: list[list[str]], name: str) -> tuple[float, ...] | No
 
 
 def _read_ascii(
-    data: Content, start: int, n_before: int, vertex: _Element, found: Mapping[str, int], name: str
+    data: Content, start: int, n_before: int, vertex: _Element, indices: Mapping[str, int], name: str
 ) -> Rows:
     first_line = data[:start].count(b"\n") + 1
     for _ in range(n_before):
@@ -216,7 +216,7 @@ def _read_ascii(
     offsets = _find_offsets(data, start, vertex)
     rows = read_rows(
         data,
-        [offsets[i] for i in found.values()],
+        [offsets[i] for i in indices.values()],
         name,
         start=start,
         width=offsets[-1],

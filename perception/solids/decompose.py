@@ -60,7 +60,7 @@ class CoacdSettings:
 
 
 @dataclass(frozen=True)
-class Work:
+class CoacdResources:
     """Cache of results, and limits of the process.
 
     Attributes:
@@ -73,14 +73,14 @@ class Work:
 
 
 def split_solid(
-    solid: Solid, settings: CoacdSettings | None = None, work: Work | None = None, name: str = "mesh"
+    solid: Solid, settings: CoacdSettings | None = None, resources: CoacdResources | None = None, name: str = "mesh"
 ) -> Parts:
     """Return vertices of convex parts, at most 64 each, that together contain the solid's surface to a millimetre [m].
 
     Args:
         solid: closed parts are split as they are, open ones as shells.
         settings: of CoACD.
-        work: cache and limits.
+        resources: cache and limits.
         name: of the mesh in errors.
 
     Raises:
@@ -89,7 +89,7 @@ def split_solid(
     """
     stray = (settings or CoacdSettings()).threshold_m / 10.0
     whole = [simplify_mesh(mesh, ENOUGH_TRIANGLES, stray) for mesh in solid.closed]
-    split = decompose([*whole, *(wrap_mesh(mesh) for mesh in solid.open)], settings, work, name)
+    split = decompose([*whole, *(wrap_mesh(mesh) for mesh in solid.open)], settings, resources, name)
     meshes = (*solid.closed, *solid.open)
     parts = [part for parts, mesh in zip(split, meshes, strict=True) for part in _grow_to_contain(parts, mesh)]
     if not parts:
@@ -103,25 +103,30 @@ def make_hull_part(solid: Solid) -> Float[np.ndarray, "V 3"]:
 
 
 def decompose(
-    meshes: Sequence[Mesh], settings: CoacdSettings | None = None, work: Work | None = None, name: str = "mesh"
+    meshes: Sequence[Mesh],
+    settings: CoacdSettings | None = None,
+    resources: CoacdResources | None = None,
+    name: str = "mesh",
 ) -> list[Parts]:
     """Return convex parts of each closed mesh; one process splits those that are not in the cache.
 
     Raises:
         MeshError, Stopped: as ``split_solid``.
     """
-    settings, work = settings or CoacdSettings(), work or Work()
+    settings, resources = settings or CoacdSettings(), resources or CoacdResources()
     answers: list[Parts | None] = [_take_if_convex(mesh) for mesh in meshes]
     keys = [hash_mesh(mesh, settings) if answer is None else "" for mesh, answer in zip(meshes, answers, strict=True)]
-    if work.cache is not None:
-        answers = [work.cache.get(key) if answer is None else answer for key, answer in zip(keys, answers, strict=True)]
+    if resources.cache is not None:
+        answers = [
+            resources.cache.get(key) if answer is None else answer for key, answer in zip(keys, answers, strict=True)
+        ]
     missing = [i for i, answer in enumerate(answers) if answer is None]
     if missing:
-        fresh = run_coacd([meshes[i] for i in missing], settings.options(), work.limits, name)
+        fresh = run_coacd([meshes[i] for i in missing], settings.options(), resources.limits, name)
         for i, parts in zip(missing, fresh, strict=True):
             answers[i] = parts = _drop_slivers(parts)
-            if work.cache is not None and parts:
-                work.cache.put(keys[i], parts)
+            if resources.cache is not None and parts:
+                resources.cache.put(keys[i], parts)
     return [parts for parts in answers if parts is not None]
 
 

@@ -21,7 +21,7 @@ from perception.convex.split import is_free_of
 from perception.mesh import Mesh
 from perception.neighbours import nearest
 from perception.solids.cache import Parts
-from perception.solids.decompose import CoacdSettings, Work, decompose
+from perception.solids.decompose import CoacdResources, CoacdSettings, decompose
 from perception.solids.voxels import wrap_cells
 
 _VOXEL = 0.015
@@ -43,7 +43,7 @@ def make_coacd_pieces(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-    work: Work | None = None,
+    resources: CoacdResources | None = None,
 ) -> Pieces:
     """Make convex pieces ``coacd/0`` ... of obstacle points, as ``perception.convex.make_pieces`` gives them.
 
@@ -54,7 +54,7 @@ def make_coacd_pieces(
         points: (N, 3) obstacle points, cleaned [m].
         starts: (3,) or (N, 3), where their rays started [m].
         rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan [m].
-        work: cache, and limits of the CoACD process.
+        resources: cache, and limits of the CoACD process.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
@@ -65,7 +65,7 @@ def make_coacd_pieces(
     clock = Clock()
     grid, free = _make_cells(points, starts, rays)
     clock.lap("voxels")
-    parts = _split_grid(grid, free, work or Work())
+    parts = _split_grid(grid, free, resources or CoacdResources())
     clock.lap("coacd")
     pieces = _name_parts(parts, points, free)
     clock.lap("evidence")
@@ -90,7 +90,7 @@ class _Cells:
 
     def crop(self, part: Float[np.ndarray, "V 3"]) -> _Cells:
         """Return only the cells whose middle lies in a convex part."""
-        hull = make_hull(part, np.arange(0))
+        hull = make_hull(part)
         first = np.maximum(np.floor((hull.lower - self.lower) / self.size).astype(int), 0)
         last = np.floor((hull.upper - self.lower) / self.size).astype(int) + 1
         block = self.occupied[tuple(slice(a, b) for a, b in zip(first, last, strict=True))].copy()
@@ -140,18 +140,18 @@ def _bridge_gaps(
     return np.asarray((points[row] + steps * (ends - points[row])).reshape(-1, 3))
 
 
-def _split_grid(grid: _Cells, free: FreeSpace, work: Work) -> Parts:
+def _split_grid(grid: _Cells, free: FreeSpace, resources: CoacdResources) -> Parts:
     """Split all groups of cells; parts that hold free space are split again at half the threshold."""
     done: list[Float[np.ndarray, "V 3"]] = []
     coacd, todo = _COACD, grid.wrap()
     for again in range(_PASSES + 1):
-        hulls = [make_hull(mesh.vertices, np.arange(0)) for mesh in todo]
+        hulls = [make_hull(mesh.vertices) for mesh in todo]
         whole = [is_free_of(hull, free) for hull in hulls]
         done += [hull.vertices for hull, fits in zip(hulls, whole, strict=True) if fits]
         rest = [mesh for mesh, fits in zip(todo, whole, strict=True) if not fits]
         todo = []
-        for part in (part for parts in decompose(rest, coacd, work, "cloud") for part in parts):
-            if again == _PASSES or measure_evidence(make_hull(part, np.arange(0)), free).free_share < _MOST_FREE:
+        for part in (part for parts in decompose(rest, coacd, resources, "cloud") for part in parts):
+            if again == _PASSES or measure_evidence(make_hull(part), free).free_share < _MOST_FREE:
                 done.append(part)
             else:
                 todo += grid.crop(part).wrap()
@@ -165,7 +165,7 @@ def _name_parts(parts: Parts, points: Float[np.ndarray, "N 3"], free: FreeSpace)
     pieces = []
     for i, part in enumerate(parts):
         vertices = limit_vertices(part)
-        hull = make_hull(vertices, np.arange(0))
+        hull = make_hull(vertices)
         near = left & ((points >= hull.lower - _WITHIN) & (points <= hull.upper + _WITHIN)).all(axis=1)
         mine: Int[np.ndarray, "K"] = np.flatnonzero(near)
         mine = mine[hull.is_within(points[mine], _WITHIN)]

@@ -114,5 +114,5 @@ def _to_piece(shape: ConvexPiece, seen: EvidenceRecord) -> Piece:
         raise ValueError(f"pieces: {shown(shape.name)} is no name of a piece made of points")
     evidence = Evidence(seen.free_cells, seen.free_share, seen.open_share)
     plane: Float[np.ndarray, "4"] | None = None if seen.plane is None else np.array(seen.plane)
-    hull = make_hull(shape.vertices, np.arange(0))
+    hull = make_hull(shape.vertices)
     return Piece(shape, np.arange(0), evidence, hull.simplified, plane)

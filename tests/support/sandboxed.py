@@ -14,6 +14,15 @@ from typing import Any
 
 import numpy as np
 
+_RESULT = 3  # the first free number, which the process keeps its result under
+
+
+def print_and_return(text: str) -> dict[str, Any]:
+    """The text, which is printed as libraries print."""
+    os.write(1, text.encode())
+    print(text)
+    return {"text": text}
+
 
 def return_values(**values: Any) -> dict[str, Any]:
     """The arguments, and what this process is."""
@@ -62,5 +71,5 @@ def crash(how: str) -> dict[str, Any]:
         os._exit(3)
     if how == "error":
         raise RuntimeError("a bug")
-    os.write(1, how.encode())
+    os.write(_RESULT, how.encode())
     os._exit(0)
