@@ -7,7 +7,8 @@ from typing import Any
 
 from rich.console import Console
 
-from service.cli.report import print_figures, print_findings, print_verdict
+from service.cli.report import SMALL_LINK_M, print_figures, print_findings, print_verdict
+from service.verify import certificate
 
 
 def _check(name: str, ok: bool, value: float | None, limit: float, unit: str = "m") -> dict[str, Any]:
@@ -70,3 +71,7 @@ def test_figures_say_when_nothing_is_proven() -> None:
         "balance margin   none proven",
         "NOT_FOUND  clearance none proven, planned in 1.25 s",
     ]
+
+
+def test_the_verdict_counts_those_links_as_small_that_the_certificate_leaves_unchecked() -> None:
+    assert certificate.SMALL_LINK_M == SMALL_LINK_M

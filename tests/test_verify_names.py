@@ -90,7 +90,7 @@ def test_a_motion_in_which_two_bodies_have_one_name_is_refused(turned):
     hand = next(body for body in bodies if body.name == "l_hand")
     renamed = LinkBody("l_hand", rim.link, rim.joint, rim.vertices, rim.outer)
     for changed, problem in (
-        (tuple(renamed if body is rim else body for body in bodies), "two bodies are called 'l_hand'"),
+        (tuple(renamed if body is rim else body for body in bodies), "two bodies are named 'l_hand'"),
         (
             tuple(renamed if body is rim else body for body in bodies if body is not hand),
             "'l_hand' is a name in the robot and in the mechanism",

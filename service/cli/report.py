@@ -12,7 +12,7 @@ from rich.text import Text
 SEEN_TOUCH_M = 1e-4  # feet that rest on a floor are that near to it
 HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
 NAMED_LINKS = 3  # links without shape that the verdict's line names
-SMALL_LINK_M = 0.05  # a camera or a coupling, which the notes name
+SMALL_LINK_M = 0.05  # the verifier's, without its imports (tests/test_cli_report.py compares them)
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
 _COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
 

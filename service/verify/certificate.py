@@ -17,7 +17,7 @@ FORMAT = "scopt-certificate/1"
 
 
 class Status(Enum):
-    """What a verification can say."""
+    """Outcome of a verification."""
 
     CERTIFIED = "CERTIFIED"
     FEASIBLE_AT_SAMPLES = "FEASIBLE_AT_SAMPLES"
@@ -25,7 +25,7 @@ class Status(Enum):
 
 
 class Basis(Enum):
-    """What a check's answer rests on."""
+    """Basis of a check's answer."""
 
     PROOF = "proof"
     SAMPLES = "samples"
@@ -34,7 +34,7 @@ class Basis(Enum):
 
 @dataclass(frozen=True)
 class Where:
-    """Where a check found its value: path parameter, time [s] (None: untimed), point in the world [m], names."""
+    """Place of a check's value: path parameter, time [s] (None: untimed), point in the world [m], names."""
 
     s: float
     time_s: float | None
@@ -51,7 +51,7 @@ class Check:
         ok: whether it holds as far as is known.
         value, limit: measured or proven value and what it is held against, in ``unit``.
         text: one sentence for people.
-        where: where the value was found, if it has a place.
+        where: place of the value, or None.
         basis: proof, samples, or unproven (samples hold, the proof is missing).
     """
 
@@ -67,7 +67,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Exempt:
-    """A pair that is allowed to touch: how deep it may, was seen to, and provably does not exceed [m]."""
+    """Pair that is allowed to touch: allowed depth, deepest sample, and proven bound of the depth [m]."""
 
     pair: tuple[str, str]
     phase: str
@@ -78,15 +78,15 @@ class Exempt:
 
 @dataclass(frozen=True)
 class Stretches:
-    """Columns of the clearance proof.
+    """Columns of the clearance proof; a row is a stretch, an interval of the curve.
 
-    On the path from ``first`` to ``last`` the hull of the mover's two end poses (in the frame of the holder's joint)
+    From path parameter ``first`` to ``last`` the hull of the mover's two end poses (in the frame of the holder's joint)
     is at least ``distance`` away from the holder, and no point of the mover leaves that hull by more than ``bound``.
 
     Attributes:
         pairs: (mover, holder) names.
-        edges: path parameters of the stretches that the broad phase looks at.
-        floors: per broad stretch, a lower bound of the clearance of all pairs without a row on it [m].
+        edges: path parameters of the intervals of the broad phase.
+        floors: per such interval, a lower bound of the clearance of all pairs without a row on it [m].
         pair, first, last, distance, bound: one entry per row.
     """
 
@@ -102,15 +102,15 @@ class Stretches:
 
 @dataclass(frozen=True)
 class Gaps:
-    """Stretches without a proof.
+    """Intervals without a proof, as columns.
 
-    On the path from ``first`` to ``last`` nobody has shown that the pair keeps clear, or within its allowed depth: the
-    stretch resisted, or a pose of the pair's phase refuted it and the rest of that phase was left.
+    From path parameter ``first`` to ``last`` it is not shown that the pair keeps clear, or within its allowed depth:
+    no bound sufficed, or a pose refuted the pair and the rest of that phase was not examined.
 
     Attributes:
         pairs: (mover, holder) names.
         pair, first, last: one entry per row: index of the pair, path parameters.
-        lower: what is proven of the clearance there all the same [m]; NaN where nothing is.
+        lower: proven lower bound of the clearance there [m]; NaN where there is none.
     """
 
     pairs: tuple[tuple[str, str], ...] = ()
@@ -121,21 +121,21 @@ class Gaps:
 
 
 # A link without a shape may reach this far out of the shapes next to it: a camera, a coupling [m].
-SMALL_M = 0.05
+SMALL_LINK_M = 0.05
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A pair of links with shapes that is not checked.
+    """Pair of links with shapes that is not checked.
 
     Attributes:
         pair: their names, sorted.
         reason: ``same joint``, ``adjacent`` (joint neighbours), ``srdf (what it says)``, ``derived``, ``kept`` (their
             relative pose is held all along), ``around a joint`` (one link apart, and overlapping in nearly all poses of
             the joints between), or ``given``.
-        is_neighbour: whether its links are joint neighbours, or around a joint, so that an overlap tells nothing.
-        deepest_m: how deep one was seen to be in the other; 0 where they were proven to keep apart on the whole curve
-            (``s`` is None), or not proven and seen apart; NaN for joint neighbours and links of one joint.
+        is_neighbour: whether its links are joint neighbours, or around a joint, so that an overlap is no finding.
+        deepest_m: deepest sampled overlap; 0 where they were proven to keep apart on the whole curve (``s`` is None),
+            or every sample was apart without a proof; NaN for joint neighbours and links of one joint.
         s, time_s: where it is deepest, or not proven; None elsewhere.
     """
 
@@ -147,21 +147,21 @@ class LeftOut:
     time_s: float | None = None
 
     @property
-    def is_told_as_neighbour(self) -> bool:
-        """Whether nobody expects such a pair to be checked."""
+    def is_counted_as_neighbour(self) -> bool:
+        """Whether the sentences count it among the neighbours."""
         return self.is_neighbour or self.reason == "same joint"
 
 
 @dataclass(frozen=True)
 class Shapeless:
-    """A link without a collision shape, or with one far smaller than the link.
+    """Link without a collision shape, or with one far smaller than the link.
 
     Attributes:
         link: its name.
         place: ``between`` links with shapes, at an ``end``, or at the ``root``.
-        reach_m: the longest side of what is known of it (the line to its joints, its drawn shapes, its mass as an even
-            box), or how far that reaches out of the shapes of the links next to it at the motion's first pose if that
-            is less; 0 for a mere frame, NaN where its size is unknown.
+        reach_m: size of the link, from the lines to its joints, its drawn shapes and a box of its mass; or how far
+            these reach out of the shapes of adjacent links at the motion's first pose, if that is less; 0 for a
+            frame without extent, NaN where its size is unknown.
     """
 
     link: str
@@ -170,22 +170,22 @@ class Shapeless:
 
     @property
     def is_small(self) -> bool:
-        """Whether what no shape covers is no larger than a camera or a coupling."""
-        return self.reach_m <= SMALL_M
+        """Whether the part that no shape covers is no larger than a camera or a coupling."""
+        return self.reach_m <= SMALL_LINK_M
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """What was checked, and what was not.
+    """Links, pairs and joints that were checked, and those that were not.
 
     Attributes:
         links_with_shape, links_without_shape: names of the robot's links.
-        shapeless: where each link without a shape sits, and how far it reaches out of the shapes next to it.
+        shapeless: links without a shape, with place and reach.
         n_link_pairs: pairs of links checked against each other.
         n_piece_pairs: pairs of a link and a piece of the scene that were checked.
         left_out: pairs of links with shapes that were not checked.
-        joints_without_torque_limit: joints whose torque is held against nothing.
-        not_checked: what was not checked because the request does not ask for it or the robot's file does not allow it.
+        joints_without_torque_limit: joints whose torque is not checked.
+        not_checked: checks that the request waives or that the robot's file lacks data for.
     """
 
     links_with_shape: tuple[str, ...] = ()
@@ -198,13 +198,13 @@ class Coverage:
     not_checked: tuple[str, ...] = ()
 
     def sentences(self) -> Iterator[str]:
-        """What was not checked, for people."""
+        """Yield sentences about what was not checked."""
         if self.not_checked:
             yield f"not checked: {', '.join(self.not_checked)}"
         if self.left_out:
-            kinds = Counter("neighbours" if one.is_told_as_neighbour else one.reason for one in self.left_out)
-            told = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
-            yield f"{len(self.left_out)} pairs of links are not checked against each other: {told}"
+            kinds = Counter("neighbours" if pair.is_counted_as_neighbour else pair.reason for pair in self.left_out)
+            counts = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
+            yield f"{len(self.left_out)} pairs of links are not checked against each other: {counts}"
         if self.links_without_shape:
             yield f"{len(self.links_without_shape)} links have no shape: {', '.join(self.links_without_shape)}"
 
@@ -214,19 +214,19 @@ class Coverage:
         return Coverage(
             tuple(data["links_with_shape"]),
             tuple(data["links_without_shape"]),
-            tuple(Shapeless(one["link"], one["place"], _number(one["reach_m"])) for one in data["shapeless"]),
+            tuple(Shapeless(item["link"], item["place"], _number(item["reach_m"])) for item in data["shapeless"]),
             data["n_link_pairs"],
             data["n_piece_pairs"],
             tuple(
                 LeftOut(
-                    (one["pair"][0], one["pair"][1]),
-                    one["reason"],
-                    one["is_neighbour"],
-                    _number(one["deepest_m"]),
-                    one["s"],
-                    one["time_s"],
+                    (item["pair"][0], item["pair"][1]),
+                    item["reason"],
+                    item["is_neighbour"],
+                    _number(item["deepest_m"]),
+                    item["s"],
+                    item["time_s"],
                 )
-                for one in data["left_out"]
+                for item in data["left_out"]
             ),
             tuple(data["joints_without_torque_limit"]),
             tuple(data["not_checked"]),
@@ -235,12 +235,12 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Certificate:
-    """The outcome of a verification, as data.
+    """Outcome of a verification, as data.
 
     Attributes:
-        status: certified only if every check holds and every check that can be proven is.
+        status: CERTIFIED only if every check holds and none is unproven.
         checks: all claims.
-        min_clearance_m: proven lower bound for pairs that may not touch, up to the horizon examined; NaN if none.
+        min_clearance_m: proven lower bound for pairs that may not touch, up to the horizon; NaN without pairs.
         min_clearance_pair: the pair that has it, or None when all are beyond the horizon.
         min_balance_margin_m: proven lower bound of the centre of mass's distance inside its polygon; NaN if unchecked.
         exempt: pairs allowed to touch that came near enough to matter.
@@ -248,8 +248,8 @@ class Certificate:
         scene_sha256, bodies_sha256, robot_sha256: of the pieces, the bodies with the ignored pairs, and the URDF text.
         promises_sha256: of what the phases promise: borders, allowances, planted links, support polygons, targets.
         notes: what the verdict rests on besides proof.
-        gaps: where the clearance proof leaves a pair open; empty in a certified motion.
-        coverage: what was checked, and what was not.
+        gaps: intervals on which the clearance proof leaves a pair open; empty in a certified motion.
+        coverage: links, pairs and joints that were checked, and those that were not.
     """
 
     status: Status
@@ -268,21 +268,21 @@ class Certificate:
     coverage: Coverage = field(default_factory=Coverage)
 
     def failed(self) -> tuple[Check, ...]:
-        """Checks that do not hold."""
+        """Return the checks that do not hold."""
         return tuple(check for check in self.checks if not check.ok)
 
     def fails_by_description(self) -> bool:
-        """Whether all that is missing is due to the robot's description or the request, and to no motion."""
+        """Whether only the robot's file or the request rules out a certificate, not the motion."""
         open_checks = [check for check in self.checks if not check.ok or check.basis is Basis.UNPROVEN]
         kinds = ("coverage.shape.", "coverage.pairs", "coverage.missing.")
         return bool(open_checks) and all(check.name.startswith(kinds) for check in open_checks)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; NaN and infinity become None."""
+        """Return plain data; NaN and infinity become None."""
         return dict(json.loads(self.to_json()))
 
     def to_json(self) -> str:
-        """Compact JSON; NaN and infinity become null."""
+        """Return compact JSON; NaN and infinity become null."""
         data = {"format": FORMAT, **{item.name: getattr(self, item.name) for item in fields(self)}}
         return orjson.dumps(data, option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
@@ -291,7 +291,7 @@ class Certificate:
         """Read what :meth:`to_json` wrote.
 
         Raises:
-            VerifyError: when the format is another one.
+            VerifyError: for another format.
         """
         data = json.loads(text)
         if data.get("format") != FORMAT:

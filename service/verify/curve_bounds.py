@@ -13,7 +13,7 @@ from service.verify.motion import VerifyError
 
 @dataclass(frozen=True)
 class RateBounds:
-    """``I`` intervals of the curve, each inside one knot interval, with bounds that hold on them.
+    """Bounds of the derivatives on ``I`` intervals of the curve, each inside one knot interval.
 
     Attributes:
         first, last: (I,) path parameters.
@@ -37,7 +37,7 @@ class RateBounds:
         return np.asarray(self.last - self.first)
 
     def take(self, rows: np.ndarray | slice) -> RateBounds:
-        """These rows only."""
+        """Return these rows."""
         return RateBounds(
             self.first[rows],
             self.last[rows],
@@ -68,7 +68,7 @@ class Rates:
         self._whole_speed, self._whole_bend = _derivative_bounds(self._coefficients, np.zeros(len(lengths)), lengths)
 
     def over(self, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]) -> RateBounds:
-        """Derivative bounds over ``[first, last]``; no interval may cross a knot.
+        """Return derivative bounds over ``[first, last]``; no interval may cross a knot.
 
         Raises:
             VerifyError: when an interval has no length or crosses a knot.

@@ -40,14 +40,14 @@ class Forces:
     torque: Float[np.ndarray, "S n"]
 
     def zmp(self, height: float) -> Float[np.ndarray, "S 2"]:
-        """Zero moment point on a horizontal plane [m]; NaN where nothing presses on the ground."""
+        """Return the zero moment point on a horizontal plane [m]; NaN without vertical force."""
         fx, fy, fz, mx, my, _ = self.wrench.T
         pressed = np.where(fz > 1e-6, fz, np.nan)
         return np.stack([(height * fx - my) / pressed, (height * fy + mx) / pressed], axis=1)
 
 
 def sample_times(motion: Motion, law: TimeLaw, first: float, last: float, step: float) -> Float[np.ndarray, "S"]:
-    """Times between two path parameters: evenly spread, and both sides of every jump of the acceleration."""
+    """Return times between two path parameters: evenly spread, and both sides of every jump of the acceleration."""
     start, end = times_of(law, np.array([first, last])).tolist()
     even = np.linspace(start, end, max(2, int(np.ceil((end - start) / step)) + 1))
     knots = motion.curve.knots
@@ -61,7 +61,7 @@ def sample_times(motion: Motion, law: TimeLaw, first: float, last: float, step: 
 def forces(
     motion: Motion, law: TimeLaw, phase: Phase, times: Float[np.ndarray, "S"], *, torques: bool = True
 ) -> Forces:
-    """Wrench from the world and joint torques at the given times of a phase (``torques=False``: wrench only)."""
+    """Return wrench from the world and joint torques at times of a phase (``torques=False``: wrench only)."""
     s, speed, gain = law.at(times)
     curve, model = motion.curve, motion.robot.model
     q, slope, bend = curve(s), curve(s, 1), curve(s, 2)
@@ -93,7 +93,7 @@ def forces(
 def _ground_torques(
     model: pin.Model, phase: Phase, wrench: Float[np.ndarray, "S 6"], jacobians: Float[np.ndarray, "S 6 n"]
 ) -> Float[np.ndarray, "S n"]:
-    """What the ground's wrench, shared at least norm between the planted links, does at the joints that carry them.
+    """Return the joint torques of the ground's wrench, shared at least norm between the planted links.
 
     Column j of a Jacobian is the velocity that coordinate j gives what it carries, about the world's origin.
     """
@@ -135,7 +135,7 @@ def dynamics_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySett
 
 
 def _share_map(positions: list[np.ndarray]) -> Float[np.ndarray, "6F 6"]:
-    """Least-norm share of a wrench about the origin: per foot a wrench about the origin, in world axes."""
+    """Return the map from a wrench to its least-norm share per foot, all about the origin, in world axes."""
     scale = np.array([1.0, 1.0, 1.0, _MOMENT_ARM_M, _MOMENT_ARM_M, _MOMENT_ARM_M])
     shifts = []
     for x, y, z in positions:

@@ -1,4 +1,4 @@
-"""Whether planted feet stand on something: how far the surface below each corner of a sole is from it."""
+"""Ground below planted feet: distance of the surface below each corner of a sole."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from service.verify.timeline import time_of
 
 # Farthest that a supporting surface may be from a planted sole, above or below [m].
 GROUND_TOLERANCE_M = 3e-3
-# How deep a planted link may then be in the floor while its sole drifts by as much as a planted one may [m].
+# Allowed depth of a planted link in the floor: this distance and the allowed drift of its sole [m].
 STANDING_DEPTH_M = GROUND_TOLERANCE_M + PlantedContact.tolerance_m
 _TOUCH_M = 1e-9
 _FEET_GROUP = "feet"
@@ -46,9 +46,9 @@ def ground_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettin
 
 
 def standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...]:
-    """Planted links that must be on the ground: all that balance rests on, else the feet.
+    """Return planted links that must be on the ground: all where balance is promised, else the feet.
 
-    Without balance a planted hand is but held where it is; a robot with a fixed base stands by itself.
+    Without balance a planted hand need not rest on a surface; a robot with a fixed base needs no ground.
     """
     if not motion.robot.is_floating:
         return ()
@@ -65,7 +65,7 @@ def describe_gap(gap: float, link: str) -> str:
 
 
 def ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]) -> Float[np.ndarray, "C"]:
-    """Height of each corner above the surface nearest to it on its vertical [m]; infinite where there is none.
+    """Return the height of each corner above the nearest surface on its vertical [m]; infinite without one.
 
     A surface is the upper side of a piece; where a corner is inside a piece, its height is negative.
     """
@@ -80,7 +80,7 @@ def ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]
 
 
 def top_of(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
-    """Height of a hull's upper side over each place [m]; negative infinity beside the hull."""
+    """Return the height of a hull's upper side over each place [m]; negative infinity beside the hull."""
     planes = _planes(np.ascontiguousarray(vertices, dtype=float).tobytes())
     if not len(planes):
         return np.full(len(places), -np.inf)
@@ -96,7 +96,7 @@ def top_of(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"])
 
 @lru_cache(maxsize=64)
 def _planes(points: bytes) -> Float[np.ndarray, "F 4"]:
-    """The faces of a hull, outward normals and offsets; none of a flat one."""
+    """Return the faces of a hull, outward normals and offsets; none for a flat hull."""
     try:
         return np.unique(np.round(ConvexHull(np.frombuffer(points).reshape(-1, 3)).equations, 12), axis=0)
     except QhullError:
@@ -104,7 +104,7 @@ def _planes(points: bytes) -> Float[np.ndarray, "F 4"]:
 
 
 def outside_link(robot: RobotModel, contact: PlantedContact) -> float:
-    """How far a corner of a planted sole is from all shapes of its link [m]; infinite for a link without one."""
+    """Return the largest distance of a sole's corner from all shapes of its link [m]; infinite without a shape."""
     model = robot.model
     if not model.existFrame(contact.link):
         raise VerifyError(f"unknown frame '{contact.link}'; the robot has {', '.join(f.name for f in model.frames)}")

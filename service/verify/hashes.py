@@ -51,7 +51,7 @@ def promises_hash(phases: Iterable[Phase]) -> str:
 
 
 def link_vertices(robot: RobotModel, link: str, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-    """A body's vertices, given in the frame of its joint, in the frame of its link [m]."""
+    """Return a body's vertices in the frame of its link, given in the frame of its joint [m]."""
     if not robot.model.existFrame(link):
         return vertices
     placement = robot.model.frames[robot.model.getFrameId(link)].placement
@@ -67,7 +67,7 @@ def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
 
 
 def _parts(promise: Allowance | BodyRef | PlantedContact | SupportPolygon | Target) -> Iterator[str | np.ndarray]:
-    """The fields of a promise in their order: texts, references to bodies, numbers; none where it is None."""
+    """Yield the fields of a promise in their order: texts, references to bodies, numbers; no numbers for None."""
     for item in fields(promise):
         value = getattr(promise, item.name)
         if isinstance(value, BodyRef):

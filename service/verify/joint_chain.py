@@ -1,4 +1,4 @@
-"""How far a point of the robot can leave its chord: the rotation bound of a chain of joints.
+"""Chains of joints, and the bound of how far a point of the robot can leave its chord.
 
 On an interval of length ``h`` with ``|dq_i/ds| <= a_i`` and ``|d2q_i/ds2| <= b_i`` every point of a body stays within
 
@@ -32,7 +32,7 @@ _SEVERAL = {"JointModelTranslation": (False,) * 3, "JointModelSphericalZYX": (Tr
 
 @dataclass(frozen=True)
 class Chain:
-    """The coordinates between a frame and a body, from the frame outwards; or, row by row, those of many bodies.
+    """Coordinates between a frame and a body, from the frame outwards; or, row by row, those of many bodies.
 
     Rows of fewer coordinates than the longest are filled up with coordinate 0 at a reach of 0.
 
@@ -52,7 +52,7 @@ class Chain:
 
     @staticmethod
     def stack(chains: Sequence[Chain]) -> Chain:
-        """Many chains row by row."""
+        """Stack chains row by row."""
         width = max((len(chain.coordinates) for chain in chains), default=0)
         shape = (len(chains), width)
         stacked = Chain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool)))
@@ -66,7 +66,7 @@ class Chain:
         return stacked
 
     def take(self, rows: Int[np.ndarray, "E"]) -> Chain:
-        """These rows, in this order."""
+        """Return these rows, in this order."""
         return Chain(
             self.coordinates[rows],
             self.joints[rows],
@@ -77,12 +77,12 @@ class Chain:
 
     @cached_property
     def weight(self) -> float:
-        """The rotation bound for equal rates, to choose in whose frame a pair is swept."""
+        """Rotation bound for equal rates, to choose in whose frame a pair is swept."""
         turning = self.is_revolute.astype(float)
         return float((self.reach * (2.0 * np.cumsum(turning) - turning)).sum())
 
     def deviation(self, over: RateBounds, reach: Float[np.ndarray, "I m"] | None = None) -> Float[np.ndarray, "I"]:
-        """Largest distance of any point of the body from its chord on each interval [m]; many bodies: row by row."""
+        """Bound the distance of any point of the body from its chord on each interval [m]; many bodies: row by row."""
         r = self.reach if reach is None else reach
         a = self._own(over.speed)
         turning = a * self.is_revolute
@@ -91,7 +91,7 @@ class Chain:
         return np.asarray(over.length**2 / 8.0 * curvature.sum(axis=1))
 
     def sampling_slack(self, over: RateBounds, rounding: float) -> Float[np.ndarray, "I"]:
-        """How far reading the exported samples linearly leads a point of the body away from the curve [m].
+        """Bound the distance of a point of the body from the curve when exported samples are read linearly [m].
 
         Joint by joint the line leaves the curve by at most ``step^2/8 |q''|``; a base read by slerp leaves the z-y-x
         angles by at most ``(sum |step q'|)^2 / 4`` (twice the chord bound of a rotation); ``rounding`` is the
@@ -105,7 +105,7 @@ class Chain:
         return np.asarray(np.where(over.step > 0.0, slack, 0.0))
 
     def local_reach(self, distance: Float[np.ndarray, "I m"], over: RateBounds) -> Float[np.ndarray, "I m"]:
-        """Reach on each interval, from the distances of the joint origins to the body's farthest point at mid-interval.
+        """Return the reach on each interval, from distances of joint origins to the farthest point at its middle.
 
         Only more distal joints change such a distance, each by at most ``speed * reach`` per unit of the path.
         """
@@ -115,14 +115,14 @@ class Chain:
         return np.asarray(np.where(self.is_revolute, local, self.reach))
 
     def _own(self, rates: Float[np.ndarray, "I n"]) -> Float[np.ndarray, "I m"]:
-        """The chain's columns of rates of all coordinates."""
+        """Return the chain's columns of rates of all coordinates."""
         if self.coordinates.ndim == 1:
             return rates[:, self.coordinates]
         return np.take_along_axis(rates, self.coordinates, axis=1)
 
 
 class JointTree:
-    """The robot's joints as chains see them: coordinates, offsets and travels."""
+    """Joints of a robot with what chains need: coordinates, offsets and travels."""
 
     def __init__(self, model: pin.Model, travel: Float[np.ndarray, "n"], n_base: int) -> None:
         """Read the joints; ``travel`` is the largest ``|q|`` of each coordinate, ``n_base`` the base's coordinates.
@@ -142,7 +142,7 @@ class JointTree:
         self._n_base = n_base
 
     def ancestors(self, joint: int) -> list[int]:
-        """The joint and its ancestors up to, not including, the universe."""
+        """Return the joint and its ancestors up to, not including, the universe."""
         path = []
         while joint > 0:
             path.append(joint)
@@ -150,7 +150,7 @@ class JointTree:
         return path
 
     def chain(self, holder: int, mover: int, points: Float[np.ndarray, "V 3"]) -> Chain:
-        """The joints that move ``points`` (in the frame of joint ``mover``) in the frame of joint ``holder``."""
+        """Return the chain that moves ``points`` (in the frame of joint ``mover``) in the frame of joint ``holder``."""
         poll()
         up, down = self.ancestors(holder), self.ancestors(mover)
         while up and down and up[-1] == down[-1]:

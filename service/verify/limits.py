@@ -36,7 +36,7 @@ class TimedPeaks:
 
 
 def timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
-    """Peaks of speed and acceleration along the timed curve.
+    """Return the peaks of speed and acceleration along the timed curve.
 
     Between two grid points ``d2s/dt2 = u`` is constant, so ``(ds/dt)^2`` is linear in s and the acceleration
     ``q' u + q'' (ds/dt)^2`` is a parabola in s for a cubic: ends and vertex hold its extremes.  The speed is extreme at
@@ -71,9 +71,9 @@ def timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
 
 
 def exported_speeds(curve: Curve, law: TimeLaw, s: Float[np.ndarray, "M"]) -> Float[np.ndarray, "M-1 n"]:
-    """Speeds between neighbouring exported samples, as a reader of times and positions sees them [rad/s, m/s].
+    """Return speeds between neighbouring exported samples, from their times and positions [rad/s, m/s].
 
-    What the rounding of the numbers can make of a difference is left out; inf where a joint moves in no time.
+    Differences within the rounding of the numbers count as 0; inf where a joint moves in no time.
     """
     q, times = curve(s), times_of(law, s)
     length, duration = np.abs(np.diff(q, axis=0)), np.diff(times)[:, None]

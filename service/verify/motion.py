@@ -14,7 +14,7 @@ from costs.scene import Scene
 
 
 class VerifyError(ValueError):
-    """A motion that cannot be checked as it was handed over; the message names the field and the value."""
+    """Error for a malformed motion; the message names the field and the value."""
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class VerifySettings:
     """Settings of a verification; none of them can make a false claim pass.
 
     Attributes:
-        max_halvings: how often an interval between two knots may be halved before it counts as unproven.
-        max_sharpenings: how often a proven interval may be halved only to know the smallest margin more closely.
-        max_intervals: how many narrow-phase intervals may be examined in all.
+        max_halvings: halvings of an interval between two knots before it counts as unproven.
+        max_sharpenings: halvings of a proven interval to bound the smallest margin more closely.
+        max_intervals: largest number of intervals that the search for the smallest clearance examines.
         clearance_horizon_m: clearances are reported up to this distance.
         resolution_m: the smallest clearance is reported to within this.
         contact_tolerance_m: a sampled pose refutes the motion when it penetrates deeper than allowed by this.
@@ -46,11 +46,11 @@ class VerifySettings:
 
 @dataclass(frozen=True)
 class PlantedContact:
-    """A link that stays where it is.
+    """Link that does not move during a phase.
 
     Attributes:
         link: frame of the robot's model.
-        pose_world_link: (4, 4) where it is planted.
+        pose_world_link: (4, 4) its pose.
         sole: (C, 3) corners in the link frame [m].
         tolerance_m: greatest drift of a corner anywhere in the phase.
         knot_tolerance_m: greatest drift of a corner at the curve's knots.
@@ -65,7 +65,7 @@ class PlantedContact:
 
 @dataclass(frozen=True)
 class SupportPolygon:
-    """Where the centre of mass and the ZMP must stay: the hull of the planted feet, shrunk by a margin.
+    """Region of the centre of mass and the ZMP: the hull of the planted feet, and a margin inside of it.
 
     Attributes:
         polygon: (E, 2) corners, counter-clockwise, world x and y [m].
@@ -181,15 +181,15 @@ Target = PoseTarget | CircleTarget | AxisTarget | RelativePoseTarget | JointTarg
 
 @dataclass(frozen=True)
 class Phase:
-    """A named interval of the curve and what holds along it.
+    """Named part of the curve with its promises.
 
     Attributes:
-        name: as the user sees it.
-        first, last: path parameters.
+        name: name shown to the user.
+        first, last: path parameters of its ends.
         contacts: links planted throughout.
         allowances: pairs that may touch; all others must keep clear.
-        targets: what the motion does.
-        support: where the balance point must stay, or None (fixed base).
+        targets: poses, axes and joint values that the motion reaches or keeps.
+        support: region of the centre of mass and the ZMP, or None (fixed base).
     """
 
     name: str
@@ -207,14 +207,14 @@ class Motion:
 
     Attributes:
         robot: model, limits and bodies (a task's mechanism may be its last joints).
-        scene: the pieces that stand still.
+        scene: the pieces, which do not move.
         curve: configurations by path parameter.
-        law: when the curve is where; None if untimed (then no speed, acceleration or force is checked).
+        law: time law of the curve; None if untimed (then no speed, acceleration or force is checked).
         phases: together they cover the curve; none overlaps another.
         samples: (M,) path parameters of the exported samples, all knots among them; None if only the curve counts.
         mechanism_links: links that move with the task (a valve's wheel): checked against the robot, not against pieces.
-        waived: what the request does not ask for: ``timing``, ``balance``; all else must be checked. None where nobody
-            says what was asked: then what is not checked is only named.
+        waived: checks that the request waives: ``timing``, ``balance``; all others are required. None where the
+            request is unknown: checks that were not made are then listed in the coverage and nothing more.
     """
 
     robot: RobotModel

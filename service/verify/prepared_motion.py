@@ -30,7 +30,7 @@ class Placements:
     def relative(
         self, holder: int, mover: int, rows: np.ndarray | slice | int = slice(None)
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation (S, 3, 3) and translation (S, 3) of joint ``mover`` in the frame of joint ``holder``."""
+        """Return rotation (S, 3, 3) and translation (S, 3) of joint ``mover`` in the frame of joint ``holder``."""
         rotation, translation = self.rotation[rows, mover], self.translation[rows, mover]
         if holder == 0:
             return rotation, translation
@@ -40,7 +40,7 @@ class Placements:
 
 
 class ForwardKinematics:
-    """ForwardKinematics kinematics with the memory it reuses."""
+    """Forward kinematics with the memory it reuses."""
 
     def __init__(self, model: pin.Model) -> None:
         """Prepare for configurations of this model.
@@ -59,7 +59,7 @@ class ForwardKinematics:
             raise VerifyError("pinocchio's joint placements cannot be read as one block")
 
     def at(self, configurations: Float[np.ndarray, "S n"]) -> Placements:
-        """Joint placements at every configuration.
+        """Return joint placements at every configuration.
 
         Raises:
             VerifyError: when a configuration is not finite or has the wrong length.
@@ -81,7 +81,7 @@ class PreparedMotion:
 
     Attributes:
         motion: the motion.
-        phases: its phases in order, or a single one that promises nothing.
+        phases: its phases in order, or a single one without promises.
         edges: (E,) knots and phase boundaries in order.
         edge_phase: (E-1,) index of the phase between two neighbouring edges.
         range: smallest and largest value of every coordinate on every knot interval, (K-1, n) each.

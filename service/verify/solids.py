@@ -16,7 +16,7 @@ from costs.robot import LinkBody
 from costs.scene import ConvexPiece
 from costs.stopping import poll
 
-# coal scans all points of a Convex up to this number and climbs along neighbours above it.
+# coal scans all points of a Convex up to this number and follows neighbours above it.
 _SCANNED = 32
 # A flat set is thinned out to this many extreme points: all of them are neighbours of each other.
 _FLAT = 128
@@ -25,20 +25,20 @@ _KEPT = 2048
 
 
 def convex_of(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
-    """A Convex of these points, to be read only: equal points give the same one."""
-    return _made(np.ascontiguousarray(vertices, dtype=float).tobytes())
+    """Return a Convex of these points, read-only: equal points give the same object."""
+    return _make_convex(np.ascontiguousarray(vertices, dtype=float).tobytes())
 
 
 @lru_cache(maxsize=_KEPT)
-def _made(points: bytes) -> coal.Convex:
+def _make_convex(points: bytes) -> coal.Convex:
     vertices = np.frombuffer(points).reshape(-1, 3)
     if len(vertices) <= _SCANNED:
-        return _scanned(vertices)
+        return _scanned_convex(vertices)
     try:
         hull = ConvexHull(vertices)
     except QhullError:
-        # A flat set has no hull in space; its extreme points in many directions stand for it.
-        return _complete(_extreme_points(vertices, _FLAT))
+        # A flat set has no hull in space; its extreme points in many directions approximate it.
+        return _complete_convex(_extreme_points(vertices, _FLAT))
     renumber = np.zeros(len(vertices), dtype=int)
     renumber[hull.vertices] = np.arange(len(hull.vertices))
     return _convex(vertices[hull.vertices], renumber[hull.simplices])
@@ -55,17 +55,17 @@ def _extreme_points(vertices: Float[np.ndarray, "V 3"], count: int) -> Float[np.
     return np.asarray(vertices[np.unique((vertices @ directions.T).argmax(axis=0))])
 
 
-def _scanned(points: Float[np.ndarray, "V 3"]) -> coal.Convex:
-    """Few points, whose neighbours nobody asks for."""
+def _scanned_convex(points: Float[np.ndarray, "V 3"]) -> coal.Convex:
+    """Return a Convex of few points; coal does not use their neighbours."""
     # coal corrupts memory when a triangle names a vertex twice: points and segments repeat their last point.
     points = np.concatenate([points, np.repeat(points[-1:], max(0, 4 - len(points)), axis=0)])
     return _convex(points, np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]))
 
 
-def _complete(points: Float[np.ndarray, "V 3"]) -> coal.Convex:
-    """Every point a neighbour of every other when there are too many to be scanned."""
+def _complete_convex(points: Float[np.ndarray, "V 3"]) -> coal.Convex:
+    """Return a Convex in which every point is a neighbour of every other."""
     if len(points) <= _SCANNED:
-        return _scanned(points)
+        return _scanned_convex(points)
     i, j = np.triu_indices(len(points), 1)
     keep = i > 0
     return _convex(points, np.stack([np.zeros(int(keep.sum()), dtype=int), i[keep], j[keep]], axis=1))
@@ -81,7 +81,7 @@ def _convex(points: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"])
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A convex body of the robot (in the frame of its joint) or a piece of the scene (joint 0, world frame).
+    """Convex body of the robot (in the frame of its joint) or piece of the scene (joint 0, world frame).
 
     Attributes:
         name: body or piece.
@@ -103,26 +103,27 @@ class Solid:
 
     @cached_property
     def convex(self) -> coal.Convex:
-        """The solid for coal."""
+        """Convex of coal."""
         return convex_of(self.vertices)
 
     def distances(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
-        """Distance of points in the solid's frame from it, 0 inside [m]."""
+        """Return the distances of points in the solid's frame from it, 0 inside [m]."""
         dot, here, request, result = (
             coal.Sphere(1e-9),
             coal.Transform3s(),
             coal.DistanceRequest(),
             coal.DistanceResult(),
         )
-        found = []
+        distances = []
         for point in points:
             result.clear()
-            found.append(coal.distance(dot, coal.Transform3s(np.eye(3), point), self.convex, here, request, result))
-        return np.asarray(np.maximum(np.array(found), 0.0))
+            pose = coal.Transform3s(np.eye(3), point)
+            distances.append(coal.distance(dot, pose, self.convex, here, request, result))
+        return np.asarray(np.maximum(np.array(distances), 0.0))
 
     @staticmethod
     def of_body(body: LinkBody) -> Solid:
-        """The solid of a body, made once while the body lives."""
+        """Return the solid of a body, cached while the body exists."""
         known = _BODIES.get(body)
         if known is None:
             known = _BODIES[body] = Solid(body.name, body.link, body.joint, body.vertices)
@@ -130,7 +131,7 @@ class Solid:
 
     @staticmethod
     def of_piece(piece: ConvexPiece) -> Solid:
-        """The solid of a piece."""
+        """Return the solid of a piece."""
         return Solid(piece.name, "", 0, piece.vertices)
 
 
@@ -140,7 +141,7 @@ _BODIES: WeakKeyDictionary[LinkBody, Solid] = WeakKeyDictionary()
 def supports(
     solids: Sequence[Solid], which: Int[np.ndarray, "K"], directions: Float[np.ndarray, "K 3"]
 ) -> Float[np.ndarray, "K"]:
-    """How far each chosen solid reaches along its direction, in its own frame: ``max_v direction . v``."""
+    """Return the support of each chosen solid along its direction, in its own frame: ``max_v direction . v``."""
     order = np.argsort(which, kind="stable")
     sorted_directions, chosen = directions[order], which[order]
     ends = [*(np.flatnonzero(chosen[1:] != chosen[:-1]) + 1).tolist(), len(chosen)]
@@ -161,7 +162,7 @@ def _request() -> coal.DistanceRequest:
 
 @dataclass(eq=False)
 class DistanceQuery:
-    """coal's distance with the memory it reuses; one per verification."""
+    """Signed distances from coal, with the memory it reuses."""
 
     _request: coal.DistanceRequest = field(default_factory=_request)
     _result: coal.DistanceResult = field(default_factory=coal.DistanceResult)
@@ -174,8 +175,10 @@ class DistanceQuery:
         translation: Float[np.ndarray, "R 3"],
         holders: Sequence[coal.Convex],
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R 3"]]:
-        """Signed distance [m] of every mover, placed in its holder's frame, from the holder, and the unit direction
-        from the first to the second (not finite where coal has none: the two touch within rounding)."""
+        """Return signed distances [m] of movers, placed in their holders' frames, and unit directions to the holders.
+
+        A direction is not finite where the two touch within rounding.
+        """
         distance, direction = np.empty(len(movers)), np.empty((len(movers), 3))
         result, request, identity = self._result, self._request, self._identity
         for row, (mover, turned, moved, holder) in enumerate(zip(movers, rotation, translation, holders, strict=True)):
@@ -194,7 +197,7 @@ class DistanceQuery:
         translation: Float[np.ndarray, "3"],
         holder: coal.Convex,
     ) -> Float[np.ndarray, "3"]:
-        """The holder's point nearest to the mover, or deepest in it, in the holder's frame [m]."""
+        """Return the holder's point nearest to the mover, or deepest in it, in the holder's frame [m]."""
         self._result.clear()
         placed = coal.Transform3s(rotation, translation)
         coal.distance(mover, placed, holder, self._identity, self._request, self._result)

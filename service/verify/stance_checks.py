@@ -94,7 +94,7 @@ def describe_inside(inside_m: float) -> str:
 
 
 def outside_polygon(polygon: Float[np.ndarray, "E 2"], points: Float[np.ndarray, "S 2"]) -> Float[np.ndarray, "S"]:
-    """Largest signed distance of points outside the polygon's edges [m]; negative inside."""
+    """Return the largest signed distance of points outside the polygon's edges [m]; negative inside."""
     along = np.roll(polygon, -1, axis=0) - polygon
     length = np.linalg.norm(along, axis=1)
     keep = length > 1e-12

@@ -199,7 +199,7 @@ def _origin_path(proof: PhaseProof, frame: str, reference: str | None = None) ->
 
 
 def _sine_vector(rotation: Float[np.ndarray, "S 3 3"]) -> Float[np.ndarray, "S 3"]:
-    """sin(angle) times the rotation's axis; beyond a quarter turn a vector longer than any sine."""
+    """Return sin(angle) times the rotation's axis; beyond a quarter turn a vector longer than any sine."""
     sine = 0.5 * np.stack(
         [
             rotation[:, 2, 1] - rotation[:, 1, 2],
@@ -213,12 +213,12 @@ def _sine_vector(rotation: Float[np.ndarray, "S 3 3"]) -> Float[np.ndarray, "S 3
 
 
 def _angle(chord: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
-    """The angle between two unit vectors whose tips are ``chord`` apart [rad]; half a turn beyond the diameter."""
+    """Return the angle between unit vectors whose tips are ``chord`` apart [rad]; pi beyond the diameter."""
     return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
 
 
 def _segment_distance(a: Float[np.ndarray, "I 3"], b: Float[np.ndarray, "I 3"]) -> Float[np.ndarray, "I"]:
-    """Distance of the origin from segments."""
+    """Return the distance of the origin from segments."""
     step = b - a
     along = np.clip(-(a * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-300), 0.0, 1.0)
     return np.asarray(np.linalg.norm(a + along[:, None] * step, axis=1))

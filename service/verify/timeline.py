@@ -1,4 +1,4 @@
-"""From path parameter to time, and to the edges at which intervals of the curve begin and end."""
+"""Times of path parameters, the sequence of phases, and the edges between intervals of the curve."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from service.verify.motion import Motion, Phase, VerifyError
 
 
 def time_of(law: TimeLaw | None, s: float) -> float | None:
-    """First time at which the path parameter is reached [s]; None without a law."""
+    """Return the first time at which the path parameter is reached [s]; None without a law."""
     return None if law is None else float(times_of(law, np.array([s]))[0])
 
 
 def times_of(law: TimeLaw, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
-    """First times at which path parameters are reached [s]."""
+    """Return the first times at which path parameters are reached [s]."""
     i = np.minimum(np.maximum(np.searchsorted(law.path, s, side="left") - 1, 0), len(law.path) - 2)
     duration = law.times[i + 1] - law.times[i]
     speed, gain = law.shares[i] * law.speed[i], law.shares[i] * (law.speed[i + 1] - law.speed[i]) / duration
@@ -26,7 +26,7 @@ def times_of(law: TimeLaw, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
 
 
 def list_phases(motion: Motion) -> tuple[Phase, ...]:
-    """The phases, or one that promises nothing; refused unless they cover the curve one after another.
+    """Return the phases, or a single one without promises; reject phases that do not cover the curve in order.
 
     Raises:
         VerifyError: when they leave a gap or overlap.
@@ -45,7 +45,7 @@ def list_phases(motion: Motion) -> tuple[Phase, ...]:
 
 
 def split_at_phases(motion: Motion, phases: tuple[Phase, ...]) -> tuple[Float[np.ndarray, "E"], Int[np.ndarray, "E-1"]]:
-    """Knots and phase boundaries in order, and the phase of each interval between two of them."""
+    """Return knots and phase boundaries in order, and the phase of each interval between two of them."""
     start, end = motion.curve.knots[0], motion.curve.knots[-1]
     inner = [boundary for phase in phases for boundary in (phase.first, phase.last) if start < boundary < end]
     edges = np.unique(np.concatenate([motion.curve.knots, inner]))
@@ -55,6 +55,6 @@ def split_at_phases(motion: Motion, phases: tuple[Phase, ...]) -> tuple[Float[np
 
 
 def edges_within(edges: Float[np.ndarray, "E"], phase: Phase) -> Float[np.ndarray, "F"]:
-    """The edges within a phase, its ends included."""
+    """Return the edges within a phase, its ends included."""
     tolerance = 1e-9 * max(1.0, abs(phase.last))
     return np.asarray(edges[(edges >= phase.first - tolerance) & (edges <= phase.last + tolerance)])

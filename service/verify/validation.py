@@ -1,4 +1,4 @@
-"""What a motion must be before anything is proven of it: finite, rigid, in order; a NaN would pass a comparison."""
+"""Validation of a motion before any proof: finite values, rigid poses, a consistent time law."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _BORDER_TOLERANCE = 1e-9
 
 
 def validate_motion(motion: Motion) -> None:
-    """Refuse a motion of which nothing could be proven.
+    """Reject a malformed motion.
 
     Raises:
         VerifyError: for wrong shapes, values that are not finite, samples out of order, rotations that are none, axes
@@ -63,12 +63,12 @@ def _validate_curve(motion: Motion) -> None:
 
 
 def _validate_names(motion: Motion) -> None:
-    """Names tell robot, mechanism and scene apart: nothing of one is called like a body or link of another."""
+    """Reject a name used twice: no body or link of robot, mechanism and scene shares a name with another."""
     bodies, pieces, model = motion.robot.bodies, motion.scene.pieces, motion.robot.model
     for what, names in (("bodies", [body.name for body in bodies]), ("pieces", [piece.name for piece in pieces])):
         repeated = [name for name, count in Counter(names).items() if count > 1]
         if repeated:
-            raise VerifyError(f"two {what} are called '{repeated[0]}'; names must be unique")
+            raise VerifyError(f"two {what} are named '{repeated[0]}'; names must be unique")
     links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
     owners: dict[str, str] = dict.fromkeys(links - motion.mechanism_links, "robot")
     owned = [("mechanism", link) for link in motion.mechanism_links]
@@ -106,7 +106,7 @@ def _validate_phase(phase: Phase) -> None:
 
 
 def _places(target: Target) -> Iterator[np.ndarray | float]:
-    """The numbers of a target that must be finite; axes of unit length are asked for on the way."""
+    """Yield the numbers of a target that must be finite; reject axes that are not unit vectors."""
     if isinstance(target, JointTarget):
         yield target.value
         return

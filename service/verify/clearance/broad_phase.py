@@ -12,16 +12,16 @@ from service.verify.joint_chain import Chain
 from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import Placements, PreparedMotion
 
-# PairIntervals on which a body may leave its chords by more than this are parted before anything else [m] ...
+# Intervals on which a body may leave its chords by more than this are split before all else [m],
 _LEAVES_M = 0.04
-# ... into so many parts at most, each 2^k times shorter.
+# into at most 2^k parts.
 _MOST_HALVINGS = 3
 
 
 def refine_edges(
     prepared: PreparedMotion, table: PairTable, edges: Float[np.ndarray, "E"], phase: Int[np.ndarray, "E-1"]
 ) -> tuple[Float[np.ndarray, "I+1"], Int[np.ndarray, "I"]]:
-    """Edges so dense that boxes and first looks tell something, and the phase of each interval between two of them."""
+    """Insert edges where bodies leave their chords far; return them with the phase of each interval."""
     poll()
     interval, body = (index.ravel() for index in np.indices((len(edges) - 1, table.n_bodies)))
     over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), Chain.stack(table.world).take(body)
@@ -37,10 +37,11 @@ def refine_edges(
 def bound_clearances(
     prepared: PreparedMotion, table: PairTable, edges: Float[np.ndarray, "I+1"], settings: VerifySettings
 ) -> Float[np.ndarray, "I C"]:
-    """Lower bound of every pair's clearance on every interval between neighbouring edges [m]; may be negative.
+    """Return a lower bound of every pair's clearance on every interval between neighbouring edges [m].
 
-    Everything is seen from the world.  On an interval every point is near its chord, and along the chords the gaps
-    of two boxes change linearly: what separates them along an axis at both ends separates them between.
+    Bounds are taken in the world frame and may be negative.
+    On an interval every point is near its chord, and along the chords the gaps
+    of two boxes change linearly: an axis that separates them at both ends separates them between.
     """
     if len(table.mover) == 0:
         return np.empty((len(edges) - 1, 0))
@@ -60,7 +61,7 @@ def find_open_intervals(
     floors: Float[np.ndarray, "I C"],
     horizon: float,
 ) -> PairIntervals:
-    """Pairs and intervals that the broad phase leaves open: nearer than the horizon, or perhaps touching if allowed."""
+    """Return pairs and intervals that the broad phase leaves open: nearer than the horizon, or touching if allowed."""
     may_touch = ~np.isnan(table.allowed[:, phase].T)
     # Negated, so that a floor that is NaN leaves its pair open.
     interval, pair = np.nonzero(~(floors >= np.where(may_touch, ROUNDING_M, horizon)))
@@ -77,7 +78,7 @@ def _leaving(
     middles: Int[np.ndarray, "I"],
     settings: VerifySettings,
 ) -> Float[np.ndarray, "I S"]:
-    """How far the points of each solid may leave their chords in the world [m]."""
+    """Bound the distance of the points of each solid from their chords in the world [m]."""
     poll()
     leaving = np.zeros((len(middles), len(table.solids)))
     interval, body = (index.ravel() for index in np.indices((len(middles), table.n_bodies)))
@@ -88,7 +89,7 @@ def _leaving(
 
 
 def _box_gaps(table: PairTable, placed: Placements, ends: Int[np.ndarray, "I+1"]) -> Float[np.ndarray, "I C"]:
-    """Gap between the bounding boxes of both members of every pair, which change linearly along the chords [m]."""
+    """Return the gap between the bounding boxes of every pair, which change linearly along the chords [m]."""
     poll()
     low, high = np.empty((2, 3, len(ends), len(table.solids)))
     for k, solid in enumerate(table.solids):
@@ -111,7 +112,7 @@ def _box_gaps(table: PairTable, placed: Placements, ends: Int[np.ndarray, "I+1"]
 def _sphere_gaps(
     table: PairTable, chosen: Int[np.ndarray, "K"], placed: Placements, ends: Int[np.ndarray, "I+1"]
 ) -> Float[np.ndarray, "I K"]:
-    """Gap between the spheres around both members of the chosen pairs, whose centres run along their chords [m]."""
+    """Return the gap between the spheres of the chosen pairs, whose centres move along their chords [m]."""
     poll()
     at = ends[:, None], table.joint[: table.n_bodies]
     world = (placed.rotation[at] @ table.centre[..., None])[..., 0] + placed.translation[at]

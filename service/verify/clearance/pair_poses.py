@@ -1,4 +1,4 @@
-"""A look at many pairs on their intervals at once: relative poses, how far movers leave their chords, separations.
+"""Relative poses of many pairs on their intervals, bounds of movers from their chords, separations, and samples.
 
 For every unit vector ``n`` from set A to set B, ``min_B n.y - max_A n.x`` is a lower bound of their signed distance
 (penetration counts negative).  GJK/EPA finds the best ``n`` for a pose; evaluated on all vertices at both ends of the
@@ -20,7 +20,7 @@ from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import Placements, PreparedMotion
 from service.verify.solids import DistanceQuery, supports
 
-# Far above the rounding errors of placements and distances at the scale of a room, far below anything that matters [m].
+# Far above the rounding errors of placements and distances within 100 m, far below any tolerance [m].
 ROUNDING_M = 1e-9
 
 FIRST, LAST, MIDDLE = 0, 1, 2
@@ -28,11 +28,11 @@ FIRST, LAST, MIDDLE = 0, 1, 2
 
 @dataclass(frozen=True)
 class PairPoses:
-    """Pairs on intervals with the mover's poses in the holder's frame at the intervals' ends and middles.
+    """Poses of the movers in their holders' frames at the ends and middles of intervals.
 
     Attributes:
         table: all pairs.
-        intervals: what is examined.
+        intervals: the examined intervals.
         allowed: (E,) greatest penetration allowed [m]; NaN where the pair may not touch.
         mover, holder: (E,) indices of their solids.
         s: (E, 3) path parameters of first, last and middle pose.
@@ -55,7 +55,7 @@ class PairPoses:
 
     @staticmethod
     def at(prepared: PreparedMotion, table: PairTable, intervals: PairIntervals, settings: VerifySettings) -> PairPoses:
-        """Poses and bounds of these intervals."""
+        """Return the poses and bounds of these intervals."""
         # Many pairs share an interval.
         poll()
         ends, where = np.unique(intervals.first + 1j * intervals.last, return_inverse=True)
@@ -84,11 +84,11 @@ class PairPoses:
         )
 
     def key(self, row: int) -> tuple[int, int]:
-        """Pair and phase of a row."""
+        """Return pair and phase of a row."""
         return int(self.intervals.pair[row]), int(self.intervals.phase[row])
 
     def separation(self, rows: Int[np.ndarray, "R"], direction: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R"]:
-        """Lower bound of the signed distance between the hull of the mover's two end poses and the holder [m].
+        """Return a lower bound of the signed distance between the hull of the mover's two end poses and the holder [m].
 
         ``direction`` are unit vectors from mover to holder in the holder's frame; those that are not finite give -inf.
         """
@@ -106,7 +106,7 @@ class PairPoses:
     def closest(
         self, rows: Int[np.ndarray, "R"], columns: Int[np.ndarray, "R"], query: DistanceQuery
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R 3"]]:
-        """Signed distances [m] and directions from mover to holder of these rows at one of their poses each."""
+        """Return signed distances [m] and directions from mover to holder of these rows, each at one pose."""
         solids = self.table.solids
         return query.closest(
             [solids[k].convex for k in self.mover[rows].tolist()],
@@ -115,8 +115,8 @@ class PairPoses:
             [solids[k].convex for k in self.holder[rows].tolist()],
         )
 
-    def touching(self, row: int, column: int, query: DistanceQuery) -> Float[np.ndarray, "3"]:
-        """The holder's point nearest to the mover at an interval's end or middle, in the world [m]."""
+    def nearest_point(self, row: int, column: int, query: DistanceQuery) -> Float[np.ndarray, "3"]:
+        """Return the holder's point nearest to the mover at an interval's end or middle, in the world [m]."""
         mover, holder = self.table.solids[self.mover[row]], self.table.solids[self.holder[row]]
         point = query.nearest_point(
             mover.convex, self.rotation[row, column], self.translation[row, column], holder.convex
@@ -133,7 +133,7 @@ def bound_chord_deviation(
     middle: Int[np.ndarray, "E"],
     settings: VerifySettings,
 ) -> Float[np.ndarray, "E"]:
-    """How far a mover may leave its chords, the exported samples' line and rounding included, per interval [m].
+    """Bound the distance of a mover from its chords per interval, exported samples and rounding included [m].
 
     ``chains`` and ``over`` have a row for each, ``middle`` are the rows of ``placed`` that hold the intervals' middles.
     """
@@ -149,7 +149,7 @@ def bound_chord_deviation(
 
 @dataclass(frozen=True)
 class PairSample:
-    """A pair at one pose: signed distance [m] and the holder's closest point in the world."""
+    """Pair at one pose: signed distance [m] and the holder's closest point in the world."""
 
     pair: int
     s: float
@@ -176,21 +176,21 @@ class PoseSamples:
         self._query = DistanceQuery()
 
     def measure(
-        self, look: PairPoses, rows: Int[np.ndarray, "R"], columns: Int[np.ndarray, "R"]
+        self, poses: PairPoses, rows: Int[np.ndarray, "R"], columns: Int[np.ndarray, "R"]
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R 3"]]:
-        """Distances and directions of these rows at one of their poses each."""
-        distance, direction = look.closest(rows, columns, self._query)
-        allowed = look.allowed[rows]
+        """Measure these rows, each at one pose; return distances and directions."""
+        distance, direction = poses.closest(rows, columns, self._query)
+        allowed = poses.allowed[rows]
         may_touch = ~np.isnan(allowed)
         self.nearest = min(self.nearest, float(distance[~may_touch].min(initial=np.inf)))
         for k in np.flatnonzero(may_touch).tolist():
-            key = look.key(int(rows[k]))
+            key = poses.key(int(rows[k]))
             self.deepest[key] = min(self.deepest.get(key, np.inf), float(distance[k]))
         for k in np.flatnonzero(distance < -np.nan_to_num(allowed) - self._tolerance).tolist():
             row, column = int(rows[k]), int(columns[k])
-            key = look.key(row)
+            key = poses.key(row)
             if key not in self.refuted or distance[k] < self.refuted[key].distance:
-                point = look.touching(row, column, self._query)
-                s = float(look.s[row, column])
+                point = poses.nearest_point(row, column, self._query)
+                s = float(poses.s[row, column])
                 self.refuted[key] = PairSample(key[0], s, float(distance[k]), float(allowed[k]), point)
         return distance, direction

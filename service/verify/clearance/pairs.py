@@ -17,7 +17,7 @@ from service.verify.solids import Solid
 
 @dataclass(frozen=True)
 class PairTable:
-    """All checked pairs; the mover is swept in the frame of the holder.
+    """Checked pairs; the mover is swept in the frame of the holder.
 
     Attributes:
         solids: bodies, then pieces.
@@ -25,7 +25,7 @@ class PairTable:
         mover, holder: (C,) indices into ``solids``.
         allowed: (C, phases) greatest penetration allowed [m]; NaN where the pair may not touch.
         world: per body, the joints that move it in the world.
-        chain: (C,) row of ``chains`` of the pairs for which it was asked, else -1.
+        chain: (C,) row of ``chains`` of pairs near each other, else -1.
         chains: row by row, the joints that move a mover in its holder's frame.
     """
 
@@ -39,7 +39,7 @@ class PairTable:
     chains: Chain
 
     def names(self, pair: int) -> tuple[str, str]:
-        """Names of mover and holder."""
+        """Return the names of mover and holder."""
         return self.solids[self.mover[pair]].name, self.solids[self.holder[pair]].name
 
     @cached_property
@@ -58,7 +58,7 @@ class PairTable:
         return np.array([solid.sphere[1] for solid in self.solids[: self.n_bodies]])
 
     def with_chains(self, tree: JointTree, near: Int[np.ndarray, "K"]) -> PairTable:
-        """The pairs with the chains of those that come near each other, each swept in the frame that bounds it better.
+        """Return the table with chains of near pairs, each swept in the frame that gives the tighter bound.
 
         Args:
             tree: the robot's joints.
@@ -67,7 +67,7 @@ class PairTable:
         chains, known = list(self.world), dict[tuple[int, int], int]()
 
         def row_of(frame: int, mover: int) -> int:
-            """One chain for all pairs of a mover and a frame."""
+            """Return the row of a chain shared by all pairs of a mover and a frame."""
             if frame == 0:
                 return mover
             if (frame, mover) not in known:
@@ -78,16 +78,16 @@ class PairTable:
         mover, holder = self.mover.copy(), self.holder.copy()
         rows = np.where(holder >= self.n_bodies, mover, -1)
         for c in near[holder[near] < self.n_bodies].tolist():
-            one, other = int(mover[c]), int(holder[c])
-            forward, backward = row_of(int(self.joint[other]), one), row_of(int(self.joint[one]), other)
+            a, b = int(mover[c]), int(holder[c])
+            forward, backward = row_of(int(self.joint[b]), a), row_of(int(self.joint[a]), b)
             rows[c] = forward
             if chains[backward].weight < chains[forward].weight:
-                mover[c], holder[c], rows[c] = other, one, backward
+                mover[c], holder[c], rows[c] = b, a, backward
         return replace(self, mover=mover, holder=holder, chain=rows, chains=Chain.stack(chains))
 
 
 def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
-    """Every pair whose two members can move against each other, less the ignored ones.
+    """Collect the pairs whose two members can move against each other, without the ignored ones.
 
     The links of ``motion.mechanism_links`` are checked against the robot's links only, those that stand still included.
     """
@@ -110,10 +110,10 @@ def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
 
 
 def _are_ignored(bodies: Sequence[Solid], pairs: frozenset[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:
-    """Bodies of one link, and of two links that are not checked against each other."""
+    """Return a mask of the bodies of the same link and of two links that are not checked against each other."""
     links = {link: row for row, link in enumerate(dict.fromkeys(solid.link for solid in bodies))}
     ignored = np.eye(len(links), dtype=bool)
-    # Names out of order name no pair: so it stands in RobotModel, and so a stranger reads them.
+    # Names out of order denote no pair, as documented in RobotModel.
     rows = [(links[a], links[b]) for a, b in pairs if a < b and a in links and b in links]
     if rows:
         a, b = np.array(rows).T
@@ -123,16 +123,16 @@ def _are_ignored(bodies: Sequence[Solid], pairs: frozenset[tuple[str, str]]) -> 
 
 
 def _allowed(allowances: Sequence[Allowance], index: BodyIndex) -> Float[np.ndarray, "B B+P"]:
-    """Greatest allowed depth per body and other body or piece [m], NaN without an allowance."""
+    """Return the greatest allowed depth per body and other body or piece [m], NaN without an allowance."""
     depth = np.full(index.shape, np.nan)
-    for allowance in sorted(allowances, key=lambda one: one.depth):  # the deepest of a pair's counts
+    for allowance in sorted(allowances, key=lambda allowance: allowance.depth):  # the deepest of a pair's counts
         index.fill(depth, allowance.first, allowance.second, allowance.depth)
     return depth
 
 
 @dataclass(frozen=True)
 class PairIntervals:
-    """Pairs on intervals, with what is known of them from before.
+    """Pairs on intervals that are still open, with the results of earlier rounds.
 
     Attributes:
         pair: (E,) pair.
@@ -140,7 +140,7 @@ class PairIntervals:
         phase: (E,) index of the phase.
         floor: (E,) a lower bound of the pair's clearance [m] (-inf: none).
         halved: (E,) how often an interval of the broad phase was halved to this one.
-        hint: (E, 3) a unit direction from mover to holder worth trying, in the holder's frame; NaN: none.
+        hint: (E, 3) best unit direction so far from mover to holder, in the holder's frame; NaN: none.
         ends: (E, 2) sampled distance at both ends [m] (inf: not sampled).
     """
 
@@ -161,7 +161,7 @@ class PairIntervals:
         phase: Int[np.ndarray, "E"],
         floor: Float[np.ndarray, "E"],
     ) -> PairIntervals:
-        """PairIntervals that nobody has examined yet."""
+        """Return intervals that have not been examined."""
         n = len(pair)
         hint, ends = np.full((n, 3), np.nan), np.full((n, 2), np.inf)
         return PairIntervals(pair, first, last, phase, floor, np.zeros(n, dtype=int), hint, ends)
@@ -170,12 +170,12 @@ class PairIntervals:
         return len(self.pair)
 
     def take(self, rows: np.ndarray | slice) -> PairIntervals:
-        """These rows only."""
+        """Return these rows."""
         return PairIntervals(*(column[rows] for column in self._columns))
 
     @staticmethod
     def join(parts: Sequence[PairIntervals]) -> PairIntervals:
-        """All parts one after another; at least one."""
+        """Concatenate at least one part."""
         if len(parts) == 1:
             return parts[0]
         return PairIntervals(
@@ -183,7 +183,7 @@ class PairIntervals:
         )
 
     def halves(self, hint: Float[np.ndarray, "E 3"], middle: Float[np.ndarray, "E"]) -> PairIntervals:
-        """Both halves of every interval.
+        """Return both halves of every interval.
 
         Args:
             hint: (E, 3) the direction that did best.

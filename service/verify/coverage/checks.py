@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.verify.certificate import SMALL_M, Basis, Check, Coverage, Shapeless
+from service.verify.certificate import SMALL_LINK_M, Basis, Check, Coverage, Shapeless
 from service.verify.clearance.pairs import PairTable
 from service.verify.coverage.left_out import find_left_out_pairs, overlap_checks
 from service.verify.coverage.link_tree import LinkTree
@@ -74,5 +74,5 @@ def _size_check(item: Shapeless, has_token: bool) -> Check:
     where = {"between": "between links with shapes", "end": "at an end", "root": "at the root"}[item.place]
     size = "is of unknown size" if np.isnan(item.reach_m) else f"{1e3 * item.reach_m:.0f} mm of it are in no shape"
     lack = "a collision shape far smaller than the link" if has_token else "no collision shape"
-    text = f"{item.link} ({where}) has {lack} and {size}; at most {1e3 * SMALL_M:.0f} mm go unchecked"
-    return Check(f"coverage.shape.{item.link}", True, item.reach_m, SMALL_M, "m", text, None, Basis.UNPROVEN)
+    text = f"{item.link} ({where}) has {lack} and {size}; at most {1e3 * SMALL_LINK_M:.0f} mm go unchecked"
+    return Check(f"coverage.shape.{item.link}", True, item.reach_m, SMALL_LINK_M, "m", text, None, Basis.UNPROVEN)

@@ -1,4 +1,4 @@
-"""Pairs of links that are not checked against each other: why, and whether they overlap in the motion."""
+"""Pairs of links that are not checked against each other: reason, and overlap during the motion."""
 
 from __future__ import annotations
 
@@ -21,46 +21,49 @@ from service.verify.prepared_motion import ForwardKinematics, Placements, Prepar
 from service.verify.solids import DistanceQuery, Solid
 from service.verify.timeline import time_of
 
-_SAMPLES = 32  # a first look; what is not seen to overlap there is proven apart, or told
-# Two links with one between them that overlap in this share of the poses of the joints between them hardly have a pose
-# in which they do not: that is how their shapes are, and says nothing of the motion.
+_SAMPLES = 32  # sampled first; pairs that overlap at no sample are proven apart, or reported
+# Two links with one between them count as around a joint when they overlap in this share of the poses of the joints
+# between them: their shapes overlap whatever the motion.
 _ALWAYS_SHARE, _POSES = 0.9, 300
-# A part of a link fixed to the world that was this far from a joint neighbour is no part of the joint [m].
+# A part of a link fixed to the world that was this far from a joint neighbour does not belong to the joint [m].
 _APART_M = 0.05
-# What was found of a robot's pairs, by the first body of the pair: it takes longer than many a proof.
+# Results of _is_around_a_joint by the first body of the pair, kept because they take longer than many proofs.
 _AROUND: WeakKeyDictionary[LinkBody, dict[tuple[str, bytes, bytes], bool]] = WeakKeyDictionary()
 
 
 def find_left_out_pairs(prepared: PreparedMotion, tree: LinkTree, settings: VerifySettings) -> tuple[LeftOut, ...]:
-    """Every pair of the robot's own links with shapes that is not checked."""
+    """List every pair of the robot's own links with shapes that is not checked."""
     motion = prepared.motion
     own = sorted(tree.shaped - motion.mechanism_links)
-    # Names out of order name no pair: so it stands in RobotModel, and so the pairs to be checked are chosen.
+    # Names out of order denote no pair, as documented in RobotModel.
     ignored = {pair for pair in motion.robot.ignored_pairs if pair[0] < pair[1]}
-    found, rest = [], []
+    left_out, rest = [], []
     for pair in combinations(own, 2):
         if tree.joint[pair[0]] == tree.joint[pair[1]]:
-            found.append(LeftOut(pair, "same joint", is_neighbour=False, deepest_m=float("nan")))
+            left_out.append(LeftOut(pair, "same joint", is_neighbour=False, deepest_m=float("nan")))
         elif pair in ignored and tree.are_neighbours(*pair):
-            found.append(_neighbours(prepared, tree, pair))
+            left_out.append(_neighbour_pair(prepared, tree, pair))
         elif pair in ignored:
             rest.append(pair)
     kept = _kept_joints(prepared)
-    not_apart = _not_apart(prepared, rest, settings)
+    not_apart = _find_pairs_not_apart(prepared, rest, settings)
     for pair in rest:
         if pair not in not_apart:
-            found.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
+            left_out.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
             continue
         depth, s = not_apart[pair]
         is_kept = frozenset(tree.joint[link] for link in pair) in kept
         is_around = not is_kept and _is_around_a_joint(motion, tree, pair)
         reason = "kept" if is_kept else "around a joint" if is_around else _reason(motion, pair)
-        found.append(LeftOut(pair, reason, is_around, depth, s, time_of(motion.law, s)))
-    return tuple(sorted(found, key=lambda item: item.pair))
+        left_out.append(LeftOut(pair, reason, is_around, depth, s, time_of(motion.law, s)))
+    return tuple(sorted(left_out, key=lambda item: item.pair))
 
 
-def _neighbours(prepared: PreparedMotion, tree: LinkTree, pair: tuple[str, str]) -> LeftOut:
-    """Joint neighbours, unless one is fixed to the world and a part of it that was apart from the other is met."""
+def _neighbour_pair(prepared: PreparedMotion, tree: LinkTree, pair: tuple[str, str]) -> LeftOut:
+    """Return a pair of joint neighbours.
+
+    Its overlap is given where one link is fixed to the world and a far part of it meets the other.
+    """
     if any(tree.joint[link] == 0 for link in pair):
         s = _sample_places(prepared)
         placed, rows = prepared.at(s)
@@ -74,7 +77,7 @@ def _neighbours(prepared: PreparedMotion, tree: LinkTree, pair: tuple[str, str])
 
 
 def overlap_checks(left_out: Sequence[LeftOut]) -> Iterator[Check]:
-    """One unproven check for each pair that is not checked although its links meet in the motion."""
+    """Yield an unproven check for each pair that is left out although its links overlap in the motion."""
     for item in sorted(left_out, key=lambda item: -np.nan_to_num(item.deepest_m)):
         if item.is_neighbour or item.reason == "kept" or item.s is None:
             continue
@@ -89,9 +92,8 @@ def overlap_checks(left_out: Sequence[LeftOut]) -> Iterator[Check]:
 
 
 def _reason(motion: Motion, pair: tuple[str, str]) -> str:
-    told = motion.robot.ignored_reasons.get(pair, "given")
-    # Neighbours and links of one joint were told apart above.
-    return told if told.startswith("srdf") or told == "derived" else "given"
+    reason = motion.robot.ignored_reasons.get(pair, "given")
+    return reason if reason.startswith("srdf") or reason == "derived" else "given"
 
 
 def _kept_joints(prepared: PreparedMotion) -> set[frozenset[int]]:
@@ -112,14 +114,14 @@ def _kept_joints(prepared: PreparedMotion) -> set[frozenset[int]]:
     return set.intersection(*held) if held else set()
 
 
-def _not_apart(
+def _find_pairs_not_apart(
     prepared: PreparedMotion, pairs: Sequence[tuple[str, str]], settings: VerifySettings
 ) -> Mapping[tuple[str, str], tuple[float, float]]:
-    """Pairs that are not shown to keep apart on the whole curve: how deep they were seen to be [m], and where."""
-    found = _seen_overlapping(prepared, pairs)
-    pairs = [pair for pair in pairs if pair not in found]
+    """Return pairs that are not proven to keep apart on the whole curve: deepest sampled overlap [m], and where."""
+    overlaps = _find_sampled_overlaps(prepared, pairs)
+    pairs = [pair for pair in pairs if pair not in overlaps]
     if not pairs:
-        return found
+        return overlaps
     motion = prepared.motion
     links = sorted({body.link for body in motion.robot.bodies})
     others = frozenset(combinations(links, 2)) - frozenset(pairs)
@@ -136,38 +138,38 @@ def _not_apart(
 
     for row in range(len(proof.unproven.pair)):
         pair = links_of(int(proof.unproven.pair[row]))
-        found.setdefault(pair, (0.0, float(proof.unproven.first[row])))
+        overlaps.setdefault(pair, (0.0, float(proof.unproven.first[row])))
     for sample in proof.refuted.values():
         pair = links_of(sample.pair)
-        found[pair] = max(found.get(pair, (0.0, 0.0)), (-sample.distance, sample.s))
-    return found
+        overlaps[pair] = max(overlaps.get(pair, (0.0, 0.0)), (-sample.distance, sample.s))
+    return overlaps
 
 
 def _sample_places(prepared: PreparedMotion) -> Float[np.ndarray, "S"]:
-    """Path parameters at which left out pairs are examined: all knots, and more between."""
+    """Return the path parameters at which left out pairs are sampled: all knots, and more between."""
     knots = prepared.motion.curve.knots
     return np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], _SAMPLES)]))
 
 
-def _seen_overlapping(
+def _find_sampled_overlaps(
     prepared: PreparedMotion, pairs: Sequence[tuple[str, str]]
 ) -> dict[tuple[str, str], tuple[float, float]]:
-    """Pairs that overlap at some sample of the motion: how deep at most [m], and where."""
-    found: dict[tuple[str, str], tuple[float, float]] = {}
+    """Return pairs that overlap at some sample of the motion: deepest overlap [m], and where."""
+    overlaps: dict[tuple[str, str], tuple[float, float]] = {}
     s = _sample_places(prepared)
     for pair in pairs:
         placed, rows = prepared.at(s)
         depth = _overlap(prepared.motion.robot.bodies, placed, rows, pair)
         worst = int(depth.argmax())
         if depth[worst] > 0.0:
-            found[pair] = float(depth[worst]), float(s[worst])
-    return found
+            overlaps[pair] = float(depth[worst]), float(s[worst])
+    return overlaps
 
 
 def _overlap(
     bodies: Sequence[LinkBody], placed: Placements, rows: np.ndarray, pair: tuple[str, str]
 ) -> Float[np.ndarray, "S"]:
-    """How deep the pair's links are in each other at each pose [m]; negative infinity where their spheres part."""
+    """Return the overlap of a pair's links at each pose [m]; negative infinity where their spheres are apart."""
     depths = list(_depths(bodies, placed, rows, pair))
     return np.asarray(np.max(depths, axis=0))
 
@@ -175,29 +177,29 @@ def _overlap(
 def _depths(
     bodies: Sequence[LinkBody], placed: Placements, rows: np.ndarray, pair: tuple[str, str]
 ) -> Iterator[Float[np.ndarray, "S"]]:
-    """The same for each pair of their bodies."""
+    """Yield the same for each pair of their bodies."""
     query = DistanceQuery()
-    for one in (Solid.of_body(body) for body in bodies if body.link == pair[0]):
-        for other in (Solid.of_body(body) for body in bodies if body.link == pair[1]):
+    for first in (Solid.of_body(body) for body in bodies if body.link == pair[0]):
+        for second in (Solid.of_body(body) for body in bodies if body.link == pair[1]):
             depth = np.full(len(rows), -np.inf)
-            between = _centre(placed, rows, one) - _centre(placed, rows, other)
-            near = np.flatnonzero(np.linalg.norm(between, axis=1) < one.sphere[1] + other.sphere[1])
+            between = _centre(placed, rows, first) - _centre(placed, rows, second)
+            near = np.flatnonzero(np.linalg.norm(between, axis=1) < first.sphere[1] + second.sphere[1])
             if len(near):
-                rotation, translation = placed.relative(other.joint, one.joint, rows[near])
-                solids = [one.convex] * len(near), [other.convex] * len(near)
+                rotation, translation = placed.relative(second.joint, first.joint, rows[near])
+                solids = [first.convex] * len(near), [second.convex] * len(near)
                 distance, _ = query.closest(solids[0], rotation, translation, solids[1])
                 depth[near] = -distance
             yield depth
 
 
 def _centre(placed: Placements, rows: np.ndarray, solid: Solid) -> Float[np.ndarray, "S 3"]:
-    """Centre of a solid's sphere in the world at each pose [m]."""
+    """Return the centre of a solid's sphere in the world at each pose [m]."""
     return np.asarray(placed.rotation[rows, solid.joint] @ solid.sphere[0] + placed.translation[rows, solid.joint])
 
 
 def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) -> bool:
-    """Whether one link lies between the two, a neighbour of both, and they overlap however the joints between stand."""
-    between = [c for c in tree.shaped - set(pair) if all(tree.are_neighbours(c, one) for one in pair)]
+    """Whether a link between the two is a neighbour of both, and they overlap in nearly all poses."""
+    between = [c for c in tree.shaped - set(pair) if all(tree.are_neighbours(c, link) for link in pair)]
     if not between:
         return False
     robot = motion.robot
@@ -210,7 +212,7 @@ def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) ->
 
 
 def _share_of_overlaps(robot: RobotModel, tree: LinkTree, pair: tuple[str, str]) -> float:
-    """In which share of random poses of the joints between two links they overlap."""
+    """Return the share of random poses of the joints between two links in which they overlap."""
     q = np.zeros((_POSES, robot.n))
     rng = np.random.default_rng(0)
     for joint in tree.path(*pair):

@@ -1,4 +1,4 @@
-"""The robot's links as a tree, and which of them are joint neighbours, from the model alone."""
+"""Tree of the robot's links, and which of them are joint neighbours, from the model alone."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from jaxtyping import Float
 
 from costs.robot.model import RobotModel
 
-# A body that is fixed to a link counts as part of one of its joints when all of it is this near to the joint [m].
+# A body fixed to a link belongs to a joint of the link when all of it is this near to the joint [m].
 _JOINT_SIZE_M = 0.25
 
 
 class LinkTree:
-    """Links of a robot by name.
+    """Tree of a robot's links by name.
 
     Attributes:
         joint: the pinocchio joint that carries each link (0: fixed to the world).
@@ -25,7 +25,7 @@ class LinkTree:
     """
 
     def __init__(self, robot: RobotModel) -> None:
-        """Read the tree off the model's frames; a body whose link has no frame stands for its joint's own link."""
+        """Read the tree from the model's frames; a body whose link has no frame counts as its joint's own link."""
         self._model, self._robot = robot.model, robot
         self.joint: dict[str, int] = {}
         self.origin: dict[str, np.ndarray] = {}
@@ -49,42 +49,42 @@ class LinkTree:
 
     @cached_property
     def mount(self) -> dict[str, str | None]:
-        """The nearest link with a shape above each link."""
+        """Nearest link with a shape above each link."""
         return {link: self._first_shaped_above(link) for link in self.joint}
 
     @cached_property
     def children(self) -> dict[str, tuple[str, ...]]:
-        """The links that each link carries."""
-        found: dict[str, list[str]] = {link: [] for link in self.joint}
+        """Links that each link carries."""
+        carried: dict[str, list[str]] = {link: [] for link in self.joint}
         for link, carrier in self.carrier.items():
             if carrier is not None:
-                found[carrier].append(link)
-        return {link: tuple(below) for link, below in found.items()}
+                carried[carrier].append(link)
+        return {link: tuple(below) for link, below in carried.items()}
 
     def first_shaped_below(self, link: str) -> set[str]:
-        """The nearest links with a shape below a link, one or none for each of its branches."""
-        found: set[str] = set()
+        """Return the nearest links with a shape below a link, at most one per branch."""
+        nearest: set[str] = set()
         todo = list(self.children[link])
         while todo:
             below = todo.pop()
             if below in self.shaped:
-                found.add(below)
+                nearest.add(below)
             else:
                 todo += self.children[below]
-        return found
+        return nearest
 
     def are_neighbours(self, a: str, b: str) -> bool:
         """Whether two links with shapes are joined by one joint, or by several with no shape between them.
 
-        What is fixed to one of the two is part of it only as far as it is near the joint; what is fixed to the world
-        is a neighbour of what it carries and of nothing else.
+        Links fixed to one of the two count only if they are near the joint; a link fixed to the world is a neighbour
+        only of the links it carries.
         """
         if self.mount[a] == b or self.mount[b] == a:
             return True
         return self._meet_at_a_joint(a, b) or self._meet_at_a_joint(b, a)
 
     def path(self, a: str, b: str) -> tuple[int, ...]:
-        """The joints that move one link against another."""
+        """Return the joints that move one link against another."""
         return tuple(sorted(self._above(self.joint[a]) ^ self._above(self.joint[b])))
 
     def _first_shaped_above(self, link: str) -> str | None:
@@ -94,7 +94,7 @@ class LinkTree:
         return above
 
     def _meet_at_a_joint(self, upper: str, lower: str) -> bool:
-        """Whether what one joint carries and what carries that joint include these two, both near it."""
+        """Whether a joint connects these two links, or links fixed to them, and both are near it."""
         hinge = joint = self.joint[lower]
         shaped_joints = {self.joint[link] for link in self.shaped}
         if joint == 0:
@@ -122,8 +122,8 @@ class LinkTree:
         return all(float(np.linalg.norm(b.vertices - point, axis=1).max()) <= _JOINT_SIZE_M for b in bodies)
 
     def _above(self, joint: int) -> set[int]:
-        found = set()
+        ancestors = set()
         while joint > 0:
-            found.add(joint)
+            ancestors.add(joint)
             joint = int(self._model.parents[joint])
-        return found
+        return ancestors

@@ -1,4 +1,4 @@
-"""Which checks a motion needs, so that none is missing in silence."""
+"""Required checks of a motion: a check that is required and was not made rules out a certificate."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ INERTIA_ROUNDING = 0.05  # by which a principal moment may exceed the sum of the
 
 
 def waived_checks(*, is_timed: bool, is_balanced: bool) -> frozenset[str]:
-    """What a motion need not be checked for: ``timing`` of an untimed one, ``balance`` where none is asked for."""
+    """Return the waived checks: ``timing`` of an untimed motion, ``balance`` where the request does not demand it."""
     return frozenset(([] if is_timed else [TIMING]) + ([] if is_balanced else [BALANCE]))
 
 
 @dataclass(frozen=True)
 class RequiredChecks:
-    """The checks of a motion.
+    """Required and waived checks of a motion.
 
     Attributes:
-        names: of the checks without which there is no certificate.
-        waived: sentences about checks that are not made because the request does not ask for them, or because the
-            robot's description does not give what they need.
+        names: names of the checks without which there is no certificate.
+        waived: sentences about checks that the request waives, or for which the robot's file lacks data.
     """
 
     names: tuple[str, ...]
@@ -37,7 +36,7 @@ class RequiredChecks:
 
 
 def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChecks:
-    """The checks that a motion needs, phase by phase."""
+    """List the checks that a motion requires, phase by phase."""
     names, waived = ["limits.position", "clearance"], []
     if motion.law is not None:
         names += ["limits.speed", "limits.acceleration", "limits.rest"]
@@ -70,7 +69,7 @@ def _is_waived(motion: Motion, what: str) -> bool:
 
 
 def own_joints(motion: Motion) -> tuple[int, ...]:
-    """Coordinates of the robot's own joints: neither the base's nor a mechanism's."""
+    """Return the coordinates of the robot's own joints: neither the base's nor a mechanism's."""
     model, robot = motion.robot.model, motion.robot
     moved = {body.joint for body in robot.bodies if body.link in motion.mechanism_links}
     columns = {int(model.joints[joint].idx_q) for joint in moved}
@@ -78,7 +77,7 @@ def own_joints(motion: Motion) -> tuple[int, ...]:
 
 
 def joints_without_torque_limit(motion: Motion) -> tuple[str, ...]:
-    """The robot's own joints whose torque is held against nothing; a limit of 0 means that it is not known."""
+    """Return the robot's own joints without a torque limit; a limit of 0 means unknown."""
     effort = motion.robot.effort
     return tuple(motion.robot.joint_names[k] for k in own_joints(motion) if not 0.0 < effort[k] < np.inf)
 
@@ -88,7 +87,7 @@ def _has_mass(motion: Motion) -> bool:
 
 
 def _doubtful_weights(motion: Motion) -> Iterator[str]:
-    """What the torques do not know of links whose mass is missing, or whose inertia no body has."""
+    """Yield a phrase for links whose mass is missing, and for links whose inertia no rigid body has."""
     inertias = motion.robot.model.inertias
     links: dict[int, list[str]] = {}
     for body in motion.robot.bodies:
@@ -109,7 +108,7 @@ def _is_possible(inertia: Float[np.ndarray, "3 3"]) -> bool:
 
 
 def missing_checks(required: RequiredChecks, checks: Sequence[Check]) -> Iterator[Check]:
-    """One unproven check for each that the motion needs and that was not made."""
+    """Yield an unproven check for each required check that was not made."""
     made = {check.name for check in checks}
     for name in required.names:
         if name not in made:

@@ -1,4 +1,4 @@
-"""Links without a collision shape, or with a token of one: where they sit, and how far they reach out of all shapes."""
+"""Links without a collision shape, or with a far too small one: place, and reach out of adjacent shapes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from service.verify.prepared_motion import PreparedMotion
 from service.verify.solids import Solid
 
 _STEP_M = 0.02
-_TOKEN_SHARE = 0.2  # of the longest side of what is drawn; shapes that are meant well cover most of it
-# A link lighter than this is a frame with a mass for the simulator's sake; its inertia tells no size [kg].
+_TOKEN_SHARE = 0.2  # of the longest side of the drawn shapes; genuine collision shapes cover most of it
+# A link lighter than this is a frame with a mass for a simulator; its inertia gives no size [kg].
 _LEAST_MASS_KG = 0.01
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
 def find_shapeless_links(prepared: PreparedMotion, tree: LinkTree) -> tuple[Shapeless, ...]:
-    """Every link of the robot (of no mechanism) that has no collision shape, or one far smaller than the link."""
+    """List the robot's links (of no mechanism) that have no collision shape, or one far smaller than the link."""
     elements = _elements(prepared.motion.robot.source.urdf)
     return tuple(
         Shapeless(link, _place(tree, link), _reach(prepared, tree, link, elements.get(link)))
@@ -33,23 +33,23 @@ def find_shapeless_links(prepared: PreparedMotion, tree: LinkTree) -> tuple[Shap
 
 
 def _has_token(prepared: PreparedMotion, link: str, element: ElementTree.Element | None) -> bool:
-    """Whether a link's shapes are so much smaller than what is drawn of it that they stand for nothing.
+    """Whether a link's collision shapes are far smaller than its drawn shapes.
 
-    A mesh read in millimetres, or boxes of a centimetre inside a forearm, would let it go through walls.
+    A mesh read in the wrong unit, or boxes of a centimetre inside a forearm, would let it pass through walls.
     """
     if element is None:
         return False
     try:
-        known = list(_drawn(element))
-    except ValueError:  # what is only drawn was checked by nobody
+        drawn = list(_list_drawn_boxes(element))
+    except ValueError:  # the loader does not validate drawn shapes
         return False
     shapes = [body.vertices for body in prepared.motion.robot.bodies if body.link == link]
-    is_token = bool(known) and _side(shapes) < _TOKEN_SHARE * max(_side([points]) for points in known)
+    is_token = bool(drawn) and _side(shapes) < _TOKEN_SHARE * max(_side([points]) for points in drawn)
     return is_token or _mesh_share(element) < _TOKEN_SHARE
 
 
 def _mesh_share(element: ElementTree.Element) -> float:
-    """How large a mesh is as a shape, as a share of how large the same mesh is drawn; 1 where none is both."""
+    """Return the scale of a collision mesh as a share of its scale when drawn; 1 if no mesh is used for both."""
     drawn = {mesh.get("filename"): _scale_of(mesh) for mesh in element.findall("visual/geometry/mesh")}
     meshes = element.findall("collision/geometry/mesh")
     return min((_scale_of(mesh) / drawn.get(mesh.get("filename"), _scale_of(mesh)) for mesh in meshes), default=1.0)
@@ -60,7 +60,7 @@ def _scale_of(mesh: ElementTree.Element) -> float:
 
 
 def _side(points: Sequence[Float[np.ndarray, "V 3"]]) -> float:
-    """Longest side of the box around points [m]."""
+    """Return the longest side of the box around points [m]."""
     together = np.vstack(points)
     return float((together.max(axis=0) - together.min(axis=0)).max())
 
@@ -72,24 +72,24 @@ def _place(tree: LinkTree, link: str) -> str:
 
 
 def _reach(prepared: PreparedMotion, tree: LinkTree, link: str, element: ElementTree.Element | None) -> float:
-    """The longest side of what is known of the link, or how far it reaches out of the shapes next to it if less [m]."""
+    """Return the size of a link, or how far it reaches out of the adjacent shapes if that is less [m]."""
     points = [np.zeros((0, 3))]
-    # A root that stands still is the world's frame: the line to its joints is nothing that could be hit.
+    # A fixed root is the world's frame: the line to its joints is no body.
     if tree.joint[link] > 0:
         points += list(_lines(prepared, tree, link))
     if element is not None:
         if _has_unknown_size(element):
             return float("nan")
         try:
-            points += [*_drawn(element), *_mass_box(element)]
-        except ValueError:  # what is only drawn was checked by nobody
+            points += [*_list_drawn_boxes(element), *_mass_box(element)]
+        except ValueError:  # the loader does not validate drawn shapes
             return float("nan")
     in_link = np.vstack(points)
     if not len(in_link):
         return 0.0
     mount = tree.mount[link]
     near = tree.first_shaped_below(link) | ({mount} if mount else set())
-    near |= {one for one in tree.shaped if tree.joint[one] == tree.joint[link]}
+    near |= {other for other in tree.shaped if tree.joint[other] == tree.joint[link]}
     placed, rows = prepared.at(prepared.motion.curve.knots[:1])
     frame = prepared.motion.robot.model.frames[prepared.motion.robot.model.getFrameId(link, pin.FrameType.BODY)]
     in_joint = in_link @ np.array(frame.placement.rotation).T + np.array(frame.placement.translation)
@@ -102,7 +102,7 @@ def _reach(prepared: PreparedMotion, tree: LinkTree, link: str, element: Element
 
 
 def _lines(prepared: PreparedMotion, tree: LinkTree, link: str) -> Iterator[Float[np.ndarray, "P 3"]]:
-    """Points on the lines from a link's origin to the moving joints that it carries, in its own frame [m]."""
+    """Yield points on the lines from a link's origin to the moving joints that it carries, in its own frame [m]."""
     model = prepared.motion.robot.model
     frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
     for below in tree.children[link]:
@@ -126,17 +126,17 @@ def _mass_of(element: ElementTree.Element) -> float:
 
 
 def _has_unknown_size(element: ElementTree.Element) -> bool:
-    """Whether the link is drawn as a mesh, which nobody brings along, and has no mass to tell its size."""
+    """Whether the link is drawn as a mesh, which is not loaded, and has no mass to give its size."""
     return element.find("visual/geometry/mesh") is not None and not _mass_of(element) >= _LEAST_MASS_KG
 
 
-def _drawn(element: ElementTree.Element) -> Iterator[Float[np.ndarray, "8 3"]]:
-    """Corners of boxes around the link's drawn shapes, in its frame [m]."""
+def _list_drawn_boxes(element: ElementTree.Element) -> Iterator[Float[np.ndarray, "8 3"]]:
+    """Yield corners of boxes around the link's drawn shapes, in its frame [m]."""
     for visual in element.findall("visual"):
         for shape in visual.findall("geometry/*"):
             size = _box_of(shape)
             if size is not None:
-                yield _placed(_CORNERS * size, visual)
+                yield _place_points(_CORNERS * size, visual)
 
 
 def _box_of(shape: ElementTree.Element) -> Float[np.ndarray, "3"] | None:
@@ -150,17 +150,17 @@ def _box_of(shape: ElementTree.Element) -> Float[np.ndarray, "3"] | None:
 
 
 def _mass_box(element: ElementTree.Element) -> Iterator[Float[np.ndarray, "8 3"]]:
-    """Corners of the evenly filled box that has the link's mass and moments of inertia, in its frame [m]."""
+    """Yield corners of the uniform box that has the link's mass and moments of inertia, in its frame [m]."""
     inertial, mass = element.find("inertial"), _mass_of(element)
     inertia = element.find("inertial/inertia")
     if inertial is None or inertia is None or not mass >= _LEAST_MASS_KG:
         return
     xx, yy, zz = (float(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz"))
     squares = 6.0 / mass * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz])
-    yield _placed(_CORNERS * np.sqrt(np.maximum(squares, 0.0)), inertial)
+    yield _place_points(_CORNERS * np.sqrt(np.maximum(squares, 0.0)), inertial)
 
 
-def _placed(points: Float[np.ndarray, "V 3"], element: ElementTree.Element) -> Float[np.ndarray, "V 3"]:
+def _place_points(points: Float[np.ndarray, "V 3"], element: ElementTree.Element) -> Float[np.ndarray, "V 3"]:
     origin = element.find("origin")
     if origin is None:
         return points
