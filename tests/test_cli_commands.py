@@ -1,4 +1,4 @@
-"""The command line: exit codes, one line for wrong input, exactly one JSON object, nothing half-written."""
+"""Command line: exit codes, one line for wrong input, exactly one JSON object, no partial output."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def made() -> PlanResult:
 
 @pytest.fixture
 def planner(monkeypatch: pytest.MonkeyPatch, made: PlanResult) -> SimpleNamespace:
-    """Stands in for ``service.planner``; its ``plan`` can be exchanged."""
+    """Replacement of ``service.planner`` whose ``plan`` can be set."""
     stand_in = SimpleNamespace(plan=lambda request, on_progress, should_stop: made)
     monkeypatch.setitem(sys.modules, "service.planner", stand_in)
     return stand_in
@@ -260,7 +260,7 @@ main()
 
 
 def _interrupted(tmp_path: Path, times: int) -> tuple[int, dict[str, Any]]:
-    """Exit code and JSON of a plan that gets Ctrl-C so many times."""
+    """Return exit code and JSON of a plan that receives Ctrl-C that many times."""
     program = SLOW_PLANNER.format(
         support=str(ROOT / "tests" / "support"), waits=times > 1, request=str(REQUEST), out=str(tmp_path / "plan")
     )

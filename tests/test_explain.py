@@ -23,9 +23,10 @@ from service.body.restore import restore_feasibility
 from service.body.whole_body import CLEARANCE_TERMS, Aims, WholeBody
 from service.explain.conflict import Conflict, Demand, DemandKind, Search
 from service.explain.narrow import explain
-from service.planner import _explain, plan, shortfalls
+from service.planner import _explain, plan
 from service.request.file import parse_request
 from service.request.schema import GoalRequest, PoseGoalRequest
+from service.result.attempt import list_shortfalls
 from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.start.standing import FEET_GROUP
@@ -279,7 +280,7 @@ def test_what_costs_and_margins_keep_from_being_found_is_found_without_them():
     assert state.contacts.distance[state.contacts.margin > 0.0].min() >= LEAST_CLEARANCE
     for constraint in solved.problem.constraints:
         if constraint.name not in CLEARANCE_TERMS:
-            short = constraint.violation(constraint.residual.value(state))
+            short = constraint.measure_violation(constraint.residual.value(state))
             assert short.max(initial=0.0) <= constraint.tolerance, constraint.name
     beyond = stuck(body, "l_tool", (0.3, 0.2, 2.4))
     assert restore_feasibility(solver, "goal pose", beyond) is beyond
@@ -290,10 +291,10 @@ def test_what_could_not_be_proven_is_told_with_its_time():
     barefoot = replace(motion, phases=tuple(replace(phase, allowances=()) for phase in motion.phases))
     certificate = verify(barefoot)  # feet that touch the floor, which nothing proves to stay out of it
     assert certificate.status is Status.FEASIBLE_AT_SAMPLES
-    lines = shortfalls(certificate)
+    lines = list_shortfalls(certificate)
     assert {line.split(" not shown")[0] for line in lines} == {
         "clearance of l_foot and floor",
         "clearance of r_foot and floor",
     }
     assert all(line.endswith(" s)") for line in lines)
-    assert shortfalls(small_plan().certificate) == ()
+    assert list_shortfalls(small_plan().certificate) == ()

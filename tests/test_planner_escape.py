@@ -17,8 +17,9 @@ from costs.scene import Scene
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.cli.report import print_figures, print_findings, print_verdict
 from service.errors import RequestError
-from service.planner import plan, shortfalls
+from service.planner import plan
 from service.request.file import parse_request
+from service.result.attempt import list_shortfalls
 from service.result.output import write_result
 from service.result.result import Verdict
 from service.result.result_json import summary_json
@@ -138,7 +139,7 @@ def test_without_its_allowance_or_with_a_smaller_one_the_same_motion_is_refuted(
     for allowances in ((), (Allowance(l2, block, 0.009),), (Allowance(l1, block, 0.02),)):
         certificate = verify(replace(result.motion, phases=(replace(first, allowances=allowances), second)))
         assert certificate.status is Status.VIOLATED
-        line = next(line for line in shortfalls(certificate) if line.startswith("l2 penetrates block by "))
+        line = next(line for line in list_shortfalls(certificate) if line.startswith("l2 penetrates block by "))
         assert line.endswith(" s)")
     assert verify(result.motion).status is Status.CERTIFIED
 
@@ -204,7 +205,7 @@ def test_a_planted_foot_cannot_leave_the_floor():
     with pytest.raises(RequestError) as caught:
         prepare(request)
     assert caught.value.problems == tuple(
-        f"start is out of balance: the floor is 50.0 mm above the sole of {foot}; at most 3 mm would do: "
+        f"start is out of balance: the ground is 50.0 mm above the sole of {foot}; at most 3 mm would do: "
         "move start.base, or leave it out"
         for foot in ("l_foot", "r_foot")
     )
