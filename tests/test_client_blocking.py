@@ -96,7 +96,15 @@ def test_an_iterator_that_was_never_started_sends_nothing(stand_in: PlannerStand
         client.plan_events(REQUEST)
         gc.collect()
         assert client.status().queued == 2
-    assert not any(isinstance(message, pb.PlanRequest) for message in stand_in.asked)
+    assert not any(isinstance(message, pb.PlanRequest) for message in stand_in.requests)
+
+
+def test_a_callback_may_call_the_client(stand_in: PlannerStandIn, target: str) -> None:
+    versions: list[str] = []
+    with PlannerClient(target) as client:
+        plan = client.plan(REQUEST, on_progress=lambda event: versions.append(client.status().version))
+    assert plan.verdict == "CERTIFIED"
+    assert versions == ["0.1.0"] * 4
 
 
 def test_closing_the_client_ends_calls_of_other_threads(stand_in: PlannerStandIn, target: str) -> None:
@@ -174,7 +182,7 @@ def test_blocking_and_asynchronous_clients_of_several_threads_log_nothing(
         thread.start()
     for thread in threads:
         thread.join()
-    assert len(stand_in.asked) == 60
+    assert len(stand_in.requests) == 60
     assert caplog.records == []
 
 

@@ -1,4 +1,4 @@
-"""Both clients against a server that answers as the protocol says, and against one that does not."""
+"""Both clients against a server that keeps the protocol, and against broken ones."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from planner_stand_in import (
     accepted,
     chunks,
     finished,
-    made_result,
+    make_result,
     refused,
     slow_plan,
-    written_cloud,
+    write_cloud,
 )
 
 from service.client import AsyncPlannerClient, FieldViolation, PlannerClient, PlannerError, Retry
@@ -68,29 +68,29 @@ def test_a_plan_comes_with_verdict_progress_and_files(
             REQUEST, request_id="mine", out=tmp_path / "plan", on_progress=lambda e: seen.append(e.WhichOneof("event"))
         )
     assert (plan.verdict, plan.plan_id, plan.request_id, plan.is_known) == ("CERTIFIED", PLAN_ID, "mine", False)
-    assert plan.result == made_result()
+    assert plan.result == make_result()
     assert plan.folder == tmp_path / "plan"
     written = {path.relative_to(plan.folder).as_posix(): path.read_bytes() for path in plan.folder.rglob("*.*")}
     assert written == FILES
     assert [path.name for path in tmp_path.iterdir()] == ["plan"]
     assert seen == ["accepted", "queued", "progress", "progress"]
-    assert request_from_message(stand_in.asked[0].request) == REQUEST
+    assert request_from_message(stand_in.requests[0].request) == REQUEST
 
 
-def test_events_come_as_the_server_tells_them(connect: Callable[..., Any], stand_in: PlannerStandIn) -> None:
+def test_events_come_in_the_servers_order(connect: Callable[..., Any], stand_in: PlannerStandIn) -> None:
     with connect() as client:
         events = list(client.plan_events(request_to_message(REQUEST), with_waypoints=True))
     assert [event.WhichOneof("event") for event in events] == ["accepted", "queued", "progress", "progress", "finished"]
     assert events[3].progress.iteration.violations["collision"] == 0.02
-    assert stand_in.asked[0].with_waypoints
-    assert not stand_in.asked[0].with_files
-    assert len(stand_in.asked[0].request_id) > 30  # asked again, it is the same plan
+    assert stand_in.requests[0].with_waypoints
+    assert not stand_in.requests[0].with_files
+    assert len(stand_in.requests[0].request_id) > 30  # the same id gives the same plan again
 
 
-def test_clouds_of_this_machine_are_uploaded_once_and_others_are_sent_as_they_are(
+def test_local_clouds_are_uploaded_once_and_other_paths_are_sent_unchanged(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
 ) -> None:
-    path = written_cloud(tmp_path, 1_200_000)
+    path = write_cloud(tmp_path, 1_200_000)
     request = _with_scan(tmp_path, "scan.pcd", "/robot/scans/other.pcd")
     with connect() as client:
         client.plan(request)
@@ -98,15 +98,15 @@ def test_clouds_of_this_machine_are_uploaded_once_and_others_are_sent_as_they_ar
         client.plan(request)
     (cloud_id,) = stand_in.clouds
     assert stand_in.clouds[cloud_id] == path.read_bytes()
-    asked = [message for message in stand_in.asked if isinstance(message, pb.PlanRequest)]
-    for message in asked:
+    plans = [message for message in stand_in.requests if isinstance(message, pb.PlanRequest)]
+    for message in plans:
         assert [cloud.file for cloud in message.request.scene.cloud.files.value] == [cloud_id, "/robot/scans/other.pcd"]
 
 
-def test_a_scene_of_this_machine_is_uploaded_and_one_that_was_built_is_named(
+def test_a_local_scene_is_uploaded_and_a_built_scene_is_named_by_its_id(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
 ) -> None:
-    path = written_cloud(tmp_path, name="scene.json")
+    path = write_cloud(tmp_path, name="scene.json")
     built = "scene:" + "0" * 64
     with connect() as client:
         for file in ("scene.json", built):
@@ -114,14 +114,14 @@ def test_a_scene_of_this_machine_is_uploaded_and_one_that_was_built_is_named(
             client.plan(parse_request(parts, tmp_path))
     (scene_id,) = stand_in.clouds
     assert stand_in.clouds[scene_id] == path.read_bytes()
-    asked = [message for message in stand_in.asked if isinstance(message, pb.PlanRequest)]
-    assert [message.request.scene.file for message in asked] == [scene_id, built]
+    plans = [message for message in stand_in.requests if isinstance(message, pb.PlanRequest)]
+    assert [message.request.scene.file for message in plans] == [scene_id, built]
 
 
-def test_a_cloud_that_the_server_knows_is_not_sent_to_its_end(
+def test_the_chunks_of_a_known_cloud_are_not_sent(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = written_cloud(tmp_path, 40_000_000)
+    path = write_cloud(tmp_path, 40_000_000)
     from service.client import local_files
 
     read: list[int] = []
@@ -142,22 +142,22 @@ def test_a_cloud_that_the_server_knows_is_not_sent_to_its_end(
     assert sum(read) - 40_000_000 < 8_000_000  # the first time it was read for its hash
 
 
-def test_a_cloud_that_vanishes_on_its_way_is_an_error_of_the_request(
+def test_a_cloud_deleted_during_its_upload_is_a_request_error(
     connect: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from service.client import local_files
 
-    cloud = local_files.hash_file(written_cloud(tmp_path))
+    cloud = local_files.hash_file(write_cloud(tmp_path))
     monkeypatch.setattr("service.client.asynchronous.hash_file", lambda path: cloud)
     cloud.path.unlink()
     with connect() as client, pytest.raises(RequestError, match=r"scan\.pcd cannot be read: No such file"):
         client.upload_cloud(cloud.path)
 
 
-def test_scenes_objects_checks_and_robots(
+def test_scenes_detections_verifications_and_robots(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
 ) -> None:
-    path, steps = written_cloud(tmp_path), list[str]()
+    path, steps = write_cloud(tmp_path), list[str]()
     (tmp_path / "plan" / "robot").mkdir(parents=True)
     (tmp_path / "plan" / "result.json").write_text('{"format": "scopt-result/1"}')
     (tmp_path / "plan" / "robot" / "robot.urdf").write_text("<robot/>")
@@ -175,7 +175,7 @@ def test_scenes_objects_checks_and_robots(
             client.build_scene([path], unknown="green")
     (cloud_id,) = stand_in.clouds
     built, detected, by_id, by_files = (
-        next(message for message in stand_in.asked if isinstance(message, kind) and wanted(message))
+        next(message for message in stand_in.requests if isinstance(message, kind) and wanted(message))
         for kind, wanted in (
             (pb.BuildSceneRequest, lambda m: True),
             (pb.DetectRequest, lambda m: True),
@@ -188,7 +188,9 @@ def test_scenes_objects_checks_and_robots(
     assert {file.path: file.is_last for file in by_files.files} == {"result.json": True, "robot/robot.urdf": True}
 
 
-def test_a_review_binds_to_what_was_seen(connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path) -> None:
+def test_a_review_is_bound_to_the_hashes_of_the_record(
+    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
+) -> None:
     with connect() as client:
         stored = client.get_plan(PLAN_ID, out=tmp_path / "plan")
         assert (tmp_path / "plan" / "viewer.html").read_bytes() == FILES["viewer.html"]
@@ -202,19 +204,19 @@ def test_a_review_binds_to_what_was_seen(connect: Callable[..., Any], stand_in: 
             client.review(client.get_plan(PLAN_ID).record, accept=False)
 
 
-def test_a_hash_of_something_else_is_refused(connect: Callable[..., Any], stand_in: PlannerStandIn) -> None:
+def test_a_wrong_hash_is_refused(connect: Callable[..., Any], stand_in: PlannerStandIn) -> None:
     stand_in.result.trajectory.positions[1] = 0.6
     with connect() as client, pytest.raises(PlannerError, match="DATA_LOSS: the trajectory's hash is") as caught:
         client.get_plan(PLAN_ID)
     assert caught.value.code is Code.DATA_LOSS
-    result = made_result()
+    result = make_result()
     result.certificate.json += b" "
     stand_in.plans.append(lambda request, context: iter([accepted(request), finished(result)]))
     with connect() as client, pytest.raises(PlannerError, match="the certificate's hash is"):
         client.plan(REQUEST)
 
 
-def test_an_error_tells_code_text_and_every_field(connect: Callable[..., Any], stand_in: PlannerStandIn) -> None:
+def test_an_error_has_code_text_and_every_field(connect: Callable[..., Any], stand_in: PlannerStandIn) -> None:
     bad = BadRequest(field_violations=[{"field": "request.goal", "description": "goal: is missing"}] * 2)  # type: ignore[list-item]
     stand_in.plans.append(refused(Code.INVALID_ARGUMENT, "goal: is missing", bad))
     with connect() as client, pytest.raises(PlannerError) as caught:
@@ -226,7 +228,7 @@ def test_an_error_tells_code_text_and_every_field(connect: Callable[..., Any], s
 
 
 @pytest.mark.parametrize("garbage", [b"\xff\xff\xff", b"", b"\x1a\x04\x0a\x02aa"])
-def test_details_that_cannot_be_read_leave_code_and_text(
+def test_unreadable_details_leave_code_and_text(
     connect: Callable[..., Any], stand_in: PlannerStandIn, garbage: bytes
 ) -> None:
     def plan(request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
@@ -240,10 +242,10 @@ def test_details_that_cannot_be_read_leave_code_and_text(
     assert (caught.value.code, caught.value.problems) == (Code.INTERNAL, ("incident 42",))
 
 
-def test_an_upload_whose_answer_was_lost_on_this_side_is_made_again(
+def test_an_upload_whose_answer_the_client_lost_is_repeated(
     target: str, stand_in: PlannerStandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = written_cloud(tmp_path)
+    path = write_cloud(tmp_path)
 
     async def main() -> str:
         async with AsyncPlannerClient(target, retry=Retry(first_delay_s=0.01)) as client:
@@ -262,7 +264,7 @@ def test_an_upload_whose_answer_was_lost_on_this_side_is_made_again(
     assert asyncio.run(main()) in stand_in.clouds
 
 
-def test_an_overloaded_server_is_asked_again_with_the_same_id_after_the_told_delay(
+def test_a_request_to_an_overloaded_server_is_repeated_with_its_id_after_the_servers_delay(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
 ) -> None:
     def lost(request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
@@ -271,17 +273,17 @@ def test_an_overloaded_server_is_asked_again_with_the_same_id_after_the_told_del
         context.abort(Code.UNAVAILABLE, "restarting")
 
     stand_in.plans += [refused(Code.RESOURCE_EXHAUSTED, "the queue is full", _retry_after(0.05)), lost]
-    told: list[tuple[Code, float]] = []
+    retries: list[tuple[Code, float]] = []
     retry = Retry(attempts=3, first_delay_s=0.01)
-    with connect(retry=retry, on_retry=lambda error, delay: told.append((error.code, delay))) as client:
+    with connect(retry=retry, on_retry=lambda error, delay: retries.append((error.code, delay))) as client:
         plan = client.plan(REQUEST, out=tmp_path / "plan")
-    assert told == [(Code.RESOURCE_EXHAUSTED, 0.05), (Code.UNAVAILABLE, 0.01)]
-    assert len({message.request_id for message in stand_in.asked}) == 1
-    assert len(stand_in.asked) == 3
+    assert retries == [(Code.RESOURCE_EXHAUSTED, 0.05), (Code.UNAVAILABLE, 0.01)]
+    assert len({message.request_id for message in stand_in.requests}) == 1
+    assert len(stand_in.requests) == 3
     assert (plan.folder / "trajectory.csv").read_bytes() == FILES["trajectory.csv"]
 
 
-def test_a_result_of_an_attempt_that_broke_off_does_not_count(
+def test_the_result_of_a_broken_attempt_does_not_count(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
 ) -> None:
     def cut_off(request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
@@ -299,7 +301,7 @@ def test_a_result_of_an_attempt_that_broke_off_does_not_count(
 
 
 @pytest.mark.parametrize(
-    ("retry", "deadline_s", "delay_s", "asked"),
+    ("retry", "deadline_s", "delay_s", "n_requests"),
     [
         (Retry(attempts=1), None, 0.01, 1),
         (Retry(attempts=2), None, 0.01, 2),
@@ -308,39 +310,39 @@ def test_a_result_of_an_attempt_that_broke_off_does_not_count(
         (Retry(), None, None, 1),  # exhausted for good: too large a message, say
     ],
 )
-def test_there_is_an_end_to_asking_again(
+def test_attempts_are_limited(
     connect: Callable[..., Any],
     stand_in: PlannerStandIn,
     retry: Retry,
     deadline_s: float | None,
     delay_s: float | None,
-    asked: int,
+    n_requests: int,
 ) -> None:
     details = () if delay_s is None else (_retry_after(delay_s),)
     stand_in.plans += [refused(Code.RESOURCE_EXHAUSTED, "the queue is full", *details)] * 9
     with connect(retry=retry) as client, pytest.raises(PlannerError, match="RESOURCE_EXHAUSTED") as caught:
         client.plan(REQUEST, deadline_s=deadline_s)
     assert caught.value.retry_delay_s == delay_s
-    assert len(stand_in.asked) == asked
+    assert len(stand_in.requests) == n_requests
 
 
-def test_a_deadline_ends_a_plan_and_tells_what_it_was_at(connect: Callable[..., Any], stand_in: PlannerStandIn) -> None:
+def test_a_deadline_ends_a_plan_and_its_error_names_the_last_step(
+    connect: Callable[..., Any], stand_in: PlannerStandIn
+) -> None:
     stand_in.plans.append(slow_plan(stand_in))
     with connect() as client, pytest.raises(PlannerError, match=r"no answer within 0\.2 s; last step: 'waiting'"):
         client.plan(REQUEST, deadline_s=0.2)
     assert stand_in.stopped.wait(5.0)
 
 
-def test_a_deadline_counts_the_clouds_too(
-    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
-) -> None:
-    written_cloud(tmp_path)
+def test_a_deadline_includes_the_uploads(connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path) -> None:
+    write_cloud(tmp_path)
     with connect() as client, pytest.raises(PlannerError, match="DEADLINE_EXCEEDED"):
         client.plan(_with_scan(tmp_path, "scan.pcd"), deadline_s=0.0)
-    assert stand_in.asked == []
+    assert stand_in.requests == []
 
 
-def test_an_exception_on_the_way_stops_the_plan_and_writes_nothing(
+def test_an_exception_in_a_callback_stops_the_plan_and_writes_nothing(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
 ) -> None:
     stand_in.plans.append(slow_plan(stand_in))
@@ -394,7 +396,7 @@ def _broken_plans() -> dict[str, tuple[Callable[..., Any], str]]:
 
         return plan
 
-    late = made_result()
+    late = make_result()
     late.verdict = 0
     return {
         "no result": (lambda request, context: iter([accepted(request)]), "ended the call without a plan"),
@@ -419,9 +421,7 @@ BROKEN = _broken_plans()
 
 
 @pytest.mark.parametrize("kind", BROKEN)
-def test_an_answer_that_is_none_leaves_no_trace(
-    stand_in: PlannerStandIn, target: str, tmp_path: Path, kind: str
-) -> None:
+def test_a_broken_answer_writes_nothing(stand_in: PlannerStandIn, target: str, tmp_path: Path, kind: str) -> None:
     plan, problem = BROKEN[kind]
     stand_in.plans.append(plan)
     with PlannerClient(target) as client, pytest.raises(PlannerError, match=problem) as caught:
@@ -474,10 +474,10 @@ def test_without_files_an_earlier_result_stays(stand_in: PlannerStandIn, target:
         assert (tmp_path / "plan" / "result.json").is_file()
         (tmp_path / "other").mkdir()
         (tmp_path / "other" / "thesis.tex").write_text("years of work")
-        n_asked = len(stand_in.asked)
+        n_before = len(stand_in.requests)
         with pytest.raises(ResultError, match="name a new or empty folder"):
             client.plan(REQUEST, out=tmp_path / "other")
-    assert len(stand_in.asked) == n_asked
+    assert len(stand_in.requests) == n_before
 
 
 def test_the_client_loads_nothing_that_plans_and_nothing_of_the_server() -> None:
@@ -491,7 +491,7 @@ def test_the_client_loads_nothing_that_plans_and_nothing_of_the_server() -> None
     assert done.stdout.strip() == "[]"
 
 
-def test_a_server_that_is_not_there_is_unavailable() -> None:
+def test_a_missing_server_is_unavailable() -> None:
     for connect in CLIENTS.values():
         with (
             connect("localhost:1", retry=Retry(attempts=2, first_delay_s=0.01)) as client,

@@ -1,4 +1,4 @@
-"""scopt request, review and top against a server that answers as the protocol says."""
+"""scopt request, review and top against a server that keeps the protocol."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from planner_stand_in import (
     PlannerStandIn,
     accepted,
     finished,
-    made_result,
+    make_result,
     refused,
     serving,
     slow_plan,
@@ -69,8 +69,8 @@ def test_a_request_ends_with_the_verdict_and_the_folder_that_plan_writes(target:
     assert ends == ["phases", "planning", "clearance", "balance", "plan", "viewer", "trajectory", "CERTIFIED"]
     assert lines[-1] == "CERTIFIED  clearance 21.3 mm, planned in 0.25 s"
     assert (tmp_path / "out" / "joint_goal" / "result.json").read_bytes() == FILES["result.json"]
-    told = [line.strip() for line in result.stderr.splitlines()]
-    assert told == [
+    lines_on_stderr = [line.strip() for line in result.stderr.splitlines()]
+    assert lines_on_stderr == [
         "0 % read request",
         "0 % send request",
         f"0 % accepted as {PLAN_ID}",
@@ -79,7 +79,7 @@ def test_a_request_ends_with_the_verdict_and_the_folder_that_plan_writes(target:
     ]
 
 
-def test_a_terminal_sees_every_iteration(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_shows_every_iteration(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.cli.request.LOG_PERIOD_S", 0.0)
     assert " 50 % reach: iteration 4, merit 3.5, mu 10, collision off by 0.02" in _request(target).stderr
 
@@ -95,7 +95,7 @@ def test_json_is_one_object_with_the_keys_of_plan(target: str) -> None:
 
 @pytest.mark.parametrize("verdict", [v.value for v in Verdict])
 def test_every_verdict_has_the_exit_code_of_plan(stand_in: PlannerStandIn, target: str, verdict: str) -> None:
-    stand_in.plans.append(lambda request, context: iter([accepted(request), finished(made_result(verdict))]))
+    stand_in.plans.append(lambda request, context: iter([accepted(request), finished(make_result(verdict))]))
     result = _request(target)
     assert result.exit_code == EXIT_CODES[verdict]
     assert result.stdout.splitlines()[-1].startswith(verdict)
@@ -122,17 +122,17 @@ def test_wrong_fields_are_a_line_each(stand_in: PlannerStandIn, target: str, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_overloaded_server_is_asked_again_and_told_of_at_last(stand_in: PlannerStandIn, target: str) -> None:
+def test_an_overloaded_server_is_tried_again_and_reported_in_the_end(stand_in: PlannerStandIn, target: str) -> None:
     delay = RetryInfo(retry_delay=Duration(nanos=20_000_000))
     stand_in.plans += [refused(Code.RESOURCE_EXHAUSTED, "the queue is full", delay)] * 2
     result = _request(target, "--attempts", 2, "--json")
     assert result.exit_code == 6
     assert "OVERLOADED: the queue is full; trying again in 0.0 s" in result.stderr
     assert json.loads(result.stdout)["verdict"] == "OVERLOADED"
-    assert len(stand_in.asked) == 2
+    assert len(stand_in.requests) == 2
 
 
-def test_nothing_is_sent_that_the_validator_or_the_folder_refuses(
+def test_requests_refused_by_the_validator_or_the_folder_are_not_sent(
     stand_in: PlannerStandIn, target: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "wrong.yaml"
@@ -143,7 +143,7 @@ def test_nothing_is_sent_that_the_validator_or_the_folder_refuses(
     assert _request(target, "--out", tmp_path, name="valve").exit_code == 3  # holds something else
     assert _request("nowhere").exit_code == 3
     assert _scopt("request", path).exit_code == 2
-    assert stand_in.asked == []
+    assert stand_in.requests == []
 
 
 def test_the_target_may_come_from_the_environment_and_the_token_from_a_file(
@@ -164,15 +164,15 @@ def test_clouds_of_a_task_without_a_planner_are_not_uploaded(stand_in: PlannerSt
     result = _request(target, name=name)
     assert result.exit_code == 3
     assert result.stdout.startswith(f"INVALID_REQUEST  task.{name}: there is no planner for ")
-    assert stand_in.asked == []
+    assert stand_in.requests == []
 
 
 @pytest.mark.parametrize("path", PLANNED, ids=lambda path: path.stem)
 def test_every_example_request_is_sent_with_its_clouds(stand_in: PlannerStandIn, target: str, path: Path) -> None:
     result = _request(target, name=path.stem)
     assert result.exit_code == 0, result.stderr
-    (asked,) = (message for message in stand_in.asked if isinstance(message, pb.PlanRequest))
-    cloud = asked.request.scene.cloud.file
+    (sent,) = (message for message in stand_in.requests if isinstance(message, pb.PlanRequest))
+    cloud = sent.request.scene.cloud.file
     assert cloud in stand_in.clouds if "cloud:" in path.read_text() else cloud == ""
 
 
@@ -205,7 +205,7 @@ def test_ctrl_c_and_sigterm_stop_the_plan(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_review_shows_what_it_is_bound_to(stand_in: PlannerStandIn, target: str) -> None:
+def test_a_review_shows_the_hashes_it_is_bound_to(stand_in: PlannerStandIn, target: str) -> None:
     seen = _scopt("review", PLAN_ID, "--target", target)
     assert seen.exit_code == 0, seen.stderr
     assert f"trajectory       {stand_in.result.trajectory.sha256}" in seen.stdout
@@ -221,16 +221,14 @@ def test_a_review_shows_what_it_is_bound_to(stand_in: PlannerStandIn, target: st
     ]
 
 
-def test_a_comment_does_nothing_to_the_terminal_that_shows_it(stand_in: PlannerStandIn, target: str) -> None:
+def test_control_characters_of_a_comment_are_escaped(stand_in: PlannerStandIn, target: str) -> None:
     _scopt("review", PLAN_ID, "--target", target, "--reject", "--comment", "\x1b[2K\x1b[1Atoo ☃\nclose")
     seen = _scopt("review", PLAN_ID, "--target", target).stdout
     assert "\x1b" not in seen
     assert r"\x1b[2K\x1b[1Atoo ☃" in seen
 
 
-def test_what_is_to_be_reviewed_is_fetched_without_a_decision(
-    stand_in: PlannerStandIn, target: str, tmp_path: Path
-) -> None:
+def test_a_plans_files_are_fetched_without_a_decision(stand_in: PlannerStandIn, target: str, tmp_path: Path) -> None:
     seen = _scopt("review", PLAN_ID, "--target", target, "--out", tmp_path / "plan")
     assert seen.exit_code == 0, seen.stderr
     assert f"viewer           {tmp_path}/plan/viewer.html" in seen.stdout
@@ -244,9 +242,7 @@ def test_what_is_to_be_reviewed_is_fetched_without_a_decision(
     assert stand_in.reviews == []
 
 
-def test_a_token_that_cannot_be_used_is_told_by_where_it_comes_from(
-    stand_in: PlannerStandIn, target: str, tmp_path: Path
-) -> None:
+def test_the_error_of_an_unusable_token_names_its_source(stand_in: PlannerStandIn, target: str, tmp_path: Path) -> None:
     def top(*arguments: object, **variables: str) -> str:
         result = _scopt("top", "--target", target, *arguments, **variables)
         assert result.exit_code == 3
@@ -261,10 +257,10 @@ def test_a_token_that_cannot_be_used_is_told_by_where_it_comes_from(
     printable = "expected printable ASCII characters without blanks\n"
     assert top("--token-file", odd) == f"--token-file {odd}: {printable}"
     assert top(SCOPT_TOKEN="two words") == f"the variable SCOPT_TOKEN: {printable}"
-    assert stand_in.asked == []
+    assert stand_in.requests == []
 
 
-def test_without_a_token_that_the_server_knows_the_ways_to_give_one_are_told(
+def test_an_unknown_token_is_reported_with_its_source_or_the_ways_to_give_one(
     stand_in: PlannerStandIn, target: str, tmp_path: Path
 ) -> None:
     stand_in.plans += [refused(Code.UNAUTHENTICATED, "a token is needed")] * 2
@@ -278,7 +274,7 @@ def test_without_a_token_that_the_server_knows_the_ways_to_give_one_are_told(
     )
 
 
-def test_grpc_says_nothing_of_its_own(tmp_path: Path) -> None:
+def test_grpc_logs_nothing_to_stderr(tmp_path: Path) -> None:
     authority = trustme.CA()
     authority.cert_pem.write_to_path(str(tmp_path / "ca.pem"))
     with serving(PlannerStandIn()) as target:
@@ -293,7 +289,7 @@ def test_grpc_says_nothing_of_its_own(tmp_path: Path) -> None:
     assert line.startswith(f"the server at {target} does not use TLS")
 
 
-def test_a_plan_that_is_not_there_or_not_finished_is_not_reviewed(stand_in: PlannerStandIn, target: str) -> None:
+def test_a_missing_or_unfinished_plan_is_not_reviewed(stand_in: PlannerStandIn, target: str) -> None:
     gone = _scopt("review", "other", "--accept", "--target", target)
     assert (gone.exit_code, gone.stderr) == (3, "no plan 'other'\n")
     stand_in.state = pb.PLAN_STATE_RUNNING
@@ -305,7 +301,7 @@ def test_a_plan_that_is_not_there_or_not_finished_is_not_reviewed(stand_in: Plan
     assert stand_in.reviews == []
 
 
-def test_top_looks_once_where_there_is_no_terminal(target: str) -> None:
+def test_top_prints_once_without_a_terminal(target: str) -> None:
     result = _scopt("top", "--target", target)
     lines = [" ".join(line.split()) for line in result.stdout.splitlines()]
     assert lines == [
@@ -323,7 +319,7 @@ def test_top_looks_once_where_there_is_no_terminal(target: str) -> None:
     assert data["workers"][0]["jobs_done"] == 17
 
 
-def test_top_keeps_what_it_saw_last_when_the_server_goes() -> None:
+def test_top_keeps_the_last_status_of_an_unreachable_server() -> None:
     screen = Console(file=StringIO(), width=120)
     screen.print(draw_status(pb.GetStatusResponse(version="0.1.0", queued=3), "robot:1", "UNAVAILABLE: gone\nfor good"))
     screen.print(draw_status(pb.GetStatusResponse(is_draining=True), "robot:1"))
@@ -333,7 +329,7 @@ def test_top_keeps_what_it_saw_last_when_the_server_goes() -> None:
     assert "draining: no new requests" in text
 
 
-def test_a_server_that_is_not_there_is_exit_code_69() -> None:
+def test_a_missing_server_is_exit_code_69() -> None:
     assert _scopt("top", "--target", "localhost:1").exit_code == 69
     result = _scopt("request", REQUESTS / "joint_goal.yaml", "--target", "localhost:1", "--attempts", 1)
     assert result.exit_code == 69

@@ -1,4 +1,4 @@
-"""How a client reaches a server: targets, TLS on both sides, tokens."""
+"""Connections of the clients: targets, TLS on both sides, tokens."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from service.errors import RequestError
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Certificates: ``ca``, ``server`` and ``client`` of it, and ``other``, an authority of somebody else's."""
+    """Certificates: ``ca``, ``server`` and ``client`` of it, and ``other``, an unrelated authority."""
     folder = tmp_path_factory.mktemp("tls")
     authority = trustme.CA()
     authority.cert_pem.write_to_path(str(folder / "ca.pem"))
@@ -67,8 +67,8 @@ def test_both_sides_prove_who_they_are(folder: Path, kind: str) -> None:
 
 
 @contextmanager
-def _saying(words: bytes) -> Iterator[str]:
-    """The address of something else, which says this to everybody and hangs up."""
+def _sending(words: bytes) -> Iterator[str]:
+    """Yield the address of a program that sends these bytes to every connection and closes it."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def answer() -> None:
@@ -90,8 +90,8 @@ def _saying(words: bytes) -> Iterator[str]:
             thread.join()
 
 
-def _told(kind: str, target: str, **settings: Any) -> str:
-    """What is said of a server that cannot be reached."""
+def _error_text(kind: str, target: str, **settings: Any) -> str:
+    """Return the error text of an unreachable server."""
     once = Retry(attempts=1)
     with CLIENTS[kind](target, retry=once, timeout_s=10.0, **settings) as client, pytest.raises(PlannerError) as end:
         client.robots()
@@ -101,39 +101,41 @@ def _told(kind: str, target: str, **settings: Any) -> str:
 
 
 @pytest.mark.parametrize("kind", CLIENTS)
-def test_where_nothing_listens_is_told_by_its_address(kind: str, tmp_path: Path) -> None:
+def test_an_address_without_a_server_is_named(kind: str, tmp_path: Path) -> None:
     for target in ("localhost:1", f"unix:{tmp_path}/socket"):
-        assert _told(kind, target) == f"no server answers at {target}; start one there with `scopt serve`"
+        assert _error_text(kind, target) == f"no server answers at {target}; start one there with `scopt serve`"
     target = "no.such.host.invalid:50051"
-    assert _told(kind, target) == f"target: no address is known for {target}; check the name"
+    assert _error_text(kind, target) == f"target: no address is known for {target}; check the name"
 
 
 @pytest.mark.parametrize("kind", CLIENTS)
 @pytest.mark.parametrize("words", [b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n", b"SSH-2.0-OpenSSH\r\n"])
-def test_what_is_no_planning_service_is_told(kind: str, words: bytes) -> None:
-    with _saying(words) as target:
-        assert _told(kind, target) == f"the program at {target} is no planning service; check the port"
+def test_another_program_at_the_address_is_no_planning_service(kind: str, words: bytes) -> None:
+    with _sending(words) as target:
+        assert _error_text(kind, target) == f"the program at {target} is no planning service; check the port"
 
 
 @pytest.mark.parametrize("kind", CLIENTS)
-def test_a_server_that_speaks_tls_and_one_that_does_not_are_told(folder: Path, kind: str) -> None:
+def test_errors_name_the_missing_or_superfluous_tls_option(folder: Path, kind: str) -> None:
     ca = folder / "ca.pem"
     with serving(PlannerStandIn(), _server(folder, False)) as target:
         closed = f"the server at {target} closes the connection; it may use TLS: give tls_ca (--tls-ca)"
-        assert _told(kind, target) == closed
-        found = _told(kind, target, tls_ca=folder / "other.pem")
+        assert _error_text(kind, target) == closed
+        found = _error_text(kind, target, tls_ca=folder / "other.pem")
         assert found.startswith(f"the server's certificate at {target} does not come from the authority in tls_ca")
         by_number = target.replace("localhost", "127.0.0.1")
-        assert _told(kind, by_number, tls_ca=ca).startswith(
+        assert _error_text(kind, by_number, tls_ca=ca).startswith(
             f"the server's certificate is not for {by_number}; use a host name"
         )
     with serving(PlannerStandIn(), _server(folder, True)) as target:
-        assert "it may require a client certificate: give tls_cert" in _told(kind, target, tls_ca=ca)
+        assert "it may require a client certificate: give tls_cert" in _error_text(kind, target, tls_ca=ca)
     with serving(PlannerStandIn()) as target:
-        assert _told(kind, target, tls_ca=ca).startswith(f"the server at {target} does not use TLS; leave out tls_ca")
+        assert _error_text(kind, target, tls_ca=ca).startswith(
+            f"the server at {target} does not use TLS; leave out tls_ca"
+        )
 
 
-def test_what_a_server_says_of_itself_is_left_as_it_is() -> None:
+def test_a_servers_own_text_stays() -> None:
     connection = Connection("robot:50051")
     for text, expected in (
         ("the server is stopping", "the server is stopping"),
@@ -144,7 +146,7 @@ def test_what_a_server_says_of_itself_is_left_as_it_is() -> None:
         assert (explained.text, explained.retry_delay_s) == (expected, 0.5)
 
 
-def test_a_token_goes_to_this_machine_in_the_clear_and_elsewhere_under_tls(tmp_path: Path) -> None:
+def test_a_token_is_sent_to_this_machine_without_tls_and_elsewhere_with_it(tmp_path: Path) -> None:
     for target in ("localhost:50051", "127.0.0.1:1", "[::1]:1", "unix:/tmp/socket"):
         assert Connection(target, token="abc").metadata == (("authorization", "Bearer abc"),)
     for target in ("robot:50051", "192.168.1.2:1", "[::2]:1", "localhost.evil.example:1"):
@@ -154,7 +156,7 @@ def test_a_token_goes_to_this_machine_in_the_clear_and_elsewhere_under_tls(tmp_p
 
 
 @pytest.mark.parametrize("token", ["", "two words", "line\nend", "\u00e4"])
-def test_a_token_that_no_header_can_hold_is_refused_without_being_shown(token: str) -> None:
+def test_a_token_unfit_for_a_header_is_refused_and_not_shown(token: str) -> None:
     with pytest.raises(RequestError, match="token: expected printable ASCII") as caught:
         Connection("localhost:1", token=token)
     assert not token or token not in str(caught.value)
@@ -178,7 +180,7 @@ def test_any_text_is_a_target_or_refused(text: str) -> None:
     assert connection.target == text
 
 
-def test_tls_files_that_cannot_be_used_are_refused(folder: Path) -> None:
+def test_unusable_tls_files_are_refused(folder: Path) -> None:
     with pytest.raises(RequestError, match="tls_cert and tls_key: one is missing; give both or none"):
         PlannerClient("localhost:1", tls_cert=folder / "client.pem")
     with pytest.raises(RequestError, match=r"tls_ca: .*missing\.pem cannot be read: No such file"):

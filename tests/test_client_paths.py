@@ -1,4 +1,4 @@
-"""What a user hears of files: what starts here is told here, and what a server says of a cloud names the file."""
+"""Errors about files: the client refuses missing local files, and a server's errors name the local file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import grpc
 import pytest
 from google.rpc.error_details_pb2 import BadRequest
 from planner_clients import CLIENTS
-from planner_stand_in import PlannerStandIn, accepted, refuse, refused, serving, written_cloud
+from planner_stand_in import PlannerStandIn, accepted, refuse, refused, serving, write_cloud
 
 from service.client import PlannerClient, PlannerError
 from service.client.error_texts import MAX_NAMES, UploadNames
@@ -34,7 +34,7 @@ def _bad(*lines: str) -> BadRequest:
     return BadRequest(field_violations=[{"field": "request.scene.cloud", "description": line} for line in lines])  # type: ignore[list-item]
 
 
-def test_a_cloud_that_starts_here_and_is_not_here_is_told_here(
+def test_a_missing_relative_cloud_of_a_request_is_refused_by_the_client(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
 ) -> None:
     (tmp_path / "bag").mkdir()
@@ -47,10 +47,10 @@ def test_a_cloud_that_starts_here_and_is_not_here_is_told_here(
     )
     with connect() as client, pytest.raises(RequestError, match=r"scene\.cloud: 'nowhere\.pcd' does not exist"):
         client.plan(_request(tmp_path, scene={"cloud": "nowhere.pcd"}))
-    assert stand_in.asked == []
+    assert stand_in.requests == []
 
 
-def test_clouds_to_look_at_that_are_not_here_are_told_here(
+def test_missing_clouds_of_a_detection_or_a_scene_are_refused_by_the_client(
     connect: Callable[..., Any], stand_in: PlannerStandIn
 ) -> None:
     with connect() as client:
@@ -58,10 +58,10 @@ def test_clouds_to_look_at_that_are_not_here_are_told_here(
             client.detect([f"sha256:{SHA}.pcd", "nowhere.pcd"], "valve")
         with pytest.raises(RequestError, match=r"clouds\[0\]: 'tests' is a folder"):
             client.build_scene(Path("tests"))
-    assert stand_in.asked == []
+    assert stand_in.requests == []
 
 
-def test_a_path_of_neither_machine_is_told_to_be_on_neither(
+def test_a_path_that_exists_on_no_machine_is_reported_for_both(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path
 ) -> None:
     line = "scene.cloud: not a file that requests may name, got '/nowhere.pcd'; the cloud_id of an upload would do"
@@ -71,17 +71,17 @@ def test_a_path_of_neither_machine_is_told_to_be_on_neither(
     assert caught.value.problems == (f"{line}; no such file on this machine either, so it was not uploaded",)
 
 
-@pytest.mark.parametrize("told", ["{id}: no DATA line", "no cloud '{cut}… is there; upload it first, or again"])
-def test_what_is_wrong_with_an_uploaded_cloud_names_its_file(
-    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path, told: str
+@pytest.mark.parametrize("sent", ["{id}: no DATA line", "no cloud '{cut}… is there; upload it first, or again"])
+def test_an_error_about_an_uploaded_cloud_names_its_file(
+    connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path, sent: str
 ) -> None:
     def plan(request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
         yield accepted(request)
         (cloud_id,) = stand_in.clouds
-        line = told.format(id=cloud_id, cut=cloud_id[:40])
+        line = sent.format(id=cloud_id, cut=cloud_id[:40])
         refuse(context, Code.INVALID_ARGUMENT, line, [_bad(f"scene.cloud: {line}")])
 
-    path = written_cloud(tmp_path)
+    path = write_cloud(tmp_path)
     stand_in.plans.append(plan)
     with connect() as client, pytest.raises(PlannerError) as caught:
         client.plan(_request(tmp_path, scene={"cloud": "scan.pcd"}))
@@ -93,7 +93,7 @@ def test_what_is_wrong_with_an_uploaded_cloud_names_its_file(
 
 
 @pytest.mark.parametrize(
-    ("told", "said"),
+    ("sent", "shown"),
     [
         ("chunk: the cloud is empty", "the cloud is empty"),
         ("header.format: pcd, ply would do, got 'txt2'", "format: pcd, ply would do, got 'txt2'"),
@@ -101,29 +101,29 @@ def test_what_is_wrong_with_an_uploaded_cloud_names_its_file(
     ],
 )
 @pytest.mark.parametrize("kind", CLIENTS)
-def test_an_upload_that_is_refused_names_its_file(tmp_path: Path, kind: str, told: str, said: str) -> None:
+def test_the_error_of_a_refused_upload_names_its_file(tmp_path: Path, kind: str, sent: str, shown: str) -> None:
     class Refusing(PlannerStandIn):
         def UploadCloud(self, requests: Any, context: grpc.ServicerContext) -> pb.UploadCloudResponse:
-            refuse(context, Code.INVALID_ARGUMENT, told, [_bad(told)])
+            refuse(context, Code.INVALID_ARGUMENT, sent, [_bad(sent)])
 
-    path = written_cloud(tmp_path)
+    path = write_cloud(tmp_path)
     with serving(Refusing()) as target, CLIENTS[kind](target) as client, pytest.raises(PlannerError) as caught:
         client.upload_cloud(path)
-    assert (caught.value.text, caught.value.problems) == (f"{path}: {said}", (f"{path}: {said}",))
+    assert (caught.value.text, caught.value.problems) == (f"{path}: {shown}", (f"{path}: {shown}",))
 
 
-def test_names_of_clouds_are_not_kept_for_ever() -> None:
+def test_the_number_of_remembered_upload_names_is_limited() -> None:
     names = UploadNames()
     for number in range(MAX_NAMES + 10):
         names.add(f"sha256:{number:064x}.pcd", Path(f"{number}.pcd"))
-    told = PlannerError(Code.INVALID_ARGUMENT, f"sha256:{9:064x}.pcd and sha256:{MAX_NAMES:064x}.pcd are damaged")
-    assert names.restore(told).text == f"sha256:{9:064x}.pcd and {MAX_NAMES}.pcd are damaged"
+    sent = PlannerError(Code.INVALID_ARGUMENT, f"sha256:{9:064x}.pcd and sha256:{MAX_NAMES:064x}.pcd are damaged")
+    assert names.restore(sent).text == f"sha256:{9:064x}.pcd and {MAX_NAMES}.pcd are damaged"
 
 
-def test_paths_of_a_request_are_told_from_the_root_to_a_server_on_this_machine(tmp_path: Path) -> None:
+def test_relative_paths_are_absolute_for_a_server_on_this_machine(tmp_path: Path) -> None:
     request = load_request(REQUESTS / "mesh.yaml")
-    asked = resolve_paths(request, is_this_machine=True)
-    assert asked.folder == request.folder
+    resolved = resolve_paths(request, is_this_machine=True)
+    assert resolved.folder == request.folder
     (tmp_path / "crate.urdf").touch()
     obstacle = {"name": "crate", "type": "mesh", "file": "crate.urdf"}
     (crate,) = resolve_paths(_request(tmp_path, scene={"obstacles": [obstacle]}), is_this_machine=True).scene.obstacles
@@ -132,7 +132,7 @@ def test_paths_of_a_request_are_told_from_the_root_to_a_server_on_this_machine(t
 
 
 @pytest.mark.parametrize("is_this_machine", [True, False])
-def test_meshes_that_are_files_here_are_uploaded_and_named_by_their_id(is_this_machine: bool) -> None:
+def test_local_meshes_are_uploaded_and_named_by_their_ids(is_this_machine: bool) -> None:
     request = resolve_paths(load_request(REQUESTS / "mesh.yaml"), is_this_machine)
     ((name, path),) = find_local_files(request).items()
     assert path.name == "window_frame.obj"
@@ -141,7 +141,7 @@ def test_meshes_that_are_files_here_are_uploaded_and_named_by_their_id(is_this_m
     assert frame.file == "sha256:1.obj"
 
 
-def test_paths_of_this_machine_are_not_asked_of_another(tmp_path: Path) -> None:
+def test_relative_paths_are_refused_for_a_server_on_another_machine(tmp_path: Path) -> None:
     for name in ("robot.urdf", "table.urdf", "sent.obj"):
         (tmp_path / name).touch()
     obstacles = [
@@ -159,25 +159,25 @@ def test_paths_of_this_machine_are_not_asked_of_another(tmp_path: Path) -> None:
         resolve_paths(request, is_this_machine=True)
 
 
-def test_robot_files_are_told_from_the_root_too(tmp_path: Path) -> None:
+def test_relative_robot_files_are_absolute_for_a_server_on_this_machine(tmp_path: Path) -> None:
     for name in ("robot.urdf", "robot.srdf"):
         (tmp_path / name).touch()
     robot = {"urdf": "robot.urdf", "srdf": "robot.srdf", "package_dirs": ["."]}
-    asked = resolve_paths(_request(tmp_path, robot=robot), is_this_machine=True).robot
-    assert (asked.urdf, asked.srdf) == (f"{tmp_path}/robot.urdf", f"{tmp_path}/robot.srdf")
-    assert asked.package_dirs == (str(tmp_path),)
+    resolved = resolve_paths(_request(tmp_path, robot=robot), is_this_machine=True).robot
+    assert (resolved.urdf, resolved.srdf) == (f"{tmp_path}/robot.urdf", f"{tmp_path}/robot.srdf")
+    assert resolved.package_dirs == (str(tmp_path),)
 
 
-def test_a_task_without_a_planner_is_told_before_its_cloud_is_read(
+def test_a_task_without_a_planner_is_refused_before_its_cloud_is_read(
     connect: Callable[..., Any], stand_in: PlannerStandIn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("service.request.schema.UNPLANNED", {"valve": "valves"})
     with connect() as client, pytest.raises(UnplannedTaskError, match=r"task\.valve: there is no planner for valves"):
         client.plan(load_request(REQUESTS / "valve.yaml"))
-    assert stand_in.asked == []
+    assert stand_in.requests == []
 
 
-def test_a_result_folder_too_large_for_one_message_is_told_here(
+def test_a_result_folder_too_large_for_one_message_is_refused_by_the_client(
     stand_in: PlannerStandIn, target: str, tmp_path: Path
 ) -> None:
     (tmp_path / "robot").mkdir()
@@ -189,4 +189,4 @@ def test_a_result_folder_too_large_for_one_message_is_told_here(
         "files: the message has 5.0 MiB; a server accepts at most 4.0 MiB and robot/torso.stl alone has 5.0 MiB; "
         "verify the folder here, or give the plan's id"
     )
-    assert stand_in.asked == []
+    assert stand_in.requests == []

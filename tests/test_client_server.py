@@ -22,7 +22,7 @@ REQUESTS = Path(__file__).parents[1] / "examples" / "requests"
 
 @dataclass(frozen=True)
 class Served:
-    """A server: where it listens, its authority, and tokens by role."""
+    """Running server: address, authority, and tokens by role."""
 
     target: str
     tls_ca: Path
@@ -77,14 +77,14 @@ def test_example_requests_are_certified_by_a_server(served: Served, tmp_path: Pa
 
 
 @pytest.mark.parametrize("name", ["door", "egress"])
-def test_example_requests_without_a_planner_are_told_so(served: Served, tmp_path: Path, name: str) -> None:
+def test_example_requests_without_a_planner_are_refused(served: Served, tmp_path: Path, name: str) -> None:
     result = served.scopt("plan", "request", REQUESTS / f"{name}.yaml", "--out", tmp_path / "plan")
     assert result.exit_code == 3
     assert re.fullmatch(rf"INVALID_REQUEST  task\.{name}: there is no planner for .*\n", result.stdout)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_wrong_fields_are_told_by_the_server_as_by_plan(served: Served, tmp_path: Path) -> None:
+def test_wrong_fields_are_reported_by_the_server_as_by_scopt_plan(served: Served, tmp_path: Path) -> None:
     path = tmp_path / "wrong.yaml"
     path.write_text("robot: {name: atlas}\nstart: {joints: {elbow: 1}}\ngoal: {joints: {knee: 1}}\n")
     there = served.scopt("plan", "request", path, "--out", tmp_path / "plan")
@@ -93,9 +93,9 @@ def test_wrong_fields_are_told_by_the_server_as_by_plan(served: Served, tmp_path
     assert there.stderr.splitlines()[-1] == here.stderr.splitlines()[-1]
 
 
-def test_a_plan_is_approved_by_who_may_review_and_found_again_by_its_request_id(served: Served, tmp_path: Path) -> None:
-    asked = ("request", REQUESTS / "joint_goal.yaml", "--out", tmp_path / "plan", "--request-id", "mine", "--json")
-    first, again = (json.loads(served.scopt("plan", *asked).stdout) for _ in range(2))
+def test_a_plan_is_approved_by_a_reviewer_and_returned_again_for_its_request_id(served: Served, tmp_path: Path) -> None:
+    command = ("request", REQUESTS / "joint_goal.yaml", "--out", tmp_path / "plan", "--request-id", "mine", "--json")
+    first, again = (json.loads(served.scopt("plan", *command).stdout) for _ in range(2))
     assert first["plan_id"] == again["plan_id"]
     assert served.scopt("plan", "review", first["plan_id"], "--accept").exit_code == 77
     accepted = json.loads(served.scopt("review", "review", first["plan_id"], "--accept", "--json").stdout)
@@ -105,7 +105,7 @@ def test_a_plan_is_approved_by_who_may_review_and_found_again_by_its_request_id(
     assert rejected.stdout.splitlines()[-1] == f"plan {first['plan_id']} is not approved"
 
 
-def test_without_a_token_or_its_role_nothing_is_told(served: Served) -> None:
+def test_the_status_needs_a_token_with_its_role(served: Served) -> None:
     assert served.scopt("", "top", "--once").exit_code == 77
     assert served.scopt("plan", "top", "--once").exit_code == 77
     seen = json.loads(served.scopt("admin", "top", "--json").stdout)

@@ -1,4 +1,4 @@
-"""Both clients behind one blocking face, so that a test holds for either."""
+"""Both clients behind one blocking interface, so that a test runs with either."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from service.client import AsyncPlannerClient, PlannerClient
 
 
 class Blocked:
-    """The asynchronous client, each of its calls run to its end."""
+    """Asynchronous client whose calls are each run to their end."""
 
     def __init__(self, target: str, **settings: Any) -> None:
         self._loop = asyncio.new_event_loop()

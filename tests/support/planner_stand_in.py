@@ -1,4 +1,4 @@
-"""A planning server that plans nothing: it answers as the protocol says, or as a test wants it to."""
+"""Stand-in for a planning server, with the answers of the protocol or those of a test."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ FILES = {
 Plan = Callable[[pb.PlanRequest, grpc.ServicerContext], Iterator[pb.PlanResponse]]
 
 
-def made_result(verdict: str = "CERTIFIED") -> MotionResult:
-    """A small result whose hashes hold."""
+def make_result(verdict: str = "CERTIFIED") -> MotionResult:
+    """Return a small result with right hashes."""
     proof = {
         "min_clearance_m": 0.0213,
         "min_clearance_pair": ["crate", "l_hand"],
@@ -83,7 +83,7 @@ def accepted(request: pb.PlanRequest, *, is_known: bool = False) -> pb.PlanRespo
 
 def finished(result: MotionResult | None = None) -> pb.PlanResponse:
     """The event with the result."""
-    return pb.PlanResponse(finished={"plan_id": PLAN_ID, "result": result or made_result()})
+    return pb.PlanResponse(finished={"plan_id": PLAN_ID, "result": result or make_result()})
 
 
 def chunks(files: dict[str, bytes], size: int = 7) -> Iterator[FileChunk]:
@@ -94,7 +94,7 @@ def chunks(files: dict[str, bytes], size: int = 7) -> Iterator[FileChunk]:
 
 
 def good_plan(request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
-    """As a server in good order answers."""
+    """Yield the events of a certified plan."""
     yield accepted(request)
     yield pb.PlanResponse(queued={"place": 1, "expected_wait_s": 0.5})
     yield pb.PlanResponse(progress={"step": "prepare", "fraction": 0.1})
@@ -121,7 +121,7 @@ def refuse(
 
 
 def refused(code: grpc.StatusCode, text: str, *details: Message) -> Plan:
-    """A plan that is not let in."""
+    """Return a plan that is refused."""
 
     def plan(request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
         refuse(context, code, text, details)
@@ -131,34 +131,34 @@ def refused(code: grpc.StatusCode, text: str, *details: Message) -> Plan:
 
 
 class PlannerStandIn(PlannerServiceServicer):
-    """Answers; ``plans`` are used up one by one, then all goes well.
+    """Server whose plans answer with ``plans``, one by one, and then with ``good_plan``.
 
     Attributes:
-        asked: every message that came.
+        requests: every message received.
         clouds: content by cloud id.
         n_chunks: of all uploads.
         stopped: set when the call of a slow plan has ended.
     """
 
     def __init__(self) -> None:
-        self.asked: list[Any] = []
+        self.requests: list[Any] = []
         self.metadata: list[dict[str, Any]] = []
         self.plans: deque[Plan] = deque()
         self.clouds: dict[str, bytes] = {}
         self.n_chunks = 0
         self.stopped = threading.Event()
         self.reviews: list[pb.Review] = []
-        self.result = made_result()
+        self.result = make_result()
         self.state = pb.PLAN_STATE_FINISHED
 
     def Plan(self, request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
-        self._hear(request, context)
+        self._record(request, context)
         plan = self.plans.popleft() if self.plans else good_plan
         yield from plan(request, context)
 
     def UploadCloud(self, requests: Any, context: grpc.ServicerContext) -> pb.UploadCloudResponse:
         first = next(requests)
-        self._hear(first, context)
+        self._record(first, context)
         header = first.header
         cloud_id = f"sha256:{header.sha256}.{header.format}"
         if cloud_id in self.clouds:
@@ -173,28 +173,28 @@ class PlannerStandIn(PlannerServiceServicer):
         return pb.UploadCloudResponse(cloud_id=cloud_id, size_bytes=len(data))
 
     def BuildScene(self, request: Any, context: grpc.ServicerContext) -> Iterator[pb.BuildSceneResponse]:
-        self._hear(request, context)
+        self._record(request, context)
         yield pb.BuildSceneResponse(step="read cloud")
         yield pb.BuildSceneResponse(scene={"scene_id": "s1", "json": b"{}"})
 
     def GetScene(self, request: Any, context: grpc.ServicerContext) -> pb.GetSceneResponse:
-        self._hear(request, context)
+        self._record(request, context)
         return pb.GetSceneResponse(scene={"scene_id": request.scene_id, "json": b"{}"})  # type: ignore[arg-type]
 
     def Detect(self, request: Any, context: grpc.ServicerContext) -> pb.DetectResponse:
-        self._hear(request, context)
+        self._record(request, context)
         return pb.DetectResponse(hits=[{"kind": request.kind, "confidence": 0.9}])  # type: ignore[list-item]
 
     def Verify(self, request: Any, context: grpc.ServicerContext) -> pb.VerifyResponse:
-        self._hear(request, context)
+        self._record(request, context)
         return pb.VerifyResponse(verdict=Verdict.VERDICT_CERTIFIED)
 
     def ListRobots(self, request: Any, context: grpc.ServicerContext) -> pb.ListRobotsResponse:
-        self._hear(request, context)
+        self._record(request, context)
         return pb.ListRobotsResponse(robots=[{"name": "atlas", "joint_names": ["elbow"]}])  # type: ignore[list-item]
 
     def GetPlan(self, request: Any, context: grpc.ServicerContext) -> Iterator[pb.GetPlanResponse]:
-        self._hear(request, context)
+        self._record(request, context)
         if request.plan_id != PLAN_ID:
             refuse(context, grpc.StatusCode.NOT_FOUND, f"no plan {request.plan_id!r}")
         result = self.result if self.state == pb.PLAN_STATE_FINISHED else None
@@ -206,7 +206,7 @@ class PlannerStandIn(PlannerServiceServicer):
                 yield pb.GetPlanResponse(file=chunk)
 
     def ReviewPlan(self, request: Any, context: grpc.ServicerContext) -> pb.ReviewPlanResponse:
-        self._hear(request, context)
+        self._record(request, context)
         hashes = self.result.trajectory.sha256, self.result.certificate.sha256
         if (request.trajectory_sha256, request.certificate_sha256) != hashes:
             refuse(context, grpc.StatusCode.FAILED_PRECONDITION, "another plan was seen")
@@ -215,7 +215,7 @@ class PlannerStandIn(PlannerServiceServicer):
         return pb.ReviewPlanResponse(review=review)
 
     def GetStatus(self, request: Any, context: grpc.ServicerContext) -> pb.GetStatusResponse:
-        self._hear(request, context)
+        self._record(request, context)
         return pb.GetStatusResponse(
             version="0.1.0",
             uptime_s=3725.0,
@@ -228,13 +228,13 @@ class PlannerStandIn(PlannerServiceServicer):
             solve_p99_s=1.4,
         )
 
-    def _hear(self, message: Any, context: grpc.ServicerContext) -> None:
-        self.asked.append(message)
+    def _record(self, message: Any, context: grpc.ServicerContext) -> None:
+        self.requests.append(message)
         self.metadata.append(dict(context.invocation_metadata()))
 
 
 def slow_plan(stand_in: PlannerStandIn) -> Plan:
-    """A plan that goes on until its client stops it."""
+    """Return a plan that runs until its client stops it."""
 
     def plan(request: pb.PlanRequest, context: grpc.ServicerContext) -> Iterator[pb.PlanResponse]:
         context.add_callback(stand_in.stopped.set)
@@ -249,7 +249,7 @@ def slow_plan(stand_in: PlannerStandIn) -> Plan:
 def serving(
     stand_in: PlannerStandIn, credentials: grpc.ServerCredentials | None = None, port: int = 0
 ) -> Iterator[str]:
-    """The target of a server on this machine while the body runs."""
+    """Serve while the body runs; yields the target."""
     server = grpc.server(ThreadPoolExecutor(4), options=(("grpc.so_reuseport", 0),))
     add_PlannerServiceServicer_to_server(stand_in, server)  # type: ignore[no-untyped-call]
     address = f"localhost:{port}"
@@ -261,8 +261,8 @@ def serving(
         server.stop(0).wait(5.0)
 
 
-def written_cloud(folder: Path, n_bytes: int = 1000, name: str = "scan.pcd") -> Path:
-    """A file that stands for a cloud."""
+def write_cloud(folder: Path, n_bytes: int = 1000, name: str = "scan.pcd") -> Path:
+    """Write a file in place of a cloud."""
     path = folder / name
     path.write_bytes((bytes(range(251)) * (n_bytes // 251 + 1))[:n_bytes])
     return path
