@@ -73,7 +73,7 @@ def test_a_path_of_neither_machine_is_told_to_be_on_neither(
     assert caught.value.problems == (f"{line}; it is no file here that could be uploaded",)
 
 
-@pytest.mark.parametrize("told", ["{id}: no DATA line", "no cloud '{cut}… is there; upload it first, or again"])
+@pytest.mark.parametrize("told", ["{id}: no DATA line", "no cloud '{cut}… is stored; upload it first, or again"])
 def test_what_is_wrong_with_an_uploaded_cloud_names_its_file(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path, told: str
 ) -> None:

@@ -19,7 +19,7 @@ from service.proto.planner.v1.planner_pb2 import (
     PlanResponse,
 )
 from service.proto.planner.v1.result_pb2 import FileChunk, MotionResult, Verdict
-from service.wire.hashes import certificate_sha256, trajectory_sha256
+from service.wire.hashes import hash_certificate, hash_trajectory
 
 
 @dataclass(frozen=True)
@@ -184,14 +184,14 @@ def check_result(result: MotionResult) -> None:
     told, found = result.trajectory.sha256, ""
     if result.HasField("trajectory"):
         motion = result.trajectory
-        found = trajectory_sha256(motion.joint_names, motion.times, motion.positions)
+        found = hash_trajectory(motion.joint_names, motion.times, motion.positions)
     if told != found:
         raise PlannerError(
             grpc.StatusCode.DATA_LOSS, f"the trajectory's hash is {found or 'none'}, not {told or 'none'}"
         )
     told, found = result.certificate.sha256, ""
     if result.HasField("certificate"):
-        found = certificate_sha256(result.certificate.json)
+        found = hash_certificate(result.certificate.json)
     if told != found:
         raise PlannerError(
             grpc.StatusCode.DATA_LOSS, f"the certificate's hash is {found or 'none'}, not {told or 'none'}"

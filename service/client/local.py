@@ -11,7 +11,7 @@ from service.errors import RequestError, shown
 from service.planned import check_planned
 from service.request import PlanRequest, RobotRequest
 from service.request_scene import MeshRequest, SceneRequest
-from service.trust.folders import BUILT, UPLOADED, paths_of
+from service.trust.folders import BUILT, UPLOADED, list_paths
 
 NOT_UPLOADED = (
     "it is not uploaded; put it where the server looks (`scopt serve --allow FOLDER`) and give its absolute path there"
@@ -30,7 +30,7 @@ def askable(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
     check_planned(request)
     problems = []
     for field, path, kind in sorted(
-        paths_of(request), key=lambda one: one[2] in ("file", "mesh")
+        list_paths(request), key=lambda one: one[2] in ("file", "mesh")
     ):  # what is uploaded first
         if kind in ("cloud", "scene") or (kind == "mesh" and is_sent(path)):
             problem = cloud_problem(field, path, request.resolve(path))
