@@ -81,7 +81,7 @@ def test_own_robot_of_a_shipped_name_takes_its_place_and_the_server_says_so(tmp_
             "1 degrees of freedom (this server's own, which overrides scopt's robot of that name)"
         )
         (line,) = [
-            line for line in map(json.loads, started.log.read_text().splitlines()) if "in place of" in line["event"]
+            line for line in map(json.loads, started.log.read_text().splitlines()) if "override" in line["event"]
         ]
         assert (line["level"], line["names"]) == ("warning", ["atlas"])
 

@@ -148,7 +148,7 @@ def test_unknown_token_and_certificate_are_told_apart_and_not_repeated(fort: For
     )  # fmt: skip
     nobody = fort.authority.issue_cert("n.local", common_name="nobody")
     assert fort.ask(leaf=nobody) == (
-        "UNAUTHENTICATED", "the client certificate's common name is not known to this server",
+        "UNAUTHENTICATED", "the client certificate's common name is unknown to this server",
     )  # fmt: skip
 
 
