@@ -1,8 +1,8 @@
 """Processor time of the certificate and of the check of start and goal: ``python -m benchmarks.certificate``.
 
 Motions of the requests under ``examples/requests`` and, when ``SCOPT_DATA`` (default: ``../shared/data`` beside the
-checkout) holds them, of the MotionBenchMaker problems for the Panda.  Each is planned once and then checked again and
-again in this process, as a server or a benchmark does: the robot's hulls are there already.
+checkout) holds them, of the MotionBenchMaker problems for the Panda.  Each is planned once and then checked repeatedly
+in this process, as in a server or a benchmark: the robot's hulls are already computed.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from threadpoolctl import threadpool_limits
 from benchmarks.shipped import shipped_requests
 from benchmarks.tables import Samples, print_table
 from costs.robot import load_robot
+from service.bench.problem_set import BenchRobot, read_problems
 from service.planner import plan
-from service.problem_set import BenchRobot, read_problems
-from service.request_file import load_request
-from service.result import PlanResult
-from service.start import overlaps
+from service.request.file import load_request
+from service.result.result import PlanResult
+from service.start.overlaps import find_overlaps
 from service.verify import verify
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -69,7 +69,7 @@ def _row(name: str, results: list[PlanResult]) -> list[str]:
             clearances.append(verify(motion).min_clearance_m)
             timed.append(_median_ms(verify, motion))
             untimed.append(_median_ms(verify, replace(motion, law=None)))
-            pose.append(_median_ms(overlaps, motion.robot, motion.curve.positions[-1], motion.scene, ()))
+            pose.append(_median_ms(find_overlaps, motion.robot, motion.curve.positions[-1], motion.scene, ()))
     figures = [len(timed), *_spread(timed), *_spread(untimed), statistics.median(pose)]
     shown = [f"{figure:.1f}" if isinstance(figure, float) else str(figure) for figure in figures]
     return [name, *shown, f"{1e3 * statistics.median(clearances):.1f}"]

@@ -1,4 +1,4 @@
-"""What further starts in an idle worker are worth (``scopt serve --spread 2``): ``python -m benchmarks.spread [N]``.
+"""Gain from further starts in an idle worker (``scopt serve --spread 2``): ``python -m benchmarks.spread [N]``.
 
 Crowded scenes whose straight line is blocked are planned by one worker, then by two as a server with ``--spread 2``
 does, where the first certificate wins.  Wall time and processor time of both workers, on this machine and with whatever
@@ -21,7 +21,7 @@ from benchmarks.crowded_scenes import crowded_scenes
 from benchmarks.tables import print_table
 from costs.robot import load_robot
 from service.executor import LocalPool, WorkerState
-from service.request import PlanRequest
+from service.request.schema import PlanRequest
 from service.server.admission import Admission
 from service.server.jobs import JobRunner
 from service.server.spread import await_certified, with_other_seed

@@ -10,8 +10,8 @@ from perception.detect.valve import ValveDetection, detect_valves
 from perception.detect.valve_bodies import has_clear_spokes, rim_bodies, stem_of, valve_bodies, wheel_points
 from perception.detect.wheel import wheel_basis
 from perception.errors import CloudError, PerceptionError
+from perception.files.formats import SUFFIXES
 from perception.files.npz import write_npz
-from perception.files.parse import SUFFIXES
 from perception.files.pcd import write_pcd
 from perception.files.placing import METRES_BY_UNIT, rigid_pose
 from perception.files.read import read_cloud, read_clouds

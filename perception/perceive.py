@@ -17,15 +17,14 @@ from perception.clock import Clock
 from perception.cloud import Cloud
 from perception.convex.piece import Piece
 from perception.convex.pieces import Pieces, make_pieces
-from perception.convex.unknown import unknown_pieces
+from perception.convex.unknown import make_unknown_pieces
 from perception.detect.valve import ValveDetection, detect_in
 from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
 from perception.errors import MeshError
 from perception.floor import FloorPlane, floor_pieces
 from perception.neighbours import nearest
-from perception.solids.known import KnownMesh, located
-from perception.solids.match import MeshMatch
-from perception.solids.pieces import made_by_coacd
+from perception.solids.match import KnownMesh, MeshMatch, locate
+from perception.solids.pieces import make_coacd_pieces
 from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]
@@ -148,7 +147,7 @@ def _perceive(
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
     if unknown == "occupied":
-        hidden = unknown_pieces(view.cloud.rays, reach, view.floors, robot_hulls, soles)
+        hidden = make_unknown_pieces(view.cloud.rays, reach, view.floors, robot_hulls, soles)
         clock.lap("unknown")
     scene = Scene((*floors_of(view), *stem, *(piece.shape for piece in made.pieces), *hidden))
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
@@ -174,7 +173,7 @@ def matched(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[str, M
     for one in known:
         poll()
         _check_span(one, view)
-        matches[one.name] = located(one, view)
+        matches[one.name] = locate(one, view)
         clock.lap("known meshes")
     return matches
 
@@ -196,7 +195,7 @@ def _made(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coa
     """Pieces of the kept obstacle points; ``pieces[i].points`` are indices into all of them."""
     points, starts = view.obstacles[kept], view.starts[kept]
     if method == "coacd":
-        made = made_by_coacd(points, starts, view.cloud.rays)
+        made = make_coacd_pieces(points, starts, view.cloud.rays)
     else:
         made = make_pieces(points, starts, view.cloud.rays, view.seed)
     return replace(made, pieces=tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces))

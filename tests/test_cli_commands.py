@@ -1,4 +1,4 @@
-"""The command line: exit codes, one line for wrong input, exactly one JSON object, nothing half-written."""
+"""Command line: exit codes, one line for wrong input, exactly one JSON object, no partial output."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,10 +20,10 @@ from click.testing import Result
 from small_plan import small_plan
 from typer.testing import CliRunner
 
-from service.cli import app
-from service.cli_run import EXIT_CODES
+from service.cli.app import app
+from service.cli.run import EXIT_CODES
 from service.errors import RequestError
-from service.result import PlanResult, Verdict
+from service.result.result import PlanResult, Verdict
 
 ROOT = Path(__file__).parents[1]
 REQUEST = ROOT / "examples" / "requests" / "joint_goal.yaml"
@@ -35,7 +36,7 @@ def made() -> PlanResult:
 
 @pytest.fixture
 def planner(monkeypatch: pytest.MonkeyPatch, made: PlanResult) -> SimpleNamespace:
-    """Stands in for ``service.planner``; its ``plan`` can be exchanged."""
+    """Replacement of ``service.planner`` whose ``plan`` can be set."""
     stand_in = SimpleNamespace(plan=lambda request, on_progress, should_stop: made)
     monkeypatch.setitem(sys.modules, "service.planner", stand_in)
     return stand_in
@@ -183,6 +184,11 @@ def test_verify_and_view_read_what_plan_wrote(tmp_path: Path, monkeypatch: pytes
     assert _scopt("view", tmp_path).exit_code == 3
 
 
+def test_version_is_that_of_the_installed_package() -> None:
+    result = _scopt("--version")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, f"scopt {version('scopt')}\n", "")
+
+
 def test_robots_lists_atlas() -> None:
     assert "atlas" in _scopt("robots").stdout
     assert json.loads(_scopt("robots", "--json").stdout)["robots"][0]["name"] == "atlas"
@@ -236,9 +242,10 @@ def test_a_wrong_scene_argument_is_one_line(tmp_path: Path, arguments: tuple[str
 SLOW_PLANNER = """
 import sys, time, types
 from dataclasses import replace
+from importlib.metadata import version
 sys.path.insert(0, {support!r})
 from small_plan import small_plan
-from service.result import Verdict
+from service.result.result import Verdict
 made = small_plan()
 def plan(request, on_progress, should_stop):
     on_progress("waiting", 0.5)
@@ -247,13 +254,13 @@ def plan(request, on_progress, should_stop):
     return replace(made, verdict=Verdict.CANCELLED, explanation=("cancelled during 'waiting'",))
 sys.modules["service.planner"] = types.SimpleNamespace(plan=plan)
 sys.argv = ["scopt", "plan", {request!r}, "--out", {out!r}, "--json"]
-from service.cli import main
+from service.cli.app import main
 main()
 """
 
 
 def _interrupted(tmp_path: Path, times: int) -> tuple[int, dict[str, Any]]:
-    """Exit code and JSON of a plan that gets Ctrl-C so many times."""
+    """Return exit code and JSON of a plan that receives Ctrl-C that many times."""
     program = SLOW_PLANNER.format(
         support=str(ROOT / "tests" / "support"), waits=times > 1, request=str(REQUEST), out=str(tmp_path / "plan")
     )

@@ -14,12 +14,11 @@ from tiny_robots import atlas
 from costs.robot import RobotError, load_robot
 from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError
-from service.footing import floor_at_soles
 from service.planner import plan
-from service.request_file import parse_request
-from service.result import PlanResult, Verdict
-from service.setup import prepare
-from service.start import sole
+from service.request.file import parse_request
+from service.result.result import PlanResult, Verdict
+from service.setup.prepare import prepare
+from service.start.standing import move_floor_to_soles, sole_corners
 from service.verify import Motion, Status, verify
 from service.verify.ground import ground_gaps
 
@@ -53,7 +52,7 @@ def test_a_floor_that_is_not_at_the_soles_is_told_at_once(height: float, gap: fl
     side = "below" if height < 0.0 else "above"
     assert len(caught.value.problems) == 2
     for foot, line in zip(FEET, caught.value.problems, strict=True):
-        assert f"the floor is {gap:.1f} mm {side} the sole of {foot}; at most 3 mm would do" in line
+        assert f"the ground is {gap:.1f} mm {side} the sole of {foot}; at most 3 mm would do" in line
 
 
 def test_no_floor_under_planted_feet_is_told_at_once() -> None:
@@ -109,13 +108,13 @@ def _seen(height: float, tilt: float = 0.0) -> tuple[ConvexPiece, ...]:
 
 
 def test_a_scanned_floor_is_moved_to_the_soles_by_at_most_30_mm_and_says_so() -> None:
-    soles = {foot: sole(atlas(), atlas().postures["stand"], foot) for foot in FEET}
-    (floor, box), notes = floor_at_soles(_seen(0.02), soles)
+    soles = {foot: sole_corners(atlas(), atlas().postures["stand"], foot) for foot in FEET}
+    (floor, box), notes = move_floor_to_soles(_seen(0.02), soles)
     assert np.abs(ground_gaps(np.vstack(list(soles.values())), (floor,))).max() < 1e-6
     assert np.array_equal(box.vertices, _seen(0.02)[1].vertices)
     assert re.fullmatch(r"the scanned floor was moved down by 20\.0 mm to the soles of .*; at most 30 mm", notes[0])
     for height in (0.0, 0.0029, -0.0029, 0.031, -0.031):
-        pieces, notes = floor_at_soles(_seen(height), soles)
+        pieces, notes = move_floor_to_soles(_seen(height), soles)
         assert notes == ()
         assert np.array_equal(pieces[0].vertices, _seen(height)[0].vertices)
 

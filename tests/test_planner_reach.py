@@ -7,12 +7,13 @@ from stranger import Stranger
 
 from service import planner
 from service import verify as verifier
-from service.monitor import Monitor
-from service.output import write_result
+from service.body.monitor import Monitor
 from service.planner import plan
-from service.request import Options, PlanRequest
-from service.request_file import parse_request
-from service.result import Verdict
+from service.request.file import parse_request
+from service.request.schema import Options, PlanRequest
+from service.result.attempt import Attempt
+from service.result.output import write_result
+from service.result.result import Verdict
 
 TABLE = {"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.75, 0.0, 0.9]}
 POST = {"name": "post", "type": "cylinder", "radius": 0.04, "height": 2.0, "position": [0.5, 0.45, 1.0]}
@@ -135,13 +136,13 @@ def test_a_slot_too_narrow_for_the_hand_names_link_and_board_and_comes_with_the_
 @pytest.fixture
 def late_after_an_attempt(monkeypatch):
     """Time is up as soon as a task's planner has handed over its first plan, whatever the clock says."""
-    begun, begin = [], planner._Attempt.begin
+    begun, begin = [], Attempt.begin
 
     def note(self, task):
         begin(self, task)
         begun.append(task)
 
-    monkeypatch.setattr(planner._Attempt, "begin", note)
+    monkeypatch.setattr(Attempt, "begin", note)
     monkeypatch.setattr(Monitor, "remaining_s", lambda self: -1.0 if begun else 60.0)
 
 

@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 
 from service.errors import RequestError, ResultError
-from service.output import write_result
 from service.planner import plan
-from service.replay import read_motion, verify_result
-from service.request_file import load_request, parse_request
-from service.result import Verdict
-from service.result_folder import read_result
-from service.verify.certificate import promises_hash
+from service.replay.replay import read_motion, verify_result
+from service.request.file import load_request, parse_request
+from service.result.folder import read_result
+from service.result.output import write_result
+from service.result.result import Verdict
+from service.verify.hashes import promises_hash
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 CARRY = EXAMPLES / "requests" / "carry.yaml"
@@ -158,7 +158,7 @@ def _nothing_left_out(data: dict[str, Any]) -> None:
 
 
 def _canonical(request: dict[str, Any]) -> dict[str, Any]:
-    from service.request_file import to_json
+    from service.request.file import to_json
 
     return to_json(parse_request(request))
 
@@ -230,13 +230,13 @@ def _by_whom(data: dict[str, Any]) -> None:
 
 TURN_EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "the circle": (_circle, "targets of phase 'turn' are not those of the request"),
-    "the valve": (_valve, "what the task moves does not move as the request has it"),
-    "the wheel's axis": (_wheel, "what the task moves does not move as the request has it"),
+    "the valve": (_valve, "the task's mechanism does not move as the request demands"),
+    "the wheel's axis": (_wheel, "the task's mechanism does not move as the request demands"),
     "the sense": (lambda data: data["request"]["task"]["valve"].update(turn_deg=-60.0), "targets of phase 'turn'"),
     "the hand": (lambda data: data["request"]["task"]["valve"].update(hand="right"), "no hand that the task permits"),
     "how deep the hook may be": (_deeper, "allowances of phase 'reach' are not those of the request"),
     "when the hook may touch": (_by_whom, "allowances of phase 'reach' are not those of the request"),
-    "the angle it tells": (lambda data: data["figures"].update(turned_deg=360.0), "figures.turned_deg is 360"),
+    "the angle of its figures": (lambda data: data["figures"].update(turned_deg=360.0), "figures.turned_deg is 360"),
     "the turn's name": (lambda data: data["phases"][2].update(name="hold"), "the wheel moves in phase 'hold'"),
 }
 

@@ -6,7 +6,7 @@ import grpc
 import pytest
 
 from service.server.admission import FIRST_GUESS_S, Admission
-from service.wire.rpc import Refusal
+from service.trust.rpc import Refusal
 
 
 def _with(workers: int, queue_limit: int, *seconds: float) -> Admission:

@@ -14,7 +14,7 @@ from service.server import jobs
 from service.server.admission import Admission
 from service.server.jobs import JobHandle, JobRunner, await_result
 from service.server.refusals import STOPPING
-from service.wire.rpc import Refusal
+from service.trust.rpc import Refusal
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from service.executor.worker import JobControl
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.server.cloud_requests import NamedFile, rename_fields
 from service.server.refusals import refuse_invalid
+from service.trust.rpc import MAX_TEXT_BYTES, Refusal, shorten
 from service.wire.message_checks import find_unknown_fields
-from service.wire.rpc import MAX_TEXT_BYTES, Refusal, shorten
 from service.wire.violations import make_violation
 from service.work.look import verify
 from service.work.plan import Refused

@@ -17,12 +17,12 @@ from service.executor.local_pool import LocalPool
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED
-from service.request_file import parse_request, request_hash
-from service.result import Verdict
+from service.request.file import parse_request, request_hash
+from service.result.result import Verdict
 from service.server.admission import Admission
 from service.server.jobs import JobHandle, JobRunner
 from service.server.spread import await_certified, with_other_seed
-from service.wire.rpc import Refusal
+from service.trust.rpc import Refusal
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 

@@ -12,10 +12,10 @@ from costs.scene import ConvexPiece, Scene
 from costs.state import MotionState
 from costs.terms import FramePose, Masked
 from scopt import Sense
+from service.body.whole_body import Aims, WholeBody
 from service.tasks.program import with_sight
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.verify import AxisTarget, JointTarget, PoseTarget
-from service.whole_body import Aims, WholeBody
 
 # The tip is at (2, 0), (1, 1), (-1, 1) and looks along x, y, -x.
 X = np.array([[0.0, 0.0], [0.0, np.pi / 2], [np.pi / 2, np.pi / 2]])
@@ -48,7 +48,7 @@ def violated(terms: list, x: np.ndarray = X, scene: Scene | None = None) -> dict
     """By how much each constraint of a problem is off, by name."""
     builder, _ = builder_of(document("joint1+joint2", len(x), constraints=terms), scene)
     state = state_of(builder, x)
-    return {each.name: each.violation(each.residual.value(state)) for each in builder.constraints()}
+    return {each.name: each.measure_violation(each.residual.value(state)) for each in builder.constraints()}
 
 
 def test_joint_velocity_costs_the_squares_of_the_steps():

@@ -29,7 +29,7 @@ from service.trust import (
     make_token,
     peer_key,
 )
-from service.wire.rpc import Refusal
+from service.trust.rpc import Refusal
 
 PLAN = "/planner.v1.PlannerService/Plan"
 

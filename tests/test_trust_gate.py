@@ -15,7 +15,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_status import rpc_status
 from small_service import end_of, serving
 
-import service.wire.rpc
+import service.trust.rpc
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
 from service.trust import AccessInterceptor, ClientLimiter, ClientLimits, Role, Tokens, make_token
 
@@ -202,7 +202,7 @@ def test_open_calls_are_limited_and_their_places_are_given_back(known: tuple[dic
 
 
 def test_a_call_that_says_nothing_or_too_little_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(service.wire.rpc, "REQUEST_WAIT_S", 0.1)
+    monkeypatch.setattr(service.trust.rpc, "REQUEST_WAIT_S", 0.1)
 
     async def calls() -> None:
         async with (

@@ -1,4 +1,4 @@
-"""What a page shows of a goal that cannot be had, of links without shapes, and how it fits on a phone."""
+"""Viewer page of an infeasible goal, of links without shapes, and on a phone."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 from browser import Browser, find_chromium
 from told_results import told_results
 
-from service.output import write_result
-from service.result_json import links_without_shape
+from service.result.output import write_result
+from service.result.result_json import links_without_shape
 
 PHONE = (390, 844)
 REFUSED = ["into a wall", "out of reach", "to a place in a block", "an arm into a table", "atlas in a table"]

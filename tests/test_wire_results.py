@@ -11,9 +11,9 @@ import pytest
 from service.planner import plan
 from service.proto.planner.v1.result_pb2 import MotionResult
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
-from service.request_file import parse_request
-from service.result import PlanResult, Verdict
-from service.result_json import to_result_json
+from service.request.file import parse_request
+from service.result.result import PlanResult, Verdict
+from service.result.result_json import to_result_json
 from service.wire.hashes import hash_certificate, hash_trajectory
 from service.wire.results import checks_to_messages, encode_verdict, result_to_message
 from service.wire.scenes import detections_to_messages, scene_to_message

@@ -1,4 +1,4 @@
-"""A convex piece of a scan: its shape, the points it stands for, and what the rays say about it."""
+"""Convex piece of a scene: its shape, the points it stands for, and the evidence of the rays."""
 
 from __future__ import annotations
 
@@ -8,12 +8,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.scene import ConvexPiece
+from perception.convex.freespace import FreeSpace
 from perception.convex.hulls import Hull
+
+_AWAY = 0.05
+_N_SAMPLES = 128
+# Fractions of the plastic number: they fill the unit square evenly, however many are taken.
+_SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the rays of a scan say about a piece.
+    """Evidence of the rays of a scan for a piece.
 
     Attributes:
         free_cells: cells inside the piece that rays went through.
@@ -34,7 +40,7 @@ class Piece:
     Attributes:
         shape: name, vertices and kind (``plane``, ``wall``, ``clutter``).
         points: indices of the obstacle points within 1 cm of it that no piece before it has.
-        evidence: what the rays of the scan it was made from say.
+        evidence: of the rays of the scan it was made from.
         hull: its half-spaces, each once.
         plane: (4,) unit normal and offset of the plane it is a slab of; None for other shapes.
     """
@@ -56,7 +62,7 @@ class Piece:
         return self.shape.kind
 
     def summary(self) -> dict[str, object]:
-        """Name, kind, number of points and evidence, JSON-ready."""
+        """Return name, kind, number of points and evidence, JSON-ready."""
         return {
             "name": self.name,
             "kind": self.kind,
@@ -65,3 +71,27 @@ class Piece:
             "free_share": round(self.evidence.free_share, 4),
             "open_share": round(self.evidence.open_share, 3),
         }
+
+
+def measure_evidence(hull: Hull, free: FreeSpace) -> Evidence:
+    """Count free cells in the hull, and how much of its surface borders free ones."""
+    inside = free.count_inside(hull)
+    around = _sample_around(hull)
+    near = np.concatenate([around, *(around + sign * free.size * axis for axis in np.eye(3) for sign in (-1.0, 1.0))])
+    is_open = free.contains(near).reshape(7, -1).any(axis=0)
+    return Evidence(inside, inside * free.size**3 / hull.volume, float(is_open.mean()))
+
+
+def _sample_around(hull: Hull) -> Float[np.ndarray, "K 3"]:
+    """Return places 5 cm off the hull, spread evenly over its surface."""
+    corners = hull.vertices[hull.triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(across, axis=1)
+    steps = (np.arange(_N_SAMPLES) + 0.5) / _N_SAMPLES
+    chosen = np.searchsorted(np.cumsum(area) / area.sum(), steps).clip(max=len(area) - 1)
+    u, v = (np.arange(1, _N_SAMPLES + 1)[:, None] * _SPREAD % 1.0).T
+    flipped = u + v > 1.0
+    u, v = np.where(flipped, 1.0 - u, u), np.where(flipped, 1.0 - v, v)
+    first, second, third = np.moveaxis(corners[chosen], 1, 0)
+    on_surface = first + u[:, None] * (second - first) + v[:, None] * (third - first)
+    return np.asarray(on_surface + _AWAY * hull.faces[chosen, :3])

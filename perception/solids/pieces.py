@@ -1,9 +1,8 @@
-"""A scan to convex pieces by CoACD: occupied cells, a closed surface around them, and its parts."""
+"""Convex pieces of a scan by CoACD: occupied cells, a closed surface around them, and its parts."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,21 +10,24 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece
-from perception.convex.coarse import coarsened
-from perception.convex.evidence import evidence_of
+from perception.clock import Clock
+from perception.convex.coarse import coarsen
 from perception.convex.freespace import FreeSpace, carve
-from perception.convex.hulls import hull_of, limited
-from perception.convex.piece import Piece
+from perception.convex.hulls import limit_vertices, make_hull
+from perception.convex.piece import Piece, measure_evidence
 from perception.convex.pieces import Pieces
-from perception.convex.smooth import smoothed
+from perception.convex.smooth import smooth_points
 from perception.convex.split import is_free_of
 from perception.mesh import Mesh
 from perception.neighbours import nearest
 from perception.solids.cache import Parts
 from perception.solids.decompose import CoacdSettings, Work, decompose
-from perception.solids.voxels import surface_of
-from perception.view import View
+from perception.solids.voxels import wrap_cells
 
+_VOXEL = 0.015
+_COACD = CoacdSettings(0.05, iterations=20, nodes=5, depth=1)
+# Parts that hold space seen to be free are split again at half the threshold, so often at most.
+_PASSES = 1
 _FREE_CELL = 0.02
 _MOST_FREE = 0.02  # of a part
 _AROUND = 0.1
@@ -37,119 +39,95 @@ _LINK_PER_RANGE = 0.045
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
 
 
-@dataclass(frozen=True)
-class VoxelSettings:
-    """How a cloud becomes pieces by CoACD.
-
-    Attributes:
-        voxel_m: edge of a cell [m].
-        coacd: of the first pass.
-        passes: parts that hold space seen to be free are split again at half the threshold, so often at most.
-    """
-
-    voxel_m: float = 0.015
-    coacd: CoacdSettings = field(default_factory=lambda: CoacdSettings(0.05, iterations=20, nodes=5, depth=1))
-    passes: int = 1
-
-
-def pieces_by_coacd(view: View, settings: VoxelSettings | None = None, work: Work | None = None) -> Pieces:
-    """Convex pieces ``coacd/0`` ... of a view's obstacles, as ``perception.convex.make_pieces`` gives them.
+def make_coacd_pieces(
+    points: Float[np.ndarray, "N 3"],
+    starts: Float[np.ndarray, "*N 3"],
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    work: Work | None = None,
+) -> Pieces:
+    """Make convex pieces ``coacd/0`` ... of obstacle points, as ``perception.convex.make_pieces`` gives them.
 
     Cells seen to be free are never filled between points, and a part that holds such cells is split again; what CoACD
-    then still bridges is less than its threshold deep, and each piece's evidence tells it.
+    then still bridges is less than its threshold deep, and the evidence of each piece shows it.
 
     Args:
-        view: the scan, made ready.
-        settings: cells, thresholds.
+        points: (N, 3) obstacle points, cleaned [m].
+        starts: (3,) or (N, 3), where their rays started [m].
+        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan [m].
         work: cache, and limits of the CoACD process.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
-        Stopped: it was asked to stop.
+        Stopped: the caller was asked to stop.
     """
-    return made_by_coacd(view.obstacles, view.starts, view.cloud.rays, settings, work)
-
-
-def made_by_coacd(
-    points: Float[np.ndarray, "N 3"],
-    starts: Float[np.ndarray, "*N 3"],
-    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-    settings: VoxelSettings | None = None,
-    work: Work | None = None,
-) -> Pieces:
-    """As ``pieces_by_coacd``, of points [m], where their rays started, and all rays of the scan."""
-    settings, work = settings or VoxelSettings(), work or Work()
-    timings: dict[str, float] = {}
     if not len(points):
-        return Pieces((), timings)
-    clock = time.perf_counter()
-    grid, free = _grid(points, starts, rays, settings.voxel_m)
-    timings["voxels"] = time.perf_counter() - clock
-    clock = time.perf_counter()
-    parts = _split(grid, free, settings, work)
-    timings["coacd"] = time.perf_counter() - clock
-    clock = time.perf_counter()
-    pieces = _named(parts, points, free)
-    timings["evidence"] = time.perf_counter() - clock
-    return Pieces(pieces, timings)
+        return Pieces((), {})
+    clock = Clock()
+    grid, free = _make_cells(points, starts, rays)
+    clock.lap("voxels")
+    parts = _split_grid(grid, free, work or Work())
+    clock.lap("coacd")
+    pieces = _name_parts(parts, points, free)
+    clock.lap("evidence")
+    return Pieces(pieces, clock.timings)
 
 
 @dataclass(frozen=True)
-class _Grid:
+class _Cells:
     """Occupied cells: ``lower`` (3,) corner and ``size`` of a cell [m]."""
 
     occupied: Bool[np.ndarray, "X Y Z"]
     lower: Float[np.ndarray, "3"]
     size: float
 
-    def surfaces(self) -> list[Mesh]:
-        """Of each group of cells that touch."""
+    def wrap(self) -> list[Mesh]:
+        """Return the surface of each group of cells that touch."""
         label, _ = ndimage.label(self.occupied, _TOUCHING)
         return [
-            surface_of(label[box] == i + 1, self.lower + np.array([side.start for side in box]) * self.size, self.size)
+            wrap_cells(label[box] == i + 1, self.lower + np.array([side.start for side in box]) * self.size, self.size)
             for i, box in enumerate(ndimage.find_objects(label))
         ]
 
-    def within(self, part: Float[np.ndarray, "V 3"]) -> _Grid:
-        """Only the cells whose middle lies in a convex part."""
-        hull = hull_of(part, np.arange(0))
+    def crop(self, part: Float[np.ndarray, "V 3"]) -> _Cells:
+        """Return only the cells whose middle lies in a convex part."""
+        hull = make_hull(part, np.arange(0))
         first = np.maximum(np.floor((hull.lower - self.lower) / self.size).astype(int), 0)
         last = np.floor((hull.upper - self.lower) / self.size).astype(int) + 1
         block = self.occupied[tuple(slice(a, b) for a, b in zip(first, last, strict=True))].copy()
         cells = np.argwhere(block)
         lower = self.lower + first * self.size
         block[tuple(cells[~hull.is_within((cells + 0.5) * self.size + lower, 0.25 * self.size)].T)] = False
-        return _Grid(block, lower, self.size)
+        return _Cells(block, lower, self.size)
 
 
-def _grid(
+def _make_cells(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-    size: float,
-) -> tuple[_Grid, FreeSpace]:
-    """Cells that hold points or lie between neighbouring ones and were not seen free; and what was seen free."""
-    points = smoothed(points, np.ones(len(points), dtype=int), starts, np.arange(len(points)))
-    coarse = coarsened(points, starts, size)
+) -> tuple[_Cells, FreeSpace]:
+    """Mark cells that hold points or lie between neighbouring ones and were not seen free; and what was seen free."""
+    size = _VOXEL
+    points = smooth_points(points, np.ones(len(points), dtype=int), starts, np.arange(len(points)))
+    coarse = coarsen(points, starts, size)
     lower = _FREE_CELL * np.floor((coarse.points.min(axis=0) - _AROUND) / _FREE_CELL)
     upper = coarse.points.max(axis=0) + _AROUND
     free = carve(*rays, coarse.points, lower, upper, _FREE_CELL)
     occupied = np.zeros(np.ceil((upper - lower) / size).astype(int) + 1, dtype=bool)
-    between = _between(coarse.points, coarse.starts, size)
+    between = _bridge_gaps(coarse.points, coarse.starts, size)
     _mark(occupied, between[~free.contains(between)], lower, size)
     for aside in _ASIDE * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
         _mark(occupied, points + aside, lower, size)
-    return _Grid(occupied, lower, size), free
+    return _Cells(occupied, lower, size), free
 
 
 def _mark(grid: Bool[np.ndarray, "X Y Z"], at: Float[np.ndarray, "N 3"], lower: np.ndarray, size: float) -> None:
     grid[tuple(np.floor((at - lower) / size).astype(int).T)] = True
 
 
-def _between(
+def _bridge_gaps(
     points: Float[np.ndarray, "M 3"], starts: Float[np.ndarray, "M 3"], size: float
 ) -> Float[np.ndarray, "K 3"]:
-    """Places on the lines between neighbours no farther apart than max(5 cm, 4.5 % of range)."""
+    """Sample the lines between neighbours no farther apart than max(5 cm, 4.5 % of range)."""
     if len(points) < 2:
         return points
     k = np.arange(2, min(_NEIGHBOURS + 1, len(points)) + 1)
@@ -162,36 +140,36 @@ def _between(
     return np.asarray((points[row] + steps * (ends - points[row])).reshape(-1, 3))
 
 
-def _split(grid: _Grid, free: FreeSpace, settings: VoxelSettings, work: Work) -> Parts:
-    """Parts of all groups of cells; those that hold free space are split again at half the threshold."""
+def _split_grid(grid: _Cells, free: FreeSpace, work: Work) -> Parts:
+    """Split all groups of cells; parts that hold free space are split again at half the threshold."""
     done: list[Float[np.ndarray, "V 3"]] = []
-    coacd, todo = settings.coacd, grid.surfaces()
-    for again in range(settings.passes + 1):
-        hulls = [hull_of(mesh.vertices, np.arange(0)) for mesh in todo]
+    coacd, todo = _COACD, grid.wrap()
+    for again in range(_PASSES + 1):
+        hulls = [make_hull(mesh.vertices, np.arange(0)) for mesh in todo]
         whole = [is_free_of(hull, free) for hull in hulls]
         done += [hull.vertices for hull, fits in zip(hulls, whole, strict=True) if fits]
         rest = [mesh for mesh, fits in zip(todo, whole, strict=True) if not fits]
         todo = []
         for part in (part for parts in decompose(rest, coacd, work, "cloud") for part in parts):
-            if again == settings.passes or evidence_of(hull_of(part, np.arange(0)), free).free_share < _MOST_FREE:
+            if again == _PASSES or measure_evidence(make_hull(part, np.arange(0)), free).free_share < _MOST_FREE:
                 done.append(part)
             else:
-                todo += grid.within(part).surfaces()
-        coacd = CoacdSettings(0.5 * coacd.threshold_m, coacd.iterations, coacd.nodes, coacd.depth, coacd.seed)
+                todo += grid.crop(part).wrap()
+        coacd = replace(coacd, threshold_m=0.5 * coacd.threshold_m)
     return tuple(done)
 
 
-def _named(parts: Parts, points: Float[np.ndarray, "N 3"], free: FreeSpace) -> tuple[Piece, ...]:
-    """Names, points and evidence for all parts."""
+def _name_parts(parts: Parts, points: Float[np.ndarray, "N 3"], free: FreeSpace) -> tuple[Piece, ...]:
+    """Make pieces with names, points and evidence of all parts."""
     left = np.ones(len(points), dtype=bool)
     pieces = []
     for i, part in enumerate(parts):
-        vertices = limited(part)
-        hull = hull_of(vertices, np.arange(0))
+        vertices = limit_vertices(part)
+        hull = make_hull(vertices, np.arange(0))
         near = left & ((points >= hull.lower - _WITHIN) & (points <= hull.upper + _WITHIN)).all(axis=1)
         mine: Int[np.ndarray, "K"] = np.flatnonzero(near)
         mine = mine[hull.is_within(points[mine], _WITHIN)]
         left[mine] = False
         shape = ConvexPiece(f"coacd/{i}", vertices, kind="clutter")
-        pieces.append(Piece(shape, mine, evidence_of(hull, free), hull.simplified))
+        pieces.append(Piece(shape, mine, measure_evidence(hull, free), hull.simplified))
     return tuple(pieces)

@@ -10,7 +10,7 @@ from statistics import fmean
 import grpc
 
 from service.server.refusals import refuse_overload
-from service.wire.rpc import Refusal
+from service.trust.rpc import Refusal
 
 MAX_DURATIONS = 256  # stored per kind of work
 FIRST_GUESS_S = 1.0  # for a kind that has never run

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from service.cloud_asked import CloudAsked
 from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
@@ -23,9 +22,10 @@ from service.proto.planner.v1.planner_pb2 import (
     UploadCloudRequest,
     UploadCloudResponse,
 )
-from service.request import RobotRequest
-from service.request_file import parse_scene, parse_start
-from service.request_scene import SceneRequest
+from service.request.file import parse_scene, parse_start
+from service.request.scene import SceneRequest
+from service.request.schema import RobotRequest
+from service.scan.cloud import CloudInput
 from service.server.cloud_requests import (
     KnownReader,
     NamedFile,
@@ -42,8 +42,8 @@ from service.server.requests import RequestReader, select_uploads
 from service.server.settings import SMALL_BYTES
 from service.store import UPLOAD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
 from service.trust import UPLOADED, ClientLimiter, current_caller
+from service.trust.rpc import Context, deadline_of
 from service.wire.plain import to_plain
-from service.wire.rpc import Context, deadline_of
 from service.wire.scenes import detections_to_messages, scene_to_message
 from service.wire.violations import make_violation
 from service.work.look import SceneTask, build_scene, detect
@@ -258,12 +258,12 @@ class CloudHandlers:
         return scene
 
     @contextmanager
-    def _open_clouds(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudAsked]:
+    def _open_clouds(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudInput]:
         """Yield the clouds with paths on the server, which stay readable for the body."""
         files = scene.cloud_files
         bottom, top = _heights_m(given)
         with self._clouds.open_files(select_uploads(file.file for file in files)) as paths:
-            yield CloudAsked(
+            yield CloudInput(
                 files=tuple(Path(paths.get(file.file, file.file)) for file in files),
                 unit=scene.unit,
                 transforms=tuple(_join_numbers(file.position, file.quaternion_wxyz) for file in files),
@@ -280,7 +280,7 @@ class CloudHandlers:
             )
 
     def _accept(
-        self, answer: T | Refused, clouds: CloudAsked, scene: SceneRequest, more: Sequence[NamedFile] = ()
+        self, answer: T | Refused, clouds: CloudInput, scene: SceneRequest, more: Sequence[NamedFile] = ()
     ) -> T:
         """Return a worker's answer.
 
@@ -318,8 +318,8 @@ def _reach_m(given: CloudsSpec) -> float:
 def _heights_m(given: CloudsSpec) -> tuple[float, float]:
     """Return the lowest and the highest point that is used."""
     return (
-        given.bottom_m if given.HasField("bottom_m") else CloudAsked.bottom_m,
-        given.top_m if given.HasField("top_m") else CloudAsked.top_m,
+        given.bottom_m if given.HasField("bottom_m") else CloudInput.bottom_m,
+        given.top_m if given.HasField("top_m") else CloudInput.top_m,
     )
 
 

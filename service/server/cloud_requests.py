@@ -9,8 +9,8 @@ from pathlib import Path
 
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import BuildSceneRequest
-from service.request_file import parse_known, parse_robot, parse_start
-from service.request_known import KnownRequest
+from service.request.file import parse_known, parse_robot, parse_start
+from service.request.scene import KnownRequest
 from service.server.refusals import refuse_invalid
 from service.server.requests import select_uploads
 from service.store import CloudStore, Scenes

@@ -14,7 +14,7 @@ import grpc
 from service.executor import CancellableExecutor, DeadlineExceeded, ExecutorError, Job, PoolClosed, WorkerDied
 from service.server.admission import Admission
 from service.server.refusals import STOPPING
-from service.wire.rpc import Refusal
+from service.trust.rpc import Refusal
 
 T = TypeVar("T")
 OVERTIME_S = 5.0  # beyond the budget, before a job that does not stop by itself is ended
@@ -133,7 +133,7 @@ class JobRunner:
 
     def queue_position(self, handle: JobHandle[Any]) -> int | None:
         """Return the position in the queue, 1 for the next job; None for a job that does not wait."""
-        return self.executor.place(handle.job)
+        return self.executor.queue_position(handle.job)
 
     def kind_of_worker(self, pid: int | None) -> str:
         """Return the kind of work that a worker is busy with; empty if none."""
@@ -220,7 +220,7 @@ async def await_result(handle: JobHandle[T]) -> T:
     except WorkerDied as error:
         raise Refusal(
             grpc.StatusCode.INTERNAL,
-            f"{error.attempts} workers ended during this job (the last: {error.how}); it is not tried again",
+            f"{error.attempts} workers ended during this job (the last: {error.cause}); it is not tried again",
         ) from None
     except ExecutorError as error:
         raise Refusal(grpc.StatusCode.INTERNAL, str(error)) from None

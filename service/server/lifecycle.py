@@ -12,7 +12,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from service.errors import shown
 from service.server.refusals import GOING_DOWN
-from service.wire.rpc import Context, Interceptor, refuse
+from service.trust.rpc import Context, Interceptor, refuse
 
 _Status = health_pb2.HealthCheckResponse
 

@@ -17,8 +17,8 @@ from service.server.plan_handler import PlanHandler
 from service.server.query_handlers import QueryHandlers
 from service.server.refusals import refuse_error, refuse_invalid
 from service.server.settings import SMALL_BYTES
+from service.trust.rpc import Context, refuse
 from service.wire.message_checks import find_excess, find_unknown_fields
-from service.wire.rpc import Context, refuse
 
 SERVICE = wire.DESCRIPTOR.services_by_name["PlannerService"]
 

@@ -14,9 +14,9 @@ import structlog
 
 from service.proto.planner.v1.planner_pb2 import PlanAccepted, PlanFinished, PlanRequest, PlanResponse
 from service.proto.planner.v1.result_pb2 import MotionResult
-from service.request import PlanRequest as Request
-from service.request_file import request_hash
-from service.result import Verdict
+from service.request.file import request_hash
+from service.request.schema import PlanRequest as Request
+from service.result.result import Verdict
 from service.server.disk import DiskWatch
 from service.server.jobs import JobHandle, JobRunner, await_result
 from service.server.plan_files import stream_files
@@ -28,7 +28,7 @@ from service.server.spread import Answer, await_certified, with_other_seed
 from service.store import PlanRecord, PlanState, Store
 from service.telemetry import bind
 from service.trust import current_caller
-from service.wire.rpc import Context, Refusal, deadline_of
+from service.trust.rpc import Context, Refusal, deadline_of
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 _LOG = structlog.get_logger("scopt.server")

@@ -28,8 +28,8 @@ from service.store import Decision, PlanRecord, PlanState, Review, Store
 from service.store.reviews import MAX_COMMENT_CHARACTERS
 from service.telemetry import bind
 from service.trust import Role, current_caller
+from service.trust.rpc import Context, Refusal, deadline_of
 from service.wire.results import checks_to_messages, encode_verdict
-from service.wire.rpc import Context, Refusal, deadline_of
 from service.work.look import describe_robots, verify
 from service.work.plan import Refused
 

@@ -17,7 +17,7 @@ from service.store import (
     UploadRefusedError,
 )
 from service.telemetry import log_incident
-from service.wire.rpc import Refusal
+from service.trust.rpc import Refusal
 from service.wire.violations import make_bad_request
 
 STATUS_OF_STORE_ERROR: dict[type[StoreError], grpc.StatusCode] = {

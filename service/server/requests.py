@@ -11,10 +11,9 @@ from pathlib import Path
 
 from costs.robot import bundled_robots
 from service.errors import RequestError
-from service.planned import check_planned
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request import PlanRequest, RobotRequest
-from service.request_scene import MeshRequest, SceneRequest
+from service.request.scene import MeshRequest, SceneRequest
+from service.request.schema import PlanRequest, RobotRequest, check_task_has_planner
 from service.server.refusals import refuse_error, refuse_invalid
 from service.server.settings import ServerSettings
 from service.store import CloudStore, Scenes
@@ -102,7 +101,7 @@ class RequestReader:
         """
         try:
             request = request_from_message(message)
-            check_planned(request)
+            check_task_has_planner(request)
         except RequestError as error:
             raise refuse_error(error, WITHIN) from None
         problems = [f"{field}: {problem}" for field, problem in self.folders.find_problems(request)]

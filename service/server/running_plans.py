@@ -10,7 +10,7 @@ from typing import Any
 
 from service.proto.planner.v1.planner_pb2 import PlanFinished, PlanProgress, PlanQueued, PlanResponse
 from service.server.jobs import JobHandle, JobRunner
-from service.wire.rpc import Refusal
+from service.trust.rpc import Refusal
 
 
 class RunningPlan:

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import replace
 
-from service.result import Verdict
+from service.result.result import Verdict
 from service.server.jobs import JobHandle, await_result
 from service.work.plan import PlanAnswer, PlanTask, Refused
 

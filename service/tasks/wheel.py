@@ -8,8 +8,8 @@ from jaxtyping import Float
 from costs.kinematics import KinematicsEngine, frame_of
 from costs.robot import RobotModel
 from costs.rotation import tangent_basis
+from service.body.whole_body import WholeBody
 from service.demands.wheel import HAND_AXIS, Hand, Wheel, robot_with_wheel
-from service.whole_body import WholeBody
 
 
 def wrist_of(hand: Hand, robot: RobotModel) -> tuple[int, float]:
@@ -22,7 +22,7 @@ def wrist_of(hand: Hand, robot: RobotModel) -> tuple[int, float]:
     return column, float(np.sign(turns @ axis))
 
 
-def with_wheel(body: WholeBody, wheel: Wheel) -> WholeBody:
+def add_wheel(body: WholeBody, wheel: Wheel) -> WholeBody:
     """The body of a robot whose last coordinate is the wheel's angle."""
     return body.with_robot(robot_with_wheel(body.robot, wheel), np.append(body.nominal, 0.0))
 

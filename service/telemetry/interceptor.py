@@ -15,7 +15,7 @@ from service.telemetry.logs import log_incident
 from service.telemetry.metrics import Metrics
 from service.telemetry.spans import NoSpans, Spans
 from service.trust import current_caller, peer_key
-from service.wire.rpc import Context, Interceptor, refuse, shorten
+from service.trust.rpc import Context, Interceptor, refuse, shorten
 
 _LOG = structlog.get_logger("scopt.rpc")
 _CODES = {code.value[0]: code for code in grpc.StatusCode}

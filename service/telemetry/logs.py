@@ -14,7 +14,7 @@ import grpc
 import structlog
 from structlog.typing import EventDict, Processor
 
-from service.wire.rpc import Refusal
+from service.trust.rpc import Refusal
 
 MAX_CHARACTERS = 4000  # of one value, so that a client cannot fill the disk
 _LOG = structlog.get_logger("scopt.server")

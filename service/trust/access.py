@@ -9,8 +9,8 @@ import grpc
 
 from service.trust.identity import LOCAL, OPEN_TO_ALL, ROLE_NEEDED, Caller, Identity, set_caller
 from service.trust.limits import ClientLimiter, peer_key
+from service.trust.rpc import Context, Interceptor, Refusal, refuse
 from service.trust.tokens import Tokens
-from service.wire.rpc import Context, Interceptor, Refusal, refuse
 
 _SCHEME = "bearer"
 

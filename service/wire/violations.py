@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from google.rpc.error_details_pb2 import BadRequest
 
-from service.wire.rpc import shorten
+from service.trust.rpc import shorten
 
 # They travel in a header, together with the status; the call fails if its headers exceed 8 KiB.
 MAX_BYTES, MAX_PROBLEM_BYTES, MAX_FIELD_BYTES = 2000, 400, 200

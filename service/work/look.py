@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from costs.robot import bundled_robots
-from service.cloud_asked import CloudAsked
 from service.errors import RequestError, ResultError, shown
 from service.executor import Control
-from service.request import GoalRequest, PlanRequest, RobotRequest
-from service.request_known import KnownMeshRequest
+from service.request.scene import KnownMeshRequest
+from service.request.schema import GoalRequest, PlanRequest, RobotRequest
+from service.scan.cloud import CloudInput
 from service.work.plan import ROBOTS, Refused
 from service.work.stopping import stops_with
 
@@ -35,7 +35,7 @@ class SceneTask:
         said: settings given explicitly, which must equal those of the earlier scene, and their fields.
     """
 
-    clouds: CloudAsked
+    clouds: CloudInput
     kinds: tuple[str, ...] = ()
     hint: tuple[float, float, float] | None = None
     unknown: str = "free"
@@ -47,27 +47,28 @@ class SceneTask:
 
 def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
     """Make a scene's file (docs/scene-format.md); reports the names of steps."""
-    from service.scene_before import read_before
-    from service.scene_file import SceneAsked, on_top_of, see_files
-    from service.scene_meshes import mesh_requested
+    from service.scan.earlier import read_earlier_scene
+    from service.scan.known_meshes import mesh_from_request
+    from service.scan.make_scene import SceneInput, apply_earlier_settings
+    from service.scan.make_scene import build_scene as make_scene
 
-    meshes = tuple(mesh_requested(mesh, path) for mesh, path in task.meshes)
-    asked = SceneAsked(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
+    meshes = tuple(mesh_from_request(mesh, path) for mesh, path in task.meshes)
+    given = SceneInput(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
     try:
         with stops_with(control):
             if task.update is not None:
-                before = replace(read_before(task.update[0]), path=Path(task.update[1]))
-                asked = on_top_of(before, asked, task.said, "update")
-            return json.dumps(see_files(asked, control.report).data, allow_nan=False).encode()
+                earlier = replace(read_earlier_scene(task.update[0]), path=Path(task.update[1]))
+                given = apply_earlier_settings(earlier, given, task.said, "update")
+            return json.dumps(make_scene(given, control.report).data, allow_nan=False).encode()
     except RequestError as error:
         return Refused(error.problems)
 
 
 def detect(
-    clouds: CloudAsked, kind: str, hint: tuple[float, float, float] | None, control: Control
+    clouds: CloudInput, kind: str, hint: tuple[float, float, float] | None, control: Control
 ) -> Mapping[str, Any] | Refused:
     """Detect objects; returns what ``scopt detect`` prints."""
-    from service.detect_file import detect_file
+    from service.scan.detect import detect_file
 
     try:
         with stops_with(control):
@@ -83,7 +84,7 @@ def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | 
         files: files of a result folder, by their path in it.
         control: stops the work.
     """
-    from service.replay import verify_result
+    from service.replay.replay import verify_result
 
     with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:
         folder = Path(scratch)

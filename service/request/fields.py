@@ -1,0 +1,162 @@
+"""The fields a request is made of: numbers, points, quaternions, names, and sections that know their keys."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sized
+from dataclasses import fields
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, JsonValue, StrictStr, model_validator
+from pydantic_core import PydanticCustomError, PydanticKnownError
+
+from service.errors import shown, would_do
+
+QUATERNION_NORM_TOLERANCE = 1e-3  # what rounding to a few digits explains
+WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
+LARGEST_M = 100.0  # no obstacle near a robot is wider: beyond this its numbers are in another unit
+MAX_JOINTS = 1000  # of a robot that anybody plans for
+MAX_DEPTH = 30  # of plain data in a request
+MAX_BITS = 1023  # of an integer in plain data
+MAP_M = 1e8  # map coordinates are offset from zero by thousands of kilometres
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Coordinate = Annotated[Number, Field(ge=-WORKSPACE_M, le=WORKSPACE_M)]
+Length = Annotated[Number, Field(gt=0.0, le=WORKSPACE_M)]
+Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+_MapCoordinate = Annotated[Number, Field(ge=-MAP_M, le=MAP_M)]
+MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
+SECTION = ConfigDict(extra="forbid", frozen=True)
+
+
+def at_most(most: int) -> BeforeValidator:
+    """Refuse a list or mapping of more than ``most`` entries before any of them is looked at."""
+
+    def check(value: object) -> object:
+        if isinstance(value, Sized) and not isinstance(value, str) and len(value) > most:
+            context = {"field_type": "Tuple", "max_length": most, "actual_length": len(value)}
+            raise PydanticKnownError("too_long", context)
+        return value
+
+    return BeforeValidator(check)
+
+
+def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    norm = math.hypot(*quaternion)
+    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
+        w, x, y, z = quaternion
+        unit = f"[{w / norm:.6g}, {x / norm:.6g}, {y / norm:.6g}, {z / norm:.6g}]" if norm > 1e-9 else "[1, 0, 0, 0]"
+        raise PydanticCustomError(
+            "quaternion",
+            "a quaternion (w, x, y, z) needs length 1, not {norm}; {unit} would do",
+            {"norm": f"{norm:.6g}", "unit": unit},
+        )
+    w, x, y, z = (component / norm for component in quaternion)
+    return (w, x, y, z)
+
+
+def _in_metres(sizes: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    """Refuse a size that only another unit explains."""
+    for size in (sizes,) if isinstance(sizes, float) else sizes:
+        if size > LARGEST_M:
+            raise PydanticCustomError(
+                "unit",
+                "{size} m is larger than {most} m; are these millimetres? Use {metres}.",
+                {"size": f"{size:g}", "most": f"{LARGEST_M:g}", "metres": f"{size / 1000.0:g}"},
+            )
+    return sizes
+
+
+def _flag_or_height(value: object) -> object:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(value, bool) or (is_number and abs(value) <= WORKSPACE_M):  # type: ignore[arg-type]
+        return value
+    raise PydanticCustomError("floor", "true, false or a height in metres would do")
+
+
+def _number_or_all(value: object) -> object:
+    if value == "all" or (isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**9):
+        return value
+    raise PydanticCustomError("message", "a whole number or 'all' would do")
+
+
+def _single_line(name: str) -> str:
+    if not name.isprintable():
+        raise PydanticCustomError("name", "a name has no control characters")
+    return name
+
+
+def _finite(data: dict[str, Any]) -> dict[str, Any]:
+    """Refuse numbers that JSON has no word for, and depths that nobody writes, anywhere in plain data."""
+    level: list[tuple[str, object]] = [("", data)]
+    for _ in range(MAX_DEPTH):
+        deeper: list[tuple[str, object]] = []
+        for path, value in level:
+            if isinstance(value, Mapping):
+                deeper += [(f"{path}.{key}" if path else str(key), one) for key, one in value.items()]
+            elif isinstance(value, list | tuple):
+                deeper += [(f"{path}[{k}]", one) for k, one in enumerate(value)]
+            elif _is_beyond_json(value):
+                raise PydanticCustomError(
+                    "plain_data",
+                    "a finite number is needed at {path}, got {value}",
+                    {"path": shown(path).strip("'\""), "value": shown(value)},
+                )
+        if not deeper:
+            return data
+        level = deeper
+    raise PydanticCustomError("plain_data", "nested deeper than {depth} levels", {"depth": MAX_DEPTH})
+
+
+def _is_beyond_json(value: object) -> bool:
+    """Whether a number is infinite, NaN, or an integer that no double comes near."""
+    if isinstance(value, float):
+        return not math.isfinite(value)
+    return isinstance(value, int) and value.bit_length() > MAX_BITS
+
+
+_Size = Annotated[Number, Field(gt=0.0)]
+Size = Annotated[_Size, AfterValidator(_in_metres)]
+Sizes = Annotated[tuple[_Size, _Size, _Size], AfterValidator(_in_metres)]
+PlainData = Annotated[dict[str, JsonValue], AfterValidator(_finite)]
+Joints = Annotated[dict[Name, Number], at_most(MAX_JOINTS)]
+Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
+Floor = Annotated[bool | float, BeforeValidator(_flag_or_height)]
+Message = Annotated[int | Literal["all"], BeforeValidator(_number_or_all)]
+Label = Annotated[Name, AfterValidator(_single_line)]
+FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
+
+
+class Section:
+    """Refuses keys that are not fields, naming the ones that may have been meant."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            known = [f.name for f in fields(cls) if f.name != "folder"]  # type: ignore[arg-type]
+            for key in data:
+                if key not in known:
+                    raise PydanticCustomError(
+                        "unknown_key",
+                        "unknown key {key}; {known} would do",
+                        {"key": shown(key), "known": would_do(key, known)},
+                    )
+        return data
+
+
+def find_repeated(names: Iterable[str]) -> list[str]:
+    """Those that stand there more than once, sorted."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)
+
+
+def require_exactly_one(section: object, names: tuple[str, ...]) -> None:
+    given = [name for name in names if getattr(section, name)]
+    if len(given) != 1:
+        raise PydanticCustomError(
+            "exactly_one",
+            "exactly one of {names} is needed, {given}",
+            {"names": ", ".join(names), "given": f"not {' and '.join(given)}" if given else "none is given"},
+        )

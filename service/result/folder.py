@@ -1,0 +1,138 @@
+"""A result's folder: what is in it, replaced as a whole or not at all, read back with the care of any other input."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from service.errors import ResultError, shown
+
+FORMAT = "scopt-result/1"
+RESULT_NAME = "result.json"
+TRAJECTORY_NAME = "trajectory.csv"
+VIEWER_NAME = "viewer.html"
+GLB_NAME = "scene.glb"
+OPENRAVE_NAME = "openrave"
+ROBOT_NAME = "robot"
+WRITTEN = {RESULT_NAME, TRAJECTORY_NAME, VIEWER_NAME, GLB_NAME, OPENRAVE_NAME, ROBOT_NAME}
+MAX_RESULT_BYTES = 512 * 2**20
+BEGINNING = b'{"format": "' + FORMAT.rsplit("/", 1)[0].encode()
+
+
+@dataclass(frozen=True)
+class ResultFiles:
+    """Where the files of a result are."""
+
+    folder: Path
+
+    @property
+    def result(self) -> Path:
+        """What a stranger needs to check the motion."""
+        return self.folder / RESULT_NAME
+
+    @property
+    def trajectory(self) -> Path:
+        """The samples as a table: time, then one column per coordinate."""
+        return self.folder / TRAJECTORY_NAME
+
+    @property
+    def viewer(self) -> Path:
+        """The motion to look at."""
+        return self.folder / VIEWER_NAME
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that a result must not replace.
+
+    Raises:
+        ResultError: it is a file, or holds something other than an earlier result.
+    """
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise ResultError(f"{folder} is a file; name a folder for the result")
+    found = {path.name for path in folder.iterdir()}
+    if found and not (folder / RESULT_NAME).is_file():
+        raise ResultError(f"{folder} holds other files and no {RESULT_NAME}; name a new or empty folder")
+    if found and not _is_ours(folder / RESULT_NAME):
+        raise ResultError(f"{folder} holds a {RESULT_NAME} of something else; name a new or empty folder")
+    if found - WRITTEN:
+        first = min(found - WRITTEN)
+        raise ResultError(f"{folder} holds {first}, which is of no result; move it or name a new or empty folder")
+
+
+@contextmanager
+def replace_folder(folder: Path) -> Iterator[Path]:
+    """A fresh folder beside ``folder`` that takes its place when the body succeeds, and vanishes when it does not.
+
+    One that nothing was put into takes no place either.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
+        fresh, earlier = Path(scratch) / "fresh", Path(scratch) / "earlier"
+        fresh.mkdir()
+        yield fresh
+        if not any(fresh.iterdir()):
+            return
+        try:
+            if folder.exists():
+                os.rename(folder, earlier)
+            os.rename(fresh, folder)
+        except BaseException:
+            if earlier.exists() and not folder.exists():
+                os.rename(earlier, folder)
+            raise
+
+
+def read_result(path: str | Path) -> dict[str, Any]:
+    """The content of a result folder's ``result.json``, given the folder or the file.
+
+    Raises:
+        ResultError: not there, not JSON, or another format.
+    """
+    path = result_path(path)
+    try:
+        size = path.stat().st_size
+        if size > MAX_RESULT_BYTES:
+            raise ResultError(f"{path} has {size} bytes; at most {MAX_RESULT_BYTES} are read")
+        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
+    except OSError as error:
+        raise ResultError(f"{path} cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise ResultError(f"{path} is no JSON: {shown(str(error))}") from None
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        found = data.get("format") if isinstance(data, dict) else data
+        raise ResultError(f"{path}: format is {shown(found)}; {FORMAT!r} would do")
+    return data
+
+
+def result_path(path: str | Path) -> Path:
+    """The ``result.json`` that a user means by a folder or a file."""
+    path = Path(path)
+    return path / RESULT_NAME if path.is_dir() else path
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a ``result.json`` begins as ours do, of whatever version."""
+    with path.open("rb") as file:
+        return file.read(len(BEGINNING)) == BEGINNING
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON whose keys differ: readers do not agree on which of two values counts."""
+    members = dict(pairs)
+    if len(members) < len(pairs):
+        repeated = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        raise ValueError(f"an object has the key {shown(repeated)} twice")
+    return members
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number that JSON has")

@@ -1,0 +1,101 @@
+"""Mesh files of a request as solids, and solids as convex parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull
+
+from costs.robot import RobotError, StillShape, object_shapes
+from service.errors import RequestError
+
+if TYPE_CHECKING:
+    from perception.mesh import Mesh
+    from perception.solids.closed import Solid
+
+URDF = ".urdf"
+FORMATS = (".stl", ".obj", ".ply", URDF)
+
+
+def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
+    """What a file describes, in its own frame [m].
+
+    Args:
+        path: STL, OBJ or PLY, or a URDF, whose collision shapes with every joint at zero are one object.
+        field: of the request that names it.
+        scale: metres per unit of the file.
+
+    Raises:
+        RequestError: naming ``field``: no such file, another format, too large or broken.
+    """
+    from perception import PerceptionError  # takes a while, and most scenes need none
+    from perception.solids.closed import make_solid, unite_solids
+    from perception.solids.read import read_mesh
+
+    if not path.is_file():
+        raise RequestError(f"{field}: {path} is not there; paths start at the request's folder")
+    if path.suffix.lower() not in FORMATS:
+        raise RequestError(f"{field}: {path.name}: format '{path.suffix}' is not read; {', '.join(FORMATS)} would do")
+    try:
+        if path.suffix.lower() != URDF:
+            return make_solid(read_mesh(path, scale), path.name)
+        return unite_solids([make_solid(_body(shape, scale), shape.where) for shape in object_shapes(path)], path.name)
+    except (PerceptionError, RobotError) as error:
+        raise RequestError(f"{field}: {error}") from None
+
+
+def split_convex(
+    solid: Solid,
+    name: str,
+    field: str,
+    *,
+    decompose: bool = True,
+) -> list[Float[np.ndarray, "V 3"]]:
+    """Vertices of convex parts that together contain a solid [m].
+
+    A convex mesh is one part. CoACD's parts (Wei et al., SIGGRAPH 2022) follow the surface to about 1 cm.
+
+    Args:
+        solid: the object.
+        name: what to call it in errors.
+        field: of the request that names its file.
+        decompose: whether to split it; else its hull is the one part.
+
+    Raises:
+        RequestError: naming ``field``: CoACD crashed or needs too much.
+        Stopped: it was asked to stop.
+    """
+    from perception import PerceptionError
+    from perception.solids import decompose as solids
+
+    try:
+        if not decompose:
+            return [solids.make_hull_part(solid)]
+        return list(solids.split_solid(solid, name=name))
+    except PerceptionError as error:
+        raise RequestError(f"{field}: {error}") from None
+
+
+def _body(shape: StillShape, scale: float) -> Mesh:
+    """A shape's triangles in the object's frame; a round one as the polytope around it."""
+    from perception.solids.read import read_mesh
+
+    pose = shape.pose_object_shape.copy()
+    pose[:3, 3] *= scale
+    if shape.mesh is not None:
+        return read_mesh(shape.mesh, shape.scale * scale).placed(pose)
+    return hull_mesh(np.asarray(shape.points) * scale).placed(pose)
+
+
+def hull_mesh(points: Float[np.ndarray, "N 3"]) -> Mesh:
+    """The convex hull of points as triangles wound outwards."""
+    from perception.mesh import Mesh
+
+    hull = ConvexHull(points)
+    a, b, c = np.moveaxis(points[hull.simplices], 1, 0)
+    is_inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0.0
+    triangles = np.where(is_inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return Mesh(points, triangles.astype(np.int64))

@@ -1,0 +1,268 @@
+"""Scene files (docs/scene-format.md): their schema, and reading one to plan in, whichever program wrote it."""
+
+from __future__ import annotations
+
+import json
+import stat
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as checked
+
+from costs.scene import ConvexPiece, Scene
+from perception import ValveDetection
+from service.errors import RequestError, shown
+from service.request.choices import Method, Unknown
+
+FORMAT = "scopt-scene/1"
+MOST_BYTES = 64 * 2**20
+MOST_PIECES, MOST_VERTICES = 20_000, 1000
+VALVE = "valve"
+LEAST_THICKNESS_M = 1e-6
+LEAST_AXIS = 1e-6
+ROUND_WHEEL_M = 0.02  # what of the scan is this near to a wheel is the wheel's
+
+Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
+Vertex = tuple[Number, Number, Number]
+Placing = Literal["given", "found", "not found", "gone"]
+
+
+@checked(frozen=True)
+class SceneSettings:
+    """How a scene was made from its clouds; an update uses the same settings."""
+
+    reach_m: Annotated[Number, Field(gt=0.0)]
+    top_m: Number
+    bottom_m: Number
+    seed: Annotated[int, Field(ge=0)]
+    unknown: Unknown
+    method: Method
+
+
+@checked(frozen=True)
+class EvidenceRecord:
+    """What the rays of the scan say about a piece."""
+
+    free_cells: Annotated[int, Field(ge=0)]
+    free_share: Number
+    open_share: Number
+    plane: tuple[Number, Number, Number, Number] | None = None
+
+
+@checked(frozen=True)
+class PieceRecord:
+    """A convex piece; ``seen`` is missing for pieces that were not made from points of the scan."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    kind: Annotated[str, Field(max_length=200)]
+    vertices: Annotated[list[Vertex], Field(min_length=4, max_length=MOST_VERTICES)]
+    seen: EvidenceRecord | None = None
+
+    @property
+    def piece(self) -> ConvexPiece:
+        """The piece in the world."""
+        return ConvexPiece(self.name, np.array(self.vertices), self.kind)
+
+
+@checked(frozen=True)
+class HitRecord:
+    """A detected object."""
+
+    kind: str
+    confidence: Annotated[float, Field(ge=0.0, le=1.0)]
+    pose_world_object: Annotated[
+        list[Annotated[list[Number], Field(min_length=4, max_length=4)]], Field(min_length=4, max_length=4)
+    ]
+    sizes: Mapping[str, Number]
+
+
+@checked(frozen=True)
+class MeshRecord:
+    """A known object and the names of its pieces."""
+
+    name: Annotated[str, Field(min_length=1)]
+    file: str
+    placing: Placing
+    pose_world_mesh: list[list[Number]] | None
+    pieces: list[str]
+
+
+@checked(frozen=True)
+class SceneRecord:
+    """The keys of a scene file that a plan reads; other programs may write them too."""
+
+    pieces: Annotated[list[PieceRecord], Field(max_length=MOST_PIECES)]
+    detections: Annotated[list[HitRecord], Field(max_length=MOST_PIECES)] = Field(default_factory=list)
+
+
+@checked(frozen=True, kw_only=True)
+class UpdatableRecord(SceneRecord):
+    """The keys that an update reads besides."""
+
+    settings: SceneSettings
+    meshes: list[MeshRecord]
+
+
+RecordT = TypeVar("RecordT", bound=SceneRecord)
+
+
+def scene_document(settings: SceneSettings, pieces: Mapping[str, Any], **content: Any) -> dict[str, Any]:
+    """Return the data of a scene file, JSON-ready, in the order in which it is written.
+
+    Args:
+        settings: how the scene was made.
+        pieces: ``pieces`` and, after an update, ``update``.
+        content: further keys (docs/scene-format.md).
+    """
+    return {"format": FORMAT, "settings": asdict(settings), **pieces, **content}
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """What a scene's file says.
+
+    Attributes:
+        pieces: all of them.
+        hits: the objects that were found in the scan.
+    """
+
+    pieces: tuple[ConvexPiece, ...]
+    hits: tuple[HitRecord, ...]
+
+    def valves(self, hint: Sequence[float] | None) -> tuple[ValveDetection, ...]:
+        """The wheel valves: with a hint the nearest first, else the surest."""
+        found = [_valve(hit) for hit in self.hits if _is_wheel(hit)]
+        if hint is None:
+            return tuple(sorted(found, key=lambda valve: -valve.confidence))
+        return tuple(sorted(found, key=lambda valve: float(np.linalg.norm(valve.centre - hint))))
+
+    def pieces_without(self, valves: Sequence[ValveDetection]) -> tuple[ConvexPiece, ...]:
+        """The pieces but for those that lie within a wheel, which is to be touched."""
+        return tuple(piece for piece in self.pieces if not any(_is_of(valve, piece.vertices) for valve in valves))
+
+
+def read_scene(path: Path, field: str) -> SceneFile:
+    """Read a scene file to plan in.
+
+    Args:
+        path: of the file.
+        field: of the request that names it.
+
+    Raises:
+        RequestError: the file cannot be read or is no scene.
+    """
+    record = read_record(path, field, SceneRecord, if_scan=", a scan goes into scene.cloud")
+    try:
+        pieces = tuple(entry.piece for entry in record.pieces)
+        Scene(pieces)
+        _check_solid(pieces)
+    except ValueError as error:
+        raise RequestError(f"{field}: {path}: pieces: {error}") from None
+    return SceneFile(pieces, tuple(record.detections))
+
+
+def read_record(path: Path, field: str, kind: type[RecordT], *, if_scan: str = "", advice: str = "") -> RecordT:
+    """Read a scene file and check it against its schema.
+
+    Args:
+        path: of the file.
+        field: of the request, or option, that names it.
+        kind: which keys are needed.
+        if_scan: added to the error where the file may be a scan.
+        advice: added to the error where a key is wrong.
+
+    Raises:
+        RequestError: the file cannot be read or is no scene.
+    """
+    data = _read_json(path, field, if_scan)
+    if kind is UpdatableRecord and "settings" not in data:
+        raise RequestError(f"{field}: {path} does not say what it was made with{advice}")
+    try:
+        return TypeAdapter(kind).validate_python(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise RequestError(f"{field}: {path}: {where}: {first['msg']}{advice}") from None
+
+
+def _read_json(path: Path, field: str, if_scan: str) -> Mapping[str, Any]:
+    try:
+        if not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device would never end
+            raise RequestError(f"{field}: {path} is no regular file; the file that 'scopt scene' writes would do")
+        if path.stat().st_size > MOST_BYTES:
+            raise RequestError(f"{field}: {path} has more than {MOST_BYTES // 2**20} MB; a scene has less")
+        data = json.loads(path.read_bytes())
+    except OSError as error:
+        raise RequestError(f"{field}: {path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError):
+        raise RequestError(
+            f"{field}: {path} is no JSON; the file that 'scopt scene' writes would do{if_scan}"
+        ) from None
+    named = data.get("format") if isinstance(data, Mapping) else None
+    if named != FORMAT:
+        scan = if_scan if named is None else ""
+        raise RequestError(f"{field}: {path} is no scene, its format is {shown(named)}, {FORMAT} would do{scan}")
+    return dict(data)
+
+
+def _check_solid(pieces: Sequence[ConvexPiece]) -> None:
+    flat = next((piece.name for piece in pieces if _thickness(piece.vertices) < LEAST_THICKNESS_M), None)
+    if flat is not None:
+        raise ValueError(f"the vertices of {shown(flat)} lie in a plane; four that span a volume would do")
+
+
+def _thickness(vertices: Float[np.ndarray, "V 3"]) -> float:
+    """Of a body along the direction in which it is thinnest, about [m]."""
+    return float(np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[-1])
+
+
+def _is_wheel(hit: HitRecord) -> bool:
+    """Whether it is a valve that is told well enough: with a radius and an axis."""
+    has_axis = np.linalg.norm(np.array(hit.pose_world_object)[:3, 2]) > LEAST_AXIS
+    return hit.kind == VALVE and hit.sizes.get("rim_radius", 0.0) > 0.0 and bool(has_axis)
+
+
+def _valve(hit: HitRecord) -> ValveDetection:
+    pose, rim = np.array(hit.pose_world_object), hit.sizes["rim_radius"]
+    tube = hit.sizes.get("tube_radius", 0.1 * rim)
+    wheel = wheel_from_circle(pose[:3, 3], pose[:3, 2], rim, tube)
+    return replace(wheel, outer_radius=hit.sizes.get("outer_radius", rim + tube), confidence=hit.confidence)
+
+
+def wheel_from_circle(
+    centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], rim_radius: float, tube_radius: float
+) -> ValveDetection:
+    """A valve known by its rim alone; nothing is known of its spokes.
+
+    Args:
+        centre: of the rim [m]; axis: towards the robot, of any length but zero.
+        rim_radius: of the rim's centre line; tube_radius: half the rim's thickness [m].
+    """
+    return ValveDetection(
+        centre=centre,
+        axis=axis / np.linalg.norm(axis),
+        rim_radius=rim_radius,
+        outer_radius=rim_radius + tube_radius,
+        tube_radius=tube_radius,
+        half_depth=tube_radius,
+        spoke_angles=(),
+        hub_radius=0.25 * rim_radius,
+        inner_depth=(-tube_radius, tube_radius),
+        confidence=1.0,
+        rms=0.0,
+        n_inliers=0,
+    )
+
+
+def _is_of(valve: ValveDetection, vertices: Float[np.ndarray, "V 3"]) -> bool:
+    """Whether a piece lies within the disc of a wheel, and a little around it."""
+    offset = vertices - valve.centre
+    height = offset @ valve.axis
+    radius = np.linalg.norm(offset - height[:, None] * valve.axis, axis=1)
+    room = ROUND_WHEEL_M
+    return bool(np.all(radius <= valve.outer_radius + room) and np.all(np.abs(height) <= valve.half_depth + room))

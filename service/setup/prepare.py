@@ -1,0 +1,165 @@
+"""Preparation of a request: the robot at its start in its world, checked, as what every task starts from."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot import RobotModel
+from costs.scene import Scene
+from costs.stopping import Stopped, poll, stops_when
+from service.body.holds import KeptPose, make_kept_poses
+from service.demands import compose_scene
+from service.errors import RequestError
+from service.request.names import TakenNames, check_names
+from service.request.schema import PlanRequest
+from service.setup.checks import check_goal_and_keep, check_start, find_soles
+from service.setup.units import find_unit_problems, note_far_obstacles
+from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
+from service.start.configuration import make_start_configuration
+from service.start.overlaps import Overlap
+from service.start.robot import attach_bodies, load_requested_robot
+from service.start.standing import check_masses, move_floor_to_soles
+
+if TYPE_CHECKING:
+    from perception import Perceived
+    from service.trajopt import Program
+
+
+@dataclass(frozen=True)
+class PlanSetup:
+    """The prepared request from which every task starts.
+
+    Attributes:
+        request: the request.
+        robot: the robot, with the bodies it carries.
+        start: (n,) start configuration, within the limits.
+        scene: all pieces, including the floor.
+        surroundings: pieces and objects of the scan or scene file.
+        soles: (C, 3) sole corners of each planted link in the world at the start [m].
+        kept: relative poses that hold along the whole motion.
+        program: the TrajOpt problem to solve, or None.
+        overlaps: hulls that overlap at the start and have to be left first.
+        unresolved: sentences about pairs that are apart at the start while their hulls overlap, so that nothing can be
+            certified there.
+        notes: assumptions and warnings for the user.
+        timings: seconds by step.
+        is_stopped: whether preparation was stopped before the scene was complete; the scene is then empty.
+    """
+
+    request: PlanRequest
+    robot: RobotModel
+    start: Float[np.ndarray, "n"]
+    scene: Scene
+    surroundings: Surroundings
+    soles: Mapping[str, Float[np.ndarray, "C 3"]]
+    kept: tuple[KeptPose, ...]
+    program: Program | None
+    overlaps: tuple[Overlap, ...]
+    notes: tuple[str, ...]
+    timings: Mapping[str, float]
+    is_stopped: bool = False
+    unresolved: tuple[str, ...] = ()
+
+    @property
+    def contacts(self) -> tuple[str, ...]:
+        """The links planted at the start."""
+        return tuple(self.soles)
+
+
+def prepare(
+    request: PlanRequest,
+    on_step: Callable[[str], None] | None = None,
+    robot: RobotModel | None = None,
+    should_stop: Callable[[], bool] = lambda: False,
+    see: Callable[..., Perceived] | None = None,
+) -> PlanSetup:
+    """Load the robot, read the scan, and check the request against both.
+
+    Args:
+        request: the request.
+        on_step: called with the name of each step before it begins.
+        robot: the request's robot if it is loaded already.
+        should_stop: polled while the scene is made; once it returns True, the result ``is_stopped``.
+        see: ``perception.perceive``, or a function that caches its results.
+
+    Raises:
+        RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
+    """
+    announce = on_step or (lambda step: None)
+    timings: dict[str, float] = {}
+    announce("load robot")
+    if robot is None:
+        with _timed(timings, "load_robot"):
+            robot = load_requested_robot(request)
+    robot = attach_bodies(robot, request)
+    check_masses(robot)
+    check_names(request, robot, TakenNames.of(robot, request))
+    start, notes, program = resolve_start(robot, request)
+    check_goal_and_keep(robot, request)
+    unit_problems = find_unit_problems(request, robot, start)
+    if unit_problems:
+        raise RequestError(unit_problems)
+    notes += note_far_obstacles(request, robot, start)
+    kept = make_kept_poses(robot, start, request.keep)
+    soles = find_soles(robot, start, request, program)
+    announce("perceive scene")
+    try:
+        with stops_when(should_stop):
+            poll()
+            with _timed(timings, "perceive"):
+                around = read_surroundings(request, robot, start, soles, see)
+            with _timed(timings, "build_scene"):
+                obstacles = build_obstacles(request, around.matches)
+    except Stopped:
+        nothing = Scene(())
+        return PlanSetup(
+            request, robot, start, nothing, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
+        )
+    pieces, moved = move_floor_to_soles(around.pieces, soles)
+    scene, renamed = compose_scene(request, robot, start, pieces, obstacles.pieces)
+    announce("check start")
+    with _timed(timings, "check_start"):
+        check = check_start(robot, start, scene, soles, request, program)
+    return PlanSetup(
+        request,
+        robot,
+        start,
+        scene,
+        around,
+        soles,
+        kept,
+        program,
+        check.overlaps,
+        (*notes, *check.notes, *obstacles.notes, *around.notes, *moved, *renamed),
+        timings,
+        unresolved=check.unresolved,
+    )
+
+
+def resolve_start(
+    robot: RobotModel, request: PlanRequest
+) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
+    """Return the start configuration, notes about it, and the request's TrajOpt problem, which may set the start."""
+    if request.task is None or request.task.trajopt is None:
+        return *make_start_configuration(robot, request.start), None
+    from service.trajopt import requested_program, requested_start  # takes a while, and few requests need it
+
+    start, notes = make_start_configuration(robot, requested_start(request, robot))
+    program = requested_program(request, robot, start)
+    return (start if program is None else program.start), notes, program
+
+
+@contextmanager
+def _timed(timings: dict[str, float], step: str) -> Iterator[None]:
+    started = time.perf_counter()
+    try:
+        yield
+    finally:
+        timings[step] = time.perf_counter() - started
