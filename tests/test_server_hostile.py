@@ -212,7 +212,7 @@ def test_message_beyond_the_limit_is_not_read(stub: PlannerServiceStub) -> None:
         ([*uploaded(POINTS, format="exe")], "header.format", "got 'exe'"),
         ([*uploaded(POINTS, format="../xyz")], "header.format", "got '../xyz'"),
         ([*uploaded(POINTS, sha256="zz")], "header.sha256", "64 hexadecimal digits"),
-        ([*uploaded(POINTS, sha256="0" * 64)], "header.sha256", "what came has"),
+        ([*uploaded(POINTS, sha256="0" * 64)], "header.sha256", "the received bytes have"),
         ([*uploaded(POINTS, size_bytes=77)], "header.size_bytes", "77 bytes were announced"),
         ([*uploaded(POINTS, size_bytes=2**40)], "header.size_bytes", "at most 67108864"),
         ([*uploaded(b"")], "chunk", "empty"),
