@@ -23,8 +23,8 @@ from costs.robot import load_robot
 from service.executor import LocalPool, WorkerState
 from service.request.schema import PlanRequest
 from service.server.admission import Admission
-from service.server.spread import first_certified, with_other_starts
-from service.server.workshop import Workshop
+from service.server.jobs import JobRunner
+from service.server.spread import await_certified, with_other_seed
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan, warm_up
 
 N_SCENES, N_BOXES = 12, 120
@@ -55,7 +55,7 @@ def main() -> None:
 
 async def _both(pool: LocalPool, requests: Sequence[PlanRequest]) -> list[tuple[Planned, Planned]]:
     """Each planned by one worker, and by two; which of them comes first alternates."""
-    shop, pairs = Workshop(pool, Admission(2, 8)), []
+    shop, pairs = JobRunner(pool, Admission(2, 8)), []
     for k, request in enumerate(requests):
         found = {n: await _planned(pool, shop, request, n) for n in ((1, 2) if k % 2 == 0 else (2, 1))}
         pairs.append((found[1], found[2]))
@@ -69,13 +69,13 @@ async def _idle(pool: LocalPool) -> None:
         await asyncio.sleep(0.005)
 
 
-async def _planned(pool: LocalPool, shop: Workshop, request: PlanRequest, n_workers: int) -> Planned:
+async def _planned(pool: LocalPool, shop: JobRunner, request: PlanRequest, n_workers: int) -> Planned:
     await _idle(pool)
     pids = [worker.pid for worker in pool.stats().workers if worker.pid is not None]
     cpu, began, task = _cpu_s(pids), time.perf_counter(), PlanTask(request)
     piece = shop.start("pose_goal", run_plan, task, deadline=None, budget_s=60.0)
-    spares = [shop.spare(run_plan, with_other_starts(task, k)) for k in range(1, n_workers)]
-    answer: PlanAnswer | Refused = await first_certified(piece, [spare for spare in spares if spare is not None])
+    spares = [shop.start_spare(run_plan, with_other_seed(task, k)) for k in range(1, n_workers)]
+    answer: PlanAnswer | Refused = await await_certified(piece, [spare for spare in spares if spare is not None])
     wall = time.perf_counter() - began
     return Planned(answer.verdict if isinstance(answer, PlanAnswer) else "refused", wall, _cpu_s(pids) - cpu)
 

@@ -171,7 +171,7 @@ def test_scenes_detections_verifications_and_robots(
         client.verify(tmp_path / "plan")
         assert client.robots()[0].name == "atlas"
         assert client.status().workers[0].jobs_done == 17
-        with pytest.raises(RequestError, match="unknown: free, occupied would do, got 'green'"):
+        with pytest.raises(RequestError, match="unknown: expected free, occupied, got 'green'"):
             client.build_scene([path], unknown="green")
     (cloud_id,) = stand_in.clouds
     built, detected, by_id, by_files = (

@@ -71,7 +71,7 @@ def test_a_path_that_exists_on_no_machine_is_reported_for_both(
     assert caught.value.problems == (f"{line}; no such file on this machine either, so it was not uploaded",)
 
 
-@pytest.mark.parametrize("sent", ["{id}: no DATA line", "no cloud '{cut}… is there; upload it first, or again"])
+@pytest.mark.parametrize("sent", ["{id}: no DATA line", "no cloud '{cut}… is stored; upload it first, or again"])
 def test_an_error_about_an_uploaded_cloud_names_its_file(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path, sent: str
 ) -> None:

@@ -104,5 +104,5 @@ def test_hard_requests_after_easy_ones_leave_a_queue() -> None:
 
 
 def test_a_deadline_that_has_just_passed_is_told_as_now() -> None:
-    with pytest.raises(Refusal, match=r"^the deadline is in 0\.00 s and work would take 0\.00 s"):
+    with pytest.raises(Refusal, match=r"^the deadline is in 0\.00 s and the request would take 0\.00 s"):
         _with(1, 1).check("valve", -0.001)

@@ -21,7 +21,7 @@ from service.store import DiskError, Store
 pytestmark = pytest.mark.filterwarnings("error")
 
 BUSY = {**ENDLESS, "options": {"starts": 64, "time_limit_s": 1.0}}
-REFUSED = "the server's disk takes no more, so that nothing new could be kept; try another server, or later"
+REFUSED = "the server's disk cannot store new results; try another server, or later"
 
 
 @contextmanager
@@ -69,7 +69,7 @@ def test_nothing_new_is_taken_in_while_the_disk_is_full_and_what_is_kept_is_ther
             assert next(watch).status == health_pb2.HealthCheckResponse.NOT_SERVING
             assert not is_serving()
             lost = next(stub.GetPlan(wire.GetPlanRequest(plan_id=lost_id), timeout=20)).record
-            assert (lost.state, lost.reason) == (wire.PLAN_STATE_LOST, "how it ended could not be written down")
+            assert (lost.state, lost.reason) == (wire.PLAN_STATE_LOST, "its end could not be stored")
             assert finished(stub.Plan(plan_request(request_id="before"), timeout=20)) == before
         assert next(watch).status == health_pb2.HealthCheckResponse.SERVING
         assert is_serving()
@@ -84,7 +84,7 @@ def test_first_plan_that_a_full_disk_does_not_take_is_refused_in_the_same_words(
         _until(lambda: refusal(lambda: list(stub.Plan(plan_request(), timeout=20)))[0] == "OK")
         with _full_disk(server.process.pid):
             assert refusal(lambda: list(stub.Plan(plan_request(), timeout=20)))[:2] == ("UNAVAILABLE", REFUSED)
-        assert "there is room again" in server.log.read_text()
+        assert "results can be stored again" in server.log.read_text()
 
 
 def test_store_says_where_it_could_not_write_until_it_can(tmp_path: Path) -> None:
@@ -93,12 +93,12 @@ def test_store_says_where_it_could_not_write_until_it_can(tmp_path: Path) -> Non
         with _full_disk():
             with pytest.raises(DiskError, match=r"store\.sqlite3: cannot be written"):
                 store.plans.begin("ann", "", "0" * 64, "posture")
-            assert "store.sqlite3" in store.trouble
+            assert "store.sqlite3" in store.write_error
             assert store.scenes.get(scene) == b"{}"
             with pytest.raises(DiskError):
                 store.probe()
         store.probe()
-        assert not store.trouble
+        assert not store.write_error
         store.plans.begin("ann", "", "0" * 64, "posture")
 
 

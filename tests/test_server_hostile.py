@@ -212,7 +212,7 @@ def test_message_beyond_the_limit_is_not_read(stub: PlannerServiceStub) -> None:
         ([*uploaded(POINTS, format="exe")], "header.format", "got 'exe'"),
         ([*uploaded(POINTS, format="../xyz")], "header.format", "got '../xyz'"),
         ([*uploaded(POINTS, sha256="zz")], "header.sha256", "64 hexadecimal digits"),
-        ([*uploaded(POINTS, sha256="0" * 64)], "header.sha256", "what came has"),
+        ([*uploaded(POINTS, sha256="0" * 64)], "header.sha256", "the received bytes have"),
         ([*uploaded(POINTS, size_bytes=77)], "header.size_bytes", "77 bytes were announced"),
         ([*uploaded(POINTS, size_bytes=2**40)], "header.size_bytes", "at most 67108864"),
         ([*uploaded(b"")], "chunk", "empty"),
@@ -429,14 +429,14 @@ def test_robot_that_does_harm_is_one_clear_line(stub: PlannerServiceStub, files:
 @pytest.mark.parametrize(
     ("files_sent", "words"),
     [
-        ({"../result.json": b"{}"}, "lies outside the result folder"),
-        ({"/etc/cron.d/x": b""}, "lies outside the result folder"),
+        ({"../result.json": b"{}"}, "is outside the result folder"),
+        ({"/etc/cron.d/x": b""}, "is outside the result folder"),
         ({"result.json": b"{}", "result.json/x": b""}, "is no path of a file"),
         ({"result.json": b"{"}, "is no JSON"),
         ({"result.json": b"[" * 100_000}, "is no JSON"),
         ({"result.json": b'{"format": "scopt-result/1"}'}, "no motion to verify"),
         ({"else.json": b"{}"}, "result.json cannot be read"),
-        ({f"robot/{number}.stl": b"" for number in range(1001)}, "at most 1000 would do"),
+        ({f"robot/{number}.stl": b"" for number in range(1001)}, "expected at most 1000"),
     ],
 )
 def test_result_files_that_lie_are_refused(stub: PlannerServiceStub, files_sent: dict[str, bytes], words: str) -> None:

@@ -89,7 +89,7 @@ def test_update_holds_a_scan_against_a_scene_by_its_id_and_by_its_file(
         (lambda f, s: {"meshes": [KnownMesh(file="/x.obj", name="a/b")]}, "meshes[0]", "without '/'"),
         (lambda f, s: {"meshes": [KnownMesh(file=str(f / "crate.obj"), scale=1e4)]}, "meshes[0].file", "spans 6000 m"),
         (lambda f, s: {"meshes": ["/x.obj"] * 21}, "meshes", "at most 20 entries"),
-        (lambda f, s: {"update": "scene:" + "0" * 64}, "update", "it never was"),
+        (lambda f, s: {"update": "scene:" + "0" * 64}, "update", "or never was"),
         (lambda f, s: {"update": f / "crate.obj"}, "update", "crate.obj is no JSON"),
         (lambda f, s: {"update": s, "method": "coacd"}, "method", "was made with planes, and an update keeps to that"),
         (lambda f, s: {"update": s, "reach": 2.0}, "clouds.reach_m", "leave it out, or leave out update"),

@@ -19,7 +19,7 @@ from planner_server import ServerProcess, planner_server
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, VERDICT_TIME_LIMIT, MotionResult
-from service.wire.results import trajectory_sha256
+from service.wire.hashes import hash_trajectory
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -61,7 +61,7 @@ def test_trajectory_and_certificate_carry_hashes_that_anyone_can_recompute(stub:
     result = finished(stub.Plan(plan_request(QUICK), timeout=60)).result
     trajectory = result.trajectory
     positions = np.array(trajectory.positions).reshape(len(trajectory.times), len(trajectory.joint_names))
-    assert trajectory_sha256(trajectory.joint_names, np.array(trajectory.times), positions) == trajectory.sha256
+    assert hash_trajectory(trajectory.joint_names, np.array(trajectory.times), positions) == trajectory.sha256
     assert hashlib.sha256(result.certificate.json).hexdigest() == result.certificate.sha256
     certificate = json.loads(result.certificate.json)
     assert certificate["status"] == "CERTIFIED"

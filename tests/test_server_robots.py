@@ -78,10 +78,10 @@ def test_own_robot_of_a_shipped_name_takes_its_place_and_the_server_says_so(tmp_
     ):
         (told,) = PlannerServiceStub(channel).ListRobots(wire.ListRobotsRequest(), timeout=60).robots
         assert told.description == (
-            "1 degrees of freedom (this server's own, in place of the one of that name that comes with scopt)"
+            "1 degrees of freedom (this server's own, which overrides scopt's robot of that name)"
         )
         (line,) = [
-            line for line in map(json.loads, started.log.read_text().splitlines()) if "in place of" in line["event"]
+            line for line in map(json.loads, started.log.read_text().splitlines()) if "override" in line["event"]
         ]
         assert (line["level"], line["names"]) == ("warning", ["atlas"])
 

@@ -94,4 +94,4 @@ def test_a_scene_that_was_never_built_is_told(stub: PlannerServiceStub) -> None:
     scene = {"file": "scene:" + "0" * 64}
     code, _, fields = refusal(lambda: stub.Plan(plan_request(QUICK | {"scene": scene}), timeout=30))
     assert code == "INVALID_ARGUMENT"
-    assert "it never was, or went when the store was full" in fields["request.scene.file"]
+    assert "it was removed when the store was full, or never was" in fields["request.scene.file"]

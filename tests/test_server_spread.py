@@ -20,8 +20,8 @@ from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED
 from service.request.file import parse_request, request_hash
 from service.result.result import Verdict
 from service.server.admission import Admission
-from service.server.spread import first_certified, with_other_starts
-from service.server.workshop import Piece, Workshop
+from service.server.jobs import JobHandle, JobRunner
+from service.server.spread import await_certified, with_other_seed
 from service.trust.rpc import Refusal
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
@@ -53,18 +53,18 @@ def _answer(verdict: Verdict, name: str = "") -> PlanAnswer:
 
 
 def _raced(*ends: tuple[float, PlanAnswer | Refused | Exception]) -> tuple[PlanAnswer | Refused, list[bool]]:
-    """What comes of pieces that end after so many seconds, the plan's own first, and which were stopped."""
+    """What comes of handles that end after so many seconds, the plan's own first, and which were stopped."""
 
     async def race() -> tuple[PlanAnswer | Refused, list[bool]]:
         loop = asyncio.get_running_loop()
-        pieces: list[Piece[Any]] = []
+        handles: list[JobHandle[Any]] = []
         for seconds, end in ends:
             ended = loop.create_future()
             settle = ended.set_exception if isinstance(end, Exception) else ended.set_result
             loop.call_later(seconds, settle, end)
-            pieces.append(Piece(_Job(), ended))  # type: ignore[arg-type]
-        answer = await first_certified(pieces[0], pieces[1:])
-        return answer, [piece.job.is_stopped for piece in pieces]  # type: ignore[attr-defined]
+            handles.append(JobHandle(_Job(), ended))  # type: ignore[arg-type]
+        answer = await await_certified(handles[0], handles[1:])
+        return answer, [handle.job.is_stopped for handle in handles]  # type: ignore[attr-defined]
 
     return asyncio.run(race())
 
@@ -104,7 +104,7 @@ def test_failure_of_the_plan_s_own_worker_is_told() -> None:
 
 def test_other_starts_answer_the_same_request_and_say_which_they_were() -> None:
     request = parse_request({**QUICK, "options": {"seed": 2**32 - 1}})
-    task = with_other_starts(PlanTask(request), 2)
+    task = with_other_seed(PlanTask(request), 2)
     assert task.request.options.seed == 1999
     answer = run_plan(task, _Stays())
     assert isinstance(answer, PlanAnswer)
@@ -122,11 +122,11 @@ def pool() -> Iterator[LocalPool]:
 
 def test_who_helps_gives_way_to_who_asks(pool: LocalPool) -> None:
     async def helped() -> tuple[bool, float]:
-        shop = Workshop(pool, Admission(2, 4))
+        shop = JobRunner(pool, Admission(2, 4))
         first = shop.start("scene", nap, 1.0, deadline=None, budget_s=60.0)
-        spare = shop.spare(nap, 60.0)
+        spare = shop.start_spare(nap, 60.0)
         assert spare is not None
-        assert shop.spare(nap, 60.0) is None  # nobody is idle
+        assert shop.start_spare(nap, 60.0) is None  # nobody is idle
         second = shop.start("scene", nap, 0.01, deadline=None, budget_s=60.0)
         await second.ended
         is_still_at_it = not first.ended.done()

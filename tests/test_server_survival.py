@@ -59,15 +59,13 @@ def test_plan_whose_worker_is_killed_is_answered_once(stub: PlannerServiceStub) 
 def test_second_server_on_the_same_folder_is_refused(server: ServerProcess, data: Path) -> None:
     code, words = never_ready(data)
     assert code == 3
-    assert words.splitlines()[-1] == (
-        f"{data / 'plans'}: is in use by another server; stop it, or give this one its own folder"
-    )
+    assert words.splitlines()[-1] == (f"{data / 'plans'}: in use by another server; stop it, or choose another folder")
 
 
 def test_second_server_on_the_same_port_is_refused(server: ServerProcess, tmp_path: Path) -> None:
     code, words = never_ready(tmp_path / "data", "--listen", server.address)
     assert code == 3
-    assert words.splitlines()[-1] == f"--listen {server.address}: cannot listen there; is another server at it?"
+    assert words.splitlines()[-1] == f"--listen {server.address}: cannot listen there; does another server use it?"
 
 
 def test_killed_server_leaves_no_process_and_loses_nothing_that_it_told(
@@ -101,7 +99,7 @@ def test_killed_server_leaves_no_process_and_loses_nothing_that_it_told(
         assert record.result == told.result
         assert finished(back.Plan(plan_request(request_id="mine", with_files=True), timeout=20)) == told
         lost = next(back.GetPlan(wire.GetPlanRequest(plan_id=lost_id))).record
-        assert (lost.state, lost.reason) == (wire.PLAN_STATE_LOST, "the server was restarted before it finished")
+        assert (lost.state, lost.reason) == (wire.PLAN_STATE_LOST, "the server was restarted before the plan finished")
 
 
 def test_stopping_server_finishes_what_is_under_way_and_takes_nothing_more(tmp_path: Path) -> None:

@@ -144,11 +144,11 @@ def test_client_without_tls_gets_nothing(fort: Fort) -> None:
 def test_unknown_token_and_certificate_are_told_apart_and_not_repeated(fort: Fort) -> None:
     made_up = "scopt_" + "A" * 43
     assert fort.ask(made_up, leaf=fort.arm) == (
-        "UNAUTHENTICATED", "the token is not known to this server, or not any more",
+        "UNAUTHENTICATED", "authorization: the token is unknown to this server, or no longer valid",
     )  # fmt: skip
     nobody = fort.authority.issue_cert("n.local", common_name="nobody")
     assert fort.ask(leaf=nobody) == (
-        "UNAUTHENTICATED", "the client certificate's common name is not known to this server",
+        "UNAUTHENTICATED", "the client certificate's common name is unknown to this server",
     )  # fmt: skip
 
 
@@ -199,7 +199,7 @@ def test_no_secret_is_in_the_log_or_in_what_is_kept(fort: Fort) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--listen", "0.0.0.0:0"), ("--tls-cert and --tls-key are needed", "--tokens is needed")),
+        (("--listen", "0.0.0.0:0"), ("needs --tls-cert and --tls-key", "needs --tokens")),
         (("--tls-cert", "gone.pem", "--tls-key", "gone.pem"), ("gone.pem: cannot be read",)),
         (("--allow", "/"), ("is the whole disk",)),
         (("--robots", "/gone"), ("--robots /gone: is no folder",)),

@@ -23,8 +23,7 @@ store = Store(Path(sys.argv[1]))
 print("open", flush=True)
 for number in range(10**6):
     name = f"{sys.argv[2]}-{number}"
-    plan_id = store.plans.begin("ann", name, "a" * 64, "goal").plan.plan_id
-    store.plans.running(plan_id)
+    plan_id = store.plans.begin("ann", name, "a" * 64, "goal").plan_id
     reply = plan_id.encode() * 500
     store.plans.finish(plan_id, "CERTIFIED", reply, plan_id, "c", archive=reply if number % 3 == 0 else b"")
     print("F", plan_id, flush=True)
@@ -72,7 +71,7 @@ def test_a_store_of_another_version_is_refused_and_left_as_it_is(tmp_path: Path)
         connection.execute("PRAGMA user_version = 7")
     connection.close()
     before = (tmp_path / "store.sqlite3").read_bytes()
-    with pytest.raises(StoreError, match=r"store\.sqlite3: has version 7 and this is version 1"):
+    with pytest.raises(StoreError, match=r"store\.sqlite3: expected version 1, got 7"):
         Store(tmp_path)
     assert (tmp_path / "store.sqlite3").read_bytes() == before
 
@@ -81,7 +80,7 @@ def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "store.sqlite3") as connection:
         connection.execute("CREATE TABLE songs (title)")
     connection.close()
-    with pytest.raises(StoreError, match="is a database of something else"):
+    with pytest.raises(StoreError, match="is the database of another application"):
         Store(tmp_path)
 
 
@@ -89,7 +88,7 @@ def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
 def test_a_damaged_file_is_told_and_named(tmp_path: Path, damage: str) -> None:
     with Store(tmp_path) as store:
         for number in range(20):
-            plan_id = store.plans.begin("ann", str(number), "a" * 64, "goal").plan.plan_id
+            plan_id = store.plans.begin("ann", str(number), "a" * 64, "goal").plan_id
             store.plans.finish(plan_id, "CERTIFIED", b"reply" * 1000, "p", "c")
             store.reviews.add(plan_id, Decision.ACCEPTED, "rev", "p", "c")
     path = tmp_path / "store.sqlite3"

@@ -11,7 +11,6 @@ import pytest
 from service.store import (
     Decision,
     NotStoredError,
-    Outcome,
     PlanState,
     ReviewRefusedError,
     Store,
@@ -23,8 +22,7 @@ SHA = "a" * 64
 
 
 def _finished(store: Store, request_id: str, reply: bytes = b"reply", client: str = "ann") -> str:
-    plan_id = store.plans.begin(client, request_id, SHA, "valve").plan.plan_id
-    store.plans.running(plan_id)
+    plan_id = store.plans.begin(client, request_id, SHA, "valve").plan_id
     store.plans.finish(plan_id, "CERTIFIED", reply, "p" * 64, "c" * 64)
     return plan_id
 
@@ -56,88 +54,86 @@ def test_a_finished_plan_is_found_by_its_id_with_all_that_was_said(tmp_path: Pat
 def test_a_request_that_is_sent_again_gets_the_same_plan(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         first = store.plans.begin("ann", "r1", SHA, "valve")
-        assert first.outcome is Outcome.NEW
+        assert first.state is PlanState.ACCEPTED
+        assert store.plans.begin("ann", "r1", SHA, "valve") == first
+        store.plans.finish(first.plan_id, "CERTIFIED", b"reply")
         again = store.plans.begin("ann", "r1", SHA, "valve")
-        assert (again.outcome, again.plan.plan_id) == (Outcome.RUNNING, first.plan.plan_id)
-        store.plans.finish(first.plan.plan_id, "CERTIFIED", b"reply")
-        again = store.plans.begin("ann", "r1", SHA, "valve")
-        assert (again.outcome, again.plan.reply) == (Outcome.FINISHED, b"reply")
+        assert (again.plan_id, again.state, again.reply) == (first.plan_id, PlanState.FINISHED, b"reply")
 
 
-def test_another_request_under_a_used_request_id_is_a_conflict_and_changes_nothing(tmp_path: Path) -> None:
+def test_another_request_under_a_used_request_id_changes_nothing(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         plan_id = _finished(store, "r1")
-        assert store.plans.begin("ann", "r1", "b" * 64, "valve").outcome is Outcome.CONFLICT
+        other = store.plans.begin("ann", "r1", "b" * 64, "valve")
+        assert (other.plan_id, other.request_sha256) == (plan_id, SHA)
         assert store.plans.get(plan_id).request_sha256 == SHA
 
 
 def test_clients_do_not_meet_in_their_request_ids_and_an_empty_one_is_always_new(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
-        outcomes = [store.plans.begin(*key, SHA, "goal").outcome for key in [("ann", "1"), ("bob", "1")]]
-        outcomes += [store.plans.begin("ann", "", SHA, "goal").outcome for _ in range(2)]
-    assert outcomes == [Outcome.NEW] * 4
+        ids = {store.plans.begin(*key, SHA, "goal").plan_id for key in [("ann", "1"), ("bob", "1")]}
+        ids |= {store.plans.begin("ann", "", SHA, "goal").plan_id for _ in range(2)}
+    assert len(ids) == 4
 
 
 def test_of_many_threads_with_one_request_id_only_one_begins_it(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
-        outcomes: list[Outcome] = []
+        ids: list[str] = []
         threads = [
-            threading.Thread(target=lambda: outcomes.append(store.plans.begin("ann", "r", SHA, "goal").outcome))
+            threading.Thread(target=lambda: ids.append(store.plans.begin("ann", "r", SHA, "goal").plan_id))
             for _ in range(8)
         ]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-    assert sorted(outcomes) == [Outcome.NEW] + [Outcome.RUNNING] * 7
+        assert store.stats().n_plans == 1
+    assert ids == [ids[0]] * 8
 
 
 def test_after_a_restart_unfinished_plans_are_lost_and_their_requests_run_again(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
-        accepted = store.plans.begin("ann", "r1", SHA, "goal").plan.plan_id
-        running = store.plans.begin("ann", "r2", SHA, "goal").plan.plan_id
-        store.plans.running(running)
+        first = store.plans.begin("ann", "r1", SHA, "goal").plan_id
+        second = store.plans.begin("ann", "r2", SHA, "goal").plan_id
         done = _finished(store, "r3")
     with Store(tmp_path) as store:
-        assert [store.plans.get(one).state for one in (accepted, running, done)] == ["lost", "lost", "finished"]
-        assert "restarted" in store.plans.get(running).why_lost
+        assert [store.plans.get(plan_id).state for plan_id in (first, second, done)] == ["lost", "lost", "finished"]
+        assert "restarted" in store.plans.get(second).why_lost
         again = store.plans.begin("ann", "r2", SHA, "goal")
-        assert (again.outcome, again.plan.plan_id, again.plan.state) == (Outcome.NEW, running, PlanState.ACCEPTED)
-        assert again.plan.why_lost == ""
-        assert store.plans.begin("ann", "r1", "b" * 64, "goal").outcome is Outcome.CONFLICT
+        assert (again.plan_id, again.state, again.why_lost) == (second, PlanState.ACCEPTED, "")
+        assert store.plans.begin("ann", "r1", "b" * 64, "goal").state is PlanState.LOST
 
 
 def test_a_plan_that_was_given_up_may_run_again(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
-        plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan.plan_id
+        plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan_id
         store.plans.give_up(plan_id, "cancelled by the client")
         assert store.plans.get(plan_id).why_lost == "cancelled by the client"
-        assert store.plans.begin("ann", "r1", SHA, "goal").outcome is Outcome.NEW
+        assert store.plans.begin("ann", "r1", SHA, "goal").state is PlanState.ACCEPTED
 
 
 def test_a_plan_is_answered_once(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
-        plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan.plan_id
+        plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan_id
         store.plans.finish(plan_id, "CERTIFIED", b"first", archive=b"first")
         for late in (
             lambda: store.plans.finish(plan_id, "NOT_FOUND", b"second", archive=b"second"),
             lambda: store.plans.give_up(plan_id, "late"),
-            lambda: store.plans.running(plan_id),
         ):
-            with pytest.raises(NotStoredError, match="has had its reply"):
+            with pytest.raises(NotStoredError, match="it has its reply"):
                 late()
         assert store.plans.get(plan_id).reply == b"first"
         assert _archive(store, plan_id) == b"first"
 
 
 def test_an_unknown_plan_is_named(tmp_path: Path) -> None:
-    with Store(tmp_path) as store, pytest.raises(NotStoredError, match="no plan 'nobody'"):
+    with Store(tmp_path) as store, pytest.raises(NotStoredError, match="unknown plan 'nobody'"):
         store.plans.get("nobody")
 
 
 def test_the_oldest_plans_go_first_reviewed_ones_last_and_open_ones_never(tmp_path: Path) -> None:
     with Store(tmp_path, StoreLimits(max_plans=4)) as store:
-        open_one = store.plans.begin("ann", "open", SHA, "goal").plan.plan_id
+        open_one = store.plans.begin("ann", "open", SHA, "goal").plan_id
         reviewed = _finished(store, "reviewed")
         store.reviews.add(reviewed, Decision.ACCEPTED, "rev", "p" * 64, "c" * 64)
         old, new = _finished(store, "old"), _finished(store, "new")
@@ -152,13 +148,13 @@ def test_replies_and_archives_stay_within_the_bytes_and_the_newest_is_always_the
     with Store(tmp_path, StoreLimits(max_bytes=3000)) as store:
         plans = []
         for number in range(5):
-            plan_id = store.plans.begin("ann", str(number), SHA, "goal").plan.plan_id
+            plan_id = store.plans.begin("ann", str(number), SHA, "goal").plan_id
             store.plans.finish(plan_id, "CERTIFIED", b"r" * 500, archive=b"a" * 500)
             plans.append(plan_id)
         assert [_is_there(store, one) for one in plans] == [0, 0, 1, 1, 1]
         assert store.stats().plan_bytes == 3000
         assert sorted(path.name for path in (tmp_path / "archives").iterdir()) == sorted([*plans[2:], "lock"])
-        plan_id = store.plans.begin("ann", "huge", SHA, "goal").plan.plan_id
+        plan_id = store.plans.begin("ann", "huge", SHA, "goal").plan_id
         with pytest.raises(TooLargeError, match="3001 bytes; the store keeps 3000 at most"):
             store.plans.finish(plan_id, "CERTIFIED", b"r" * 3001)
 
@@ -169,7 +165,7 @@ def test_the_last_reviewed_plan_gives_way_to_a_new_one_only(tmp_path: Path) -> N
         store.reviews.add(reviewed, Decision.REJECTED, "rev", "p" * 64, "c" * 64)
         new = _finished(store, "new")
         assert (_is_there(store, reviewed), _is_there(store, new)) == (False, True)
-        assert store.reviews.of(reviewed) == ()
+        assert store.reviews.find(reviewed) == ()
 
 
 def test_a_reply_that_was_just_stored_stays_even_beside_reviewed_ones(tmp_path: Path) -> None:
@@ -182,7 +178,7 @@ def test_a_reply_that_was_just_stored_stays_even_beside_reviewed_ones(tmp_path: 
 
 def test_archives_without_a_plan_are_removed_at_start_and_others_stay(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
-        plan_id = store.plans.begin("ann", "r", SHA, "goal").plan.plan_id
+        plan_id = store.plans.begin("ann", "r", SHA, "goal").plan_id
         store.plans.finish(plan_id, "CERTIFIED", b"", archive=b"archive")
     (tmp_path / "archives" / ("f" * 32)).write_bytes(b"of a plan that never finished")
     (tmp_path / "archives" / ".partial-x").write_bytes(b"half")
@@ -194,9 +190,9 @@ def test_archives_without_a_plan_are_removed_at_start_and_others_stay(tmp_path: 
 def test_an_archive_that_is_not_there_is_told(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         plan_id = _finished(store, "r")
-        with pytest.raises(NotStoredError, match="was planned without files; have it planned anew with them"):
+        with pytest.raises(NotStoredError, match="was planned without files; plan it again with files"):
             store.plans.open_archive(plan_id)
-        plan_id = store.plans.begin("ann", "s", SHA, "goal").plan.plan_id
+        plan_id = store.plans.begin("ann", "s", SHA, "goal").plan_id
         with pytest.raises(NotStoredError, match="has not finished; there are no files yet"):
             store.plans.open_archive(plan_id)
 
@@ -205,11 +201,11 @@ def test_an_accepted_review_is_bound_to_the_plan_and_the_certificate_that_were_l
     with Store(tmp_path) as store:
         plan_id = _finished(store, "r1")
         for plan_sha, certificate_sha in (("x" * 64, "c" * 64), ("p" * 64, "x" * 64), ("p" * 64, "")):
-            with pytest.raises(ReviewRefusedError, match="is not that of the stored plan"):
+            with pytest.raises(ReviewRefusedError, match="expected that of the stored plan"):
                 store.reviews.add(plan_id, Decision.ACCEPTED, "rev", plan_sha, certificate_sha)
         assert not store.reviews.is_accepted(plan_id)
         review = store.reviews.add(plan_id, Decision.ACCEPTED, "rev", "p" * 64, "c" * 64, "looks right")
-        assert store.reviews.of(plan_id) == (review,)
+        assert store.reviews.find(plan_id) == (review,)
         assert store.reviews.is_accepted(plan_id)
 
 
@@ -218,27 +214,27 @@ def test_the_last_word_counts_and_every_word_stays(tmp_path: Path) -> None:
         plan_id = _finished(store, "r1")
         for decision in (Decision.ACCEPTED, Decision.REJECTED):
             store.reviews.add(plan_id, decision, "rev", "p" * 64, "c" * 64)
-        assert [review.decision for review in store.reviews.of(plan_id)] == [Decision.ACCEPTED, Decision.REJECTED]
+        assert [review.decision for review in store.reviews.find(plan_id)] == [Decision.ACCEPTED, Decision.REJECTED]
         assert not store.reviews.is_accepted(plan_id)
 
 
 def test_nothing_unfinished_unproven_or_unknown_is_accepted(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
-        plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan.plan_id
-        with pytest.raises(ReviewRefusedError, match="only a finished one"):
+        plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan_id
+        with pytest.raises(ReviewRefusedError, match="only a finished plan"):
             store.reviews.add(plan_id, Decision.ACCEPTED, "rev", "", "")
         store.plans.finish(plan_id, "NOT_FOUND", b"", "p" * 64, "")
         with pytest.raises(ReviewRefusedError, match="has no certificate"):
             store.reviews.add(plan_id, Decision.ACCEPTED, "rev", "p" * 64, "")
         store.reviews.add(plan_id, Decision.REJECTED, "rev", "p" * 64, "")
-        with pytest.raises(NotStoredError, match="no plan 'other'"):
+        with pytest.raises(NotStoredError, match="unknown plan 'other'"):
             store.reviews.add("other", Decision.ACCEPTED, "rev", "p" * 64, "c" * 64)
 
 
 def test_reviews_are_bounded(tmp_path: Path) -> None:
     with Store(tmp_path, StoreLimits(max_reviews=2)) as store:
         plan_id = _finished(store, "r1")
-        with pytest.raises(ReviewRefusedError, match="at most 4000 would do"):
+        with pytest.raises(ReviewRefusedError, match="expected at most 4000"):
             store.reviews.add(plan_id, Decision.REJECTED, "rev", "p" * 64, "c" * 64, "x" * 4001)
         for _ in range(2):
             store.reviews.add(plan_id, Decision.REJECTED, "rev", "p" * 64, "c" * 64)
@@ -265,7 +261,7 @@ def test_a_scene_is_kept_once_and_comes_back_as_it_was(tmp_path: Path) -> None:
         assert store.stats().n_scenes == 1
     with Store(tmp_path) as store:
         assert store.scenes.get(scene_id) == b"scene" * 100
-        with pytest.raises(NotStoredError, match="no scene 'scene:0'"):
+        with pytest.raises(NotStoredError, match="unknown scene 'scene:0'"):
             store.scenes.get("scene:0")
 
 

@@ -19,7 +19,7 @@ from small_service import end_of, serving
 
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
 from service.telemetry import Metrics, TelemetryInterceptor, bind, remove_secrets, set_up_logs
-from service.trust import Gate, Limits, Role, Tokens, make_token
+from service.trust import AccessInterceptor, ClientLimiter, Role, Tokens, make_token
 
 
 @pytest.fixture
@@ -165,7 +165,10 @@ def test_no_token_is_in_the_log_of_calls_good_refused_and_broken(log: io.StringI
 
     async def calls() -> None:
         async with (
-            serving([TelemetryInterceptor(Metrics()), Gate(Tokens(path), Limits())]) as (address, _),
+            serving([TelemetryInterceptor(Metrics()), AccessInterceptor(Tokens(path), ClientLimiter())]) as (
+                address,
+                _,
+            ),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)

@@ -20,7 +20,7 @@ from service.executor import PoolStats, WorkerState, WorkerStats
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
 from service.store import CloudStore, Store
 from service.telemetry import Metrics, MetricsServer, SentSpans, TelemetryError, TelemetryInterceptor, sum_phases
-from service.trust import Gate, Limits
+from service.trust import AccessInterceptor, ClientLimiter
 
 
 def _samples(metrics: Metrics) -> dict[tuple[str, ...], float]:
@@ -42,7 +42,7 @@ def test_every_call_is_counted_with_the_code_it_ended_with() -> None:
 
     async def calls() -> None:
         async with (
-            serving([TelemetryInterceptor(metrics), Gate(None, Limits())]) as (address, _),
+            serving([TelemetryInterceptor(metrics), AccessInterceptor(None, ClientLimiter())]) as (address, _),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
@@ -118,7 +118,7 @@ def test_workers_and_stores_are_asked_when_somebody_looks(tmp_path: Path) -> Non
     )
     with Store(tmp_path / "plans") as store, CloudStore(tmp_path / "clouds") as clouds:
         metrics.watch(pool=lambda: PoolStats(workers, 3, 7, 1, 11), store=store, clouds=clouds)
-        plan_id = store.plans.begin("ann", "r", "a" * 64, "goal").plan.plan_id
+        plan_id = store.plans.begin("ann", "r", "a" * 64, "goal").plan_id
         store.plans.finish(plan_id, "CERTIFIED", b"reply")
         with clouds.upload("ann", ".pcd") as upload:
             upload.write(b"0123")
@@ -159,7 +159,7 @@ def test_a_call_is_a_span_of_the_clients_trace_with_its_code_and_no_metadata() -
 
     async def calls() -> None:
         async with (
-            serving([TelemetryInterceptor(Metrics(), spans), Gate(None, Limits())]) as (address, _),
+            serving([TelemetryInterceptor(Metrics(), spans), AccessInterceptor(None, ClientLimiter())]) as (address, _),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)

@@ -15,17 +15,17 @@ from service.trust import (
     LOCAL,
     OPEN_TO_ALL,
     ROLE_NEEDED,
+    ClientLimiter,
     ClientLimits,
     Identity,
-    Limits,
     Role,
     TlsFiles,
     TokenBuckets,
     Tokens,
     authenticate,
     authorize,
+    find_listen_problems,
     is_loopback,
-    listen_problems,
     make_token,
     peer_key,
 )
@@ -54,15 +54,15 @@ def test_a_bearer_token_or_a_verified_certificate_says_who_calls(known: tuple[st
 @pytest.mark.parametrize(
     ("metadata", "names", "words"),
     [
-        ([], [], "who calls is not said; metadata 'authorization: Bearer TOKEN' would do"),
-        ([("authorization", "Bearer scopt_wrong")], [], "the token is not known"),
-        ([("authorization", "Bearer scopt_wrong")], [b"robot.local"], "the token is not known"),
-        ([("authorization", "Basic c2NvcHQ=")], [], "authorization is not understood"),
-        ([("authorization", "Bearer ")], [], "authorization is not understood"),
-        ([("authorization", "Bearer a"), ("authorization", "Bearer b")], [], "authorization is not understood"),
-        ([], [b"other.local"], "common name is not known"),
-        ([], [b"robot.local", b"other.local"], "common name is not known"),
-        ([], [b"\xff"], "common name is not known"),
+        ([], [], "the caller is not identified; expected metadata 'authorization: Bearer TOKEN'"),
+        ([("authorization", "Bearer scopt_wrong")], [], "the token is unknown"),
+        ([("authorization", "Bearer scopt_wrong")], [b"robot.local"], "the token is unknown"),
+        ([("authorization", "Basic c2NvcHQ=")], [], "authorization: expected one"),
+        ([("authorization", "Bearer ")], [], "authorization: expected one"),
+        ([("authorization", "Bearer a"), ("authorization", "Bearer b")], [], "authorization: expected one"),
+        ([], [b"other.local"], "common name is unknown"),
+        ([], [b"robot.local", b"other.local"], "common name is unknown"),
+        ([], [b"\xff"], "common name is unknown"),
     ],
 )
 def test_whoever_is_not_known_is_unauthenticated_and_told_what_would_do(
@@ -82,14 +82,14 @@ def test_who_says_nothing_is_offered_what_the_server_takes_and_no_more(
     path.write_text("- {name: robot, roles: [plan], certificate: robot.local}\n")
     path.chmod(0o600)
     bearer, certificate = "metadata 'authorization: Bearer TOKEN'", "a client certificate with a common name"
-    for tokens, asks, would_do in (
+    for tokens, asks, expected in (
         (known[1], False, bearer),
         (known[1], True, f"{bearer} or {certificate}"),
         (Tokens(path), True, certificate),
     ):
         with pytest.raises(Refusal) as caught:
             authenticate([], [], tokens, asks)
-        assert caught.value.text == f"who calls is not said; {would_do} would do"
+        assert caught.value.text == f"the caller is not identified; expected {expected}"
 
 
 def test_without_tokens_everybody_is_local_and_may_everything() -> None:
@@ -182,7 +182,7 @@ def test_the_number_of_buckets_is_bounded() -> None:
 
 def test_a_client_above_its_limits_is_told_when_to_come_again() -> None:
     clock = _Clock()
-    limits = Limits(ClientLimits(requests_per_s=4, requests_burst=1, max_open_calls=2), clock=clock)
+    limits = ClientLimiter(ClientLimits(requests_per_s=4, requests_burst=1, max_open_calls=2), clock=clock)
     assert limits.request("ann") is None
     refusal = limits.request("ann")
     assert refusal is not None
@@ -195,12 +195,12 @@ def test_a_client_above_its_limits_is_told_when_to_come_again() -> None:
 
 def test_uploaded_bytes_are_limited_by_themselves() -> None:
     clock = _Clock()
-    limits = Limits(ClientLimits(upload_bytes_per_s=10, upload_bytes_burst=100), clock=clock)
+    limits = ClientLimiter(ClientLimits(upload_bytes_per_s=10, upload_bytes_burst=100), clock=clock)
     assert limits.upload("ann", 100) is None
     refusal = limits.upload("ann", 50)
     assert refusal is not None
     assert refusal.retry_after_s == 5.0
-    all_of_it = limits.upload("ann", 50, begun=20)
+    all_of_it = limits.upload("ann", 50, already_counted=20)
     assert all_of_it is not None
     assert all_of_it.retry_after_s == 7.0
     clock.now = 5.0
@@ -231,18 +231,18 @@ def test_a_peer_is_counted_under_its_address_and_not_its_port(peer: str, key: st
     "address", ["127.0.0.1:50051", "localhost:0", "[::1]:50051", "127.8.8.8:1", "unix:/run/scopt.sock"]
 )
 def test_a_server_on_its_own_machine_listens_as_it_likes(address: str) -> None:
-    assert listen_problems(address, None, None) == []
+    assert find_listen_problems(address, None, None) == []
 
 
 @pytest.mark.parametrize("address", ["0.0.0.0:50051", "[::]:50051", "10.0.0.7:50051", "robot.local:50051"])
 def test_a_server_that_others_reach_needs_both_tls_and_tokens(address: str, known: tuple[str, Tokens]) -> None:
     tls = TlsFiles(Path("cert.pem"), Path("key.pem"))
-    words = listen_problems(address, None, None)
+    words = find_listen_problems(address, None, None)
     assert len(words) == 2
-    assert "--tls-cert and --tls-key are needed; 127.0.0.1 would do without" in words[0]
-    assert "--tokens is needed" in words[1]
-    assert len(listen_problems(address, tls, None)) == len(listen_problems(address, None, known[1])) == 1
-    assert listen_problems(address, tls, known[1]) == []
+    assert "needs --tls-cert and --tls-key; 127.0.0.1 needs neither" in words[0]
+    assert "needs --tokens" in words[1]
+    assert len(find_listen_problems(address, tls, None)) == len(find_listen_problems(address, None, known[1])) == 1
+    assert find_listen_problems(address, tls, known[1]) == []
 
 
 def test_certificates_of_clients_and_who_they_are_go_together(tmp_path: Path) -> None:
@@ -250,10 +250,11 @@ def test_certificates_of_clients_and_who_they_are_go_together(tmp_path: Path) ->
     path.write_text("- {name: robot, roles: [plan], certificate: robot.local}\n")
     path.chmod(0o600)
     tokens, cert, key = Tokens(path), Path("cert.pem"), Path("key.pem")
-    assert "--client-ca is needed" in listen_problems("10.0.0.7:1", TlsFiles(cert, key), tokens)[0]
-    assert listen_problems("10.0.0.7:1", TlsFiles(cert, key, Path("ca.pem")), tokens) == []
+    assert "expected --client-ca too" in find_listen_problems("10.0.0.7:1", TlsFiles(cert, key), tokens)[0]
+    assert find_listen_problems("10.0.0.7:1", TlsFiles(cert, key, Path("ca.pem")), tokens) == []
     assert (
-        "--client-ca without --tokens" in listen_problems("127.0.0.1:1", TlsFiles(cert, key, Path("ca.pem")), None)[0]
+        "--client-ca: needs --tokens"
+        in find_listen_problems("127.0.0.1:1", TlsFiles(cert, key, Path("ca.pem")), None)[0]
     )
 
 
@@ -261,7 +262,7 @@ def test_certificates_of_clients_and_who_they_are_go_together(tmp_path: Path) ->
     "address", ["", "50051", "host", "a:b", "[::1]", "::1:50051", "127.0.0.1:70000", "unix:", "a/b:1"]
 )
 def test_what_is_no_address_is_refused(address: str) -> None:
-    assert len(listen_problems(address, None, None)) == 1
+    assert len(find_listen_problems(address, None, None)) == 1
 
 
 def test_a_socket_is_not_taken_from_whoever_listens_there(tmp_path: Path) -> None:
@@ -269,17 +270,17 @@ def test_a_socket_is_not_taken_from_whoever_listens_there(tmp_path: Path) -> Non
     address = f"unix:{path}"
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))
-        assert listen_problems(address, None, None) == []  # left behind: nobody answers
+        assert find_listen_problems(address, None, None) == []  # left behind: nobody answers
         listening.listen()
-        (problem,) = listen_problems(address, None, None)
-        assert problem == f"--listen {address}: another server listens there; stop it, or choose another path"
+        (problem,) = find_listen_problems(address, None, None)
+        assert problem == f"--listen {address}: in use by another server; stop it, or choose another path"
 
 
 @pytest.mark.parametrize(
     ("path", "words"), [("none/s", "none is no folder"), (200 * "s", "cannot listen there (AF_UNIX path too long)")]
 )
 def test_why_there_can_be_no_socket_is_told(tmp_path: Path, path: str, words: str) -> None:
-    (problem,) = listen_problems(f"unix:{tmp_path / path}", None, None)
+    (problem,) = find_listen_problems(f"unix:{tmp_path / path}", None, None)
     assert problem.endswith(words)
 
 

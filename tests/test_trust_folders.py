@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from service import parse_request
 from service.request.fields import FilePath
 from service.request.schema import PlanRequest
-from service.trust import AllowedFolders, TrustError, allowed_folders
+from service.trust import AllowedFolders, TrustError, resolve_folders
 
 CLOUD = "sha256:" + "0" * 64 + ".pcd"
 SCENE = "scene:" + "0" * 64
@@ -26,7 +26,7 @@ def folders(tmp_path: Path) -> AllowedFolders:
     (tmp_path / "scans" / "out").symlink_to(tmp_path)
     (tmp_path / "scans" / "loop").symlink_to(tmp_path / "scans" / "loop")
     (tmp_path / "link").symlink_to(tmp_path / "scans")
-    return allowed_folders([tmp_path / "link"], lambda cloud_id: cloud_id == CLOUD, lambda scene_id: scene_id == SCENE)
+    return resolve_folders([tmp_path / "link"], lambda cloud_id: cloud_id == CLOUD, lambda scene_id: scene_id == SCENE)
 
 
 def _request(**parts: Any) -> PlanRequest:
@@ -42,7 +42,7 @@ def test_a_file_under_an_allowed_folder_and_an_uploaded_cloud_may_be_named(
         tmp_path / "scans" / "not_there.pcd",
         CLOUD,
     ):
-        assert folders.problems(_request(scene={"cloud": str(path)})) == []
+        assert folders.find_problems(_request(scene={"cloud": str(path)})) == []
 
 
 @pytest.mark.parametrize(
@@ -67,17 +67,17 @@ def test_a_file_under_an_allowed_folder_and_an_uploaded_cloud_may_be_named(
 )
 def test_whatever_leads_out_is_refused_naming_the_field(folders: AllowedFolders, tmp_path: Path, path: str) -> None:
     path = path.format(tmp_path)
-    ((field, words),) = folders.problems(_request(scene={"cloud": path}))
+    ((field, words),) = folders.find_problems(_request(scene={"cloud": path}))
     assert field == "scene.cloud"
     assert "cloud_id" in words or "upload it first" in words
-    assert words.endswith(f"an absolute path under {tmp_path}/scans would do") or path.startswith("sha256:")
+    assert words.endswith(f"an absolute path under {tmp_path}/scans") or path.startswith("sha256:")
 
 
 @given(st.text(st.characters(codec="utf-8"), min_size=1))
 def test_no_text_leads_out(text: str) -> None:
     folders = AllowedFolders((Path("/nowhere/allowed"),), lambda cloud_id: False, lambda scene_id: False)
-    assert folders.refused(text)
-    assert folders.refused(f"/nowhere/allowed/../{text}") or "allowed" in text
+    assert folders.check(text)
+    assert folders.check(f"/nowhere/allowed/../{text}") or "allowed" in text
 
 
 def test_every_field_that_holds_a_path_is_checked(folders: AllowedFolders) -> None:
@@ -95,7 +95,7 @@ def test_every_field_that_holds_a_path_is_checked(folders: AllowedFolders) -> No
             },
         }
     )
-    found = [field for field, _ in folders.problems(request)]
+    found = [field for field, _ in folders.find_problems(request)]
     assert found == [
         "robot.urdf",
         "robot.srdf",
@@ -104,33 +104,33 @@ def test_every_field_that_holds_a_path_is_checked(folders: AllowedFolders) -> No
         "scene.cloud[1].file",
         "scene.obstacles[1].file",
     ]
-    assert [field for field, _ in folders.scene_problems(request.scene)] == found[4:]
+    assert [field for field, _ in folders.find_scene_problems(request.scene)] == found[4:]
     assert _path_fields(PlanRequest) == {"urdf", "srdf", "package_dirs", "cloud", "file"}
 
 
 def test_an_uploaded_file_is_no_robot_and_may_be_a_mesh(folders: AllowedFolders) -> None:
     mesh = {"name": "crate", "type": "mesh", "file": CLOUD}
-    assert folders.problems(_request(scene={"obstacles": [mesh]})) == []
-    ((field, words),) = folders.problems(_request(robot={"urdf": CLOUD}))
+    assert folders.find_problems(_request(scene={"obstacles": [mesh]})) == []
+    ((field, words),) = folders.find_problems(_request(robot={"urdf": CLOUD}))
     assert field == "robot.urdf"
-    assert "what was uploaded is no file of this kind" in words
+    assert "uploads cannot be used here" in words
 
 
 def test_a_server_that_allows_no_folder_says_so() -> None:
-    folders = allowed_folders([], lambda cloud_id: False, lambda scene_id: False)
-    ((_, words),) = folders.problems(_request(robot={"urdf": "/robots/a.urdf"}))
-    no_files = "this server reads no files of its own (`scopt serve --allow FOLDER` has it read those of a folder)"
-    assert words == f"not a file that requests may name, got '/robots/a.urdf'; {no_files}"
-    ((_, words),) = folders.problems(_request(scene={"cloud": "a.pcd"}))
-    assert words == f"no path on the server, got 'a.pcd'; the cloud_id of an uploaded cloud would do; {no_files}"
+    folders = resolve_folders([], lambda cloud_id: False, lambda scene_id: False)
+    ((_, words),) = folders.find_problems(_request(robot={"urdf": "/robots/a.urdf"}))
+    no_files = "this server reads no files of its own (`scopt serve --allow FOLDER` allows those of a folder)"
+    assert words == f"requests may not name this file, got '/robots/a.urdf'; {no_files}"
+    ((_, words),) = folders.find_problems(_request(scene={"cloud": "a.pcd"}))
+    assert words == f"no absolute path, got 'a.pcd'; expected the cloud_id of an uploaded cloud; {no_files}"
 
 
 def test_the_whole_disk_or_what_is_no_folder_cannot_be_allowed(tmp_path: Path) -> None:
     (tmp_path / "root").symlink_to("/")
     with pytest.raises(TrustError, match="is the whole disk"):
-        allowed_folders([tmp_path / "root"], bool, bool)
+        resolve_folders([tmp_path / "root"], bool, bool)
     with pytest.raises(TrustError, match="is no folder"):
-        allowed_folders([tmp_path / "not_there"], bool, bool)
+        resolve_folders([tmp_path / "not_there"], bool, bool)
 
 
 def _path_fields(section: Any) -> set[str]:
@@ -155,15 +155,15 @@ def test_a_scene_is_one_that_was_built_or_uploaded_or_lies_in_an_allowed_folder(
     folders: AllowedFolders, tmp_path: Path
 ) -> None:
     for path in (SCENE, CLOUD, str(tmp_path / "scans" / "scene.json")):
-        assert folders.problems(_request(scene={"file": path})) == []
+        assert folders.find_problems(_request(scene={"file": path})) == []
     other = "scene:" + "1" * 64
-    ((field, words),) = folders.problems(_request(scene={"file": other}))
+    ((field, words),) = folders.find_problems(_request(scene={"file": other}))
     assert field == "scene.file"
-    assert words.endswith("is there; it never was, or went when the store was full")
-    ((_, words),) = folders.problems(_request(scene={"file": "scene.json"}))
-    assert "the scene_id of a scene that was built, the cloud_id of an uploaded one or an absolute path under" in words
+    assert words.endswith("it was removed when the store was full, or never was")
+    ((_, words),) = folders.find_problems(_request(scene={"file": "scene.json"}))
+    assert "the scene_id of a built scene, the cloud_id of an uploaded one or an absolute path under" in words
 
 
 def test_the_id_of_a_scene_is_no_cloud(folders: AllowedFolders) -> None:
-    ((field, words),) = folders.problems(_request(scene={"cloud": SCENE}))
-    assert (field, words.startswith("no path on the server")) == ("scene.cloud", True)
+    ((field, words),) = folders.find_problems(_request(scene={"cloud": SCENE}))
+    assert (field, words.startswith("no absolute path")) == ("scene.cloud", True)

@@ -17,7 +17,7 @@ from small_service import end_of, serving
 
 import service.trust.rpc
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
-from service.trust import ClientLimits, Gate, Limits, Role, Tokens, make_token
+from service.trust import AccessInterceptor, ClientLimiter, ClientLimits, Role, Tokens, make_token
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def test_calls_of_every_kind_come_through_and_know_their_caller(known: tuple[dic
 
     async def calls() -> None:
         async with (
-            serving([Gate(file, Limits())]) as (address, answering),
+            serving([AccessInterceptor(file, ClientLimiter())]) as (address, answering),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub, plan = planner_pb2_grpc.PlannerServiceStub(channel), _with(tokens[Role.PLAN])
@@ -70,7 +70,7 @@ def test_without_a_known_token_or_the_right_role_nothing_is_called(known: tuple[
 
     async def calls() -> None:
         async with (
-            serving([Gate(file, Limits())]) as (address, answering),
+            serving([AccessInterceptor(file, ClientLimiter())]) as (address, answering),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
@@ -97,7 +97,10 @@ def test_health_is_told_to_all_and_watched_by_the_known_only(known: tuple[dict[R
     tokens, file = known
 
     async def calls() -> None:
-        async with serving([Gate(file, Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+        async with (
+            serving([AccessInterceptor(file, ClientLimiter())]) as (address, _),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
             stub = health_pb2_grpc.HealthStub(channel)
             answer = await stub.Check(health_pb2.HealthCheckRequest())
             assert answer.status == health_pb2.HealthCheckResponse.SERVING
@@ -111,7 +114,7 @@ def test_health_is_told_to_all_and_watched_by_the_known_only(known: tuple[dict[R
 def test_without_a_tokens_file_everybody_on_this_machine_is_local() -> None:
     async def calls() -> None:
         async with (
-            serving([Gate(None, Limits())]) as (address, answering),
+            serving([AccessInterceptor(None, ClientLimiter())]) as (address, answering),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
@@ -126,7 +129,10 @@ def test_the_request_of_a_refused_call_is_not_read(known: tuple[dict[Role, str],
 
     async def calls() -> None:
         large = planner_pb2.PlanRequest(request_id="x" * 20 * 2**20)
-        async with serving([Gate(known[1], Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+        async with (
+            serving([AccessInterceptor(known[1], ClientLimiter())]) as (address, _),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
             assert (await end_of(stub.Plan(large)))[0] is grpc.StatusCode.UNAUTHENTICATED
             allowed = stub.Plan(large, metadata=_with(known[0][Role.PLAN]))
@@ -141,7 +147,7 @@ def test_too_many_requests_of_one_client_are_refused_with_a_time_and_leave_other
     tokens, file = known
 
     async def calls() -> None:
-        gate = Gate(file, Limits(ClientLimits(requests_per_s=0.5, requests_burst=3)))
+        gate = AccessInterceptor(file, ClientLimiter(ClientLimits(requests_per_s=0.5, requests_burst=3)))
         async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
             stub, plan = planner_pb2_grpc.PlannerServiceStub(channel), _with(tokens[Role.PLAN])
             for _ in range(3):
@@ -157,7 +163,7 @@ def test_too_many_requests_of_one_client_are_refused_with_a_time_and_leave_other
 
 def test_tokens_cannot_be_tried_at_leisure(known: tuple[dict[Role, str], Tokens]) -> None:
     async def calls() -> None:
-        gate = Gate(known[1], Limits(ClientLimits(requests_per_s=0.5, requests_burst=5)))
+        gate = AccessInterceptor(known[1], ClientLimiter(ClientLimits(requests_per_s=0.5, requests_burst=5)))
         async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
             codes = [
@@ -173,7 +179,7 @@ def test_tokens_cannot_be_tried_at_leisure(known: tuple[dict[Role, str], Tokens]
 
 def test_open_calls_are_limited_and_their_places_are_given_back(known: tuple[dict[Role, str], Tokens]) -> None:
     async def calls() -> None:
-        gate = Gate(known[1], Limits(ClientLimits(max_open_calls=2)))
+        gate = AccessInterceptor(known[1], ClientLimiter(ClientLimits(max_open_calls=2)))
         async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
             stub, plan = planner_pb2_grpc.PlannerServiceStub(channel), _with(known[0][Role.PLAN])
             open_calls = [stub.UploadCloud(metadata=plan) for _ in range(2)]
@@ -183,7 +189,7 @@ def test_open_calls_are_limited_and_their_places_are_given_back(known: tuple[dic
             third = stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
             assert await end_of(third) == (
                 grpc.StatusCode.RESOURCE_EXHAUSTED,
-                "2 calls of this client are being answered; try again when one has ended",
+                "2 calls of this client are open; try again when one has ended",
             )
             open_calls[0].cancel()
             await open_calls[1].done_writing()
@@ -200,7 +206,7 @@ def test_a_call_that_says_nothing_or_too_little_ends(monkeypatch: pytest.MonkeyP
 
     async def calls() -> None:
         async with (
-            serving([Gate(None, Limits())]) as (address, answering),
+            serving([AccessInterceptor(None, ClientLimiter())]) as (address, answering),
             grpc.aio.insecure_channel(address) as channel,
         ):
             method = channel.stream_unary("/planner.v1.PlannerService/ListRobots")
@@ -223,7 +229,7 @@ def test_a_call_that_says_nothing_or_too_little_ends(monkeypatch: pytest.MonkeyP
 def test_an_upload_that_the_client_breaks_off_never_looks_complete() -> None:
     async def calls() -> None:
         async with (
-            serving([Gate(None, Limits())]) as (address, answering),
+            serving([AccessInterceptor(None, ClientLimiter())]) as (address, answering),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
@@ -242,7 +248,10 @@ def test_an_upload_that_the_client_breaks_off_never_looks_complete() -> None:
 
 def test_what_a_handler_says_at_its_end_reaches_the_client_unchanged() -> None:
     async def calls() -> None:
-        async with serving([Gate(None, Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+        async with (
+            serving([AccessInterceptor(None, ClientLimiter())]) as (address, _),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
             aborted = stub.Plan(planner_pb2.PlanRequest(request_id="abort"))
             assert await end_of(aborted) == (grpc.StatusCode.INVALID_ARGUMENT, "no goal")
@@ -252,7 +261,10 @@ def test_what_a_handler_says_at_its_end_reaches_the_client_unchanged() -> None:
 
 def test_garbage_on_the_wire_gets_an_error_and_the_server_goes_on() -> None:
     async def calls() -> None:
-        async with serving([Gate(None, Limits())]) as (address, _), grpc.aio.insecure_channel(address) as channel:
+        async with (
+            serving([AccessInterceptor(None, ClientLimiter())]) as (address, _),
+            grpc.aio.insecure_channel(address) as channel,
+        ):
             host, port = address.split(":")
             reader, writer = await asyncio.open_connection(host, int(port))
             writer.write(os.urandom(4096))

@@ -13,7 +13,7 @@ import trustme
 from small_service import serving
 
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
-from service.trust import Certificates, Gate, Limits, Role, TlsFiles, Tokens, TrustError, make_token
+from service.trust import AccessInterceptor, Certificates, ClientLimiter, Role, TlsFiles, Tokens, TrustError, make_token
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_a_token_comes_in_over_tls_and_nothing_without_it(
     credentials = Certificates(TlsFiles(files.cert, files.key)).credentials
 
     async def calls() -> None:
-        async with serving([Gate(tokens, Limits())], credentials) as (address, answering):
+        async with serving([AccessInterceptor(tokens, ClientLimiter())], credentials) as (address, answering):
             assert await _ask(address, _client(authority), token) is grpc.StatusCode.OK
             assert await _ask(address, _client(authority)) is grpc.StatusCode.UNAUTHENTICATED
             assert await _ask(address, _client(trustme.CA()), token) is grpc.StatusCode.UNAVAILABLE
@@ -96,7 +96,7 @@ def test_a_client_is_known_by_its_certificate_and_a_strangers_is_not_let_in(
     credentials = Certificates(files).credentials
 
     async def calls() -> None:
-        async with serving([Gate(tokens, Limits())], credentials) as (address, answering):
+        async with serving([AccessInterceptor(tokens, ClientLimiter())], credentials) as (address, answering):
             codes = [
                 await _ask(address, _client(authority, issuer.issue_cert("x.local", common_name=name)))
                 for issuer, name in (
@@ -125,15 +125,15 @@ def test_what_is_wrong_with_certificates_is_named(tmp_path: Path, authority: tru
     (tmp_path / "text").write_text("-----BEGIN nothing")
     (tmp_path / "text").chmod(0o600)
     for wrong, words in (
-        (TlsFiles(files.cert, other.key), "do not go together"),
-        (TlsFiles(files.key, files.key), "do not go together"),
-        (TlsFiles(tmp_path / "text", files.key), "do not go together"),
-        (TlsFiles(files.cert, files.key, tmp_path / "text"), "text: holds no certificate of an authority"),
+        (TlsFiles(files.cert, other.key), "do not match"),
+        (TlsFiles(files.key, files.key), "do not match"),
+        (TlsFiles(tmp_path / "text", files.key), "do not match"),
+        (TlsFiles(files.cert, files.key, tmp_path / "text"), "text: expected the certificate of an authority"),
         (TlsFiles(files.cert, files.key, tmp_path / "none.pem"), r"none\.pem: cannot be read"),
         (TlsFiles(tmp_path, files.key), "cannot be read"),
     ):
         with pytest.raises(TrustError, match=words):
             Certificates(wrong)
     files.key.chmod(0o644)
-    with pytest.raises(TrustError, match=r"key\.pem: others may read the private key; chmod 600 would do"):
+    with pytest.raises(TrustError, match=r"key\.pem: others may read the private key; run chmod 600"):
         Certificates(files)

@@ -16,9 +16,9 @@ from service.errors import RequestError
 from service.proto.planner.v1.request_pb2 import HAND_LEFT, MotionRequest
 from service.request.file import load_request, parse_request, to_json
 from service.request.schema import PlanRequest, TaskRequest
-from service.wire.plain import enum_name, to_plain
+from service.wire.plain import decode_enum, to_plain
 from service.wire.requests import request_from_message, request_to_message
-from service.wire.violations import violation
+from service.wire.violations import make_violation
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples" / "requests").glob("*.yaml"))
@@ -120,7 +120,7 @@ def test_an_enum_is_written_as_in_a_request_file() -> None:
     message.task.valve.hand = HAND_LEFT
     assert to_plain(message) == {"task": {"valve": {"hand": "left"}}}
     field = MotionRequest.DESCRIPTOR.fields_by_name["robot"].message_type.fields_by_name["root"]
-    assert enum_name(field.enum_type, 2) == "fixed"
+    assert decode_enum(field.enum_type, 2) == "fixed"
 
 
 def test_an_enum_value_of_a_later_version_is_refused_by_name() -> None:
@@ -163,10 +163,10 @@ def test_whole_numbers_of_a_trajopt_problem_stay_whole() -> None:
     ],
 )
 def test_violation_names_the_field_of_a_problem(problem: str, field: str) -> None:
-    found = violation(problem)
+    found = make_violation(problem)
     assert (found.field, found.description) == (field, problem)
 
 
 def test_violation_within_a_message_names_the_whole_path() -> None:
-    assert violation("goal.posture: unknown", "request").field == "request.goal.posture"
-    assert violation("something", "request").field == "request"
+    assert make_violation("goal.posture: unknown", "request").field == "request.goal.posture"
+    assert make_violation("something", "request").field == "request"

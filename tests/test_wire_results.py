@@ -10,12 +10,13 @@ import pytest
 
 from service.planner import plan
 from service.proto.planner.v1.result_pb2 import MotionResult
+from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
 from service.request.file import parse_request
 from service.result.result import PlanResult, Verdict
 from service.result.result_json import to_result_json
-from service.wire.hashes import certificate_sha256, trajectory_sha256
-from service.wire.perceived import detections_to_messages, scene_to_message
-from service.wire.results import checks_to_messages, result_to_message, verdict_name, verdict_number
+from service.wire.hashes import hash_certificate, hash_trajectory
+from service.wire.results import checks_to_messages, encode_verdict, result_to_message
+from service.wire.scenes import detections_to_messages, scene_to_message
 
 
 @pytest.fixture(scope="module")
@@ -30,12 +31,8 @@ def message(result: PlanResult) -> MotionResult:
 
 
 def test_every_verdict_comes_through_the_wire() -> None:
-    assert [verdict_name(verdict_number(verdict.value)) for verdict in Verdict] == [one.value for one in Verdict]
-
-
-def test_unspecified_verdict_is_an_error() -> None:
-    with pytest.raises(ValueError, match="UNSPECIFIED"):
-        verdict_name(0)
+    numbers = [encode_verdict(verdict.value) for verdict in Verdict]
+    assert [VerdictMessage.Name(number) for number in numbers] == [f"VERDICT_{verdict.value}" for verdict in Verdict]
 
 
 def test_trajectory_is_that_of_the_result_file(result: PlanResult, message: MotionResult) -> None:
@@ -45,7 +42,7 @@ def test_trajectory_is_that_of_the_result_file(result: PlanResult, message: Moti
     assert list(trajectory.times) == file["times"]
     rows = np.array(trajectory.positions).reshape(len(trajectory.times), -1)
     assert rows.tolist() == file["positions"]
-    assert trajectory.sha256 == trajectory_sha256(file["joint_names"], file["times"], file["positions"])
+    assert trajectory.sha256 == hash_trajectory(file["joint_names"], file["times"], file["positions"])
     (phase,) = trajectory.phases
     assert (phase.name, phase.start_s, phase.end_s) == ("reach", 0.0, file["times"][-1])
 
@@ -53,7 +50,7 @@ def test_trajectory_is_that_of_the_result_file(result: PlanResult, message: Moti
 def test_certificate_is_that_of_the_result_file(result: PlanResult, message: MotionResult) -> None:
     file = to_result_json(result)["certificate"]
     assert json.loads(message.certificate.json) == file
-    assert message.certificate.sha256 == certificate_sha256(message.certificate.json)
+    assert message.certificate.sha256 == hash_certificate(message.certificate.json)
     assert list(message.certificate.checks) == checks_to_messages(file["checks"])
 
 
@@ -62,7 +59,7 @@ def test_result_without_a_motion_has_neither_trajectory_nor_certificate() -> Non
     refused = result_to_message(
         plan(parse_request({"robot": {"name": "atlas"}, "start": {"posture": "stand"}, "goal": far}))
     )
-    assert verdict_name(refused.verdict) == "INFEASIBLE"
+    assert refused.verdict == VerdictMessage.VERDICT_INFEASIBLE
     assert refused.explanation
     assert not refused.HasField("trajectory")
     assert not refused.HasField("certificate")

@@ -10,9 +10,9 @@ import pytest
 from costs.robot import bundled_robots
 from service.errors import RequestError
 from service.request.schema import GoalRequest, PlanRequest, RobotRequest
-from service.server.robots import RobotFolder
+from service.server.requests import RobotFolder
 from service.work.look import describe_robots
-from service.work.robots import WarmRobots
+from service.work.robots import RobotCache
 
 URDF = """<robot name="{name}"><link name="base"/><link name="tip">
 <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -33,7 +33,7 @@ def _write(path: Path, height: float, changed_s: int) -> None:
 def test_robot_is_loaded_once_and_anew_when_its_file_changes(tmp_path: Path) -> None:
     urdf = tmp_path / "robot.urdf"
     _write(urdf, 0.5, 1)
-    robots, request = WarmRobots(), _request(RobotRequest(urdf=str(urdf)))
+    robots, request = RobotCache(), _request(RobotRequest(urdf=str(urdf)))
     first = robots.get(request)
     assert robots.get(request) is first
     _write(urdf, 0.7, 2)
@@ -48,7 +48,7 @@ def test_robot_used_least_recently_goes_first(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         _write(tmp_path / name / "robot.urdf", 0.5, 1)
         requests.append(_request(RobotRequest(urdf=str(tmp_path / name / "robot.urdf"))))
-    robots = WarmRobots(most=2)
+    robots = RobotCache(max_robots=2)
     first, second = robots.get(requests[0]), robots.get(requests[1])
     assert robots.get(requests[0]) is first
     robots.get(requests[2])
@@ -59,7 +59,7 @@ def test_robot_used_least_recently_goes_first(tmp_path: Path) -> None:
 def test_file_that_has_gone_is_told(tmp_path: Path) -> None:
     urdf = tmp_path / "robot.urdf"
     _write(urdf, 0.5, 1)
-    robots, request = WarmRobots(), _request(RobotRequest(urdf=str(urdf)))
+    robots, request = RobotCache(), _request(RobotRequest(urdf=str(urdf)))
     robots.get(request)
     urdf.unlink()
     with pytest.raises(RequestError, match="is not there"):
@@ -72,11 +72,11 @@ def test_folder_gives_its_robots_names(tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
     folder = RobotFolder(tmp_path)
     assert set(folder.requests()) == {"swinger"}
-    placed = folder.placed(_request(RobotRequest(name="swinger")))
+    placed = folder.insert_files(_request(RobotRequest(name="swinger")))
     assert placed.robot.urdf == str(tmp_path.resolve() / "swinger" / "robot.urdf")
-    assert WarmRobots().get(placed).joint_names == ("swing",)
+    assert RobotCache().get(placed).joint_names == ("swing",)
     atlas = _request(RobotRequest(name="atlas"))
-    assert folder.placed(atlas) == atlas
+    assert folder.insert_files(atlas) == atlas
 
 
 def test_folder_comes_before_the_package_where_both_know_a_name(tmp_path: Path) -> None:
@@ -85,13 +85,13 @@ def test_folder_comes_before_the_package_where_both_know_a_name(tmp_path: Path) 
     folder = RobotFolder(tmp_path)
     (told,) = [robot for robot in describe_robots(folder.requests()) if robot["name"] == "atlas"]
     assert told["joint_names"] == ["swing"]
-    assert WarmRobots().get(folder.placed(_request(RobotRequest(name="atlas")))).joint_names == ("swing",)
+    assert RobotCache().get(folder.insert_files(_request(RobotRequest(name="atlas")))).joint_names == ("swing",)
 
 
 def test_problems_name_the_folder_s_robots_and_not_where_it_is(tmp_path: Path) -> None:
     (tmp_path / "swinger").mkdir()
     _write(tmp_path / "swinger" / "robot.urdf", 0.5, 1)
-    unknown, broken = RobotFolder(tmp_path).as_named(
+    unknown, broken = RobotFolder(tmp_path).hide_paths(
         ["robot: unknown robot 'swingr'; known: atlas", f"{tmp_path.resolve()}/swinger/robot.urdf: has no links"]
     )
     assert unknown == "robot: unknown robot 'swingr'; known: atlas; this server also has swinger"
@@ -104,7 +104,7 @@ def test_name_never_leads_out_of_the_folder(tmp_path: Path, name: str) -> None:
     (tmp_path / "swinger").mkdir()
     _write(tmp_path / "swinger" / "robot.urdf", 0.5, 1)
     request = _request(RobotRequest(name=name))
-    assert RobotFolder(tmp_path / "robots").placed(request) == request
+    assert RobotFolder(tmp_path / "robots").insert_files(request) == request
 
 
 def test_robot_that_cannot_be_read_says_so_in_the_list(tmp_path: Path) -> None:

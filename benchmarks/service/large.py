@@ -9,7 +9,7 @@ from google.protobuf.message import Message
 
 from benchmarks.service import asks
 from service.proto.planner.v1 import planner_pb2 as wire
-from service.wire.entries import MAX_ENTRIES, MAX_MESSAGES
+from service.wire.message_checks import MAX_ENTRIES, MAX_MESSAGES
 
 MOST = MAX_ENTRIES - 10_000  # entries of one message that the server still looks into
 MANY = MAX_MESSAGES - 5_000  # of those that have fields themselves

@@ -24,8 +24,8 @@ from service.client.errors import ANSWER_LOST
 from service.errors import RequestError, UnplannedTaskError
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.request.schema import check_task_has_planner
+from service.wire.message_checks import find_unknown_fields
 from service.wire.requests import request_from_message
-from service.wire.unknown import unknown_fields
 
 AT_A_TIME = 4
 TIMEOUT_S = 20.0
@@ -171,7 +171,7 @@ def is_invalid(method: str, sent: list[bytes]) -> bool | None:
         except DecodeError:
             return True if len(sent) == 1 else None  # of a stream, something before may be what is told
     message = messages[0]
-    if any(True for _ in unknown_fields(message)):
+    if any(True for _ in find_unknown_fields(message)):
         return True
     if isinstance(message, wire.PlanRequest):
         return _is_plan_invalid(message)

@@ -88,11 +88,11 @@ def _serve(
     os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # its C core writes lines of its own; what matters is logged here
     import asyncio
 
-    from service.server.launch import Launch, launch
+    from service.server.launch import ServeOptions, launch
 
     asyncio.run(
         launch(
-            Launch(
+            ServeOptions(
                 listen=listen,
                 settings=given,
                 budgets=budgets,

@@ -22,7 +22,7 @@ from service.proto.planner.v1.planner_pb2 import (
 )
 from service.proto.planner.v1.result_pb2 import Certificate, FileChunk, MotionResult, Verdict
 from service.result.folder import FORMAT
-from service.wire.hashes import certificate_sha256, trajectory_sha256
+from service.wire.hashes import hash_certificate, hash_trajectory
 from service.wire.plain import to_plain
 
 
@@ -208,14 +208,14 @@ def check_result(result: MotionResult) -> None:
     _check_hash(
         "trajectory",
         trajectory.sha256,
-        trajectory_sha256(trajectory.joint_names, trajectory.times, trajectory.positions)
+        hash_trajectory(trajectory.joint_names, trajectory.times, trajectory.positions)
         if result.HasField("trajectory")
         else "",
     )
     _check_hash(
         "certificate",
         certificate.sha256,
-        certificate_sha256(certificate.json) if result.HasField("certificate") else "",
+        hash_certificate(certificate.json) if result.HasField("certificate") else "",
     )
 
 

@@ -12,7 +12,7 @@ from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
 from service.request.scene import MESH_SUFFIXES, MeshRequest, SceneRequest
 from service.request.schema import PlanRequest, RobotRequest, check_task_has_planner
-from service.trust.folders import BUILT, UPLOADED, paths_of
+from service.trust.folders import BUILT, UPLOADED, list_paths
 
 CHUNK_BYTES = 512 * 2**10
 NOT_UPLOADED = (
@@ -82,7 +82,7 @@ def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
     """
     check_task_has_planner(request)
     problems = []
-    uploads_first = sorted(paths_of(request), key=lambda path: path[2] in ("file", "mesh"))
+    uploads_first = sorted(list_paths(request), key=lambda path: path[2] in ("file", "mesh"))
     for field, path, kind in uploads_first:
         if kind in ("cloud", "scene") or (kind == "mesh" and is_uploaded(path)):
             problem = find_upload_problem(field, path, request.resolve(path))

@@ -1,1 +1,1 @@
-"""The planning service: gRPC handlers, admission, and everything from the start of a server to its end."""
+"""The planning service: handlers of the gRPC methods, admission, jobs, and start and end of the server."""

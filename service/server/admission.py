@@ -1,4 +1,4 @@
-"""Who is let in: a queue bounded in number and in time, and no deadline that cannot be met."""
+"""Admission of requests: a queue bounded in number and time, and refusal of deadlines that cannot be met."""
 
 from __future__ import annotations
 
@@ -9,74 +9,74 @@ from statistics import fmean
 
 import grpc
 
-from service.server.refusal import overloaded
+from service.server.refusals import refuse_overload
 from service.trust.rpc import Refusal
 
-REMEMBERED = 256  # durations by kind of work
-FIRST_GUESS_S = 1.0  # of a kind that has never run
-FEWEST = 10  # done before a deadline is held against it: the first is the slowest, and a refusal teaches nothing
-QUICKEST = 10.0  # percentile of durations below which no deadline is believed to be kept
+MAX_DURATIONS = 256  # stored per kind of work
+FIRST_GUESS_S = 1.0  # for a kind that has never run
+MIN_DURATIONS = 10  # before deadlines are judged: the first run is the slowest, and a refused one is never measured
+QUICKEST = 10.0  # percentile of the durations that a deadline must allow
 LEAST_S = 1e-6
-IN_A_ROW, SPELLS = 8, 1000  # requests whose mean tells how fast work goes for a while; such means that are remembered
-SLOW = 99.0  # percentile of these means that is expected: promises of a service are kept by 99 of 100
-MOST_SLOW = 1.5  # times the usual; what is slower than that are harder requests, not a slower machine
+MEAN_OVER, MAX_MEANS = 8, 1000  # requests per running mean of the relative duration; means that are stored
+SLOW = 99.0  # percentile of these means that the queue is planned for
+MAX_SLOWNESS = 1.5  # greater relative durations come from harder requests, not from a slower machine
 
 
 @dataclass
 class Durations:
-    """How long work of each kind has taken lately [s]."""
+    """Recent durations by kind of work [s]."""
 
     _seconds: dict[str, deque[float]] = field(default_factory=dict)
-    _latest: deque[float] = field(default_factory=lambda: deque(maxlen=IN_A_ROW))  # each against the usual of its kind
-    _spells: deque[float] = field(default_factory=lambda: deque(maxlen=SPELLS))  # their means
+    _relative: deque[float] = field(default_factory=lambda: deque(maxlen=MEAN_OVER))  # to the mean of their kind
+    _means: deque[float] = field(default_factory=lambda: deque(maxlen=MAX_MEANS))  # of the relative durations
     _slowness: float = 1.0
 
     def add(self, kind: str, seconds: float) -> None:
-        """Something of a kind is done."""
-        known = self._seconds.setdefault(kind, deque(maxlen=REMEMBERED))
-        if len(known) >= FEWEST:
-            self._latest.append(seconds / max(fmean(known), LEAST_S))
-            self._spells.append(fmean(self._latest))
-            self._slowness = min(max(_percentile(self._spells, SLOW), 1.0), MOST_SLOW)
+        """Add the duration of a finished request."""
+        known = self._seconds.setdefault(kind, deque(maxlen=MAX_DURATIONS))
+        if len(known) >= MIN_DURATIONS:
+            self._relative.append(seconds / max(fmean(known), LEAST_S))
+            self._means.append(fmean(self._relative))
+            self._slowness = min(max(_percentile(self._means, SLOW), 1.0), MAX_SLOWNESS)
         known.append(seconds)
 
     @property
     def slowness(self) -> float:
-        """How much longer than usual some work in a row takes in a slow spell: 1 to ``MOST_SLOW``."""
+        """Relative duration of consecutive requests in a slow period: 1 to ``MAX_SLOWNESS``."""
         return self._slowness
 
     def mean(self, kind: str) -> float:
-        """Expected of the next."""
+        """Return the expected duration of the next request [s]."""
         known = self._seconds.get(kind)
         return fmean(known) if known else FIRST_GUESS_S
 
     def quickest(self, kind: str) -> float:
-        """What hardly any takes less than; 0 where too little is known."""
+        """Return the ``QUICKEST`` percentile of a kind [s]; 0 with fewer than ``MIN_DURATIONS``."""
         known = self._seconds.get(kind, ())
-        return _percentile(known, QUICKEST) if len(known) >= FEWEST else 0.0
+        return _percentile(known, QUICKEST) if len(known) >= MIN_DURATIONS else 0.0
 
     def percentile(self, share: float) -> float:
-        """Over all kinds; 0 where nothing is known."""
+        """Return a percentile over all kinds [s]; 0 without durations."""
         known = [seconds for kind in self._seconds.values() for seconds in kind]
         return _percentile(known, share) if known else 0.0
 
 
 def _percentile(values: Collection[float], share: float) -> float:
-    """The value that ``share`` percent do not exceed; for a few hundred, numpy takes twenty times as long."""
+    """Return the value that ``share`` percent do not exceed; twenty times faster than numpy for a few hundred."""
     return sorted(values)[min(int(0.01 * share * len(values)), len(values) - 1)]
 
 
 @dataclass
 class Admission:
-    """The count of what waits and runs, and the rule that keeps it bounded.
+    """Count of waiting and running requests, and its bound.
 
-    What waits is to be begun within the time that ``queue_limit`` of the usual requests take, in a slow spell too: the
-    more unevenly work goes, the fewer may wait.
+    A waiting request shall begin within the time that ``queue_limit`` usual requests take, also in a slow period: the
+    more durations vary, the fewer requests may wait.
 
     Attributes:
-        workers: how many run at a time.
-        queue_limit: how many may wait at most.
-        durations: by kind of work.
+        workers: number of requests that run at a time.
+        queue_limit: greatest number of waiting requests.
+        durations: recent durations by kind of work.
     """
 
     workers: int
@@ -87,55 +87,55 @@ class Admission:
 
     @property
     def queued(self) -> int:
-        """How many wait."""
+        """Number of waiting requests."""
         return max(len(self._open) - self.workers, 0)
 
     @property
     def running(self) -> int:
-        """How many are worked on."""
+        """Number of running requests."""
         return min(len(self._open), self.workers)
 
     def expected_wait_s(self) -> float:
-        """Until a worker would begin with another one."""
+        """Return the time until a worker would begin the next request [s]."""
         if len(self._open) < self.workers:
             return 0.0
-        # Of those that run, half is done on average.
-        ahead = list(self._open.values())
-        work = sum(self.durations.mean(kind) * (0.5 if i < self.workers else 1.0) for i, kind in enumerate(ahead))
+        kinds = list(self._open.values())
+        # A running request is half done on average.
+        work = sum(self.durations.mean(kind) * (0.5 if i < self.workers else 1.0) for i, kind in enumerate(kinds))
         return work / self.workers
 
     def is_full(self) -> bool:
-        """Whether nothing more may wait."""
+        """Whether no further request may wait."""
         return len(self._open) >= self.workers + round(self.queue_limit / self.durations.slowness)
 
     def check(self, kind: str, left_s: float | None) -> None:
-        """Refuse what would not fit the queue, or could not be done in the ``left_s`` seconds it has.
+        """Refuse a request that exceeds the queue, or cannot be done in the ``left_s`` seconds until its deadline.
 
         Raises:
             Refusal: RESOURCE_EXHAUSTED with a delay, or DEADLINE_EXCEEDED.
         """
         wait = self.expected_wait_s()
         if self.is_full():
-            load = f"requests being worked on: {self.running}, waiting: {self.queued}"
-            raise overloaded(
+            load = f"requests running: {self.running}, waiting: {self.queued}"
+            raise refuse_overload(
                 f"{load}, which is about {wait:.1f} s of work; try again in {wait / 2.0:.1f} s", wait / 2.0
             )
         needed = wait + self.durations.quickest(kind)
         if left_s is not None and left_s < needed:
             raise Refusal(
                 grpc.StatusCode.DEADLINE_EXCEEDED,
-                f"the deadline is in {max(left_s, 0.0):.2f} s and work would take {needed:.2f} s, "
+                f"the deadline is in {max(left_s, 0.0):.2f} s and the request would take {needed:.2f} s, "
                 f"{wait:.2f} of it waiting; it was not begun",
             )
 
     def enter(self, kind: str) -> int:
-        """One more; returns the ticket to leave with."""
+        """Add a request; returns the ticket for ``leave``."""
         self._tickets += 1
         self._open[self._tickets] = kind
         return self._tickets
 
     def leave(self, ticket: int, seconds: float | None) -> None:
-        """One less; ``seconds`` are what it took a worker, None where that says nothing (cancelled, refused)."""
+        """Remove a request; ``seconds`` is its duration in a worker, None for a cancelled or refused one."""
         kind = self._open.pop(ticket)
         if seconds is not None:
             self.durations.add(kind, seconds)

@@ -1,4 +1,4 @@
-"""From what a command line says to a server that runs."""
+"""Start of a server from the options of ``scopt serve``."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import platformdirs
 
 from service.errors import RequestError, would_do
 from service.executor import CancellableExecutor
-from service.server.serve import PRELOAD, Port, serve
+from service.server.serve import PRELOAD, Endpoint, serve
 from service.server.settings import BUDGETS_S, KINDS, ServerSettings
 from service.telemetry import SentSpans, set_up_logs
-from service.trust import ClientLimits, Limits, TlsFiles, Tokens, listen_problems
+from service.trust import ClientLimiter, ClientLimits, TlsFiles, Tokens, find_listen_problems
 from service.work.plan import warm_up
 
 LOCAL, RAY = "local", "ray://"
-BURST_S = 5.0  # of a client's rate that may come at once
-SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_ENDPOINT"  # of OpenTelemetry: where spans go, if anywhere
+BURST_S = 5.0  # a burst may have as many requests as the rate allows in this time
+SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_ENDPOINT"  # OpenTelemetry's variable for the collector's address
 
 
 @dataclass(frozen=True)
-class Launch:
-    """What ``scopt serve`` was told.
+class ServeOptions:
+    """Options of ``scopt serve``.
 
     Attributes:
-        listen: where.
-        settings: fields of ``ServerSettings``; its ``data`` may be None for the user's own folder.
+        listen: address of the server.
+        settings: fields of ``ServerSettings``; without ``data`` the user's data folder is used.
         budgets: ``KIND=SECONDS`` each.
-        tls: certificate, key and authority of clients.
-        tokens: file of who may do what.
-        metrics: where metrics are served.
+        tls: files of the certificate, its key and the authority of client certificates.
+        tokens: file of known clients.
+        metrics: address of the metrics.
         executor: ``local`` or ``ray://HOST:PORT``.
-        requests_per_s: that each client may send in the long run, five times as many at once; None for the usual.
+        requests_per_s: rate of each client in the long run; None for the default.
     """
 
     listen: str
@@ -48,49 +48,50 @@ class Launch:
     requests_per_s: float | None = None
 
 
-async def launch(told: Launch, on_ready: Callable[[str], None]) -> None:
+async def launch(options: ServeOptions, on_ready: Callable[[str], None]) -> None:
     """Serve until a signal to stop.
 
     Raises:
-        RequestError: an option cannot be used; ServiceError: the server cannot be started so.
+        RequestError: an option cannot be used.
+        ServiceError: the server cannot be started.
     """
-    data = told.settings.get("data") or Path(platformdirs.user_data_dir("scopt")) / "service"
-    settings = ServerSettings(**{**told.settings, "data": data, "budgets_s": _budgets(told.budgets)})
+    data = options.settings.get("data") or Path(platformdirs.user_data_dir("scopt")) / "service"
+    settings = ServerSettings(**{**options.settings, "data": data, "budgets_s": _parse_budgets(options.budgets)})
     if settings.robots is not None and not settings.robots.is_dir():
         raise RequestError(f"--robots {settings.robots}: is no folder")
-    tokens = None if told.tokens is None else Tokens(told.tokens)
-    tls = _tls(told.tls)
-    problems = listen_problems(told.listen, tls, tokens)  # before any worker is started
+    tokens = None if options.tokens is None else Tokens(options.tokens)
+    tls = _make_tls(options.tls)
+    problems = find_listen_problems(options.listen, tls, tokens)  # before any worker is started
     if problems:
         raise RequestError(problems)
     set_up_logs()
     spans = SentSpans() if os.environ.get(SPANS_VARIABLE) else None
-    port = Port(told.listen, tls, tokens, _limiter(told.requests_per_s), told.metrics, spans)
-    await serve(settings, port, _executor(told.executor, settings), on_ready)
+    endpoint = Endpoint(options.listen, tls, tokens, _make_limiter(options.requests_per_s), options.metrics, spans)
+    await serve(settings, endpoint, _make_executor(options.executor, settings), on_ready)
 
 
-def _budgets(given: tuple[str, ...]) -> dict[str, float]:
+def _parse_budgets(given: tuple[str, ...]) -> dict[str, float]:
     budgets = dict(BUDGETS_S)
     for text in given:
         kind, _, seconds = text.partition("=")
         if kind not in KINDS:
-            raise RequestError(f"--budget {text}: unknown kind {kind!r}; {would_do(kind, KINDS)} would do")
+            raise RequestError(f"--budget {text}: unknown kind {kind!r}; expected {would_do(kind, KINDS)}")
         try:
             budgets[kind] = float(seconds)
         except ValueError:
-            raise RequestError(f"--budget {text}: KIND=SECONDS would do, such as egress=300") from None
+            raise RequestError(f"--budget {text}: expected KIND=SECONDS, such as egress=300") from None
         if not 0.0 < budgets[kind] <= 3600.0:
-            raise RequestError(f"--budget {text}: more than 0 and at most 3600 seconds would do")
+            raise RequestError(f"--budget {text}: expected more than 0 and at most 3600 seconds")
     return budgets
 
 
-def _limiter(requests_per_s: float | None) -> Limits | None:
+def _make_limiter(requests_per_s: float | None) -> ClientLimiter | None:
     if requests_per_s is None:
         return None
-    return Limits(ClientLimits(requests_per_s=requests_per_s, requests_burst=BURST_S * requests_per_s))
+    return ClientLimiter(ClientLimits(requests_per_s=requests_per_s, requests_burst=BURST_S * requests_per_s))
 
 
-def _tls(files: tuple[Path | None, Path | None, Path | None]) -> TlsFiles | None:
+def _make_tls(files: tuple[Path | None, Path | None, Path | None]) -> TlsFiles | None:
     cert, key, client_ca = files
     if cert is None and key is None and client_ca is None:
         return None
@@ -99,7 +100,7 @@ def _tls(files: tuple[Path | None, Path | None, Path | None]) -> TlsFiles | None
     return TlsFiles(cert, key, client_ca)
 
 
-def _executor(name: str, settings: ServerSettings) -> CancellableExecutor:
+def _make_executor(name: str, settings: ServerSettings) -> CancellableExecutor:
     if name == LOCAL:
         from service.executor.local_pool import LocalPool
 
@@ -108,9 +109,9 @@ def _executor(name: str, settings: ServerSettings) -> CancellableExecutor:
         try:
             from service.executor.ray_pool import RayPool
         except ImportError:
-            raise RequestError(f"--executor {name}: Ray is not installed; pip install 'scopt[ray]' would do") from None
+            raise RequestError(f"--executor {name}: Ray is not installed; run pip install 'scopt[ray]'") from None
         try:
             return RayPool(name, settings.workers, warm_up=warm_up, preload=PRELOAD, max_bytes=settings.worker_bytes)
         except ConnectionError as error:
             raise RequestError(f"--executor {name}: {error}") from None
-    raise RequestError(f"--executor: {LOCAL} or ray://HOST:PORT would do, got {name!r}")
+    raise RequestError(f"--executor: expected {LOCAL} or ray://HOST:PORT, got {name!r}")

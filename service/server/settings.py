@@ -1,4 +1,4 @@
-"""What a server is told when it starts."""
+"""Settings of a server."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ KINDS = (
     "default", "valve", "door", "egress", "trajopt", "joint_goal", "pose_goal", "posture", "scene", "detect", "verify",
 )  # fmt: skip
 BUDGETS_S = {"default": 60.0, "egress": 300.0}
-WORKER_BYTES = 8 * 2**30  # of address space: libraries and threads reserve far more than they use
+WORKER_BYTES = 8 * 2**30  # of address space, of which libraries and threads reserve far more than they use
 MESSAGE_BYTES = 4 * 2**20
-SMALL_BYTES = 64 * 2**10  # larger messages are read off the event loop
-MOST_STREAMS = 256  # calls at a time over one connection
+SMALL_BYTES = 64 * 2**10  # larger messages are read in a thread beside the event loop
+MAX_STREAMS = 256  # open calls of one connection
 
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """Everything but the transport's secrets.
+    """Settings of a server apart from its endpoint.
 
     Attributes:
-        data: folder for plans, scenes, reviews and clouds.
-        workers: processes that plan.
-        spread: workers that may be at one plan, while nobody else needs them.
-        queue: requests that may wait for each of them.
+        data: folder of plans, scenes, reviews and clouds.
+        workers: worker processes.
+        spread: workers that one plan may use while they are otherwise idle.
+        queue: waiting requests per worker.
         budgets_s: greatest ``options.time_limit_s`` by kind of request (``default`` for the others).
-        allowed: folders from which requests may name files.
+        allowed: folders whose files requests may name.
         robots: folder of further robots, a subfolder each.
-        drain_s: after a signal to stop, for what is under way.
-        message_bytes: of one message; larger ones never reach the service.
-        worker_bytes: of address space each worker may have; None for no limit.
+        drain_s: time for open requests after a signal to stop.
+        message_bytes: greatest size of one message.
+        worker_bytes: address space per worker; None for no limit.
     """
 
     data: Path
@@ -51,9 +51,9 @@ class ServerSettings:
 
     @property
     def queue_limit(self) -> int:
-        """Requests that may wait in all."""
+        """Greatest number of waiting requests."""
         return self.queue * self.workers
 
     def budget_s(self, kind: str) -> float:
-        """Seconds that a kind of request may take."""
+        """Return the time that a kind of request may take [s]."""
         return self.budgets_s.get(kind, self.budgets_s["default"])

@@ -1,4 +1,4 @@
-"""What a server keeps: plans, reviews and scenes in SQLite, uploaded clouds in a folder; both bounded."""
+"""Bounded stores of a server: plans, reviews and scenes in SQLite, uploads in a folder."""
 
 from __future__ import annotations
 
@@ -13,32 +13,30 @@ from service.store.errors import (
     UploadRefusedError,
 )
 from service.store.records import (
-    Begun,
     Decision,
-    Outcome,
     PlanRecord,
     PlanState,
     Review,
     StoreLimits,
     StoreStats,
 )
+from service.store.scenes import Scenes
 from service.store.store import Store
 
 __all__ = [
     "CLOUD_ID",
     "UPLOAD_SUFFIXES",
-    "Begun",
     "CloudLimits",
     "CloudStats",
     "CloudStore",
     "Decision",
     "DiskError",
     "NotStoredError",
-    "Outcome",
     "PlanRecord",
     "PlanState",
     "Review",
     "ReviewRefusedError",
+    "Scenes",
     "Store",
     "StoreError",
     "StoreFullError",

@@ -1,4 +1,4 @@
-"""Uploaded cloud files: each kept once under the hash of its content, those used least recently going first."""
+"""Uploaded files, each stored once under the hash of its content; the least recently used are deleted first."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from typing import Self
 from service.errors import shown
 from service.request.scene import MESH_SUFFIXES
 from service.store.errors import NotStoredError, StoreError, StoreFullError, TooLargeError, UploadRefusedError
-from service.store.folder import PARTIAL, HeldFolder
+from service.store.folder import PARTIAL, LockedFolder
 
-# Kinds of one file each (perception.files reads folders too), spelt out: the front of a server loads no readers.
+# Formats of single files (perception.files reads folders too), listed here because the server loads no readers.
 CLOUD_SUFFIXES = (
     ".pcd", ".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".xyzn", ".xyzi", ".xyzrgb", ".ptx", ".npz", ".npy", ".las",
     ".laz", ".e57", ".mcap", ".db3", ".bag",
 )  # fmt: skip
-# A cloud, a scene that was made of one, or a mesh; .ply may be either of the last.
+# Clouds, scene files and meshes; a .ply may be a cloud or a mesh.
 UPLOAD_SUFFIXES = (*CLOUD_SUFFIXES, ".json", *(suffix for suffix in MESH_SUFFIXES if suffix not in CLOUD_SUFFIXES))
 CLOUD_ID = re.compile(rf"sha256:[0-9a-f]{{64}}({'|'.join(re.escape(suffix) for suffix in UPLOAD_SUFFIXES)})")
 
 
 @dataclass(frozen=True)
 class CloudLimits:
-    """How much is kept, and how much may be on its way, at most."""
+    """Limits of stored files and of open uploads."""
 
     max_bytes: int = 4 * 2**30
     max_cloud_bytes: int = 64 * 2**20
@@ -42,7 +42,7 @@ class CloudLimits:
 
 @dataclass(frozen=True)
 class CloudStats:
-    """How full the folder is; ``n_bytes`` counts uploads on their way too."""
+    """Number and size of the stored files; ``n_bytes`` includes open uploads."""
 
     n_clouds: int
     n_bytes: int
@@ -50,9 +50,9 @@ class CloudStats:
 
 
 class CloudStore:
-    """A folder of clouds; used from any thread.  Opening it takes the folder for this process alone.
+    """A folder of uploads, for use from any thread.  The folder belongs to one process at a time.
 
-    A cloud's id is its file's name: ``sha256:``, the hash of its content, and the suffix that tells its kind.
+    An upload's id is its file's name: ``sha256:``, the hash of its content, and the suffix of its format.
 
     Raises:
         StoreError: the folder is in use or cannot be read.
@@ -60,14 +60,14 @@ class CloudStore:
 
     def __init__(self, folder: Path, limits: CloudLimits | None = None) -> None:
         self.limits = limits or CloudLimits()
-        self._folder = HeldFolder(folder)
-        self._turn = threading.Lock()
+        self._folder = LockedFolder(folder)
+        self._lock = threading.Lock()
         files = [(file.stat(), file.name) for file in self._folder.files() if CLOUD_ID.fullmatch(file.name)]
         files.sort(key=lambda file: file[0].st_mtime_ns)
         self._bytes = OrderedDict((name, stat.st_size) for stat, name in files)  # least recently used first
-        self._used = Counter[str]()
-        self._uploads = Counter[str]()
-        self._arriving = 0
+        self._users = Counter[str]()  # by id
+        self._uploads = Counter[str]()  # by client
+        self._upload_bytes = 0
 
     def __enter__(self) -> Self:
         return self
@@ -78,103 +78,103 @@ class CloudStore:
         self.close()
 
     def close(self) -> None:
-        """Let another process have the folder."""
+        """Release the folder for other processes."""
         self._folder.close()
 
     def upload(self, client: str, suffix: str) -> Upload:
-        """Begin to take a cloud in; the upload is closed by the caller, whatever happens.
+        """Open an upload, which the caller closes.
 
         Raises:
-            UploadRefusedError: no cloud files have this suffix.
-            StoreFullError: too many uploads are on their way.
+            UploadRefusedError: unknown suffix.
+            StoreFullError: too many open uploads.
         """
         suffix = suffix.lower()
         if suffix not in UPLOAD_SUFFIXES:
-            raise UploadRefusedError(f"suffix {shown(suffix)} is unknown; {', '.join(UPLOAD_SUFFIXES)} would do")
+            raise UploadRefusedError(f"unknown suffix {shown(suffix)}; expected {', '.join(UPLOAD_SUFFIXES)}")
         limits = self.limits
-        with self._turn:
+        with self._lock:
             if self._uploads[client] >= limits.max_uploads_per_client:
-                raise StoreFullError(f"{limits.max_uploads_per_client} uploads of this client are on their way already")
+                raise StoreFullError(f"this client has {limits.max_uploads_per_client} open uploads already")
             if self._uploads.total() >= limits.max_uploads:
-                raise StoreFullError(f"{limits.max_uploads} uploads are on their way already")
+                raise StoreFullError(f"the server has {limits.max_uploads} open uploads already")
             self._uploads[client] += 1
         try:
             return Upload(self, client, suffix, self._folder.path / f"{PARTIAL}{secrets.token_hex(8)}")
         except BaseException:
-            self._leave(client, 0)
+            self._end_upload(client, 0)
             raise
 
     @contextlib.contextmanager
-    def using(self, cloud_ids: Iterable[str]) -> Iterator[Mapping[str, Path]]:
-        """The files of clouds by id; they stay while the body runs.
+    def open_files(self, cloud_ids: Iterable[str]) -> Iterator[Mapping[str, Path]]:
+        """Yield the paths of uploads by id; they are not deleted during the body.
 
         Raises:
-            NotStoredError: naming the first that is not there.
+            NotStoredError: names the first id that is not stored.
         """
         ids = tuple(dict.fromkeys(cloud_ids))
-        with self._turn:
+        with self._lock:
             for cloud_id in ids:
-                if not self._is_there(cloud_id):
-                    raise NotStoredError(f"no cloud {shown(cloud_id)}; upload it first, or again")
+                if not self._is_stored(cloud_id):
+                    raise NotStoredError(f"no cloud {shown(cloud_id)} is stored; upload it first, or again")
             for cloud_id in ids:
-                self._used[cloud_id] += 1
+                self._users[cloud_id] += 1
                 self._touch(cloud_id)
         try:
             yield {cloud_id: self._folder.path / cloud_id for cloud_id in ids}
         finally:
-            with self._turn:
-                self._used.subtract(ids)
-                self._used = +self._used
+            with self._lock:
+                self._users.subtract(ids)
+                self._users = +self._users
 
     def has(self, cloud_id: str) -> bool:
-        """Whether a cloud is there."""
-        with self._turn:
-            return self._is_there(cloud_id)
+        """Return whether an upload is stored."""
+        with self._lock:
+            return self._is_stored(cloud_id)
 
     def size(self, cloud_id: str) -> int | None:
-        """Bytes of a cloud; None where it is not there."""
-        with self._turn:
-            return self._bytes[cloud_id] if self._is_there(cloud_id) else None
+        """Return the size of an upload [bytes]; None if it is not stored."""
+        with self._lock:
+            return self._bytes[cloud_id] if self._is_stored(cloud_id) else None
 
     def stats(self) -> CloudStats:
-        """How full the folder is."""
-        with self._turn:
-            n_bytes = sum(self._bytes.values()) + self._arriving
+        """Return number and size of the stored files."""
+        with self._lock:
+            n_bytes = sum(self._bytes.values()) + self._upload_bytes
             return CloudStats(len(self._bytes), n_bytes, self._uploads.total())
 
     @property
-    def trouble(self) -> str:
-        """Why a cloud could not be written the last time; empty where it could."""
-        return self._folder.trouble
+    def write_error(self) -> str:
+        """Reason why the last write failed; empty if it succeeded."""
+        return self._folder.write_error
 
     def probe(self) -> None:
-        """Find out whether clouds can be written again.
+        """Write to the folder, and clear ``write_error`` if that succeeds.
 
         Raises:
-            DiskError: they still cannot.
+            DiskError: it cannot be written.
         """
         self._folder.probe()
 
-    def _arrive(self, n_bytes: int) -> None:
-        """Room for more bytes of an upload.
+    def _reserve(self, n_bytes: int) -> None:
+        """Make space for more bytes of an upload.
 
         Raises:
-            StoreFullError: what is in use leaves none.
+            StoreFullError: the files in use leave too little.
         """
-        with self._turn:
-            over = sum(self._bytes.values()) + self._arriving + n_bytes - self.limits.max_bytes
-            for cloud_id in [one for one in self._bytes if not self._used[one]] if over > 0 else ():
+        with self._lock:
+            over = sum(self._bytes.values()) + self._upload_bytes + n_bytes - self.limits.max_bytes
+            for cloud_id in [stored for stored in self._bytes if not self._users[stored]] if over > 0 else ():
                 (self._folder.path / cloud_id).unlink(missing_ok=True)
                 over -= self._bytes.pop(cloud_id)
                 if over <= 0:
                     break
             if over > 0:
-                raise StoreFullError(f"the clouds in use leave no room for {n_bytes} more bytes")
-            self._arriving += n_bytes
+                raise StoreFullError(f"the clouds in use leave no space for {n_bytes} more bytes")
+            self._upload_bytes += n_bytes
 
-    def _keep(self, partial: Path, cloud_id: str) -> None:
-        with self._turn:
-            if self._is_there(cloud_id):
+    def _add(self, partial: Path, cloud_id: str) -> None:
+        with self._lock:
+            if self._is_stored(cloud_id):
                 partial.unlink()
                 self._touch(cloud_id)
             else:
@@ -182,14 +182,14 @@ class CloudStore:
                 partial.rename(self._folder.path / cloud_id)
                 self._bytes[cloud_id] = n_bytes
 
-    def _leave(self, client: str, n_bytes: int) -> None:
-        with self._turn:
+    def _end_upload(self, client: str, n_bytes: int) -> None:
+        with self._lock:
             self._uploads[client] -= 1
             self._uploads = +self._uploads
-            self._arriving -= n_bytes
+            self._upload_bytes -= n_bytes
 
-    def _is_there(self, cloud_id: str) -> bool:
-        if cloud_id in self._bytes and not (self._folder.path / cloud_id).is_file():  # somebody tidied up
+    def _is_stored(self, cloud_id: str) -> bool:
+        if cloud_id in self._bytes and not (self._folder.path / cloud_id).is_file():  # deleted by another program
             del self._bytes[cloud_id]
         return cloud_id in self._bytes
 
@@ -199,9 +199,9 @@ class CloudStore:
 
 
 class Upload:
-    """One cloud on its way in: chunks, then ``finish``; closed without it, nothing stays.
+    """An open upload: chunks, then ``finish``; without it ``close`` deletes the chunks.
 
-    It may be closed while another thread writes: what was written is forgotten as soon as that has ended.
+    It may be closed while another thread writes; the chunks are deleted as soon as that write has ended.
     """
 
     def __init__(self, store: CloudStore, client: str, suffix: str, partial: Path) -> None:
@@ -210,13 +210,13 @@ class Upload:
         self._suffix = suffix
         self._partial = partial
         self._hash = hashlib.sha256()
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._shall_close = self._is_closed = False
         self.n_bytes = 0
         try:
             self._file = partial.open("xb")
         except OSError as error:
-            raise store._folder.failed(partial.name, error) from None
+            raise store._folder.record_error(partial.name, error) from None
 
     def __enter__(self) -> Self:
         return self
@@ -227,71 +227,73 @@ class Upload:
         self.close()
 
     def write(self, chunk: bytes) -> None:
-        """Take the next bytes.
+        """Append a chunk.
 
         Raises:
-            TooLargeError: the cloud has more bytes than one may have.
-            StoreFullError: there is no room for it now.
-            DiskError: it cannot be written; StoreError: it is closed.
+            TooLargeError: the upload exceeds the limit of a file.
+            StoreFullError: there is no space for it now.
+            DiskError: it cannot be written.
+            StoreError: the upload is closed.
         """
-        with self._taking_turn():
+        with self._lock_open():
             limit = self._store.limits.max_cloud_bytes
             if self.n_bytes + len(chunk) > limit:
                 raise TooLargeError(f"the cloud has more than {limit} bytes; downsample it first")
-            self._store._arrive(len(chunk))
+            self._store._reserve(len(chunk))
             self.n_bytes += len(chunk)
             self._hash.update(chunk)
             self._file.write(chunk)
 
     @property
     def sha256(self) -> str:
-        """Of what came so far."""
+        """Hash of the chunks so far."""
         return self._hash.hexdigest()
 
     def finish(self) -> str:
-        """Keep what came, and close; returns the cloud's id.
+        """Store the file and close; returns its id.
 
         Raises:
-            UploadRefusedError: nothing came.
-            DiskError: it cannot be written; StoreError: it is closed.
+            UploadRefusedError: there are no bytes.
+            DiskError: it cannot be written.
+            StoreError: the upload is closed.
         """
         self._shall_close = True
-        with self._taking_turn():
+        with self._lock_open():
             if not self.n_bytes:
-                raise UploadRefusedError("the cloud is empty; a file with at least one point is needed")
+                raise UploadRefusedError("the cloud is empty; expected a file with at least one point")
             cloud_id = f"sha256:{self.sha256}{self._suffix}"
             self._file.flush()
             os.fsync(self._file.fileno())
-            self._store._keep(self._partial, cloud_id)
+            self._store._add(self._partial, cloud_id)
         return cloud_id
 
     def close(self) -> None:
-        """Forget what came, unless it was finished."""
+        """Delete the chunks unless the upload was finished."""
         self._shall_close = True
-        if self._turn.acquire(blocking=False):  # or else whoever has the turn sees to it
+        if self._lock.acquire(blocking=False):  # otherwise the thread that holds the lock closes the upload
             try:
-                self._forget()
+                self._delete()
             finally:
-                self._turn.release()
+                self._lock.release()
 
     @contextlib.contextmanager
-    def _taking_turn(self) -> Iterator[None]:
+    def _lock_open(self) -> Iterator[None]:
         try:
-            with self._turn:
+            with self._lock:
                 if self._is_closed:
                     raise StoreError("the upload is closed")
                 yield
         except OSError as error:
-            raise self._store._folder.failed(self._partial.name, error) from None
+            raise self._store._folder.record_error(self._partial.name, error) from None
         finally:
             if self._shall_close:
                 self.close()
 
-    def _forget(self) -> None:
+    def _delete(self) -> None:
         if self._is_closed:
             return
         self._is_closed = True
-        with contextlib.suppress(OSError):  # a full disk was told of before
+        with contextlib.suppress(OSError):  # a full disk was reported by the write
             self._file.close()
         self._partial.unlink(missing_ok=True)
-        self._store._leave(self._client, self.n_bytes)
+        self._store._end_upload(self._client, self.n_bytes)

@@ -1,4 +1,4 @@
-"""The store's SQLite file: its schema, and transactions that say in plain words what went wrong."""
+"""The store's SQLite file: schema, transactions, and messages for its errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from service.store.folder import PARTIAL
 VERSION = 1
 _APPLICATION_ID = 0x5C097001
 
-# Triggers keep ``totals``, so that bounds are checked without counting rows.
+# Triggers keep ``totals``, so that limits are checked without counting rows.
 _SCHEMA = """
 CREATE TABLE plans (
     number INTEGER PRIMARY KEY,
@@ -77,53 +77,53 @@ CREATE TRIGGER scene_out AFTER DELETE ON scenes BEGIN
 
 
 class Database:
-    """One connection that threads take in turn; every use of it is one transaction.
+    """One connection for all threads; every use of it is one transaction.
 
     Raises:
-        StoreError: the file is damaged, of another version, of something else, or cannot be opened.
+        StoreError: the file is damaged, of another version or application, or cannot be opened.
 
     Attributes:
-        trouble: why it could not be written the last time; empty where it could.
+        write_error: reason why the last write failed; empty if it succeeded.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.trouble = ""
-        self._turn = threading.RLock()
-        with self._in_plain_words():
+        self.write_error = ""
+        self._lock = threading.RLock()
+        with self._convert_errors():
             if not path.exists():
                 self._create()
             self._connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         try:
-            with self._in_plain_words():
+            with self._convert_errors():
                 self._prepare()
         except BaseException:
             self._connection.close()
             raise
 
     def close(self) -> None:
-        """Write everything to the one file and let it go."""
-        with self._turn:
+        """Write everything to the file and close it."""
+        with self._lock:
             self._connection.close()
 
     def probe(self) -> None:
-        """Write something that changes nothing; where that can be done, there is no trouble any more.
+        """Write without a change, and clear ``write_error`` if that succeeds.
 
         Raises:
-            DiskError: it still cannot be written.
+            DiskError: the file cannot be written.
         """
         with self.transaction() as db:
             db.execute("UPDATE totals SET n = n")
-        self.trouble = ""
+        self.write_error = ""
 
     @contextmanager
     def transaction(self, *, durable: bool = False) -> Iterator[sqlite3.Connection]:
-        """Changes that happen all or not at all, and outlive the process from the moment the body has ended.
+        """Make changes that happen all or not at all, and survive the process as soon as the body has ended.
 
         Args:
-            durable: whether they outlive a power cut too, for the price of waiting for the disk.
+            durable: wait for the disk, so that they survive a power cut, too.
         """
-        with self._turn, self._in_plain_words():
+        with self._lock, self._convert_errors():
             if durable:
                 self._connection.execute("PRAGMA synchronous = FULL")
             try:
@@ -140,7 +140,7 @@ class Database:
                     self._connection.execute("PRAGMA synchronous = NORMAL")
 
     def _create(self) -> None:
-        """A file that is there is whole: a kill on the way leaves none."""
+        """Create the file under another name first, so that a kill leaves no incomplete one."""
         partial = self.path.with_name(f"{PARTIAL}{self.path.name}")
         partial.unlink(missing_ok=True)
         with closing(sqlite3.connect(partial)) as connection:
@@ -155,35 +155,35 @@ class Database:
             execute(f"PRAGMA {name}").fetchone() for name in ("application_id", "user_version")
         )
         if not self.path.stat().st_size:
-            raise StoreError(self._damaged("it is empty"))
+            raise StoreError(self._damage("it is empty"))
         if application != _APPLICATION_ID:
-            raise StoreError(f"{self.path}: is a database of something else; give the store its own folder")
+            raise StoreError(f"{self.path}: is the database of another application; choose another folder")
         if version != VERSION:
             raise StoreError(
-                f"{self.path}: has version {version} and this is version {VERSION}; "
+                f"{self.path}: expected version {VERSION}, got {version}; "
                 "use the version of scopt that wrote it, or move the folder away to begin with an empty store"
             )
         if execute("PRAGMA journal_mode = WAL").fetchone()[0] != "wal":
-            raise StoreError(f"{self.path}: its file system has no shared memory; a local disk would do")
+            raise StoreError(f"{self.path}: its file system has no shared memory; use a local disk")
         for setting in ("synchronous = NORMAL", "foreign_keys = ON", "journal_size_limit = 8388608"):
             execute(f"PRAGMA {setting}")
-        found = execute("PRAGMA quick_check(1)").fetchone()[0]
-        if found != "ok":
-            raise StoreError(self._damaged(found))
+        report = execute("PRAGMA quick_check(1)").fetchone()[0]
+        if report != "ok":
+            raise StoreError(self._damage(report))
 
     @contextmanager
-    def _in_plain_words(self) -> Iterator[None]:
+    def _convert_errors(self) -> Iterator[None]:
         try:
             yield
         except sqlite3.DatabaseError as error:
             code = getattr(error, "sqlite_errorcode", 0) & 0xFF
             if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
-                raise StoreError(self._damaged(str(error))) from None
+                raise StoreError(self._damage(str(error))) from None
             if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
-                self.trouble = f"{self.path}: cannot be written ({error}); see to its disk"
-                raise DiskError(self.trouble) from None
+                self.write_error = f"{self.path}: cannot be written ({error}); check its disk"
+                raise DiskError(self.write_error) from None
             raise
 
-    def _damaged(self, words: str) -> str:
-        plain = " ".join(words.split())
-        return f"{self.path}: is damaged ({plain}); restore it, or move the folder away to begin with an empty store"
+    def _damage(self, report: str) -> str:
+        text = " ".join(report.split())
+        return f"{self.path}: is damaged ({text}); restore it, or move the folder away to begin with an empty store"

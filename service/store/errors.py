@@ -1,4 +1,4 @@
-"""What a store has to say when it cannot keep or find something."""
+"""Errors of the stores."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ class StoreError(ServiceError):
 
 
 class DiskError(StoreError):
-    """A disk that cannot be written: it is full, or worse.  The text names the file, and is for the server's people."""
+    """A file that cannot be written, such as on a full disk.  The text names the file, and is for the server's log."""
 
 
 class NotStoredError(StoreError):
-    """A plan, scene or cloud that is not, or no longer, in the store."""
+    """A plan, scene or upload that is not in the store."""
 
 
 class ReviewRefusedError(StoreError):
-    """A review of something else than the plan that is stored."""
+    """A review that does not fit the stored plan."""
 
 
 class TooLargeError(StoreError):
-    """Something of more bytes than the store takes at once."""
+    """An entry larger than the store accepts."""
 
 
 class StoreFullError(StoreError):
-    """No room until something that is in use has ended; later may do."""
+    """A store without space until an entry in use is released; another try may succeed."""
 
 
 class UploadRefusedError(StoreError):
-    """A cloud that cannot be taken: of an unknown kind, or empty."""
+    """An upload of an unknown kind, or an empty one."""

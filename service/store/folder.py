@@ -1,4 +1,4 @@
-"""A folder that one process holds, and files that appear in it as a whole or not at all."""
+"""A folder locked for one process, with files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from typing import Self
 from service.store.errors import DiskError, StoreError
 
 LOCK_NAME = "lock"
-PARTIAL = ".partial-"  # how a file that is being written begins
+PARTIAL = ".partial-"  # prefix of a file that is being written
 PROBE_BYTES = 2**16
 
 
-class HeldFolder:
-    """A folder that belongs to this process until it ends, however it ends; what was half-written in it is removed.
+class LockedFolder:
+    """A folder locked by this process until its end; partly written files are removed from it.
 
     Raises:
-        StoreError: another process holds it, or it cannot be written.
+        StoreError: another process has locked it, or it cannot be written.
 
     Attributes:
-        trouble: why a file could not be written the last time; empty where it could.
+        write_error: reason why the last write failed; empty if it succeeded.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.trouble = ""
+        self.write_error = ""
         try:
             path.mkdir(parents=True, exist_ok=True, mode=0o700)
             self._lock = os.open(path / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -37,7 +37,7 @@ class HeldFolder:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             os.close(self._lock)
-            raise StoreError(f"{path}: is in use by another server; stop it, or give this one its own folder") from None
+            raise StoreError(f"{path}: in use by another server; stop it, or choose another folder") from None
         for left in path.glob(f"{PARTIAL}*"):
             left.unlink()
 
@@ -50,17 +50,17 @@ class HeldFolder:
         self.close()
 
     def close(self) -> None:
-        """Let another process have the folder."""
+        """Release the folder for other processes."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
 
     def files(self) -> tuple[Path, ...]:
-        """All files in it but its own."""
+        """Return all files of the folder but the lock."""
         return tuple(path for path in self.path.iterdir() if path.is_file() and path.name != LOCK_NAME)
 
     def write(self, name: str, data: bytes) -> None:
-        """Put a file there; a reader sees all of it or none.
+        """Write a file; a reader sees all of it or none.
 
         Raises:
             DiskError: it cannot be written.
@@ -74,20 +74,20 @@ class HeldFolder:
             partial.rename(self.path / name)
         except OSError as error:
             partial.unlink(missing_ok=True)
-            raise self.failed(name, error) from None
+            raise self.record_error(name, error) from None
 
-    def failed(self, name: str, error: OSError) -> DiskError:
-        """Note that a file could not be written; what to raise."""
-        self.trouble = f"{self.path / name}: cannot be written ({error.strerror})"
-        return DiskError(self.trouble)
+    def record_error(self, name: str, error: OSError) -> DiskError:
+        """Set ``write_error``; returns the error to raise."""
+        self.write_error = f"{self.path / name}: cannot be written ({error.strerror})"
+        return DiskError(self.write_error)
 
     def probe(self) -> None:
-        """Write a file and remove it; where that can be done, there is no trouble any more.
+        """Write a file and remove it, and clear ``write_error`` if that succeeds.
 
         Raises:
-            DiskError: it still cannot be written.
+            DiskError: it cannot be written.
         """
         name = f"{PARTIAL}probe"
         self.write(name, bytes(PROBE_BYTES))
         (self.path / name).unlink(missing_ok=True)
-        self.trouble = ""
+        self.write_error = ""

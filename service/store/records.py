@@ -1,4 +1,4 @@
-"""What the store hands out: plans, reviews, and how full it is."""
+"""Records of the store: plans, reviews, limits and statistics."""
 
 from __future__ import annotations
 
@@ -7,25 +7,15 @@ from enum import StrEnum
 
 
 class PlanState(StrEnum):
-    """How far a plan has come."""
+    """State of a stored plan."""
 
     ACCEPTED = "accepted"
-    RUNNING = "running"
     FINISHED = "finished"
-    LOST = "lost"  # it never finished; its request may run again
-
-
-class Outcome(StrEnum):
-    """What the store knows of a request that begins."""
-
-    NEW = "new"  # to be run
-    RUNNING = "running"  # the same request is being run
-    FINISHED = "finished"  # its reply is there
-    CONFLICT = "conflict"  # the same request_id stands for another request
+    LOST = "lost"  # it ended without a reply; its request may run again
 
 
 class Decision(StrEnum):
-    """What a reviewer says of a plan."""
+    """Decision of a review."""
 
     ACCEPTED = "ACCEPTED"
     REJECTED = "REJECTED"
@@ -36,13 +26,15 @@ class PlanRecord:
     """A plan as it is stored.
 
     Attributes:
-        plan_id: of the store's making.
-        client: who asked; request_id: how the client calls it, empty if it does not.
-        request_sha256: of the request's canonical form.
-        kind: of request.
-        why_lost: of a lost plan.
-        verdict: of a finished plan; reply: what the client got, serialized.
-        plan_sha256, certificate_sha256: what reviews are bound to; empty where there is none.
+        plan_id: id made by the store.
+        client: name of the client.
+        request_id: the client's own id, may be empty.
+        request_sha256: hash of the request's canonical form.
+        kind: kind of request.
+        why_lost: reason of a lost plan.
+        verdict: verdict of a finished plan.
+        reply: serialized result of a finished plan.
+        plan_sha256, certificate_sha256: hashes that reviews refer to; empty without trajectory or certificate.
         archive_bytes: size of its archive, 0 without one.
         created, finished: [s since 1970].
     """
@@ -64,16 +56,8 @@ class PlanRecord:
 
 
 @dataclass(frozen=True)
-class Begun:
-    """What became of a request that begins, and the plan that stands for it."""
-
-    outcome: Outcome
-    plan: PlanRecord
-
-
-@dataclass(frozen=True)
 class Review:
-    """What a person said of a plan, bound to the plan and the certificate that were looked at.
+    """A person's review, bound to the hashes of the plan and the certificate that were reviewed.
 
     Attributes:
         time: [s since 1970].
@@ -90,12 +74,12 @@ class Review:
 
 @dataclass(frozen=True)
 class StoreLimits:
-    """How much is kept at most.
+    """Limits of the store.
 
     Attributes:
-        max_plans, max_bytes: of plans, their replies and archives; the oldest go first, reviewed ones last.
-        max_scenes, max_scene_bytes: of scenes (compressed); those not used for longest go first.
-        max_reviews: of one plan.
+        max_plans, max_bytes: plans, and their replies and archives; the oldest are deleted first, reviewed ones last.
+        max_scenes, max_scene_bytes: scenes (compressed); the least recently used are deleted first.
+        max_reviews: reviews of one plan.
     """
 
     max_plans: int = 10_000
@@ -107,7 +91,7 @@ class StoreLimits:
 
 @dataclass(frozen=True)
 class StoreStats:
-    """How full the store is [bytes: of replies, archives and scenes]."""
+    """Number and size of the stored plans and scenes."""
 
     n_plans: int
     plan_bytes: int

@@ -1,4 +1,4 @@
-"""Scenes that were built once, to be planned in many times."""
+"""Stored scenes, built once and used by many plans."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from service.trust.folders import BUILT
 
 
 class Scenes:
-    """The scenes of a store, each kept once under the hash of its content."""
+    """The scenes of a store, each stored once under the hash of its content."""
 
     def __init__(self, database: Database, limits: StoreLimits, clock: Callable[[], float]) -> None:
         self._database = database
@@ -26,10 +26,10 @@ class Scenes:
         self._clock = clock
 
     def put(self, client: str, data: bytes) -> str:
-        """Keep a scene; its id is ``scene:`` and the sha256 of ``data``.
+        """Store a scene; returns its id, ``scene:`` and the sha256 of ``data``.
 
         Raises:
-            TooLargeError: it alone is more than the store keeps.
+            TooLargeError: it alone exceeds the store's limit.
         """
         scene_id = BUILT + hashlib.sha256(data).hexdigest()
         packed = zlib.compress(data, 3)
@@ -44,34 +44,36 @@ class Scenes:
                 "ON CONFLICT (scene_id) DO UPDATE SET used = excluded.used",
                 (scene_id, client, packed, now, now),
             )
-            self._make_room(db, scene_id)
+            self._make_space(db, scene_id)
         return scene_id
 
     def get(self, scene_id: str) -> bytes:
-        """What was put there.
+        """Return a scene's data.
 
         Raises:
-            NotStoredError: there is no scene of that id.
+            NotStoredError: no scene has this id.
         """
         with self._database.transaction() as db:
             row = db.execute("SELECT data FROM scenes WHERE scene_id = ?", (scene_id,)).fetchone()
         if row is None:
-            raise NotStoredError(f"no scene {shown(scene_id)}; it never was, or went when the store was full")
+            raise NotStoredError(
+                f"unknown scene {shown(scene_id)}; it was removed when the store was full, or never was"
+            )
         with suppress(DiskError), self._database.transaction() as db:  # a full disk can still be read
             db.execute("UPDATE scenes SET used = ? WHERE scene_id = ?", (self._clock(), scene_id))
         return zlib.decompress(row["data"])
 
     def has(self, scene_id: str) -> bool:
-        """Whether a scene is there."""
+        """Return whether a scene is stored."""
         with self._database.transaction() as db:
             return db.execute("SELECT 1 FROM scenes WHERE scene_id = ?", (scene_id,)).fetchone() is not None
 
     @contextmanager
-    def as_file(self, scene_id: str) -> Iterator[Path]:
-        """A scene as a file that is there while the body runs.
+    def open_file(self, scene_id: str) -> Iterator[Path]:
+        """Yield the path of a scene's file, which exists for the body.
 
         Raises:
-            NotStoredError: there is no scene of that id.
+            NotStoredError: no scene has this id.
         """
         data = self.get(scene_id)
         with tempfile.NamedTemporaryFile(prefix="scopt-", suffix=".json") as file:
@@ -79,11 +81,11 @@ class Scenes:
             file.flush()
             yield Path(file.name)
 
-    def _make_room(self, db: sqlite3.Connection, newest: str) -> None:
+    def _make_space(self, db: sqlite3.Connection, newest: str) -> None:
         n, size = db.execute("SELECT n, bytes FROM totals WHERE what = 'scenes'").fetchone()
         if n <= self._limits.max_scenes and size <= self._limits.max_scene_bytes:
             return
-        gone = []
+        deleted = []
         rows = db.execute(
             "SELECT scene_id, length(data) FROM scenes WHERE scene_id != ? ORDER BY used, rowid", (newest,)
         )
@@ -91,5 +93,5 @@ class Scenes:
             if n <= self._limits.max_scenes and size <= self._limits.max_scene_bytes:
                 break
             n, size = n - 1, size - n_bytes
-            gone.append((scene_id,))
-        db.executemany("DELETE FROM scenes WHERE scene_id = ?", gone)
+            deleted.append((scene_id,))
+        db.executemany("DELETE FROM scenes WHERE scene_id = ?", deleted)

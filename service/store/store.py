@@ -1,4 +1,4 @@
-"""The store of a server: what must outlive it, in one SQLite file and one folder of archives."""
+"""The store of plans, reviews and scenes: one SQLite file and one folder of archives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Self
 
 from service.store.database import Database
-from service.store.folder import HeldFolder
+from service.store.folder import LockedFolder
 from service.store.plans import Plans
 from service.store.records import StoreLimits, StoreStats
 from service.store.reviews import Reviews
@@ -21,14 +21,14 @@ ARCHIVES_NAME = "archives"
 
 
 class Store:
-    """Plans, reviews and scenes; used from any thread, every call is one short transaction.
+    """Plans, reviews and scenes, for use from any thread; every call is one short transaction.
 
-    A plan that has finished and a review survive the process from the moment the call has returned, whatever happens
-    to it.  Opening takes the folder for this process alone.
+    A finished plan and a review survive the process as soon as the call that stores them has returned. The folder
+    belongs to one process at a time.
 
     Args:
-        folder: made when it is not there.
-        limits: how much is kept.
+        folder: created if missing.
+        limits: limits of the store.
         clock: seconds since 1970.
 
     Raises:
@@ -39,15 +39,15 @@ class Store:
         self, folder: Path, limits: StoreLimits | None = None, *, clock: Callable[[], float] = time.time
     ) -> None:
         limits = limits or StoreLimits()
-        with ExitStack() as opened:
-            opened.enter_context(HeldFolder(folder))
-            self._archives = archives = opened.enter_context(HeldFolder(folder / ARCHIVES_NAME))
+        with ExitStack() as stack:
+            stack.enter_context(LockedFolder(folder))
+            self._archives = archives = stack.enter_context(LockedFolder(folder / ARCHIVES_NAME))
             self._database = Database(folder / DATABASE_NAME)
-            opened.callback(self._database.close)
+            stack.callback(self._database.close)
             self.plans = Plans(self._database, archives, limits, clock)
             self.reviews = Reviews(self._database, limits, clock)
             self.scenes = Scenes(self._database, limits, clock)
-            self._opened = opened.pop_all()
+            self._resources = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
@@ -58,25 +58,25 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Let the folder go; the store cannot be used any more."""
-        self._opened.close()
+        """Close the store and release its folder."""
+        self._resources.close()
 
     @property
-    def trouble(self) -> str:
-        """Why something could not be written the last time; empty where it could."""
-        return self._database.trouble or self._archives.trouble
+    def write_error(self) -> str:
+        """Reason why the last write failed; empty if it succeeded."""
+        return self._database.write_error or self._archives.write_error
 
     def probe(self) -> None:
-        """Find out whether it can be written again.
+        """Write to the store, and clear ``write_error`` if that succeeds.
 
         Raises:
-            DiskError: it still cannot.
+            DiskError: it cannot be written.
         """
         self._database.probe()
         self._archives.probe()
 
     def stats(self) -> StoreStats:
-        """How full it is."""
+        """Return number and size of the stored plans and scenes."""
         with self._database.transaction() as db:
             totals = {row["what"]: (row["n"], row["bytes"]) for row in db.execute("SELECT * FROM totals")}
         return StoreStats(*totals["plans"], *totals["scenes"])

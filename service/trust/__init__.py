@@ -1,41 +1,42 @@
-"""Who may come in, how often, and which files of the server a request may name."""
+"""Access to a server: identities, roles, limits of each client, TLS, and the files that requests may name."""
 
 from __future__ import annotations
 
-from service.trust.access import authenticate, authorize
+from service.trust.access import AccessInterceptor, authenticate, authorize
 from service.trust.errors import TrustError
-from service.trust.folders import AllowedFolders, allowed_folders
-from service.trust.gate import Gate
+from service.trust.folders import BUILT, UPLOADED, AllowedFolders, resolve_folders
 from service.trust.identity import LOCAL, OPEN_TO_ALL, ROLE_NEEDED, Caller, Identity, Role, current_caller
-from service.trust.limits import ClientLimits, Limits, TokenBuckets, peer_key
-from service.trust.listen import UNIX, is_loopback, listen_problems
+from service.trust.limits import ClientLimiter, ClientLimits, TokenBuckets, peer_key
+from service.trust.listen import UNIX, find_listen_problems, is_loopback
 from service.trust.tls import Certificates, TlsFiles
-from service.trust.tokens import Tokens, make_token, token_sha256
+from service.trust.tokens import Tokens, hash_token, make_token
 
 __all__ = [
+    "BUILT",
     "LOCAL",
     "OPEN_TO_ALL",
     "ROLE_NEEDED",
     "UNIX",
+    "UPLOADED",
+    "AccessInterceptor",
     "AllowedFolders",
     "Caller",
     "Certificates",
+    "ClientLimiter",
     "ClientLimits",
-    "Gate",
     "Identity",
-    "Limits",
     "Role",
     "TlsFiles",
     "TokenBuckets",
     "Tokens",
     "TrustError",
-    "allowed_folders",
     "authenticate",
     "authorize",
     "current_caller",
+    "find_listen_problems",
+    "hash_token",
     "is_loopback",
-    "listen_problems",
     "make_token",
     "peer_key",
-    "token_sha256",
+    "resolve_folders",
 ]

@@ -1,4 +1,4 @@
-"""Errors of what decides who may come in."""
+"""Errors of access control."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from service.errors import ServiceError
 
 
 class TrustError(ServiceError):
-    """A file of tokens or certificates that cannot be used."""
+    """A file, folder or address of access control that cannot be used."""

@@ -1,4 +1,4 @@
-"""Which files of the server a request may name: uploaded ones, built scenes, and what lies under allowed folders."""
+"""Files that a request may name: uploads, built scenes, and files in the server's allowed folders."""
 
 from __future__ import annotations
 
@@ -17,70 +17,69 @@ UPLOADED, BUILT = "sha256:", "scene:"
 Kind = Literal["cloud", "scene", "mesh", "file"]
 _IDS: dict[Kind, str] = {
     "cloud": "the cloud_id of an uploaded cloud",
-    "scene": "the scene_id of a scene that was built, the cloud_id of an uploaded one",
+    "scene": "the scene_id of a built scene, the cloud_id of an uploaded one",
     "mesh": "the cloud_id of an uploaded STL, OBJ or PLY file",
     "file": "",
 }
-NO_FOLDERS = "this server reads no files of its own (`scopt serve --allow FOLDER` has it read those of a folder)"
+NO_FOLDERS = "this server reads no files of its own (`scopt serve --allow FOLDER` allows those of a folder)"
 
 
 @dataclass(frozen=True)
 class AllowedFolders:
-    """What paths of a request may mean on the server.
+    """Rule for the paths of requests.
 
-    Paths are absolute, and where they lead once every symbolic link is followed is under one of ``folders``; or they
-    are the id of what was uploaded, or of a scene that was built.
+    A path is the id of an upload or of a built scene, or an absolute path that lies in one of ``folders`` once every
+    symbolic link is followed.
 
     Attributes:
-        folders: as real paths; ``allowed_folders`` makes them.
-        has_upload: whether an id is that of an uploaded file.
-        has_scene: whether an id is that of a scene that was built.
+        folders: real paths, as ``resolve_folders`` makes them.
+        has_upload: whether an upload with this id is stored.
+        has_scene: whether a built scene with this id is stored.
     """
 
     folders: tuple[Path, ...]
     has_upload: Callable[[str], bool]
     has_scene: Callable[[str], bool]
 
-    def problems(self, request: PlanRequest) -> list[tuple[str, str]]:
-        """Every path of a request that it may not name: the field, and what would do."""
-        return [(field, words) for field, path, kind in paths_of(request) if (words := self.refused(path, kind))]
+    def find_problems(self, request: PlanRequest) -> list[tuple[str, str]]:
+        """Return field and problem of every path that the request may not name."""
+        return [(field, problem) for field, path, kind in list_paths(request) if (problem := self.check(path, kind))]
 
-    def scene_problems(self, scene: SceneRequest) -> list[tuple[str, str]]:
-        """As ``problems``, of a scene alone."""
-        return [(field, words) for field, path, kind in _scene_paths(scene) if (words := self.refused(path, kind))]
+    def find_scene_problems(self, scene: SceneRequest) -> list[tuple[str, str]]:
+        """Return the same as ``find_problems`` for a scene alone."""
+        return [(field, problem) for field, path, kind in _scene_paths(scene) if (problem := self.check(path, kind))]
 
-    def refused(self, path: str, kind: Kind = "cloud") -> str:
-        """Why a path may not be named where a ``kind`` is asked for; empty if it may."""
+    def check(self, path: str, kind: Kind = "cloud") -> str:
+        """Return why a path may not be named for a ``kind``; empty if it may."""
         if path.startswith(UPLOADED):
             if kind == "file":
-                return f"what was uploaded is no file of this kind, got {shown(path)}; {self._would_do(kind)}"
-            there = self.has_upload(path)
-            return "" if there else f"no {kind} {shown(path)} is there; upload it first, or again"
+                return f"uploads cannot be used here, got {shown(path)}; {self._expected(kind)}"
+            return "" if self.has_upload(path) else f"no {kind} {shown(path)} is stored; upload it first, or again"
         if path.startswith(BUILT) and kind == "scene":
-            there = self.has_scene(path)
-            return "" if there else f"no scene {shown(path)} is there; it never was, or went when the store was full"
+            known = self.has_scene(path)
+            return "" if known else f"unknown scene {shown(path)}; it was removed when the store was full, or never was"
         if not os.path.isabs(path):
-            return f"no path on the server, got {shown(path)}; {self._would_do(kind)}"
+            return f"no absolute path, got {shown(path)}; {self._expected(kind)}"
         try:
             real = Path(os.path.realpath(path))
         except (OSError, ValueError):
             real = None
         if real is None or not any(real.is_relative_to(folder) for folder in self.folders):
-            return f"not a file that requests may name, got {shown(path)}; {self._would_do(kind)}"
+            return f"requests may not name this file, got {shown(path)}; {self._expected(kind)}"
         return ""
 
-    def _would_do(self, kind: Kind) -> str:
+    def _expected(self, kind: Kind) -> str:
         known = _IDS[kind]
         if self.folders:
-            under = f"an absolute path under {' or '.join(map(str, self.folders))} would do"
-            return f"{known} or {under}" if known else under
-        return f"{f'{known} would do; ' if known else ''}{NO_FOLDERS}"
+            absolute = f"an absolute path under {' or '.join(map(str, self.folders))}"
+            return f"expected {known} or {absolute}" if known else f"expected {absolute}"
+        return f"expected {known}; {NO_FOLDERS}" if known else NO_FOLDERS
 
 
-def allowed_folders(
+def resolve_folders(
     folders: Sequence[Path], has_upload: Callable[[str], bool], has_scene: Callable[[str], bool]
 ) -> AllowedFolders:
-    """The real paths of folders that requests may name files in.
+    """Make the rule for the real paths of folders.
 
     Raises:
         TrustError: one is no folder, or is the whole disk.
@@ -96,8 +95,8 @@ def allowed_folders(
     return AllowedFolders(tuple(real), has_upload, has_scene)
 
 
-def paths_of(request: PlanRequest) -> Iterator[tuple[str, str, Kind]]:
-    """Every path of a request: its field, itself as it was written, and what it is to lead to."""
+def list_paths(request: PlanRequest) -> Iterator[tuple[str, str, Kind]]:
+    """Yield field, path and kind of every file that a request names."""
     yield from _robot_paths(request.robot)
     yield from _scene_paths(request.scene)
 

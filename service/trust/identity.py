@@ -1,4 +1,4 @@
-"""Who calls, and which roles the RPCs need."""
+"""Identities of callers, and the roles that RPCs need."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 
 class Role(StrEnum):
-    """What an identity may do; none includes another."""
+    """Permission of an identity; no role includes another."""
 
     PLAN = "plan"
     REVIEW = "review"
@@ -19,7 +19,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True)
 class Identity:
-    """A client that is known by its token or its certificate."""
+    """A client known by its token or certificate."""
 
     name: str
     roles: frozenset[Role]
@@ -27,11 +27,11 @@ class Identity:
 
 @dataclass(frozen=True)
 class Caller:
-    """Who made the call that is being answered.
+    """The caller of an RPC.
 
     Attributes:
         identity: None for calls that need none.
-        key: what its limits are counted under: the identity's name, or else the peer's address.
+        key: key of its limits: the identity's name, or the peer's address.
     """
 
     identity: Identity | None
@@ -39,22 +39,21 @@ class Caller:
 
     @property
     def name(self) -> str:
-        """Of the identity; the key of a caller without one."""
+        """Name of the identity; the key without one."""
         return self.key if self.identity is None else self.identity.name
 
 
-# Where nobody has to say who they are, everybody is this one.
+# Identity of every caller of a server without tokens.
 LOCAL = Identity("local", frozenset(Role))
 
 _PLANNER = "/planner.v1.PlannerService"
 _REFLECTION = "/grpc.reflection.v1{}.ServerReflection/ServerReflectionInfo"
 
-# A probe has no token, and learns only whether the server serves.
+# A probe has no token, and learns only whether the server is serving.
 OPEN_TO_ALL = frozenset({"/grpc.health.v1.Health/Check"})
 
-# A watch holds a place, and reflection tells what there is: both need a role wherever roles are given. What is listed
-# nowhere nobody may call.
-# Any one of those that stand with a method will do; who reviews a plan must see it.
+# Any of a method's roles is sufficient. A watch occupies a call and reflection lists the methods, so both need a role.
+# Nobody may call a method that is not listed.
 ROLE_NEEDED: Mapping[str, tuple[Role, ...]] = MappingProxyType(
     {
         f"{_PLANNER}/Plan": (Role.PLAN,),
@@ -77,10 +76,15 @@ ROLE_NEEDED: Mapping[str, tuple[Role, ...]] = MappingProxyType(
 _CALLER: ContextVar[Caller] = ContextVar("caller")
 
 
+def set_caller(caller: Caller) -> None:
+    """Set the caller of the RPC that this task answers."""
+    _CALLER.set(caller)
+
+
 def current_caller() -> Caller:
-    """Who made the call that this task answers.
+    """Return the caller of the RPC that this task answers.
 
     Raises:
-        LookupError: the call came in without a gate.
+        LookupError: the call did not pass access control.
     """
     return _CALLER.get()

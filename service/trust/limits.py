@@ -1,4 +1,4 @@
-"""How often and how much each client may ask."""
+"""Limits of each client's requests, uploads and open calls."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _PEER = re.compile(r"ipv[46]:(?P<host>.*):\d+")
 
 
 class TokenBuckets:
-    """One token bucket for each key: ``burst`` at once, ``rate`` a second in the long run.
+    """One token bucket per key: ``burst`` at once, ``rate`` per second in the long run.
 
-    An amount above the burst is let in by a full bucket, which then owes it. At most ``max_keys`` buckets are kept; the
-    one used least recently goes first.
+    A full bucket allows an amount above the burst, and its level becomes negative. At most ``max_keys`` buckets are
+    kept; the least recently used one is dropped first.
 
     Args:
         clock: monotonic [s].
@@ -34,13 +34,13 @@ class TokenBuckets:
         self._burst = burst
         self._max_keys = max_keys
         self._clock = clock
-        self._levels: OrderedDict[str, tuple[float, float]] = OrderedDict()  # level, and when it was so
+        self._levels: OrderedDict[str, tuple[float, float]] = OrderedDict()  # level and its time
 
     def __len__(self) -> int:
         return len(self._levels)
 
     def take(self, key: str, amount: float = 1.0) -> float:
-        """Take an amount out of a bucket, if it is there; returns how long to wait for it, 0 if it was taken [s]."""
+        """Take an amount out of a bucket if it holds enough; returns how long to wait otherwise [s]."""
         now = self._clock()
         level, then = self._levels.pop(key, (self._burst, now))
         level = min(self._burst, level + self._rate * (now - then))
@@ -54,12 +54,12 @@ class TokenBuckets:
 
 @dataclass(frozen=True)
 class ClientLimits:
-    """What one client may ask at most.
+    """Limits of one client.
 
     Attributes:
-        requests_per_s, requests_burst: of any RPC.
-        upload_bytes_per_s, upload_bytes_burst: of clouds.
-        max_open_calls: being answered at the same time.
+        requests_per_s, requests_burst: requests of any RPC.
+        upload_bytes_per_s, upload_bytes_burst: bytes of uploads.
+        max_open_calls: open calls at a time.
     """
 
     requests_per_s: float = 200.0
@@ -69,8 +69,8 @@ class ClientLimits:
     max_open_calls: int = 64
 
 
-class Limits:
-    """The limits of all clients; of one event loop."""
+class ClientLimiter:
+    """Counts of all clients against their limits; for use in one event loop."""
 
     def __init__(
         self,
@@ -85,41 +85,41 @@ class Limits:
         self._open: dict[str, int] = {}
 
     def request(self, key: str) -> Refusal | None:
-        """Count a request; why it is refused, if it is."""
+        """Count a request; returns the refusal if it exceeds the limit."""
         wait = self._requests.take(key)
-        words = f"more than {self._limits.requests_per_s:g} requests a second; try again in {wait:.1f} s"
-        return _later(words, wait) if wait > 0 else None
+        text = f"more than {self._limits.requests_per_s:g} requests a second; try again in {wait:.1f} s"
+        return _refuse_for(wait, text) if wait > 0 else None
 
-    def upload(self, key: str, n_bytes: int, begun: int = 0) -> Refusal | None:
-        """Count bytes of an upload; why they are refused, if they are.
+    def upload(self, key: str, n_bytes: int, already_counted: int = 0) -> Refusal | None:
+        """Count bytes of an upload; returns the refusal if they exceed the limit.
 
         Args:
-            begun: bytes that were counted and would have to come again.
+            already_counted: bytes of the same upload, which have to be sent again after a refusal.
         """
         wait = self._bytes.take(key, n_bytes)
         if wait <= 0.0:
             return None
         rate = self._limits.upload_bytes_per_s
-        wait += begun / rate
-        return _later(f"more than {rate / 2**20:g} MiB uploaded a second; try again in {wait:.1f} s", wait)
+        wait += already_counted / rate
+        return _refuse_for(wait, f"more than {rate / 2**20:g} MiB uploaded a second; try again in {wait:.1f} s")
 
     def enter(self, key: str) -> Refusal | None:
-        """Begin to answer a call, which then leaves again; why it is refused, if it is."""
+        """Count an open call until ``leave``; returns the refusal if it exceeds the limit."""
         n = self._open.get(key, 0)
         if n >= self._limits.max_open_calls:
-            return _later(f"{n} calls of this client are being answered; try again when one has ended", 1.0)
+            return _refuse_for(1.0, f"{n} calls of this client are open; try again when one has ended")
         self._open[key] = n + 1
         return None
 
     def leave(self, key: str) -> None:
-        """A call that entered has ended."""
+        """Count the end of an open call."""
         n = self._open.pop(key)
         if n > 1:
             self._open[key] = n - 1
 
 
 def peer_key(peer: str) -> str:
-    """What the limits of a peer are counted under: its IPv4 address, or its IPv6 network of 64 bits."""
+    """Return the key of a peer's limits: its IPv4 address, or its IPv6 network of 64 bits."""
     match = _PEER.fullmatch(unquote(peer))
     if match is None:
         return peer.partition(":")[0] or "unknown"
@@ -133,5 +133,5 @@ def peer_key(peer: str) -> str:
     return str(address)
 
 
-def _later(words: str, wait_s: float) -> Refusal:
-    return Refusal(grpc.StatusCode.RESOURCE_EXHAUSTED, words, wait_s)
+def _refuse_for(wait_s: float, text: str) -> Refusal:
+    return Refusal(grpc.StatusCode.RESOURCE_EXHAUSTED, text, wait_s)

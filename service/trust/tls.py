@@ -1,4 +1,4 @@
-"""Certificates: files in, credentials of a gRPC server out, with a plain word on what is wrong in between."""
+"""Credentials of a gRPC server from its certificate files."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ class TlsFiles:
     """PEM files of a server.
 
     Attributes:
-        cert: its certificate chain; key: its private key.
-        client_ca: with it, every client must bring a certificate that this authority has signed.
+        cert: certificate chain.
+        key: private key.
+        client_ca: authority that must have signed every client's certificate; None needs no client certificates.
     """
 
     cert: Path
@@ -28,22 +29,19 @@ class TlsFiles:
 
 
 class Certificates:
-    """What a server shows its clients, and whom it asks for the same; read anew while it runs.
-
-    Args:
-        files: that hold it.
+    """Certificates of a server, which can be reloaded while it runs.
 
     Raises:
-        TrustError: naming the file that cannot be used.
+        TrustError: a file cannot be used.
     """
 
     def __init__(self, files: TlsFiles) -> None:
         self._files = files
-        self._newest = _configuration(files)
+        self._newest = _read_configuration(files)
 
     @property
     def credentials(self) -> grpc.ServerCredentials:
-        """Credentials for ``Server.add_secure_port``; every new connection meets what was read last."""
+        """Credentials for ``Server.add_secure_port``; every new connection uses the files as last read."""
         return grpc.dynamic_ssl_server_credentials(
             self._newest, lambda: self._newest, require_client_authentication=self._files.client_ca is not None
         )
@@ -52,34 +50,34 @@ class Certificates:
         """Read the files again.
 
         Raises:
-            TrustError: naming the file that cannot be used; what was read before is in force still.
+            TrustError: a file cannot be used; the previous certificates stay valid.
         """
-        self._newest = _configuration(self._files)
+        self._newest = _read_configuration(self._files)
 
 
-def _configuration(files: TlsFiles) -> grpc.ServerCertificateConfiguration:
-    cert, key = _pem(files.cert), _pem(files.key)
+def _read_configuration(files: TlsFiles) -> grpc.ServerCertificateConfiguration:
+    cert, key = _read_pem(files.cert), _read_pem(files.key)
     if files.key.stat().st_mode & 0o027:
-        raise TrustError(f"{files.key}: others may read the private key; chmod 600 would do")
+        raise TrustError(f"{files.key}: others may read the private key; run chmod 600")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     try:
-        # Without a password nobody is asked for one at a terminal.
+        # An empty password prevents a prompt at the terminal.
         context.load_cert_chain(files.cert, files.key, password=b"")
     except (ssl.SSLError, OSError, ValueError) as error:
         reason = getattr(error, "reason", None) or "no certificate and unencrypted key in PEM"
-        words = str(reason).lower().replace("_", " ")
-        raise TrustError(f"{files.cert} and {files.key} do not go together as certificate and key ({words})") from None
+        text = str(reason).lower().replace("_", " ")
+        raise TrustError(f"{files.cert} and {files.key} do not match as certificate and key ({text})") from None
     authority = None
     if files.client_ca is not None:
-        authority = _pem(files.client_ca)
+        authority = _read_pem(files.client_ca)
         try:
             context.load_verify_locations(files.client_ca)
         except (ssl.SSLError, OSError):
-            raise TrustError(f"{files.client_ca}: holds no certificate of an authority in PEM") from None
+            raise TrustError(f"{files.client_ca}: expected the certificate of an authority in PEM") from None
     return grpc.ssl_server_certificate_configuration([(key, cert)], authority)
 
 
-def _pem(path: Path) -> bytes:
+def _read_pem(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             data = file.read(MAX_FILE_BYTES)

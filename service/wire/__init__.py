@@ -1,1 +1,1 @@
-"""Messages of the wire, and what they mean."""
+"""Messages of the wire: their conversion to plain data and back, checks, hashes, and refusals of calls."""

@@ -1,4 +1,4 @@
-"""The hashes of a result that reviews bind to."""
+"""Hashes of a result's trajectory and certificate, which reviews refer to."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
-def trajectory_sha256(names: Sequence[str], times: ArrayLike, positions: ArrayLike) -> str:
-    """Of a trajectory's samples.
+def hash_trajectory(names: Sequence[str], times: ArrayLike, positions: ArrayLike) -> str:
+    """Return the sha256 of a trajectory's samples.
 
     Args:
-        names: of the columns.
-        times: (S,) of the samples.
+        names: names of the columns.
+        times: (S,) times of the samples.
         positions: (S, columns), or the same row by row.
     """
     digest = hashlib.sha256("\n".join(names).encode() + b"\0")
@@ -23,6 +23,6 @@ def trajectory_sha256(names: Sequence[str], times: ArrayLike, positions: ArrayLi
     return digest.hexdigest()
 
 
-def certificate_sha256(text: bytes) -> str:
-    """Of a certificate's JSON."""
+def hash_certificate(text: bytes) -> str:
+    """Return the sha256 of a certificate's JSON."""
     return hashlib.sha256(text).hexdigest()

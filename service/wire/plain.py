@@ -1,8 +1,7 @@
-"""Messages as the plain data of a request file, and back, by what their descriptors say.
+"""Conversion of messages to the plain data of a request file and back, by their descriptors.
 
-An enum's value is the lower-case end of its name (``HAND_LEFT`` is ``left``); its zero means that nothing is said. A
-message whose only content is called ``value`` stands for that value. Empty lists, maps and texts without presence are
-absent.
+An enum's value is the lower-case end of its name (``HAND_LEFT`` is ``left``); its zero means absent. A message whose
+only content is called ``value`` stands for that value. Empty lists, maps and texts without presence are absent.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ _REAL = {FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT}
 
 
 def to_plain(message: Message) -> Any:
-    """Mappings, lists and scalars: what a request file that says the same would be read to."""
+    """Convert a message to mappings, lists and scalars, as YAML of the same request would be read."""
     if isinstance(message, Struct):
-        return {key: _of_struct(value) for key, value in message.fields.items()}
+        return {key: _value_of_struct(value) for key, value in message.fields.items()}
     data = {field.name: _value_to_plain(field, value) for field, value in message.ListFields()}
     if _stands_for_value(message):
         return data[VALUE] if VALUE in data else next(iter(data.values()), [])
@@ -37,10 +36,10 @@ def to_plain(message: Message) -> Any:
 
 
 def fill(message: Message, data: Any, path: str = "") -> None:
-    """Write plain data, as ``to_plain`` makes it, into an empty message.
+    """Write plain data, as ``to_plain`` returns it, into an empty message.
 
     Raises:
-        RequestError: the message has no place for something in the data.
+        RequestError: the message has no field for a part of the data.
     """
     if isinstance(message, Struct):
         message.update(data)
@@ -52,37 +51,37 @@ def fill(message: Message, data: Any, path: str = "") -> None:
     elif isinstance(data, Mapping):
         fields = cast(Mapping[str, FieldDescriptor], message.DESCRIPTOR.fields_by_name)
         for key, value in data.items():
-            where = f"{path}.{key}" if path else str(key)
+            inner = f"{path}.{key}" if path else str(key)
             if key not in fields:
-                raise RequestError(f"{where}: cannot be sent; {would_do(key, fields)} would do")
+                raise RequestError(f"{inner}: cannot be sent; expected {would_do(key, fields)}")
             if value is not None:
-                _fill_field(message, fields[key], value, where)
+                _fill_field(message, fields[key], value, inner)
     else:
-        raise RequestError(f"{path}: a mapping is needed, got {shown(data)}")
+        raise RequestError(f"{path}: expected a mapping, got {shown(data)}")
 
 
-def enum_name(enum: EnumDescriptor, number: int) -> str:
-    """How a request file writes an enum's value; a number that the enum lacks as the number it is."""
+def decode_enum(enum: EnumDescriptor, number: int) -> str:
+    """Return an enum's value as a request file writes it; an unknown number stays a number."""
     value = enum.values_by_number.get(number)
     return str(number) if value is None else value.name.removeprefix(_prefix(enum)).lower()
 
 
-def enum_number(enum: EnumDescriptor, name: str) -> int | None:
-    """The value that a request file writes as ``name``."""
+def encode_enum(enum: EnumDescriptor, name: str) -> int | None:
+    """Return the number of a value that a request file writes as ``name``."""
     value = enum.values_by_name.get(_prefix(enum) + name.upper())
     return None if value is None else int(value.number)
 
 
-def _of_struct(value: Value) -> Any:
-    """JSON data, and what it has no word for: NaN and infinity stay, for whoever checks the data to refuse.
+def _value_of_struct(value: Value) -> Any:
+    """Convert JSON data; NaN and infinity stay, for the validator to refuse.
 
-    Whole numbers, all of which a ``Struct`` keeps as doubles, are whole again.
+    A ``Struct`` stores all numbers as doubles; whole ones become integers again.
     """
     match value.WhichOneof("kind"):
         case "struct_value":
-            return {key: _of_struct(one) for key, one in value.struct_value.fields.items()}
+            return {key: _value_of_struct(entry) for key, entry in value.struct_value.fields.items()}
         case "list_value":
-            return [_of_struct(one) for one in value.list_value.values]
+            return [_value_of_struct(entry) for entry in value.list_value.values]
         case "number_value":
             number = value.number_value
             return int(number) if number.is_integer() and abs(number) < 2**53 else number
@@ -95,14 +94,16 @@ def _of_struct(value: Value) -> Any:
 
 
 def _prefix(enum: EnumDescriptor) -> str:
-    """``FreeAxis`` is ``FREE_AXIS_``."""
+    """Return the prefix of an enum's values: ``FREE_AXIS_`` for ``FreeAxis``."""
     words = "".join(f"_{letter}" if letter.isupper() else letter for letter in enum.name)
     return words.strip("_").upper() + "_"
 
 
 def _stands_for_value(message: Message) -> bool:
     descriptor = message.DESCRIPTOR
-    return [one.name for one in descriptor.oneofs] == [VALUE] or [field.name for field in descriptor.fields] == [VALUE]
+    return [oneof.name for oneof in descriptor.oneofs] == [VALUE] or [field.name for field in descriptor.fields] == [
+        VALUE
+    ]
 
 
 def _is_map(field: FieldDescriptor) -> bool:
@@ -110,8 +111,8 @@ def _is_map(field: FieldDescriptor) -> bool:
     return kind is not None and kind.GetOptions().map_entry
 
 
-def _entry(field: FieldDescriptor) -> FieldDescriptor:
-    """What a map's entries hold."""
+def _map_value(field: FieldDescriptor) -> FieldDescriptor:
+    """Return the field of a map's values."""
     return cast(FieldDescriptor, field.message_type.fields_by_name[VALUE])  # type: ignore[union-attr]
 
 
@@ -119,18 +120,18 @@ def _value_to_plain(field: FieldDescriptor, value: Any) -> Any:
     if _is_map(field):
         return dict(value)
     if field.is_repeated:
-        return [_one_to_plain(field, one) for one in value]
-    return _one_to_plain(field, value)
+        return [_entry_to_plain(field, entry) for entry in value]
+    return _entry_to_plain(field, value)
 
 
-def _one_to_plain(field: FieldDescriptor, value: Any) -> Any:
+def _entry_to_plain(field: FieldDescriptor, value: Any) -> Any:
     if field.message_type is not None:
         return to_plain(value)
-    return enum_name(field.enum_type, value) if field.enum_type is not None else value
+    return decode_enum(field.enum_type, value) if field.enum_type is not None else value
 
 
 def _field_for(message: Message, data: Any) -> FieldDescriptor | None:
-    """The field of a message that stands for a value, by the value's type."""
+    """Return the field for a value's type in a message that stands for a value."""
     for field in cast(Sequence[FieldDescriptor], message.DESCRIPTOR.fields):
         if field.is_repeated or field.message_type is not None:
             fits = isinstance(data, list | tuple)
@@ -150,8 +151,8 @@ def _field_for(message: Message, data: Any) -> FieldDescriptor | None:
 def _fill_field(message: Message, field: FieldDescriptor, value: Any, path: str) -> None:
     if _is_map(field):
         mapping = getattr(message, field.name)
-        for key, one in value.items():
-            mapping[key] = _scalar(_entry(field), one, f"{path}.{key}")
+        for key, entry in value.items():
+            mapping[key] = _to_scalar(_map_value(field), entry, f"{path}.{key}")
     elif field.is_repeated:
         _fill_repeated(getattr(message, field.name), field, value, path)
     elif field.message_type is not None:
@@ -159,25 +160,25 @@ def _fill_field(message: Message, field: FieldDescriptor, value: Any, path: str)
         part.SetInParent()
         fill(part, value, path)
     else:
-        setattr(message, field.name, _scalar(field, value, path))
+        setattr(message, field.name, _to_scalar(field, value, path))
 
 
 def _fill_repeated(target: Any, field: FieldDescriptor, values: Iterable[Any], path: str) -> None:
     if not isinstance(values, Sequence) or isinstance(values, str):
-        raise RequestError(f"{path}: a list is needed, got {shown(values)}")
+        raise RequestError(f"{path}: expected a list, got {shown(values)}")
     if field.message_type is None:
-        target.extend([_scalar(field, one, f"{path}[{index}]") for index, one in enumerate(values)])
+        target.extend([_to_scalar(field, entry, f"{path}[{index}]") for index, entry in enumerate(values)])
         return
-    for index, one in enumerate(values):
-        fill(target.add(), one, f"{path}[{index}]")
+    for index, entry in enumerate(values):
+        fill(target.add(), entry, f"{path}[{index}]")
 
 
-def _scalar(field: FieldDescriptor, value: Any, path: str) -> Any:
+def _to_scalar(field: FieldDescriptor, value: Any, path: str) -> Any:
     if field.enum_type is not None:
-        number = enum_number(field.enum_type, str(value))
+        number = encode_enum(field.enum_type, str(value))
         if not number:
-            known = [enum_name(field.enum_type, one.number) for one in field.enum_type.values if one.number]
-            raise RequestError(f"{path}: {would_do(value, known)} would do, got {shown(value)}")
+            known = [decode_enum(field.enum_type, entry.number) for entry in field.enum_type.values if entry.number]
+            raise RequestError(f"{path}: expected {would_do(value, known)}, got {shown(value)}")
         return number
     if field.cpp_type in _REAL and isinstance(value, int):
         return float(value)

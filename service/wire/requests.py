@@ -1,4 +1,4 @@
-"""Requests as messages: the wire has the keys of a request file, and one validator reads both."""
+"""Requests as messages: the wire has the keys of a request file, and the same validator reads both."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from service.wire.plain import fill, to_plain
 
 
 def request_from_message(message: MotionRequest, folder: str | Path = ".") -> PlanRequest:
-    """The request that a message says; relative paths start at ``folder``.
+    """Read a request; relative paths start at ``folder``.
 
     Raises:
         RequestError: one line per problem.
@@ -22,19 +22,19 @@ def request_from_message(message: MotionRequest, folder: str | Path = ".") -> Pl
 
 
 def request_to_message(request: PlanRequest) -> MotionRequest:
-    """A message that says the request, defaults filled in; ``request_from_message`` gives an equal one.
+    """Write a request with its defaults; ``request_from_message`` reads an equal one.
 
     Raises:
-        RequestError: the request says something the wire has no place for.
+        RequestError: the wire has no field for a part of the request.
     """
     message = MotionRequest()
-    fill(message, _said(to_json(request)))
+    fill(message, _drop_empty(to_json(request)))
     return message
 
 
-def _said(data: Any) -> Any:
-    """``data`` without what is null or an empty collection in it."""
+def _drop_empty(data: Any) -> Any:
+    """Return ``data`` without nulls and empty collections."""
     if isinstance(data, Mapping):
-        kept = {key: _said(value) for key, value in data.items()}
+        kept = {key: _drop_empty(value) for key, value in data.items()}
         return {key: value for key, value in kept.items() if value is not None and value not in ([], {}, ())}
-    return [_said(one) for one in data] if isinstance(data, list | tuple) else data
+    return [_drop_empty(entry) for entry in data] if isinstance(data, list | tuple) else data

@@ -1,4 +1,4 @@
-"""Results as messages: what a client executes, shows and reviews."""
+"""Results as messages."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from service.proto.planner.v1.result_pb2 import Check, MotionResult, PhaseTimes,
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
 from service.request.file import request_hash
 from service.result.motion_json import file_columns, file_positions, sample_times, samples_of
-from service.result.result import PlanResult, Verdict
+from service.result.result import PlanResult
 from service.verify import Certificate, Motion
-from service.wire.hashes import certificate_sha256, trajectory_sha256
+from service.wire.hashes import hash_certificate, hash_trajectory
 
 
 def result_to_message(result: PlanResult, sha256: str = "") -> MotionResult:
-    """Everything of a result but what is drawn: pieces, bodies, clouds and intermediate points are in its files.
+    """Convert a result without its drawing: pieces, bodies, clouds and intermediate points are only in its files.
 
     Args:
-        result: of a plan.
-        sha256: ``request_hash`` of its request where it is known already.
+        result: result of a plan.
+        sha256: ``request_hash`` of its request if known already.
     """
     message = MotionResult(
-        verdict=verdict_number(result.verdict.value),
+        verdict=encode_verdict(result.verdict.value),
         explanation=result.explanation,
         notes=result.notes,
         found_from=result.found_from,
@@ -41,34 +41,25 @@ def result_to_message(result: PlanResult, sha256: str = "") -> MotionResult:
     if result.conflict is not None:
         message.conflict.update(plain(result.conflict.to_dict()))
     if result.motion is not None:
-        message.trajectory.CopyFrom(_trajectory(result, result.motion))
+        message.trajectory.CopyFrom(_trajectory_to_message(result, result.motion))
     if result.certificate is not None:
-        message.certificate.CopyFrom(_certificate(result.certificate))
+        message.certificate.CopyFrom(_certificate_to_message(result.certificate))
     return message
 
 
-def verdict_number(name: str) -> VerdictMessage:
-    """The verdict on the wire."""
+def encode_verdict(name: str) -> VerdictMessage:
+    """Return the wire's number of a verdict."""
     return cast(VerdictMessage, VerdictMessage.Value(f"VERDICT_{name}"))
 
 
-def verdict_name(number: int) -> str:
-    """The verdict as ``result.json`` writes it.
-
-    Raises:
-        ValueError: there is no such verdict.
-    """
-    return Verdict(VerdictMessage.Name(cast(VerdictMessage, number)).removeprefix("VERDICT_")).value
-
-
 def checks_to_messages(checks: Iterable[Mapping[str, Any]]) -> list[Check]:
-    """The checks of a certificate's JSON; a value that is no number there is NaN."""
+    """Convert the checks of a certificate's JSON; null becomes NaN."""
     return [
         Check(
             name=check["name"],
             ok=check["ok"],
-            value=_number(check["value"]),
-            limit=_number(check["limit"]),
+            value=_to_float(check["value"]),
+            limit=_to_float(check["limit"]),
             unit=check["unit"],
             text=check["text"],
             basis=check["basis"],
@@ -77,11 +68,11 @@ def checks_to_messages(checks: Iterable[Mapping[str, Any]]) -> list[Check]:
     ]
 
 
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else float(value)
+def _to_float(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
-def _trajectory(result: PlanResult, motion: Motion) -> Trajectory:
+def _trajectory_to_message(result: PlanResult, motion: Motion) -> Trajectory:
     s, times = samples_of(motion), sample_times(motion)
     names = file_columns(result.robot)
     positions = file_positions(result.robot, motion.curve(s)[:, : result.robot.n])
@@ -95,11 +86,11 @@ def _trajectory(result: PlanResult, motion: Motion) -> Trajectory:
             for phase, (start, end) in zip(motion.phases, ends, strict=True)
         ],
         is_timed=motion.law is not None,
-        sha256=trajectory_sha256(names, times, positions),
+        sha256=hash_trajectory(names, times, positions),
     )
 
 
-def _certificate(certificate: Certificate) -> CertificateMessage:
+def _certificate_to_message(certificate: Certificate) -> CertificateMessage:
     text = certificate.to_json().encode()
     return CertificateMessage(
         status=certificate.status.value,
@@ -115,13 +106,13 @@ def _certificate(certificate: Certificate) -> CertificateMessage:
             )
             for check in certificate.checks
         ],
-        min_clearance_m=_or_none(certificate.min_clearance_m),
+        min_clearance_m=_finite_or_none(certificate.min_clearance_m),
         min_clearance_pair=certificate.min_clearance_pair or (),
-        min_balance_margin_m=_or_none(certificate.min_balance_margin_m),
+        min_balance_margin_m=_finite_or_none(certificate.min_balance_margin_m),
         json=text,
-        sha256=certificate_sha256(text),
+        sha256=hash_certificate(text),
     )
 
 
-def _or_none(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None

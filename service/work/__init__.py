@@ -1,1 +1,1 @@
-"""What the processes behind a server do: each kind of work is a function of data, told to stop by a ``Control``."""
+"""Work of a server's worker processes: functions of data, which a ``Control`` can stop."""

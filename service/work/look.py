@@ -1,4 +1,4 @@
-"""Perception, verification and robots in a worker: functions of data that end in data."""
+"""Perception, verification and listing of robots in a worker."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ from service.executor import Control
 from service.request.scene import KnownMeshRequest
 from service.request.schema import GoalRequest, PlanRequest, RobotRequest
 from service.scan.cloud import CloudInput
-from service.work.plan import Refused, warm_robots
+from service.work.plan import ROBOTS, Refused
 from service.work.stopping import stops_with
 
-# Of a server's own robot, for those who know the other.
-IN_PLACE = " (this server's own, in place of the one of that name that comes with scopt)"
+OVERRIDES = " (this server's own, which overrides scopt's robot of that name)"
 
 
 @dataclass(frozen=True)
 class SceneTask:
-    """What ``scopt scene`` is asked.
+    """Task of ``build_scene``.
 
     Attributes:
-        clouds: the files.
-        kinds: of objects to look for.
-        hint: a point near the object that is looked for [m].
-        unknown, method: of ``perception.perceive``.
-        meshes: known objects, and where their files are kept here.
-        update: the file of an earlier scene, and what it is called.
-        said: settings that have to be those of the earlier scene, and what they are called.
+        clouds: cloud files.
+        kinds: kinds of objects to detect.
+        hint: a point near the object to detect [m].
+        unknown, method: parameters of ``perception.perceive``.
+        meshes: known objects and the paths of their files.
+        update: path of the earlier scene's file, and the client's name for it.
+        said: settings given explicitly, which must equal those of the earlier scene, and their fields.
     """
 
     clouds: CloudInput
@@ -47,19 +46,20 @@ class SceneTask:
 
 
 def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
-    """The scene's file (docs/scene-format.md); what it reports are the names of steps."""
+    """Make a scene's file (docs/scene-format.md); reports the names of steps."""
     from service.scan.earlier import read_earlier_scene
     from service.scan.known_meshes import mesh_from_request
-    from service.scan.make_scene import SceneInput, apply_earlier_settings, build_scene
+    from service.scan.make_scene import SceneInput, apply_earlier_settings
+    from service.scan.make_scene import build_scene as make_scene
 
-    meshes = tuple(mesh_from_request(one, path) for one, path in task.meshes)
-    asked = SceneInput(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
+    meshes = tuple(mesh_from_request(mesh, path) for mesh, path in task.meshes)
+    given = SceneInput(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
     try:
         with stops_with(control):
             if task.update is not None:
-                before = replace(read_earlier_scene(task.update[0]), path=Path(task.update[1]))
-                asked = apply_earlier_settings(before, asked, task.said, "update")
-            return json.dumps(build_scene(asked, control.report).data, allow_nan=False).encode()
+                earlier = replace(read_earlier_scene(task.update[0]), path=Path(task.update[1]))
+                given = apply_earlier_settings(earlier, given, task.said, "update")
+            return json.dumps(make_scene(given, control.report).data, allow_nan=False).encode()
     except RequestError as error:
         return Refused(error.problems)
 
@@ -67,7 +67,7 @@ def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
 def detect(
     clouds: CloudInput, kind: str, hint: tuple[float, float, float] | None, control: Control
 ) -> Mapping[str, Any] | Refused:
-    """What ``scopt detect`` prints."""
+    """Detect objects; returns what ``scopt detect`` prints."""
     from service.scan.detect import detect_file
 
     try:
@@ -78,11 +78,11 @@ def detect(
 
 
 def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | Refused:
-    """What ``scopt verify`` prints.
+    """Verify a recorded motion; returns what ``scopt verify`` prints.
 
     Args:
-        files: of a result folder, by their path in it.
-        control: says when to stop.
+        files: files of a result folder, by their path in it.
+        control: stops the work.
     """
     from service.replay.replay import verify_result
 
@@ -92,7 +92,7 @@ def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | 
             try:
                 path = (folder / name).resolve()
                 if not path.is_relative_to(folder.resolve()):
-                    return Refused((f"files: {shown(name)} lies outside the result folder",))
+                    return Refused((f"files: {shown(name)} is outside the result folder",))
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
             except (OSError, ValueError):
@@ -101,27 +101,27 @@ def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | 
             with stops_with(control):
                 return verify_result(folder)
         except (ResultError, RequestError) as error:
-            # Speak of the files as the client named them, not of where they lie for a moment.
+            # Name the files as the client does, without the temporary folder.
             lines = (line.removeprefix(f"{folder}: ").replace(f"{folder}/", "") for line in str(error).splitlines())
             return Refused(tuple(f"files: {line}" for line in lines))
 
 
 def describe_robots(more: Mapping[str, RobotRequest]) -> list[dict[str, Any]]:
-    """Robots that can be named: ``more`` by name, those of the package; one that cannot be read says why."""
+    """Describe the robots that requests may name: ``more`` by name, and those of the package."""
     texts = bundled_robots()
     bundled = {name: RobotRequest(name=name) for name in texts}
-    own = [_described(name, request, "", IN_PLACE if name in bundled else "") for name, request in more.items()]
-    return own + [_described(name, request, texts[name]) for name, request in bundled.items() if name not in more]
+    own = [_describe(name, request, "", OVERRIDES if name in bundled else "") for name, request in more.items()]
+    return own + [_describe(name, request, texts[name]) for name, request in bundled.items() if name not in more]
 
 
-def _described(name: str, request: RobotRequest, description: str, besides: str = "") -> dict[str, Any]:
+def _describe(name: str, request: RobotRequest, description: str, suffix: str = "") -> dict[str, Any]:
     try:
-        robot = warm_robots().get(PlanRequest(robot=request, goal=GoalRequest(posture="-")))
+        robot = ROBOTS.get(PlanRequest(robot=request, goal=GoalRequest(posture="-")))
     except RequestError as error:
-        return {"name": name, "description": f"cannot be used: {error}{besides}"}
+        return {"name": name, "description": f"cannot be used: {error}{suffix}"}
     return {
         "name": name,
-        "description": f"{description or f'{robot.n} degrees of freedom'}{besides}",
+        "description": f"{description or f'{robot.n} degrees of freedom'}{suffix}",
         "joint_names": list(robot.joint_names),
         "postures": sorted(robot.postures),
     }

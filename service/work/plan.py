@@ -1,4 +1,4 @@
-"""Planning in a worker: a request in, progress on the way, the answer as bytes of the wire."""
+"""Planning in a worker: progress and answer are serialized messages of the wire."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from service.request.schema import PlanRequest
 from service.result.output import write_result
 from service.result.result import PlanResult
 from service.wire.results import result_to_message
-from service.work.robots import WarmRobots
+from service.work.robots import RobotCache
 from service.work.stopping import stops_with
 
-REPORT_EVERY_S = 0.02  # iterations are told no more often than this: nobody sees more, and every one is a message
-LEAST_TIME_S = 0.01
-MOST_SCENE_BYTES = 256 * 2**20  # of scans that a worker remembers
-# Of what is left until the deadline, kept for the curve and the certificate of the best attempt, and the way back.
-ANSWER_SHARE, MOST_ANSWER_TIME_S = 0.25, 2.0
+REPORT_EVERY_S = 0.02  # shortest time between reported iterations, each of which is a message
+MIN_TIME_S = 0.01
+MAX_SCENE_BYTES = 256 * 2**20  # of scans that a worker caches
+# Share of the time until the deadline that is reserved for curve, certificate and transport of the best attempt.
+ANSWER_SHARE, MAX_ANSWER_TIME_S = 0.25, 2.0
 
 if TYPE_CHECKING:
     from perception import Cloud, Memory, Perceived
 
-_ROBOTS = WarmRobots()  # of this process
+ROBOTS = RobotCache()  # of this process
 
 
 @dataclass(frozen=True)
 class PlanTask:
-    """What a worker gets.
+    """Task of ``run_plan``.
 
     Attributes:
-        request: what is asked; every path in it can be opened here.
-        until: when the answer must be there, on the clock of ``Control.now`` [s]; None: whenever.
-        with_files: whether the result's files are wanted.
-        with_waypoints: whether progress tells waypoints.
-        original: as the client said it, whose hash is the request's; None where it is the same.
-        sha256: that hash where it is known already; empty where not.
+        request: request whose paths can be opened by the worker.
+        until: deadline of the answer, on the clock of ``Control.now`` [s]; None without one.
+        with_files: whether the answer holds the result's files.
+        with_waypoints: whether progress holds waypoints.
+        original: request as the client sent it, which is hashed; None if it is the same.
+        sha256: hash of the original request; empty if not known yet.
     """
 
     request: PlanRequest
@@ -61,13 +61,13 @@ class PlanTask:
 
 @dataclass(frozen=True)
 class PlanAnswer:
-    """What a worker gives back.
+    """Answer of ``run_plan``.
 
     Attributes:
-        verdict: how the plan ended.
+        verdict: verdict of the plan.
         reply: a serialized ``MotionResult``.
-        trajectory_sha256, certificate_sha256: of what it holds; empty where there is none.
-        archive: the files of the result as a tar file; empty where they were not asked for.
+        trajectory_sha256, certificate_sha256: hashes in the reply; empty without trajectory or certificate.
+        archive: files of the result as a tar file; empty unless requested.
         timings: seconds by step, and ``total``.
     """
 
@@ -81,26 +81,31 @@ class PlanAnswer:
 
 @dataclass(frozen=True)
 class Refused:
-    """A request that cannot be used: one line per problem, and whether it is only that nothing plans its task yet."""
+    """A request that cannot be used.
+
+    Attributes:
+        problems: one line each.
+        is_unplanned: the request is valid, but no planner exists for its task.
+    """
 
     problems: tuple[str, ...]
     is_unplanned: bool = False
 
 
 def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
-    """Plan a request; what it reports are bytes of ``PlanProgress``."""
+    """Plan a request; reports serialized ``PlanProgress``."""
     request = task.request
-    teller = _Teller(control, task.with_waypoints)
+    reporter = _ProgressReporter(control, task.with_waypoints)
     try:
         with stops_with(control):
-            robot = _ROBOTS.get(request)
+            robot = ROBOTS.get(request)
         result = plan(
-            request if task.until is None else _in_time(request, task.until - control.now()),
-            on_progress=teller.step,
+            request if task.until is None else _limit_time(request, task.until - control.now()),
+            on_progress=reporter.report_step,
             should_stop=control.should_stop,
             robot=robot,
-            on_iteration=teller.iteration,
-            see=see,
+            on_iteration=reporter.report_iteration,
+            see=perceive_cached,
         )
     except RequestError as error:
         return Refused(error.problems, isinstance(error, UnplannedTaskError))
@@ -115,60 +120,53 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
         message.SerializeToString(),
         message.trajectory.sha256,
         message.certificate.sha256,
-        _archive(result) if task.with_files else b"",
+        _make_archive(result) if task.with_files else b"",
         {**result.timings, "total": result.planning_time_s},
     )
 
 
-def see(cloud: Cloud, **settings: Any) -> Perceived:
-    """``perception.perceive``, whose results this process remembers: the same scan is often planned in again."""
-    return _scenes().perceive(cloud, **settings)
+def perceive_cached(cloud: Cloud, **settings: Any) -> Perceived:
+    """Call ``perception.perceive`` with a cache of this process, since the same scan is often planned in again."""
+    return _scene_cache().perceive(cloud, **settings)
 
 
 @cache
-def _scenes() -> Memory:
-    from perception import Memory  # takes a while, and the server itself sees nothing
+def _scene_cache() -> Memory:
+    from perception import Memory  # slow to import, and not needed by the server itself
 
-    return Memory(MOST_SCENE_BYTES)
-
-
-def warm_robots() -> WarmRobots:
-    """The robots that this process keeps."""
-    return _ROBOTS
+    return Memory(MAX_SCENE_BYTES)
 
 
-def warm_up(names: tuple[str, ...] = ("atlas",)) -> None:
-    """Load what many requests need and the modules imported for all workers at once do not bring."""
+def warm_up() -> None:
+    """Load the modules and the robot that many requests need, beyond those imported before the workers are forked."""
     import ompl.base
     import ompl.geometric  # noqa: F401
 
     from service.request.file import parse_request
 
-    for name in names:
-        request = parse_request({"robot": {"name": name}, "goal": {"posture": "stand"}})
-        _ROBOTS.get(request)
+    ROBOTS.get(parse_request({"robot": {"name": "atlas"}, "goal": {"posture": "stand"}}))
 
 
-class _Teller:
-    """Turns what a plan says of itself into messages."""
+class _ProgressReporter:
+    """Reports a plan's progress as messages."""
 
     def __init__(self, control: Control, with_waypoints: bool) -> None:
         self._control = control
         self._with_waypoints = with_waypoints
         self._step, self._fraction = "", 0.0
-        self._told = 0.0
+        self._last_report = 0.0
 
-    def step(self, name: str, fraction: float) -> None:
-        """Another step begins."""
+    def report_step(self, name: str, fraction: float) -> None:
+        """Report the begin of a step."""
         self._step, self._fraction = name, max(fraction, self._fraction)
         self._control.report(PlanProgress(step=name, fraction=self._fraction).SerializeToString())
 
-    def iteration(self, step: str, names: tuple[str, ...], trial: Trial, x: Float[np.ndarray, "T n"]) -> None:
-        """The optimiser has tried a step."""
+    def report_iteration(self, step: str, names: tuple[str, ...], trial: Trial, x: Float[np.ndarray, "T n"]) -> None:
+        """Report a trial step of the optimiser."""
         now = time.monotonic()
-        if now - self._told < REPORT_EVERY_S:
+        if now - self._last_report < REPORT_EVERY_S:
             return
-        self._told = now
+        self._last_report = now
         iteration = Iteration(
             index=trial.index,
             merit=trial.merit,
@@ -184,16 +182,16 @@ class _Teller:
         self._control.report(progress.SerializeToString())
 
 
-def _in_time(request: PlanRequest, left: float) -> PlanRequest:
-    """The request with no more time than there is [s]."""
-    left = max(left - min(ANSWER_SHARE * left, MOST_ANSWER_TIME_S), LEAST_TIME_S)
+def _limit_time(request: PlanRequest, left: float) -> PlanRequest:
+    """Reduce the request's time limit to the time left [s]."""
+    left = max(left - min(ANSWER_SHARE * left, MAX_ANSWER_TIME_S), MIN_TIME_S)
     if left >= request.options.time_limit_s:
         return request
     return replace(request, options=replace(request.options, time_limit_s=left))
 
 
-def _archive(result: PlanResult) -> bytes:
-    """The files of a result folder as one tar file."""
+def _make_archive(result: PlanResult) -> bytes:
+    """Return the files of a result folder as one tar file."""
     with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:
         folder = Path(scratch) / "result"
         write_result(result, folder)

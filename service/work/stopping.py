@@ -1,4 +1,4 @@
-"""How the work of a job ends when its control says so."""
+"""Cancellation of a job's work by its ``Control``."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from service.executor.errors import JobCancelled
 
 @contextmanager
 def stops_with(control: Control) -> Iterator[None]:
-    """Have the body end at its next poll once the job is to stop.
+    """Stop the body at its next poll once the job is cancelled.
 
     Raises:
-        JobCancelled: it did.
+        JobCancelled: the body was stopped.
     """
     try:
         with stops_when(control.should_stop):
             yield
     except Stopped:
-        raise JobCancelled("stopped as asked") from None
+        raise JobCancelled("stopped on request") from None

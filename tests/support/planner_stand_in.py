@@ -20,7 +20,7 @@ from google.rpc.status_pb2 import Status
 from service.proto.planner.v1 import planner_pb2 as pb
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceServicer, add_PlannerServiceServicer_to_server
 from service.proto.planner.v1.result_pb2 import Certificate, Check, FileChunk, MotionResult, Trajectory, Verdict
-from service.wire.hashes import certificate_sha256, trajectory_sha256
+from service.wire.hashes import hash_certificate, hash_trajectory
 
 PLAN_ID = "0123456789abcdef"
 FILES = {
@@ -57,7 +57,7 @@ def make_result(verdict: str = "CERTIFIED") -> MotionResult:
             positions=positions,
             phases=[{"name": "reach", "start_s": 0.0, "end_s": 1.0}],  # type: ignore[list-item]
             is_timed=True,
-            sha256=trajectory_sha256(names, times, positions),
+            sha256=hash_trajectory(names, times, positions),
         ),
         certificate=Certificate(
             status="CERTIFIED",
@@ -65,7 +65,7 @@ def make_result(verdict: str = "CERTIFIED") -> MotionResult:
             min_clearance_m=0.0213,
             min_clearance_pair=["crate", "l_hand"],
             json=text,
-            sha256=certificate_sha256(text),
+            sha256=hash_certificate(text),
         ),
     )
     result.figures.update({"steps": 3})

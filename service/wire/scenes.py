@@ -12,7 +12,7 @@ from service.proto.planner.v1.planner_pb2 import BuiltScene, Detection, Piece
 
 
 def scene_to_message(scene_id: str, text: bytes) -> BuiltScene:
-    """A scene's file as a message, which carries the file too."""
+    """Convert a scene's file to a message, which also holds the file."""
     data = json.loads(text)
     message = BuiltScene(
         scene_id=scene_id,
@@ -29,7 +29,7 @@ def scene_to_message(scene_id: str, text: bytes) -> BuiltScene:
 
 
 def detections_to_messages(hits: Iterable[Mapping[str, Any]]) -> list[Detection]:
-    """Hits as ``scopt detect`` prints them; figures that are no numbers are left out."""
+    """Convert hits as ``scopt detect`` prints them; figures that are no numbers are left out."""
     return [
         Detection(
             kind=hit["kind"],

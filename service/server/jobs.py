@@ -1,4 +1,4 @@
-"""Work handed to the executor from the event loop: admitted, timed, stopped, its end told as a client shall hear it."""
+"""Jobs handed to the executor from the event loop: admission, time budgets, cancellation, and errors as refusals."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ import grpc
 
 from service.executor import CancellableExecutor, DeadlineExceeded, ExecutorError, Job, PoolClosed, WorkerDied
 from service.server.admission import Admission
-from service.server.farewell import STOPPING
+from service.server.refusals import STOPPING
 from service.trust.rpc import Refusal
 
 T = TypeVar("T")
-OVERTIME_S = 5.0  # beyond its budget, before a worker that does not stop by itself is killed
-
-OVERTIME = "{kind} is allowed {budget:g} s and was not done {over:g} s after them; it was ended"
+OVERTIME_S = 5.0  # beyond the budget, before a job that does not stop by itself is ended
 
 
 @dataclass(frozen=True)
-class Piece(Generic[T]):
-    """Work that was handed over.
+class JobHandle(Generic[T]):
+    """A job that was handed to the executor.
 
     Attributes:
-        job: of the executor.
+        job: the executor's job.
         ended: the job's future on the event loop.
     """
 
@@ -36,30 +34,31 @@ class Piece(Generic[T]):
 
     @property
     def waited_s(self) -> float:
-        """From its submission until a worker had time for it; 0 while none has."""
+        """Time from submission until a worker began; 0 while it waits."""
         return 0.0 if self.job.started is None else self.job.started - self.job.submitted
 
     def cancel(self) -> None:
-        """Stop it, whether it waits or runs."""
+        """Stop the job, whether it waits or runs."""
         self.job.cancel()
 
 
-class Workshop:
+class JobRunner:
     """Admission and executor together.
 
-    Args:
-        executor: what runs the work.
-        admission: who is let in.
+    Attributes:
+        executor: runs the jobs.
+        admission: decides which jobs are accepted.
+        is_closed: no further jobs are accepted.
     """
 
     def __init__(self, executor: CancellableExecutor, admission: Admission) -> None:
         self.executor = executor
         self.admission = admission
-        self._running: dict[int, tuple[str, Job[Any], float]] = {}  # kind, job and budget by ticket
-        self._spares: set[Job[Any]] = set()  # of what helps, which gives way
-        self._ended_by_us: dict[int, Refusal] = {}  # why, by ticket
+        self._open: dict[int, tuple[str, Job[Any], float]] = {}  # kind, job and budget by ticket
+        self._spares: set[Job[Any]] = set()  # jobs that are cancelled when their worker is needed
+        self._stop_reasons: dict[int, Refusal] = {}  # by ticket
         self._listeners: set[Callable[[], None]] = set()
-        self.is_closed = False  # takes nothing more in
+        self.is_closed = False
 
     def start(
         self,
@@ -70,43 +69,44 @@ class Workshop:
         budget_s: float,
         on_event: Callable[[Any], object] | None = None,
         is_typical: Callable[[T], bool] = lambda _: True,
-    ) -> Piece[T]:
-        """Hand work over.
+    ) -> JobHandle[T]:
+        """Hand a job to the executor.
 
         Args:
-            kind: of work, for admission.
-            fn: top-level function; args: picklable.
+            kind: kind of work, for admission.
+            fn: top-level function.
+            args: picklable arguments.
             deadline: on the clock of ``time.monotonic`` [s]; None without one.
-            budget_s: how long a worker may be at it.
-            on_event: told on the event loop what ``fn`` reports.
-            is_typical: whether how long a result took says something of the next.
+            budget_s: how long it may run [s].
+            on_event: called on the event loop with each event that ``fn`` reports.
+            is_typical: whether the duration of a result counts for later estimates.
 
         Raises:
-            Refusal: the queue is full, the deadline cannot be met, or the server is about to stop.
+            Refusal: the queue is full, the deadline cannot be met, or the server is stopping.
         """
         loop = asyncio.get_running_loop()
         if self.is_closed:
             raise STOPPING
         self.admission.check(kind, None if deadline is None else deadline - time.monotonic())
 
-        def tell(event: Any) -> None:
+        def forward(event: Any) -> None:
             if on_event is not None:
                 loop.call_soon_threadsafe(on_event, event)
 
-        self._give_way()
+        self._free_worker()
         try:
-            job = self.executor.submit(fn, *args, on_event=tell, deadline=deadline)
+            job = self.executor.submit(fn, *args, on_event=forward, deadline=deadline)
         except PoolClosed:
             raise STOPPING from None
         ticket = self.admission.enter(kind)
-        self._running[ticket] = (kind, job, budget_s)
+        self._open[ticket] = (kind, job, budget_s)
         ended: asyncio.Future[T] = loop.create_future()
         job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end, ticket, job, ended, is_typical))
-        return Piece(job, ended)
+        return JobHandle(job, ended)
 
-    def spare(self, fn: Callable[..., T], *args: Any) -> Piece[T] | None:
-        """Hand over what would help other work, until a worker is needed for more; None where none is idle."""
-        if self.is_closed or self._idle <= 0:
+    def start_spare(self, fn: Callable[..., T], *args: Any) -> JobHandle[T] | None:
+        """Use an idle worker for a job that is cancelled when the worker is needed; None if no worker is idle."""
+        if self.is_closed or self._n_idle <= 0:
             return None
         loop = asyncio.get_running_loop()
         try:
@@ -116,65 +116,64 @@ class Workshop:
         self._spares.add(job)
         ended: asyncio.Future[T] = loop.create_future()
         job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end_spare, job, ended))
-        return Piece(job, ended)
+        return JobHandle(job, ended)
 
     async def run(self, kind: str, fn: Callable[..., T], *args: Any, deadline: float | None, budget_s: float) -> T:
-        """Hand work over and wait for it; stopped when whoever waits is cancelled.
+        """Run a job to its end; it is stopped when the awaiting task is cancelled.
 
         Raises:
-            Refusal: as ``start`` and ``outcome``.
+            Refusal: as ``start`` and ``await_result``.
         """
-        piece = self.start(kind, fn, *args, deadline=deadline, budget_s=budget_s)
+        handle = self.start(kind, fn, *args, deadline=deadline, budget_s=budget_s)
         try:
-            return await outcome(piece)
+            return await await_result(handle)
         except asyncio.CancelledError:
-            piece.cancel()
+            handle.cancel()
             raise
 
-    def place(self, piece: Piece[Any]) -> int | None:
-        """1 for what is next; None for what does not wait."""
-        return self.executor.queue_position(piece.job)
+    def queue_position(self, handle: JobHandle[Any]) -> int | None:
+        """Return the position in the queue, 1 for the next job; None for a job that does not wait."""
+        return self.executor.queue_position(handle.job)
 
-    def kind_at(self, pid: int | None) -> str:
-        """What a worker is at."""
-        return next((kind for kind, job, _ in self._running.values() if job.pid == pid and job.started), "")
+    def kind_of_worker(self, pid: int | None) -> str:
+        """Return the kind of work that a worker is busy with; empty if none."""
+        return next((kind for kind, job, _ in self._open.values() if job.pid == pid and job.started), "")
 
-    def on_change(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Have ``listener`` called whenever something has ended; returns what ends that."""
+    def add_listener(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call ``listener`` whenever a job has ended; returns a function that removes it."""
         self._listeners.add(listener)
         return lambda: self._listeners.discard(listener)
 
-    def stop_overtime(self) -> None:
-        """Stop what has been running beyond its budget, and say so; to be called now and then."""
+    def stop_overdue(self) -> None:
+        """Stop jobs that have exceeded their budget; called periodically."""
         now = time.monotonic()
-        for ticket, (kind, job, budget_s) in list(self._running.items()):
+        for ticket, (kind, job, budget_s) in list(self._open.items()):
             if job.started is not None and not job.done() and now - job.started > budget_s + OVERTIME_S:
-                text = OVERTIME.format(kind=kind, budget=budget_s, over=OVERTIME_S)
+                text = f"{kind} may take {budget_s:g} s and had not ended {OVERTIME_S:g} s later; it was stopped"
                 self._stop(ticket, job, Refusal(grpc.StatusCode.DEADLINE_EXCEEDED, text))
 
-    def stop_all(self, why: Refusal = STOPPING) -> None:
-        """Stop everything, since the server stops."""
-        for ticket, (_, job, _) in reversed(self._running.copy().items()):  # else what waits would begin
+    def stop_all(self, why: Refusal) -> None:
+        """Stop all jobs, since the server stops."""
+        for ticket, (_, job, _) in reversed(self._open.copy().items()):  # newest first, so that no waiting job begins
             self._stop(ticket, job, why)
 
-    async def emptied(self) -> None:
-        """Wait until nothing is under way."""
+    async def wait_until_empty(self) -> None:
+        """Wait until no job is open."""
         empty = asyncio.Event()
-        forget = self.on_change(lambda: empty.set() if not self._running else None)
+        remove = self.add_listener(lambda: empty.set() if not self._open else None)
         try:
-            if self._running:
+            if self._open:
                 await empty.wait()
         finally:
-            forget()
+            remove()
 
     @property
-    def _idle(self) -> int:
-        """Workers that nothing is at."""
+    def _n_idle(self) -> int:
         return self.admission.workers - self.admission.running - len(self._spares)
 
-    def _give_way(self) -> None:
-        """Have a worker freed where all are taken and some of them only help."""
-        if self._idle <= 0 and self._spares:
+    def _free_worker(self) -> None:
+        """Cancel a spare job if no worker is idle."""
+        if self._n_idle <= 0 and self._spares:
             self._spares.pop().cancel()
 
     def _end_spare(self, job: Job[T], ended: asyncio.Future[T]) -> None:
@@ -182,46 +181,46 @@ class Workshop:
         _settle(job, ended)
 
     def _stop(self, ticket: int, job: Job[Any], why: Refusal) -> None:
-        self._ended_by_us.setdefault(ticket, why)
+        self._stop_reasons.setdefault(ticket, why)
         job.cancel()
 
     def _end(self, ticket: int, job: Job[T], ended: asyncio.Future[T], is_typical: Callable[[T], bool]) -> None:
-        del self._running[ticket]
+        del self._open[ticket]
         is_answer = not job.cancelled() and job.exception() is None and is_typical(job.result())
         took = None if job.started is None or not is_answer else time.monotonic() - job.started
         self.admission.leave(ticket, took)
         for listener in list(self._listeners):
             listener()
-        why = self._ended_by_us.pop(ticket, None)
+        why = self._stop_reasons.pop(ticket, None)
         _settle(job, ended, None if is_answer else why)
 
 
 def _settle(job: Job[T], ended: asyncio.Future[T], why: Exception | None = None) -> None:
-    """Tell the event loop how a job has ended; ``why`` it was ended comes before what it says itself."""
+    """Copy a job's end to its future on the event loop; ``why`` it was stopped replaces its own error."""
     error = why or (CancelledError() if job.cancelled() else job.exception())
     if error is not None:
         ended.set_exception(error)
-        ended.exception()  # looked at: nobody may be waiting any more, which is no reason to complain
+        ended.exception()  # marks it as retrieved: asyncio must not complain if nobody waits any more
     else:
         ended.set_result(job.result())
 
 
-async def outcome(piece: Piece[T]) -> T:
-    """What work came to.
+async def await_result(handle: JobHandle[T]) -> T:
+    """Wait for a job's result.
 
     Raises:
-        Refusal: CANCELLED, DEADLINE_EXCEEDED or INTERNAL, where it came to nothing.
+        Refusal: CANCELLED, DEADLINE_EXCEEDED or INTERNAL, if there is none.
     """
     try:
-        return await asyncio.shield(piece.ended)
-    except CancelledError:  # the job's; asyncio has a class of its own for that of whoever waits
+        return await asyncio.shield(handle.ended)
+    except CancelledError:  # the job's; cancelling the awaiting task raises asyncio's own class
         raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was an answer") from None
     except DeadlineExceeded:
         raise Refusal(grpc.StatusCode.DEADLINE_EXCEEDED, "the deadline passed before there was an answer") from None
     except WorkerDied as error:
         raise Refusal(
             grpc.StatusCode.INTERNAL,
-            f"{error.attempts} workers ended while they were at it (the last: {error.cause}); it is not tried again",
+            f"{error.attempts} workers ended during this job (the last: {error.cause}); it is not tried again",
         ) from None
     except ExecutorError as error:
         raise Refusal(grpc.StatusCode.INTERNAL, str(error)) from None

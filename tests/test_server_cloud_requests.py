@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from service.server.cloud_problems import start_problems
-from service.wire.violations import violation
+from service.server.cloud_requests import check_start
+from service.wire.violations import make_violation
 
 
 @pytest.mark.parametrize(
@@ -17,9 +17,9 @@ from service.wire.violations import violation
     ],
 )
 def test_a_wrong_start_is_told_with_its_field(start: object, field: str) -> None:
-    (problem,) = start_problems(start)
-    assert violation(problem, "clouds").field == field
+    (problem,) = check_start(start)
+    assert make_violation(problem, "clouds").field == field
 
 
 def test_a_start_that_can_be_used_has_no_problems() -> None:
-    assert start_problems({"joints": {"elbow": 1.0}}) == ()
+    assert check_start({"joints": {"elbow": 1.0}}) == ()

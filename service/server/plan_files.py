@@ -1,4 +1,4 @@
-"""The files of a plan, from the store's tar file to chunks on the wire."""
+"""The files of a plan: from the store's tar file to chunks on the wire."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from service.store import Store
 CHUNK_BYTES = 512 * 2**10
 
 
-async def chunks(store: Store, plan_id: str) -> AsyncIterator[FileChunk]:
-    """All files of a plan, each to its end before the next.
+async def stream_files(store: Store, plan_id: str) -> AsyncIterator[FileChunk]:
+    """Yield all files of a plan in chunks, one file after the other.
 
     Raises:
         NotStoredError: the plan has no files.
     """
-    reading = _chunks(store, plan_id)
-    while (chunk := await asyncio.to_thread(next, reading, None)) is not None:
+    chunks = _split(store, plan_id)
+    while (chunk := await asyncio.to_thread(next, chunks, None)) is not None:
         yield chunk
 
 
-def files_of(store: Store, plan_id: str) -> dict[str, bytes]:
-    """All files of a plan by their path.
+def read_files(store: Store, plan_id: str) -> dict[str, bytes]:
+    """Read all files of a plan, by path.
 
     Raises:
         NotStoredError: the plan has no files.
     """
-    return {name: content.read() for name, _, content in _opened(store, plan_id)}
+    return {name: content.read() for name, _, content in _open_members(store, plan_id)}
 
 
-def _chunks(store: Store, plan_id: str) -> Iterator[FileChunk]:
-    for name, left, content in _opened(store, plan_id):
+def _split(store: Store, plan_id: str) -> Iterator[FileChunk]:
+    for name, left, content in _open_members(store, plan_id):
         while True:
             data = content.read(CHUNK_BYTES)
             left -= len(data)
@@ -43,8 +43,8 @@ def _chunks(store: Store, plan_id: str) -> Iterator[FileChunk]:
                 break
 
 
-def _opened(store: Store, plan_id: str) -> Iterator[tuple[str, int, IO[bytes]]]:
-    """Path, size and content of each file, to be read before the next."""
+def _open_members(store: Store, plan_id: str) -> Iterator[tuple[str, int, IO[bytes]]]:
+    """Yield path, size and content of each file; the content is read before the next."""
     with store.plans.open_archive(plan_id) as file, tarfile.open(fileobj=file, mode="r:") as archive:
         for member in archive:
             content = archive.extractfile(member)

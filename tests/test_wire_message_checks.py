@@ -6,7 +6,7 @@ import pytest
 from google.protobuf.message import Message
 
 from service.proto.planner.v1 import planner_pb2 as wire
-from service.wire.entries import crowding
+from service.wire.message_checks import find_excess
 
 
 def _poses(n: int) -> Message:
@@ -40,19 +40,19 @@ def _terms(n: int) -> Message:
     ],
 )
 def test_as_many_entries_as_may_be_are_taken_and_one_more_names_its_list(made: object, field: str) -> None:
-    assert crowding(made(50), 50) == ""  # type: ignore[operator]
-    assert crowding(made(51), 50).startswith(f"{field}: too many entries")  # type: ignore[operator]
+    assert find_excess(made(50), 50) == ""  # type: ignore[operator]
+    assert find_excess(made(51), 50).startswith(f"{field}: too many entries")  # type: ignore[operator]
 
 
 def test_entries_that_have_fields_are_fewer() -> None:
-    assert crowding(_poses(50), 100, 50) == ""
-    assert crowding(_poses(51), 100, 50).startswith("request.goal.poses: too many entries; all that have fields")
-    assert crowding(_numbers(51), 100, 50) == ""
+    assert find_excess(_poses(50), 100, 50) == ""
+    assert find_excess(_poses(51), 100, 50).startswith("request.goal.poses: too many entries; expected at most 50 that")
+    assert find_excess(_numbers(51), 100, 50) == ""
 
 
 def test_entries_of_all_lists_count_together() -> None:
     message = wire.PlanRequest()
     for _ in range(10):
         message.request.scene.obstacles.add(size=[1.0] * 10)
-    assert crowding(message, 110) == ""
-    assert crowding(message, 109).startswith("request.scene.obstacles.size: ")
+    assert find_excess(message, 110) == ""
+    assert find_excess(message, 109).startswith("request.scene.obstacles.size: ")

@@ -1,0 +1,327 @@
+"""UploadCloud, BuildScene, GetScene and Detect."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from service.errors import RequestError, shown
+from service.proto.planner.v1.planner_pb2 import (
+    BuildSceneRequest,
+    BuildSceneResponse,
+    CloudsSpec,
+    DetectRequest,
+    DetectResponse,
+    GetSceneRequest,
+    GetSceneResponse,
+    UploadCloudRequest,
+    UploadCloudResponse,
+)
+from service.request.file import parse_scene, parse_start
+from service.request.scene import SceneRequest
+from service.request.schema import RobotRequest
+from service.scan.cloud import CloudInput
+from service.server.cloud_requests import (
+    KnownReader,
+    NamedFile,
+    check_robot,
+    check_start,
+    list_known_files,
+    list_settings,
+    rename_fields,
+)
+from service.server.disk import DiskWatch
+from service.server.jobs import JobRunner, await_result
+from service.server.refusals import refuse_invalid, refuse_overload
+from service.server.requests import RequestReader, select_uploads
+from service.server.settings import SMALL_BYTES
+from service.store import UPLOAD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
+from service.trust import UPLOADED, ClientLimiter, current_caller
+from service.trust.rpc import Context, deadline_of
+from service.wire.plain import to_plain
+from service.wire.scenes import detections_to_messages, scene_to_message
+from service.wire.violations import make_violation
+from service.work.look import SceneTask, build_scene, detect
+from service.work.plan import Refused
+
+T = TypeVar("T")
+M = TypeVar("M", BuildSceneRequest, BuildSceneRequest | DetectRequest)
+SHA256 = re.compile(r"[0-9a-f]{64}")
+MIN_REACH_M, MAX_REACH_M = 0.1, 50.0
+DEFAULT_REACH_M = 4.0
+SCENE_FIELDS = ("hint", "unknown", "method")  # fields of a message that the scene of a request has, too
+CLOUD_FIELDS = ("unit", "apply_viewpoint", "sensor", "topic", "message")  # of ``clouds`` that it has, too
+
+
+class UploadHandler:
+    """Handler of ``UploadCloud``: clouds, meshes and scene files.
+
+    Args:
+        clouds: store of the uploads.
+        disk: watch on the store's disk.
+        limiter: limits of each client's uploads.
+        on_upload: called with the size of each upload [bytes].
+    """
+
+    def __init__(
+        self, clouds: CloudStore, disk: DiskWatch, limiter: ClientLimiter, on_upload: Callable[[int], None]
+    ) -> None:
+        self._clouds = clouds
+        self._disk = disk
+        self._limiter = limiter
+        self._on_upload = on_upload
+
+    async def upload(self, requests: AsyncIterator[UploadCloudRequest], context: Context) -> UploadCloudResponse:
+        """Store an upload; a known one ends with its header.
+
+        Raises:
+            Refusal: it cannot be stored.
+        """
+        client = current_caller()
+        first = await anext(requests, None)
+        if first is None or first.WhichOneof("part") != "header":
+            raise refuse_invalid(["header: the first message of an upload needs one"])
+        suffix = "." + first.header.format.removeprefix(".").lower()
+        if suffix not in UPLOAD_SUFFIXES:
+            formats = ", ".join(known.removeprefix(".") for known in UPLOAD_SUFFIXES)
+            raise refuse_invalid([f"header.format: expected {formats}, got {shown(first.header.format)}"])
+        claimed = first.header.sha256.lower()
+        if claimed and not SHA256.fullmatch(claimed):
+            raise refuse_invalid([f"header.sha256: expected 64 hexadecimal digits or nothing, got {shown(claimed)}"])
+        announced, most = first.header.size_bytes, self._clouds.limits.max_cloud_bytes
+        if announced > most:
+            raise refuse_invalid(
+                [f"header.size_bytes: expected at most {most}, got {announced}; downsample the cloud first"]
+            )
+        known_size = self._clouds.size(f"{UPLOADED}{claimed}{suffix}") if claimed else None
+        if known_size is not None:
+            return UploadCloudResponse(cloud_id=f"{UPLOADED}{claimed}{suffix}", size_bytes=known_size, was_known=True)
+        self._disk.require_space()
+        with self._clouds.upload(client.name, suffix) as upload:
+            self._count(client.key, announced)
+            async for request in requests:
+                if request.WhichOneof("part") != "chunk":
+                    raise refuse_invalid(["chunk: every message after the first needs one"])
+                beyond = upload.n_bytes + len(request.chunk) - max(announced, upload.n_bytes)
+                self._count(client.key, beyond, upload.n_bytes)
+                try:
+                    await asyncio.to_thread(upload.write, request.chunk)
+                except TooLargeError as error:
+                    raise refuse_invalid([f"chunk: {error}"]) from None
+            size, sha256 = upload.n_bytes, upload.sha256
+            if announced and size != announced:
+                raise refuse_invalid([f"header.size_bytes: {announced} bytes were announced, {size} were received"])
+            if claimed and sha256 != claimed:
+                raise refuse_invalid([f"header.sha256: {claimed} was announced, the received bytes have {sha256}"])
+            was_known = self._clouds.has(f"{UPLOADED}{sha256}{suffix}")
+            try:
+                cloud_id = await asyncio.to_thread(upload.finish)
+            except UploadRefusedError as error:
+                raise refuse_invalid([f"chunk: {error}"]) from None
+        self._on_upload(size)
+        return UploadCloudResponse(cloud_id=cloud_id, size_bytes=size, was_known=was_known)
+
+    def _count(self, client: str, n_bytes: int, already_counted: int = 0) -> None:
+        """Count bytes of a client's upload; announced bytes are counted before any is sent.
+
+        Raises:
+            Refusal: they exceed the client's limit; it says after which time the whole upload is allowed.
+        """
+        refusal = self._limiter.upload(client, n_bytes, already_counted) if n_bytes > 0 else None
+        if refusal is not None:
+            raise refuse_overload(refusal.text, refusal.retry_after_s or 0.0)
+
+
+class CloudHandlers:
+    """Handlers of ``BuildScene``, ``GetScene`` and ``Detect``.
+
+    Args:
+        reader: reader of requests, with the server's settings, folders, uploads and robots.
+        jobs: runner of perception.
+        store: store of the scenes.
+        disk: watch on the store's disk.
+    """
+
+    def __init__(self, reader: RequestReader, jobs: JobRunner, store: Store, disk: DiskWatch) -> None:
+        self._settings = reader.settings
+        self._folders = reader.folders
+        self._clouds = reader.clouds
+        self._robots = reader.robots
+        self._jobs = jobs
+        self._store = store
+        self._disk = disk
+        self._known = KnownReader(reader.folders, reader.clouds, store.scenes)
+
+    async def build_scene(self, message: BuildSceneRequest, context: Context) -> AsyncIterator[BuildSceneResponse]:
+        """Yield the steps of perception, then the stored scene.
+
+        Raises:
+            Refusal: the clouds make no scene.
+        """
+        scene = await _read_aside(message, self._read_scene)
+        known = await _read_aside(message, self._known.read)
+        self._disk.require_space()
+        steps: asyncio.Queue[str | None] = asyncio.Queue()
+        with self._open_clouds(message.clouds, scene) as clouds, self._known.open_files(known) as paths:
+            task = SceneTask(
+                clouds,
+                tuple(message.detect),
+                scene.hint,
+                scene.unknown,
+                scene.method,
+                tuple((mesh, paths[mesh.file]) for mesh in known.meshes),
+                None if known.update is None else (paths[known.update], known.update),
+                list_settings(message),
+            )
+            handle = self._jobs.start(
+                "scene",
+                build_scene,
+                task,
+                deadline=deadline_of(context),
+                budget_s=self._settings.budget_s("scene"),
+                on_event=steps.put_nowait,
+            )
+            handle.ended.add_done_callback(lambda _: steps.put_nowait(None))
+            try:
+                while (step := await steps.get()) is not None:
+                    yield BuildSceneResponse(step=step)
+                text = self._accept(await await_result(handle), clouds, scene, list_known_files(known, paths))
+            finally:
+                handle.cancel()
+        scene_id = await asyncio.to_thread(self._store.scenes.put, current_caller().name, text)
+        yield BuildSceneResponse(scene=scene_to_message(scene_id, text))
+
+    async def get_scene(self, message: GetSceneRequest, context: Context) -> GetSceneResponse:
+        """Return a scene that was built before.
+
+        Raises:
+            Refusal: no id was given.
+            NotStoredError: there is no such scene.
+        """
+        if not message.scene_id:
+            raise refuse_invalid(["scene_id: is missing"])
+        text = await asyncio.to_thread(self._store.scenes.get, message.scene_id)
+        return GetSceneResponse(scene=await asyncio.to_thread(scene_to_message, message.scene_id, text))
+
+    async def detect(self, message: DetectRequest, context: Context) -> DetectResponse:
+        """Detect objects of one kind.
+
+        Raises:
+            Refusal: the clouds cannot be searched.
+        """
+        scene = await _read_aside(message, self._read_scene)
+        with self._open_clouds(message.clouds, scene) as clouds:
+            answer = await self._jobs.run(
+                "detect",
+                detect,
+                clouds,
+                message.kind,
+                scene.hint,
+                deadline=deadline_of(context),
+                budget_s=self._settings.budget_s("detect"),
+            )
+            result = self._accept(answer, clouds, scene)
+        return DetectResponse(hits=detections_to_messages(result["hits"]), notes=result["notes"])
+
+    def _read_scene(self, message: BuildSceneRequest | DetectRequest) -> SceneRequest:
+        """Read and check the clouds of a message by the rules of a request's scene.
+
+        Raises:
+            Refusal: INVALID_ARGUMENT naming every wrong field.
+        """
+        plain = to_plain(message)
+        clouds = plain.get("clouds", {})
+        data = {key: clouds[key] for key in CLOUD_FIELDS if key in clouds}
+        data |= {key: plain[key] for key in SCENE_FIELDS if key in plain}
+        problems = [] if clouds.get("clouds") else ["clouds: expected at least one"]
+        reach = _reach_m(message.clouds)
+        if not MIN_REACH_M <= reach <= MAX_REACH_M:
+            problems.append(f"reach_m: expected {MIN_REACH_M:g} to {MAX_REACH_M:g}, got {reach:g}")
+        bottom, top = _heights_m(message.clouds)
+        if not -math.inf < bottom < top < math.inf:
+            problems.append(f"top_m: expected a height above bottom_m, which is {bottom:g}, got {top:g}")
+        problems += check_robot(clouds.get("robot"))
+        problems += check_start(clouds.get("start", {}))
+        try:
+            scene = parse_scene({**data, "cloud": clouds.get("clouds") or None})
+        except RequestError as error:
+            raise refuse_invalid(map(_to_message_field, (*problems, *error.problems))) from None
+        for field, problem in self._folders.find_scene_problems(scene):
+            problems.append(f"{field.removeprefix('scene.')}: {problem}")
+        if problems:
+            raise refuse_invalid(map(_to_message_field, problems))
+        return scene
+
+    @contextmanager
+    def _open_clouds(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudInput]:
+        """Yield the clouds with paths on the server, which stay readable for the body."""
+        files = scene.cloud_files
+        bottom, top = _heights_m(given)
+        with self._clouds.open_files(select_uploads(file.file for file in files)) as paths:
+            yield CloudInput(
+                files=tuple(Path(paths.get(file.file, file.file)) for file in files),
+                unit=scene.unit,
+                transforms=tuple(_join_numbers(file.position, file.quaternion_wxyz) for file in files),
+                apply_viewpoint=scene.apply_viewpoint,
+                sensor=scene.sensor,
+                topic=scene.topic,
+                message=scene.message,
+                reach_m=_reach_m(given),
+                top_m=top,
+                bottom_m=bottom,
+                robot=self._robot(given.robot) if given.HasField("robot") else None,
+                start=parse_start(to_plain(given.start)) if given.HasField("start") else None,
+                seed=given.seed,
+            )
+
+    def _accept(
+        self, answer: T | Refused, clouds: CloudInput, scene: SceneRequest, more: Sequence[NamedFile] = ()
+    ) -> T:
+        """Return a worker's answer.
+
+        Raises:
+            Refusal: the worker refused the clouds.
+        """
+        if isinstance(answer, Refused):
+            pairs = zip(scene.cloud_files, clouds.files, strict=True)
+            files = [NamedFile(f"clouds.clouds[{k}].file", cloud.file, path) for k, (cloud, path) in enumerate(pairs)]
+            problems = rename_fields(answer.problems, [*files, *more])
+            raise refuse_invalid(self._robots.hide_paths(problems))
+        return answer
+
+    def _robot(self, name: str) -> RobotRequest:
+        return self._robots.get(name) or RobotRequest(name=name)
+
+
+async def _read_aside(message: M, read: Callable[[M], T]) -> T:
+    """Read a message, a large one in a thread beside the event loop."""
+    return read(message) if message.ByteSize() <= SMALL_BYTES else await asyncio.to_thread(read, message)
+
+
+def _to_message_field(problem: str) -> str:
+    """Begin a problem of a scene with the field of the message."""
+    field = make_violation(problem).field
+    if re.split(r"[.\[]", field, maxsplit=1)[0] in SCENE_FIELDS:
+        return problem
+    return f"clouds.{re.sub(r'^cloud(?=[:[])', 'clouds', problem)}" if field else f"clouds: {problem}"
+
+
+def _reach_m(given: CloudsSpec) -> float:
+    return given.reach_m if given.HasField("reach_m") else DEFAULT_REACH_M
+
+
+def _heights_m(given: CloudsSpec) -> tuple[float, float]:
+    """Return the lowest and the highest point that is used."""
+    return (
+        given.bottom_m if given.HasField("bottom_m") else CloudInput.bottom_m,
+        given.top_m if given.HasField("top_m") else CloudInput.top_m,
+    )
+
+
+def _join_numbers(*groups: Sequence[float]) -> str:
+    return " ".join(repr(number) for group in groups for number in group)

@@ -1,0 +1,66 @@
+"""Refusals for wrong requests, errors of the store, overload, and a server that cannot take work."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import grpc
+
+from service.errors import RequestError, UnplannedTaskError
+from service.store import (
+    DiskError,
+    NotStoredError,
+    ReviewRefusedError,
+    StoreError,
+    StoreFullError,
+    TooLargeError,
+    UploadRefusedError,
+)
+from service.telemetry import log_incident
+from service.trust.rpc import Refusal
+from service.wire.violations import make_bad_request
+
+STATUS_OF_STORE_ERROR: dict[type[StoreError], grpc.StatusCode] = {
+    NotStoredError: grpc.StatusCode.NOT_FOUND,
+    ReviewRefusedError: grpc.StatusCode.FAILED_PRECONDITION,
+    StoreFullError: grpc.StatusCode.RESOURCE_EXHAUSTED,
+    TooLargeError: grpc.StatusCode.INVALID_ARGUMENT,
+    UploadRefusedError: grpc.StatusCode.INVALID_ARGUMENT,
+}
+DISK_FULL = Refusal(
+    grpc.StatusCode.UNAVAILABLE,
+    "the server's disk cannot store new results; try another server, or later",
+)
+STOPPING = Refusal(grpc.StatusCode.UNAVAILABLE, "the server is stopping; try another one, or later")
+GOING_DOWN = Refusal(grpc.StatusCode.UNAVAILABLE, "the server is going down now; try another one, or later")
+
+
+def refuse_invalid(problems: Iterable[str], within: str = "", is_unplanned: bool = False) -> Refusal:
+    """Make INVALID_ARGUMENT with a field violation per problem.
+
+    Args:
+        problems: one line each, beginning with the field.
+        within: field of the message that holds the request.
+        is_unplanned: the request is valid, but no planner exists for its task: UNIMPLEMENTED.
+    """
+    lines = tuple(problems)
+    code = grpc.StatusCode.UNIMPLEMENTED if is_unplanned else grpc.StatusCode.INVALID_ARGUMENT
+    return Refusal(code, "; ".join(lines), details=[make_bad_request(lines, within)])
+
+
+def refuse_overload(text: str, retry_after_s: float) -> Refusal:
+    """Make RESOURCE_EXHAUSTED with the delay before another try."""
+    return Refusal(grpc.StatusCode.RESOURCE_EXHAUSTED, text, max(retry_after_s, 0.0))
+
+
+def refuse_error(error: Exception, within: str = "") -> Refusal:
+    """Make the refusal for an error that ended a call; an unexpected error tells the client only its number."""
+    if isinstance(error, Refusal):
+        return error
+    if isinstance(error, RequestError):
+        return refuse_invalid(error.problems, within, isinstance(error, UnplannedTaskError))
+    if isinstance(error, StoreError) and type(error) in STATUS_OF_STORE_ERROR:
+        return Refusal(STATUS_OF_STORE_ERROR[type(error)], str(error))
+    if isinstance(error, DiskError):  # its text names the server's files; the log has it
+        return DISK_FULL
+    return log_incident(error)
