@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.doubts import doubts
+from perception.cleaning.doubts import doubts
 from perception.errors import CloudError
 from perception.limits import MAX_INVALID_FRACTION, MAX_POINTS
 

@@ -12,17 +12,17 @@ from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece, Scene
 from costs.stopping import never, poll, stops_when
-from perception.clean import Reach, voxel_downsample
-from perception.clock import Clock
+from perception.cleaning.clean import Reach, voxel_downsample
+from perception.cleaning.neighbours import nearest
 from perception.cloud import Cloud
+from perception.convex.clock import Clock
 from perception.convex.piece import Piece
 from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.unknown import unknown_pieces
-from perception.detect.valve import ValveDetection, detect_in
-from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
+from perception.detect.valve.bodies import stem_of, stem_points, wheel_points
+from perception.detect.valve.wheel import ValveDetection, detect_in
 from perception.errors import MeshError
-from perception.floor import FloorPlane, floor_pieces
-from perception.neighbours import nearest
+from perception.ground.floor import FloorPlane, floor_pieces
 from perception.solids.known import KnownMesh, located
 from perception.solids.match import MeshMatch
 from perception.solids.pieces import made_by_coacd

@@ -10,18 +10,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece, Scene
-from perception.clean import Reach
-from perception.clock import Clock
+from perception.cleaning.clean import Reach
+from perception.cleaning.locally import LocalJudge
 from perception.cloud import Cloud
+from perception.convex.clock import Clock
 from perception.convex.hulls import hull_of
 from perception.convex.piece import Piece
 from perception.convex.standing import Ground
 from perception.convex.unknown import unknown_pieces
 from perception.convex.updated import Judge, Updated, updated_pieces
-from perception.detect.valve import ValveDetection
-from perception.floor import FloorPlane, on_floors
-from perception.levels_again import may_be_level
-from perception.locally import LocalJudge
+from perception.detect.valve.wheel import ValveDetection
+from perception.ground.floor import FloorPlane, on_floors
+from perception.ground.levels_again import may_be_level
 from perception.perceive import Perceived, floors_of, matched, unexplained, without_best
 from perception.solids.known import KnownMesh
 from perception.solids.match import MeshMatch

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.clean import Reach, first_of_equals, inside_hulls
+from perception.cleaning.clean import Reach, first_of_equals, inside_hulls
+from perception.cleaning.doubts import crop_doubt, low_sensor_doubt, nothing_left
+from perception.cleaning.outliers import surface_points
 from perception.cloud import Cloud
-from perception.doubts import crop_doubt, low_sensor_doubt, nothing_left
 from perception.errors import CloudError
-from perception.floor import FloorPlane, on_floors
-from perception.levels import find_floors
-from perception.levels_again import are_there
-from perception.outliers import surface_points
+from perception.ground.floor import FloorPlane, on_floors
+from perception.ground.levels import find_floors
+from perception.ground.levels_again import are_there
 
 _DEFAULT_REACH = Reach()
 _BEYOND = 1.0

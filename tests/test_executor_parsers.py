@@ -22,7 +22,7 @@ parse_in_worker(Path(sys.argv[1]) / "scan.las")
 SPLIT_A_MESH = """
 import os, sys
 import numpy as np
-from perception.mesh import Mesh
+from perception.solids.mesh import Mesh
 from perception.solids.process import Limits, run_coacd
 os.environ["PYTHONPATH"] = sys.argv[1]
 run_coacd([Mesh(np.eye(3), np.array([[0, 1, 2]]))], {}, Limits())

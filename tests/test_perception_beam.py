@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception import CONFIDENT, Cloud, Detection, View, make_view, read_cloud
-from perception.detect.bar_fit import BarFit, _linearized, _moved, _State, spread_between_edges
-from perception.detect.bars import Bar, Section, SurroundingRays, cross_bar, sort_rays
-from perception.detect.beam import _continues, detect_beam, loose_points
-from perception.detect.lines import find_lines
-from perception.detect.sightlines import Sightlines
-from perception.detect.slender import is_slender
-from perception.detect.strips import _in_walls, find_strips
+from perception.detect.beam.detector import _continues, detect_beam, loose_points
+from perception.detect.beam.strips import _in_walls, find_strips
+from perception.detect.shared.bar_fit import BarFit, _linearized, _moved, _State, spread_between_edges
+from perception.detect.shared.bars import Bar, Section, SurroundingRays, cross_bar, sort_rays
+from perception.detect.shared.slender import is_slender
+from perception.detect.valve.lines import find_lines
+from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.6)

@@ -17,8 +17,8 @@ from perception import (
     make_view,
     voxel_downsample,
 )
-from perception.grazed import on_grazed_surface
-from perception.outliers import surface_points
+from perception.cleaning.grazed import on_grazed_surface
+from perception.cleaning.outliers import surface_points
 from perception.simulate import box, cylinder
 from perception.simulate.cast import cast
 from perception.simulate.mesh import Mesh, joined

@@ -16,12 +16,12 @@ from costs.stopping import Stopped, stops_when
 from perception import Cloud, make_view
 from perception.convex.pieces import Pieces
 from perception.errors import MeshError
-from perception.mesh import Mesh
 from perception.simulate import Pose, Room, Scanner, box, scan, torus
 from perception.solids import decompose, process
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, solid_of
 from perception.solids.decompose import CoacdSettings, Work
+from perception.solids.mesh import Mesh
 from perception.solids.pieces import made_by_coacd, pieces_by_coacd
 from perception.solids.process import Limits, run_coacd
 from perception.solids.voxels import surface_of

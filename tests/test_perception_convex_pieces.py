@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception import Cloud, Perceived, perceive
-from perception.clean import half_spaces
+from perception.cleaning.clean import half_spaces
 from perception.convex.attach import attached
 from perception.convex.coarse import coarsened
 from perception.convex.freespace import carve

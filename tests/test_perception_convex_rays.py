@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from costs.scene import ConvexPiece
 from perception import Cloud, perceive
-from perception.clean import half_spaces
+from perception.cleaning.clean import half_spaces
 from perception.convex.coarse import coarsened
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.planes import Plane, find_planes

@@ -7,7 +7,7 @@ import pytest
 
 from costs.scene import ConvexPiece
 from perception import Cloud, Perceived, Reach, perceive
-from perception.clean import half_spaces
+from perception.cleaning.clean import half_spaces
 from perception.convex.hulls import MAX_VERTICES
 from perception.simulate import Pose, Room, Scanner, scan
 

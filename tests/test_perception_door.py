@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
-from perception.detect.door_edge import side_edge, unevenness
-from perception.detect.door_handle import find_handle
-from perception.detect.profile import BIN, Profile, Rays, straight_stretches
-from perception.detect.upright import Upright, find_uprights
+from perception.detect.door.edge import side_edge, unevenness
+from perception.detect.door.handle import find_handle
+from perception.detect.door.profile import BIN, Profile, Rays, straight_stretches
+from perception.detect.door.upright import Upright, find_uprights
 from perception.simulate import DepthCamera, Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.objects.doors import Door
 from perception.simulate.objects.placed import Truth

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, KINDS, Cloud, View, detect_kinds, make_view
-from perception.detect.drill import detect_drill
-from perception.detect.drill_shape import Shape, meet
-from perception.detect.sightlines import Sightlines
-from perception.detect.supports import level_heights, standing_clusters
+from perception.detect.drill.detector import detect_drill
+from perception.detect.drill.shape import Shape, meet
+from perception.detect.drill.supports import level_heights, standing_clusters
+from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.mesh import hull
 from perception.simulate.objects.loose import Drill, can, pot

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, Cloud, View, make_view
-from perception.detect.hose import detect_hose
-from perception.detect.sightlines import Sightlines
-from perception.detect.slender import is_flat
-from perception.detect.tips import find_tips
-from perception.detect.tube import STRAIGHT, Tube, meet_tubes, misfits, refined, square_to
-from perception.detect.tube_evidence import weigh_tube
-from perception.detect.tube_mouth import settled
+from perception.detect.hose.detector import detect_hose
+from perception.detect.hose.mouth import settled
+from perception.detect.hose.tips import find_tips
+from perception.detect.hose.tube import STRAIGHT, Tube, meet_tubes, misfits, refined, square_to
+from perception.detect.hose.tube_evidence import weigh_tube
+from perception.detect.shared.slender import is_flat
+from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.objects.fixtures import Standpipe
 from perception.simulate.objects.loose import can, pot

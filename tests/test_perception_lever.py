@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, View, detect, make_view
-from perception.detect.faces import Face, FaceRays
-from perception.detect.lever_pivot import face_behind
-from perception.detect.sightlines import Sightlines
+from perception.detect.shared.bar_pivot import face_behind
+from perception.detect.shared.faces import Face, FaceRays
+from perception.sightlines import Sightlines
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
 from perception.simulate.mesh import Mesh, bent_bar
 from perception.simulate.objects.fixtures import BoxLever, Panel

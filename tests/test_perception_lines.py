@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.detect.lines import Line, _grown
+from perception.detect.valve.lines import Line, _grown
 
 
 def test_from_a_place_whose_points_lie_off_the_line_nothing_grows() -> None:

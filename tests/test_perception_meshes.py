@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from perception import Cloud, make_view, perceive
 from perception.errors import MeshError
-from perception.mesh import Mesh
 from perception.perceive import unexplained
 from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
 from perception.solids.cache import PartsCache
@@ -24,6 +23,7 @@ from perception.solids.fit import Pose as FitPose
 from perception.solids.fit import Region, fitted
 from perception.solids.known import KnownMesh, located
 from perception.solids.match import CONFIDENT, MeshMatch, match_mesh
+from perception.solids.mesh import Mesh
 from perception.solids.read import read_mesh
 from perception.solids.surface import Surface
 from perception.view import View

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, Detection, PerceptionError, View, detect, detect_kinds, make_view, read_cloud
-from perception.detect.relief import find_discs
+from perception.detect.panel.relief import find_discs
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
 from perception.simulate.mesh import Mesh
 from perception.simulate.objects.fixtures import BoxLever, Panel

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from costs.scene import ConvexPiece
 from perception import Cloud, CloudError, Perceived, perceive, read_cloud
-from perception.clean import half_spaces
+from perception.cleaning.clean import half_spaces
 from perception.convex.freespace import carve
 from perception.convex.hulls import MAX_VERTICES, limited
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, cylinder, joined, scan

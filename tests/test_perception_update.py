@@ -9,15 +9,15 @@ import pytest
 
 from costs.scene import ConvexPiece
 from perception import Cloud, Evidence, Perceived, Piece, Reach, perceive
-from perception.clean import half_spaces
+from perception.cleaning.clean import half_spaces
+from perception.cleaning.locally import LocalJudge
+from perception.cleaning.outliers import surface_points
 from perception.convex.freespace import Crossing
 from perception.convex.hulls import hull_of
 from perception.convex.updated import updated_pieces
-from perception.floor import FloorPlane
-from perception.levels_again import are_there, may_be_level
-from perception.locally import LocalJudge
-from perception.outliers import surface_points
-from perception.remembered import Memory, content_key
+from perception.ground.floor import FloorPlane
+from perception.ground.levels_again import are_there, may_be_level
+from perception.memory import Memory, content_key
 from perception.simulate import Pose, Room, Scanner, Valve, scan
 from perception.update import update
 

@@ -20,17 +20,17 @@ from perception import (
     wheel_basis,
     wheel_points,
 )
-from perception.clean import half_spaces
+from perception.cleaning.clean import half_spaces
 from perception.cloud import Cloud
-from perception.detect.circle_fit import Circles, agreement, refitted
-from perception.detect.level import Patch
-from perception.detect.ring_fit import linearized, moved_ring
-from perception.detect.seat import Seat
-from perception.detect.sightlines import Sightlines, index_of
-from perception.detect.steering import could_steer, steers
-from perception.detect.wheel import Ring, pass_ring
-from perception.detect.wheel_evidence import _openings
-from perception.detect.wheel_inside import Inside
+from perception.detect.valve.circle_fit import Circles, agreement, refitted
+from perception.detect.valve.evidence import _openings
+from perception.detect.valve.inside import Inside
+from perception.detect.valve.ring import Ring, pass_ring
+from perception.detect.valve.ring_fit import linearized, moved_ring
+from perception.detect.valve.steering import could_steer, steers
+from perception.detect.vehicle.level import Patch
+from perception.detect.vehicle.seat import Seat
+from perception.sightlines import Sightlines, index_of
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cylinder, scan, torus
 from perception.simulate.mesh import lathe, pipe
 

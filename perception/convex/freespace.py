@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.stopping import poll
-from perception.clean import row_keys
+from perception.cleaning.clean import row_keys
 
 _END_MARGIN = 0.05
 _MAX_CELLS = 40_000_000

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece
-from perception.clock import Clock
 from perception.convex.attach import attached
+from perception.convex.clock import Clock
 from perception.convex.coarse import Coarse, Groups, coarsened
 from perception.convex.evidence import evidence_of
 from perception.convex.freespace import Crossing, FreeSpace

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from perception.cleaning.neighbours import nearest
 from perception.convex.nearby import nearby
-from perception.neighbours import nearest
 
 _FOURTH = 4
 _MOST_OF_RANGE = 0.025

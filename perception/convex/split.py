@@ -11,9 +11,9 @@ from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from perception.cleaning.neighbours import nearest
 from perception.convex.freespace import FreeSpace
 from perception.convex.hulls import Hull, hull_of, thickened
-from perception.neighbours import nearest
 
 _SMALLEST = 0.03
 _NEIGHBOURS = 10

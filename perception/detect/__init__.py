@@ -6,17 +6,17 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.stopping import Stopped, poll
-from perception.detect.any_valve import detect_valve
-from perception.detect.beam import detect_beam
-from perception.detect.detection import Detection
-from perception.detect.door import detect_door
-from perception.detect.drill import detect_drill
-from perception.detect.faces import FacesInSight
-from perception.detect.hose import detect_hose
+from perception.detect.beam.detector import detect_beam
+from perception.detect.door.detector import detect_door
+from perception.detect.drill.detector import detect_drill
+from perception.detect.hose.detector import detect_hose
 from perception.detect.lever import detect_lever
-from perception.detect.opening import detect_opening
-from perception.detect.panel import detect_panel
-from perception.detect.seat import detect_seat
+from perception.detect.panel.detector import detect_panel
+from perception.detect.shared.detection import Detection
+from perception.detect.shared.faces import FacesInSight
+from perception.detect.valve.detector import detect_valve
+from perception.detect.vehicle.opening import detect_opening
+from perception.detect.vehicle.seat import detect_seat
 from perception.errors import PerceptionError
 from perception.view import View
 

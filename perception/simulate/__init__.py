@@ -4,7 +4,8 @@ from perception.simulate.cast import Caster, cast
 from perception.simulate.depth_camera import DepthCamera
 from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, hull, joined, lathe, pipe, torus
 from perception.simulate.scanner import Scanner
-from perception.simulate.sensor import Pose, Sensor, scan
+from perception.simulate.scanning import scan
+from perception.simulate.sensor import Pose, Sensor
 from perception.simulate.solid_state import SolidState
 from perception.simulate.valve_scene import Room, Valve
 

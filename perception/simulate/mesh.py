@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from perception.mesh import Mesh as Mesh  # the sensors and scenes take it from here
+from perception.solids.mesh import Mesh as Mesh  # the sensors and scenes take it from here
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:

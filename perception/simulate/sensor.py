@@ -1,4 +1,4 @@
-"""What every simulated sensor has, and the scan it takes of meshes."""
+"""Simulated sensors: their pose, what each of them has, and ranges mixed up at edges."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from perception.cloud import Cloud
-from perception.simulate.cast import Caster, Hits
-from perception.simulate.mesh import Mesh, joined
+from perception.simulate.cast import Hits
 
 _EDGE = 0.03
 
@@ -77,46 +75,6 @@ class Sensor(Protocol):
         ...
 
 
-def scan(
-    meshes: Sequence[Mesh],
-    pose: Pose | None = None,
-    sensor: Sensor | None = None,
-    seed: int = 0,
-    *,
-    misses: bool = False,
-) -> Cloud:
-    """What a sensor gives of the meshes, in world coordinates.
-
-    Every ray stops at the first surface (real occlusion), and may be mixed up with what is beside it.
-
-    Args:
-        meshes: the world.
-        pose: of the sensor.
-        sensor: what it does; by default a spinning line scanner.
-        seed: of the noise.
-        misses: whether rays that met nothing in range are told, as places at ``max_range``; sensors that cannot tell
-            them from failures give none.
-    """
-    if sensor is None:
-        from perception.simulate.scanner import Scanner
-
-        sensor = Scanner()
-    pose = pose or Pose()
-    rng = np.random.default_rng(seed)
-    origin = np.array(pose.position)
-    direction = sensor.directions() @ pose.rotation.T
-    caster = Caster(joined(meshes))
-    hits = caster.hits(origin, direction)
-    beside = caster.hits(origin, _aside(direction, sensor.footprint_deg, rng)).distance
-    ranges = sensor.measured(hits, beside, rng)
-    seen = np.isfinite(ranges) & (ranges > sensor.nearest) & (ranges < sensor.max_range)
-    points = origin + ranges[seen, None] * direction[seen]
-    if not misses or not sensor.tells_misses:
-        return Cloud(points, origin)
-    nothing = ~seen & (hits.distance > sensor.max_range) & (beside > sensor.max_range)
-    return Cloud(points, origin, misses=origin + sensor.max_range * direction[nothing])
-
-
 def mixed(
     first: Float[np.ndarray, "R"], beside: Float[np.ndarray, "R"], share: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "R"]:
@@ -133,13 +91,3 @@ def mixed(
     gap = np.where(both, beside, 0.0) - np.where(both, first, 0.0)
     is_mixed = (np.abs(gap) > _EDGE) & (rng.random(len(first)) < share)
     return np.where(is_mixed, first + place * gap, first)
-
-
-def _aside(
-    direction: Float[np.ndarray, "R 3"], footprint_deg: float, rng: np.random.Generator
-) -> Float[np.ndarray, "R 3"]:
-    """Each direction moved to its footprint's edge."""
-    aside = rng.normal(size=direction.shape)
-    aside -= (aside * direction).sum(axis=1, keepdims=True) * direction
-    aside *= np.tan(np.radians(footprint_deg)) / np.linalg.norm(aside, axis=1, keepdims=True)
-    return np.asarray((direction + aside) / np.linalg.norm(direction + aside, axis=1, keepdims=True))

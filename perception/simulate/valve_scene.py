@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.detect.wheel import wheel_basis
+from perception.detect.valve.ring import wheel_basis
 from perception.simulate.mesh import Mesh, box, cylinder, hull, torus
 
 

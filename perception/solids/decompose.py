@@ -14,9 +14,9 @@ from scipy.spatial import ConvexHull, QhullError
 
 from perception.convex.hulls import MAX_VERTICES, limited
 from perception.errors import MeshError
-from perception.mesh import Mesh
 from perception.solids.cache import Parts, PartsCache
 from perception.solids.closed import Solid
+from perception.solids.mesh import Mesh
 from perception.solids.process import Limits, run_coacd
 from perception.solids.simplify import simplified
 from perception.solids.voxels import shell_of

@@ -13,11 +13,11 @@ from perception.convex.coarse import coarsened
 from perception.convex.pieces import VOXEL
 from perception.convex.planes import find_planes
 from perception.convex.split import clusters
-from perception.detect.sightlines import SightIndex, Sightlines, sight_index
 from perception.errors import MeshError
-from perception.mesh import Mesh
+from perception.sightlines import SightIndex, Sightlines, sight_index
 from perception.solids.closed import Solid, solid_of
 from perception.solids.fit import Pose, Region, fitted
+from perception.solids.mesh import Mesh
 from perception.solids.surface import Surface
 from perception.view import View
 

@@ -11,6 +11,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece
+from perception.cleaning.neighbours import nearest
 from perception.convex.coarse import coarsened
 from perception.convex.evidence import evidence_of
 from perception.convex.freespace import FreeSpace, carve
@@ -19,10 +20,9 @@ from perception.convex.piece import Piece
 from perception.convex.pieces import Pieces
 from perception.convex.smooth import smoothed
 from perception.convex.split import is_free_of
-from perception.mesh import Mesh
-from perception.neighbours import nearest
 from perception.solids.cache import Parts
 from perception.solids.decompose import CoacdSettings, Work, decompose
+from perception.solids.mesh import Mesh
 from perception.solids.voxels import surface_of
 from perception.view import View
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from costs.stopping import poll
 from perception.errors import MeshError
-from perception.mesh import Mesh
 from perception.solids import child
 from perception.solids.cache import Parts
+from perception.solids.mesh import Mesh
 
 _OUT_OF_MEMORY = (b"MemoryError", b"bad_alloc", b"failed to map segment", b"Cannot allocate memory")
 _LOOK_S = 0.02  # how often a running process is looked after

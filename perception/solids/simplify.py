@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.mesh import Mesh
 from perception.solids.closed import is_closed
+from perception.solids.mesh import Mesh
 
 
 def simplified(mesh: Mesh, n_triangles: int, stray: float) -> Mesh:

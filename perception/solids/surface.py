@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.mesh import Mesh
+from perception.solids.mesh import Mesh
 
 
 class Surface:

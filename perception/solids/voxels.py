@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.mesh import Mesh
+from perception.solids.mesh import Mesh
 from perception.solids.simplify import simplified
 
 _SIMPLER = 0.1  # share of the triangles that is left of a cell's own where the surface is smooth

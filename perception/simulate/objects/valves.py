@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.detect.wheel import wheel_basis
+from perception.detect.valve.ring import wheel_basis
 from perception.simulate.mesh import Mesh, bent_bar, cylinder, lathe
 from perception.simulate.objects.placed import Placed, Truth, frame
 from perception.simulate.valve_scene import Valve

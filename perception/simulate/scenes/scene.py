@@ -15,7 +15,8 @@ from perception.simulate.depth_camera import DepthCamera
 from perception.simulate.mesh import Mesh
 from perception.simulate.objects.placed import Placed, Truth, together
 from perception.simulate.scanner import Scanner
-from perception.simulate.sensor import Pose, Sensor, scan
+from perception.simulate.scanning import scan
+from perception.simulate.sensor import Pose, Sensor
 from perception.simulate.solid_state import SolidState
 
 VARIANTS: Mapping[str, Sensor] = {

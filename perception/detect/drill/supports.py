@@ -1,0 +1,134 @@
+"""Level surfaces that things stand on, and the clusters that stand on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from costs.stopping import poll
+from perception.cleaning.clean import voxel_downsample
+from perception.detect.shared.layers import sum_about
+from perception.view import View
+
+_VOXEL = 0.012
+_LAYER = 0.01
+_CELL = 0.03
+_LEAST_CELLS = 40
+_APART = 0.08
+_OVER = (0.018, 0.36)
+_LINK, _LINK_UP = 0.025, 0.12
+_WIDE = 0.5
+_LEAST_POINTS = 15
+_FOOT_HEIGHT = 0.05
+_LEAST_NEIGHBOURS = (9, 6, 4, 0)
+
+
+@dataclass(frozen=True)
+class StandingCluster:
+    """Something that stands on a level surface.
+
+    Attributes:
+        points: (N, 3) thinned, without the surface [m].
+        level: height of the surface [m].
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    level: float
+
+
+def standing_clusters(view: View) -> list[StandingCluster]:
+    """What stands on boards, tables and the floor, largest first."""
+    points, _ = voxel_downsample(view.obstacles, _VOXEL)
+    levels = level_heights(points)
+    if view.floor is not None:
+        levels = [float(view.floor.height(points[:, :2].mean(axis=0, keepdims=True))[0]), *levels]
+    on_board = np.zeros(len(points), dtype=bool)
+    for level in levels:
+        on_board |= _on_board(points, level)
+    standing = points[~on_board]
+    found: list[StandingCluster] = []
+    for level in levels:
+        layer = standing[(standing[:, 2] > level + _OVER[0]) & (standing[:, 2] < level + _OVER[1])]
+        found += [StandingCluster(one, level) for one in _on_foot(_linked(layer), level)]
+    return sorted(found, key=lambda one: -len(one.points))
+
+
+def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray, "N"]:
+    """Points of the level surface itself: near its height, where it is wide."""
+    poll()
+    near = np.flatnonzero(np.abs(points[:, 2] - level) < _OVER[0])
+    mask = np.zeros(len(points), dtype=bool)
+    if not len(near):
+        return mask
+    cells = np.floor(points[near, :2] / _CELL).astype(np.int64)
+    cells -= cells.min(axis=0)
+    grid = np.zeros(cells.max(axis=0) + 1)
+    grid[tuple(cells.T)] = 1.0
+    wide = ndimage.uniform_filter(grid, size=5, mode="constant") > _WIDE
+    mask[near] = wide[tuple(cells.T)]
+    return mask
+
+
+def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
+    """Heights at which points fill a level area of some 4 square decimetres, from below [m]."""
+    poll()
+    if not len(points):
+        return []
+    bottom = float(points[:, 2].min())
+    layer = np.floor((points[:, 2] - bottom) / _LAYER).astype(np.int64)
+    cells = np.floor(points[:, :2] / _CELL).astype(np.int64)
+    distinct = np.unique(np.column_stack([layer, cells]), axis=0)
+    area = np.bincount(distinct[:, 0], minlength=int(layer.max()) + 1).astype(float)
+    # Range noise spreads a surface over two or three layers; walls fill all layers alike.
+    thick = sum_about(area, (1.0, 1.0, 1.0))
+    beyond = sum_about(area, (0.5, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5))
+    excess = thick - 1.5 * beyond
+    heights: list[float] = []
+    for i in np.argsort(-excess, kind="stable").tolist():
+        if excess[i] < _LEAST_CELLS:
+            break
+        near = points[np.abs(points[:, 2] - bottom - (i + 0.5) * _LAYER) < 1.5 * _LAYER, 2]
+        height = float(np.median(near))
+        if all(abs(height - other) > _APART for other in heights):
+            heights.append(height)
+    return sorted(heights)
+
+
+def _linked(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
+    """Groups of points within 3 cm of a neighbour, 12 cm above or below it: what overhangs hides what is under it."""
+    poll()
+    if len(points) < _LEAST_POINTS:
+        return []
+    pairs = _pairs(points)
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    n_groups, of_point = connected_components(graph, directed=False)
+    sizes = np.bincount(of_point, minlength=n_groups)
+    return [points[of_point == i] for i in np.flatnonzero(sizes >= _LEAST_POINTS).tolist()]
+
+
+def _pairs(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
+    """Indices of the points that are linked."""
+    poll()
+    return np.asarray(cKDTree(points * (1.0, 1.0, _LINK / _LINK_UP)).query_pairs(_LINK, output_type="ndarray"))
+
+
+def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
+    """What a cluster falls into once points with few neighbours are left out, strictest first, all points last.
+
+    Mixed pixels and noise make bridges between what stands a hand apart; there points are few.
+    """
+    pairs = _pairs(cluster.points)
+    n_neighbours = np.bincount(pairs.ravel(), minlength=len(cluster.points))
+    levels = [_linked(cluster.points[n_neighbours >= least]) for least in _LEAST_NEIGHBOURS]
+    return [[StandingCluster(part, cluster.level) for part in _on_foot(parts, cluster.level)] for parts in levels]
+
+
+def _on_foot(groups: list[Float[np.ndarray, "K 3"]], level: float) -> list[Float[np.ndarray, "K 3"]]:
+    """Those that reach down to the surface."""
+    return [one for one in groups if one[:, 2].min() < level + _FOOT_HEIGHT]

@@ -1,0 +1,147 @@
+"""A detected wheel as solids: what turns (rim, hub, spokes), what stays (stem), and which points were its own."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from costs.scene import ConvexPiece
+from perception.detect.valve.wheel import ValveDetection
+
+_SECTION = 8
+_ROUND = 12
+_CUT = 0.03
+_STEM_BEHIND = 0.6
+_USUAL_STEM_RADIUS = 0.02
+_CONFIDENT = 0.5
+_FEWEST_POINTS = 20
+_EXPLAINED = 0.85
+
+
+def valve_bodies(
+    detection: ValveDetection, n_segments: int = 20, margin: float = 0.004
+) -> dict[str, Float[np.ndarray, "V 3"]]:
+    """The turning wheel as convex vertex sets, world coordinates [m].
+
+    ``rim/0`` ... circumscribe the rim.  What is inside it is ``hub`` and ``spoke/0`` ... when the spokes were clearly
+    seen, and otherwise ``hub`` alone, a disc out to the rim.
+
+    Args:
+        detection: the wheel.
+        n_segments: of the rim, at least 3.
+        margin: added all round [m].
+    """
+    bodies = rim_bodies(detection, n_segments, margin)
+    inner = max(detection.rim_radius - detection.tube_radius, 0.0)
+    if not has_clear_spokes(detection):
+        return bodies | {"hub": _disc(detection, max(inner, 0.01) + margin, margin)}
+    bodies["hub"] = _disc(detection, max(detection.hub_radius, 0.01) + margin, margin)
+    for i, angle in enumerate(detection.spoke_angles):
+        bodies[f"spoke/{i}"] = _spoke(detection, angle, margin)
+    return bodies
+
+
+def rim_bodies(
+    detection: ValveDetection, n_segments: int = 20, margin: float = 0.004
+) -> dict[str, Float[np.ndarray, "V 3"]]:
+    """Those of ``valve_bodies`` that are the rim, ``rim/0`` ..., world coordinates [m]."""
+    return {f"rim/{i}": _segment(detection, i, n_segments, margin) for i in range(n_segments)}
+
+
+def has_clear_spokes(detection: ValveDetection) -> bool:
+    """Whether the spokes were seen so clearly that a hand may rely on the openings between them."""
+    n_spokes = len(detection.spoke_angles)
+    return bool(
+        detection.confidence >= _CONFIDENT
+        and 2 <= n_spokes <= 8
+        and detection.hub_radius < 0.7 * (detection.rim_radius - detection.tube_radius)
+        and detection.spoke_share >= _EXPLAINED
+        and 2.0 * detection.spoke_half_width * n_spokes < 0.5 * 2.0 * np.pi * 0.6 * detection.rim_radius
+    )
+
+
+def _segment(detection: ValveDetection, i: int, n_segments: int, margin: float) -> Float[np.ndarray, "V 3"]:
+    """The hull of two circumscribed sections; the far side is pushed out to where the tangents meet."""
+    corner = 2.0 * np.pi * (np.arange(_SECTION) + 0.5) / _SECTION
+    grow = 1.0 / np.cos(np.pi / _SECTION)
+    distance = detection.rim_radius + grow * (detection.tube_radius + margin) * np.cos(corner)
+    height = grow * (detection.half_depth + margin) * np.sin(corner)
+    distance = np.where(distance > detection.rim_radius, distance / np.cos(np.pi / n_segments), distance)
+    ends = [2.0 * np.pi * (i + k) / n_segments for k in (0, 1)]
+    local = [np.column_stack([distance * np.cos(a), distance * np.sin(a), height]) for a in ends]
+    return _placed(detection, np.concatenate(local))
+
+
+def _disc(detection: ValveDetection, radius: float, margin: float) -> Float[np.ndarray, "V 3"]:
+    low, high = _depth(detection, margin)
+    angle = 2.0 * np.pi * np.arange(_ROUND) / _ROUND
+    rim = radius / np.cos(np.pi / _ROUND) * np.column_stack([np.cos(angle), np.sin(angle)])
+    return _placed(detection, np.concatenate([np.column_stack([rim, np.full(_ROUND, h)]) for h in (low, high)]))
+
+
+def _spoke(detection: ValveDetection, angle: float, margin: float) -> Float[np.ndarray, "V 3"]:
+    """A bar from the hub into the rim, as wide as the spokes were seen."""
+    low, high = _depth(detection, margin)
+    half = detection.spoke_half_width + margin
+    start, end = 0.7 * detection.hub_radius, detection.rim_radius
+    along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    flat = [r * along + s * half * across for r in (start, end) for s in (-1, 1)]
+    return _placed(detection, np.array([[*xy, h] for xy in flat for h in (low, high)]))
+
+
+def _depth(detection: ValveDetection, margin: float) -> tuple[float, float]:
+    """Along the axis, from and to; at least the rim's own thickness."""
+    low, high = detection.inner_depth
+    return min(low, -detection.half_depth) - margin, max(high, detection.half_depth) + margin
+
+
+def _placed(detection: ValveDetection, local: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    return np.asarray(detection.centre + local @ detection.ring.basis)
+
+
+def _in_wheel(
+    detection: ValveDetection, points: Float[np.ndarray, "N 3"]
+) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+    """Distance from the axis and height along it of each point [m]."""
+    local = (points - detection.centre) @ detection.ring.basis.T
+    return np.hypot(local[:, 0], local[:, 1]), local[:, 2]
+
+
+def wheel_points(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Points that belong to the wheel: within 3 cm of its solid."""
+    distance, height = _in_wheel(detection, points)
+    low, high = _depth(detection, 0.0)
+    return np.asarray((distance <= detection.outer_radius + _CUT) & (height >= low - _CUT) & (height <= high + _CUT))
+
+
+def stem_of(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> ConvexPiece | None:
+    """The stem from the wheel back to what carries it, a prism ``stem``; None when nothing is seen behind the wheel.
+
+    Args:
+        detection: the wheel.
+        points: (N, 3) obstacle points [m].
+    """
+    distance, height = _in_wheel(detection, points)
+    back = -_depth(detection, 0.0)[0]
+    behind = (height < -back - _CUT) & (height > -_STEM_BEHIND)
+    carrier = behind & (distance < 2.0 * detection.outer_radius)
+    if carrier.sum() < _FEWEST_POINTS:
+        return None
+    end = float(-np.median(height[carrier & (distance > 0.5 * detection.rim_radius)]))
+    shaft = behind & (distance < 0.45 * detection.rim_radius) & (height > -end + _CUT)
+    radius = _USUAL_STEM_RADIUS
+    if shaft.sum() >= 5:
+        radius = float(np.clip(np.percentile(distance[shaft], 85), 0.01, 0.05))
+    angle = 2.0 * np.pi * np.arange(_SECTION) / _SECTION
+    rim = radius / np.cos(np.pi / _SECTION) * np.column_stack([np.cos(angle), np.sin(angle)])
+    local = [np.column_stack([rim, np.full(_SECTION, h)]) for h in (-back, -end)]
+    return ConvexPiece("stem", _placed(detection, np.concatenate(local)), kind="stem")
+
+
+def stem_points(
+    detection: ValveDetection, stem: ConvexPiece, points: Float[np.ndarray, "N 3"]
+) -> Bool[np.ndarray, "N"]:
+    """Points within 1.5 cm of the stem, the carrier's own excepted."""
+    distance, height = _in_wheel(detection, points)
+    radius, ends = _in_wheel(detection, stem.vertices)
+    return np.asarray((distance <= radius.max() + 0.015) & (height >= ends.min() + _CUT) & (height <= ends.max()))

@@ -1,0 +1,257 @@
+"""Detection of wheel valves: circles proposed, rims fitted to the rays, evidence weighed into a confidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from threadpoolctl import threadpool_limits
+
+from perception.cleaning.clean import Reach, voxel_downsample
+from perception.cloud import Cloud
+from perception.detect.shared.detection import Detection
+from perception.detect.valve.circles import Circle, find_circles
+from perception.detect.valve.depths import depth_error
+from perception.detect.valve.evidence import Evidence, weigh_wheel
+from perception.detect.valve.foreground import Foreground
+from perception.detect.valve.inside import Inside, look_inside
+from perception.detect.valve.ring import CLOSE, Ring, pass_ring, rim_hits, rough_gate, wheel_basis
+from perception.detect.valve.ring_fit import fit_ring
+from perception.detect.valve.steering import could_steer, steers
+from perception.detect.vehicle.seat import find_seats
+from perception.ground.floor import FloorPlane
+from perception.sightlines import SightIndex, Sightlines, index_of
+from perception.view import View, make_view
+
+_VOXEL = 0.015
+_HINT_RADIUS = 0.5
+_BEHIND = 0.05
+_REPORTED = 0.05
+_EXAMINED = 12
+_SURE = 0.8
+_SOLID = 0.8
+_STEERING = 0.2
+_HOPELESS = 0.005
+_MOST_RAYS = 4000
+_WIDER, _BESIDE, _JUST_BESIDE = 1.15, 0.07, 0.03
+_MOST_COARSE = 60_000
+
+
+@dataclass(frozen=True)
+class ValveDetection:
+    """A wheel valve as seen.
+
+    Attributes:
+        centre: (3,) of the rim [m].
+        axis: (3,) unit, towards the sensor.
+        rim_radius: of the rim's centre line [m].
+        outer_radius: [m].
+        tube_radius: half width of the rim along the radius [m].
+        half_depth: half thickness of the rim along the axis [m].
+        spoke_angles: about the axis, from ``wheel_basis(axis)[0]`` (horizontal), right-handed [rad].
+        hub_radius: inside it nothing was seen through [m].
+        inner_depth: lowest and highest place along the axis of what was seen inside the rim [m].
+        confidence: 0 to 1.
+        rms: of the rim's depth residuals [m].
+        n_inliers: rays that ended on the rim.
+        spoke_half_width: of the spokes [m].
+        spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
+    """
+
+    centre: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    rim_radius: float
+    outer_radius: float
+    tube_radius: float
+    half_depth: float
+    spoke_angles: tuple[float, ...]
+    hub_radius: float
+    inner_depth: tuple[float, float]
+    confidence: float
+    rms: float
+    n_inliers: int
+    spoke_half_width: float = 0.0
+    spoke_share: float = 0.0
+
+    @property
+    def ring(self) -> Ring:
+        """The rim."""
+        return Ring(self.centre, self.axis, self.rim_radius, self.tube_radius, self.half_depth)
+
+
+def detect_valves(
+    cloud: Cloud,
+    hint: Float[np.ndarray, "3"] | None = None,
+    reach: Reach | None = None,
+    seed: int = 0,
+) -> list[ValveDetection]:
+    """Wheel valves, best first; a confidence of 0.5 or more is one to act on.
+
+    Args:
+        cloud: the scan.
+        hint: (3,) a point near the wheel: only what lies within half a metre of it is looked at, and weaker evidence
+            is enough [m].
+        reach: where to look; by default within 3 m.
+        seed: of the hypotheses.
+    """
+    return detect_in(make_view(cloud, reach=reach or Reach(), seed=seed), hint)
+
+
+def detect_in(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
+) -> list[ValveDetection]:
+    """As :func:`detect_valves`, in a scan made ready, whose foreground may be at hand."""
+    if not len(view.obstacles):
+        return []
+    foreground = foreground or Foreground.of(view)
+    index, rng = foreground.index, foreground.generator()
+    candidates, _ = voxel_downsample(foreground.near(hint, _HINT_RADIUS), _VOXEL)
+    # The fits are many and small: with several threads BLAS spends seven times as long on handing them out.
+    with threadpool_limits(limits=1, user_api="blas"):
+        circles = find_circles(candidates, rng)
+        some = index_of(index.rays.thinned(_MOST_COARSE))
+        # Hubs are circles as well: of two as good, the larger one first.
+        circles.sort(key=lambda circle: -circle.score * _promise(circle, some) * np.sqrt(circle.radius))
+        detections = _examined(circles, index, view.floor, hint is not None)
+    if hint is None:
+        detections = _not_steering(detections, view)
+    detections = [d for d in detections if d.confidence >= _REPORTED]
+    detections.sort(key=lambda d: -d.confidence)
+    return _apart(detections)
+
+
+def _examined(
+    circles: list[Circle], index: SightIndex, floor: FloorPlane | None, is_hinted: bool
+) -> list[ValveDetection]:
+    """The most promising circles as wheels; what lies in the disc of a sure one is not looked at again."""
+    found: list[ValveDetection] = []
+    n_examined = 0
+    for circle in circles:
+        if n_examined == _EXAMINED:
+            break
+        sure = [one for one in found if one.confidence > _SURE]
+        if any(np.linalg.norm(circle.centre - one.centre) < one.outer_radius for one in sure):
+            continue
+        found.append(_examine(circle, index, floor, is_hinted))
+        n_examined += 1
+    return found
+
+
+def _not_steering(detections: list[ValveDetection], view: View) -> list[ValveDetection]:
+    """With little confidence in what a vehicle is steered by."""
+    if not any(one.confidence > _STEERING and could_steer(one.ring) for one in detections):
+        return detections
+    seats = find_seats(view)
+    return [
+        replace(one, confidence=_STEERING * one.confidence)
+        if could_steer(one.ring) and steers(one.ring, seats)
+        else one
+        for one in detections
+    ]
+
+
+def as_detection(valve: ValveDetection) -> Detection:
+    """The valve in the words all detectors share: z of its frame is the axis, x horizontal, origin the rim's centre."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = wheel_basis(valve.axis).T, valve.centre
+    sizes = {"outer_radius": valve.outer_radius, "rim_radius": valve.rim_radius, "tube_radius": valve.tube_radius}
+    angle = 2.0 * np.pi * np.arange(36) / 36
+    rim = valve.rim_radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(36)])
+    points = rim @ pose[:3, :3].T + valve.centre
+    return Detection("valve", pose, sizes, valve.confidence, {"rms": valve.rms}, points)
+
+
+def _promise(circle: Circle, index: SightIndex) -> float:
+    """How much more often rays end on the circle than just outside it, 0 to 1; needs no exact circle."""
+    near = index.passing(circle.centre[None], circle.radius + 0.09).thinned(_MOST_RAYS)
+    passage = pass_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.02, 0.02))
+    behind = near.length - passage.crossing
+    known = behind > -_BEHIND
+    solid = np.abs(behind) < _BEHIND
+    distance = np.linalg.norm(passage.place, axis=1) - circle.radius
+    band = float(np.clip(0.12 * circle.radius, 0.01, 0.02))
+    rim, around = known & (np.abs(distance) < band), known & (distance > 0.045) & (distance < 0.08)
+    if not rim.any() or not around.any():
+        return 0.0
+    return float(max(0.0, solid[rim].mean() - solid[around].mean()))
+
+
+def _apart(detections: list[ValveDetection]) -> list[ValveDetection]:
+    """Without those inside the disc of a surer one: rings about its hub or spokes are the same wheel."""
+    kept: list[ValveDetection] = []
+    for one in detections:
+        if all(np.linalg.norm(one.centre - other.centre) > other.outer_radius for other in kept):
+            kept.append(one)
+    return kept
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A ring with what is inside it, how much speaks for it, and how well rays agree with it."""
+
+    ring: Ring
+    inside: Inside
+    evidence: Evidence
+    rms: float
+    n_hits: int
+
+
+def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
+    """Fit the rim and weigh the evidence."""
+    start = Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012)
+    ring = fit_ring(_about(index, start), start, rough_gate(start), n_rounds=1)
+    first = _weighed(index, ring, floor)
+    # The openings of a small wheel show only when its rim is fitted closely.
+    if first.evidence.solid_confidence < _HOPELESS:
+        return _as_valve(first, is_hinted)
+    # Without the air about it more rays of a small rim are left when they are thinned.
+    ring = fit_ring(_about(index, ring, _JUST_BESIDE), ring, CLOSE, n_rounds=2)
+    return _as_valve(_weighed(index, ring, floor), is_hinted)
+
+
+def _about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
+    """Rays through and beside a ring, with room for the ring to move."""
+    return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thinned(_MOST_RAYS)
+
+
+def _weighed(index: SightIndex, ring: Ring, floor: FloorPlane | None) -> _Weighed:
+    near = _about(index, ring)
+    ring = _towards(near, ring)
+    passage = pass_ring(near, ring)
+    hit = rim_hits(near, ring, passage)
+    inside = look_inside(near, ring, passage)
+    evidence = weigh_wheel(near, ring, passage, hit, inside, floor)
+    return _Weighed(ring, inside, evidence, depth_error(near, passage, hit), int(hit.sum()))
+
+
+def _as_valve(one: _Weighed, is_hinted: bool) -> ValveDetection:
+    ring, inside = one.ring, one.inside
+    return ValveDetection(
+        ring.centre,
+        ring.axis,
+        ring.radius,
+        ring.radius + ring.half_width,
+        ring.half_width,
+        ring.half_depth,
+        inside.spoke_angles,
+        inside.hub_radius,
+        inside.depth,
+        _hinted(one.evidence) if is_hinted else one.evidence.confidence,
+        one.rms,
+        one.n_hits,
+        inside.spoke_half_width,
+        inside.spoke_share,
+    )
+
+
+def _towards(rays: Sightlines, ring: Ring) -> Ring:
+    """The ring with its axis towards where most rays came from."""
+    if len(rays) and np.median((rays.start - ring.centre) @ ring.axis) < 0.0:
+        return Ring(ring.centre, -ring.axis, ring.radius, ring.half_width, ring.half_depth)
+    return ring
+
+
+def _hinted(evidence: Evidence) -> float:
+    """Who points at a wheel says that there is one: the odds are better, and it may be a solid one."""
+    return float(max(np.sqrt(evidence.confidence), _SOLID * evidence.solid_confidence))
