@@ -38,13 +38,13 @@ from costs.collision import PairMargins, PoseChecker
 from costs.robot import RobotModel, load_robot
 from costs.state import MotionState
 from scopt import Problem, Settings, TrustRegionSQP
-from service.monitor import Monitor
-from service.phases import PhaseSolver, Solved, straight
-from service.problem_set import BenchRobot, read_problems
-from service.request import PlanRequest
-from service.setup import prepare
+from service.bench.problem_set import BenchRobot, read_problems
+from service.body.monitor import Monitor
+from service.body.phases import PhaseSolver, Solved, straight
+from service.body.whole_body import Aims, WholeBody
+from service.request.schema import PlanRequest
+from service.setup.prepare import prepare
 from service.tasks.goal import Goal
-from service.whole_body import Aims, WholeBody
 
 PANDA = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mbm_panda"
 PANDA_WAYPOINTS = (12, 16, 20)  # each problem is solved with each: three times as many to count

@@ -24,10 +24,10 @@ from jaxtyping import Float
 
 from benchmarks.tables import print_table
 from costs.robot import LinkBody, RobotModel
-from service.bench import COLUMNS, failures, run_bench, table
-from service.obstacles import obstacles_of
-from service.problem_set import BenchProblem, BenchRobot, read_problems
-from service.setup import load_requested_robot
+from service.bench.bench import COLUMNS, failures, run_bench, table
+from service.bench.problem_set import BenchProblem, BenchRobot, read_problems
+from service.setup.obstacles import obstacles_of
+from service.setup.prepare import load_requested_robot
 
 ROOT = Path(__file__).resolve().parents[1]
 TIME_LIMIT_S = 2.0
@@ -124,7 +124,7 @@ def judged(
 def first_call(problems: Path, robot: BenchRobot) -> float:
     """CPU seconds of a new process from its first line to the verdict on one problem."""
     code = (
-        "import sys, time; from pathlib import Path; from service.problem_set import BenchRobot, read_problems; "
+        "import sys, time; from pathlib import Path; from service.bench.problem_set import BenchRobot, read_problems; "
         "from service.planner import plan; "
         "path, urdf, srdf, root = (Path(a) if a else None for a in sys.argv[1:]); "
         "plan(read_problems(path, BenchRobot(urdf, srdf, root), {'timed': False}, 1)[0].request); "

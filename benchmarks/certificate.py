@@ -19,11 +19,11 @@ from threadpoolctl import threadpool_limits
 from benchmarks.shipped import shipped_requests
 from benchmarks.tables import Samples, print_table
 from costs.robot import load_robot
+from service.bench.problem_set import BenchRobot, read_problems
 from service.planner import plan
-from service.problem_set import BenchRobot, read_problems
-from service.request_file import load_request
-from service.result import PlanResult
-from service.start import overlaps
+from service.request.file import load_request
+from service.result.result import PlanResult
+from service.start.overlaps import overlaps
 from service.verify import verify
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -22,14 +22,14 @@ from costs.robot import RobotModel
 from costs.robot.shapes import box
 from costs.scene import ConvexPiece, Scene
 from scopt import TrustRegionSQP
-from service.execute import make_motion
-from service.phases import PlannedPhase, TaskPlan, straight
-from service.request import PlanRequest
-from service.request_file import parse_request
-from service.setup import prepare
-from service.timing import TimingSettings
+from service.body.phases import PlannedPhase, TaskPlan, straight
+from service.body.whole_body import Aims, WholeBody
+from service.motion.execute import make_motion
+from service.motion.timing import TimingSettings
+from service.request.file import parse_request
+from service.request.schema import PlanRequest
+from service.setup.prepare import prepare
 from service.verify import Motion, PoseTarget, Status, verify
-from service.whole_body import Aims, WholeBody
 
 MARGIN, BALANCE_MARGIN = 0.02, 0.05  # asked of the planner [m]; the latter leaves 16 x 30 cm between the feet
 ROOM = 0.03  # that boxes leave the known motion [m]

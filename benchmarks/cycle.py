@@ -21,7 +21,7 @@ from costs.terms import FramePose
 from scopt import Constraint, Problem, Sense
 from scopt.convex_model import assemble, convexify
 from scopt.qp import backend
-from service.whole_body import Aims, WholeBody
+from service.body.whole_body import Aims, WholeBody
 
 N_WAYPOINTS = 20
 N_PIECES = 60

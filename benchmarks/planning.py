@@ -31,7 +31,7 @@ def measure_plan(request: Path) -> dict[str, Any]:
     """Plan in this process: verdict, processor seconds by step, wall seconds, peak memory."""
     started = time.process_time()
     from service.planner import plan
-    from service.request_file import load_request
+    from service.request.file import load_request
 
     cpu: dict[str, float] = {"import": time.process_time() - started}
     clock = {"step": "set-up", "since": time.process_time()}
@@ -80,7 +80,7 @@ def summed(cpu: dict[str, float]) -> dict[str, float]:
 
 def measure_help() -> tuple[float, float]:
     """Median wall and processor seconds of ``scopt --help`` in a fresh process."""
-    command = [sys.executable, "-c", "from service.cli import main; main()", "--help"]
+    command = [sys.executable, "-c", "from service.cli.app import main; main()", "--help"]
     wall, cpu = [], []
     for _ in range(HELP_RUNS):
         before, clock = os.times(), time.perf_counter()

@@ -28,7 +28,7 @@ from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
 from scopt.convex_model import assemble, convexify
 from scopt.qp import backend
-from service.whole_body import Aims, WholeBody
+from service.body.whole_body import Aims, WholeBody
 
 ROOT = Path(__file__).resolve().parents[1]
 AXES: dict[str, tuple[int, ...]] = {

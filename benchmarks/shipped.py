@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from service.errors import UnplannedTaskError
-from service.planned import check_planned
-from service.request_file import load_request
+from service.request.file import load_request
+from service.request.schema import check_planned
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples" / "requests"
 

@@ -21,7 +21,7 @@ from benchmarks.crowded_scenes import crowded_scenes
 from benchmarks.tables import print_table
 from costs.robot import load_robot
 from service.executor import LocalPool, WorkerState
-from service.request import PlanRequest
+from service.request.schema import PlanRequest
 from service.server.admission import Admission
 from service.server.spread import first_certified, with_other_starts
 from service.server.workshop import Workshop

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.tables import print_table
 from benchmarks.timing_reference import chain, fastest_duration, spline_through, timing_problems
-from service.timing import time_curve
+from service.motion.timing import time_curve
 from service.verify.limits import timed_peaks
 
 N_PROBLEMS = 60

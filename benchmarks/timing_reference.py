@@ -1,4 +1,4 @@
-"""The fastest time law of a curve by a linear program on a fine grid, to hold ``service.timing`` against."""
+"""The fastest time law of a curve by a linear program on a fine grid, to hold ``service.motion.timing`` against."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
 from costs.robot import RobotModel, RobotSource
-from service.spline import Path, make_spline
+from service.motion.spline import Path, make_spline
 
 
 @dataclass(frozen=True)

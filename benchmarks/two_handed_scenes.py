@@ -42,16 +42,16 @@ from costs.kinematics import planted_poses
 from costs.robot import RobotModel
 from costs.terms import FramePose
 from scopt import Constraint, Sense, Settings, TrustRegionSQP
+from service.body.keep import KeptPose, relative_pose
+from service.body.phases import PlannedPhase, TaskPlan, straight
+from service.body.whole_body import Aims, WholeBody
 from service.errors import RequestError
-from service.execute import make_motion
-from service.keep import KeptPose, relative_pose
-from service.motion_json import file_columns, file_positions
-from service.phases import PlannedPhase, TaskPlan, straight
-from service.request import PlanRequest
-from service.request_file import parse_request
-from service.setup import prepare
+from service.motion.execute import make_motion
+from service.request.file import parse_request
+from service.request.schema import PlanRequest
+from service.result.motion_json import file_columns, file_positions
+from service.setup.prepare import prepare
 from service.verify import Motion, PoseTarget, Status, verify
-from service.whole_body import Aims, WholeBody
 
 Task = Literal["places", "poses", "grip", "beam"]
 TASKS: tuple[Task, ...] = get_args(Task)

@@ -20,9 +20,9 @@ import numpy as np
 from benchmarks.crowded_scenes import CrowdedScene, crowded_scenes
 from benchmarks.tables import print_table
 from costs.robot import RobotModel, load_robot
-from service.explain_conflict import DemandKind
+from service.explain.conflict import DemandKind
 from service.planner import plan
-from service.result import PlanResult, Verdict
+from service.result.result import PlanResult, Verdict
 
 N_SCENES = 40
 LEAST_CERTIFIED = {60: 0.95, 120: 0.85}  # targets by number of boxes

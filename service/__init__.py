@@ -10,28 +10,28 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from service.errors import RequestError, ResultError, ServiceError
-    from service.output import write_result
     from service.planner import plan
-    from service.request import PlanRequest
-    from service.request_file import load_request, parse_request, request_hash
-    from service.result import PlanResult
-    from service.result_folder import read_result
-    from service.setup import PlanSetup, prepare
+    from service.request.file import load_request, parse_request, request_hash
+    from service.request.schema import PlanRequest
+    from service.result.folder import read_result
+    from service.result.output import write_result
+    from service.result.result import PlanResult
+    from service.setup.prepare import PlanSetup, prepare
 
 _HOME = {
-    "PlanRequest": "service.request",
-    "PlanResult": "service.result",
-    "PlanSetup": "service.setup",
+    "PlanRequest": "service.request.schema",
+    "PlanResult": "service.result.result",
+    "PlanSetup": "service.setup.prepare",
     "RequestError": "service.errors",
     "ResultError": "service.errors",
     "ServiceError": "service.errors",
-    "load_request": "service.request_file",
-    "parse_request": "service.request_file",
+    "load_request": "service.request.file",
+    "parse_request": "service.request.file",
     "plan": "service.planner",
-    "prepare": "service.setup",
-    "read_result": "service.result_folder",
-    "request_hash": "service.request_file",
-    "write_result": "service.output",
+    "prepare": "service.setup.prepare",
+    "read_result": "service.result.folder",
+    "request_hash": "service.request.file",
+    "write_result": "service.result.output",
 }
 
 __all__ = [

@@ -15,20 +15,19 @@ from costs.robot import RobotModel
 from costs.stopping import Stopped, stops_when
 from scopt import Settings
 from scopt import Status as SolveStatus
-from service.execute import make_motion
-from service.explain import explain
-from service.explain_conflict import Conflict
-from service.monitor import Interrupted, Monitor, OnIteration, OnProgress
-from service.phases import PhaseSolver, TaskPlan, Terms
-from service.planned import check_planned
-from service.repair import repaired
-from service.request import Options, PlanRequest
-from service.result import PlanResult, Verdict
-from service.setup import PlanSetup, prepare
+from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
+from service.body.phases import PhaseSolver, TaskPlan, Terms
+from service.body.whole_body import Aims, WholeBody
+from service.explain.conflict import Conflict
+from service.explain.narrow import explain
+from service.motion.execute import make_motion
+from service.motion.repair import repaired
+from service.motion.timing import TimingSettings
+from service.request.schema import Options, PlanRequest, check_planned
+from service.result.result import PlanResult, Verdict
+from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task
-from service.timing import TimingSettings
 from service.verify import Basis, Certificate, Motion, Status, verify
-from service.whole_body import Aims, WholeBody
 
 if TYPE_CHECKING:
     from perception import Perceived
@@ -180,7 +179,7 @@ class _Attempt:
         """The goal to look at where there is no motion, unless time was up."""
         if self.motion is not None or self.verdict not in (Verdict.INFEASIBLE, Verdict.NOT_FOUND):
             return None
-        from service.obstruction import obstruction_of  # few results need it
+        from service.result.obstruction import obstruction_of  # few results need it
 
         return obstruction_of(setup)
 

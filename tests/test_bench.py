@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from planar_arm import write_planar_arm
 
-from service.bench import failures, run_bench, table
+from service.bench.bench import failures, run_bench, table
+from service.bench.problem_set import BenchRobot, read_problems
 from service.errors import RequestError
-from service.problem_set import BenchRobot, read_problems
-from service.setup import load_requested_robot
+from service.setup.prepare import load_requested_robot
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from benchmarks.crowded_scenes import LEAST_TRAVEL, POSITION_TOLERANCE
 from benchmarks.two_handed_scenes import PALMS, two_handed_scenes
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import load_robot
-from service.keep import relative_pose
-from service.setup import prepare
-from service.start import collisions
+from service.body.keep import relative_pose
+from service.setup.prepare import prepare
+from service.start.overlaps import collisions
 
 N_BOXES = 8
 FEET = ("l_foot", "r_foot")

@@ -7,8 +7,8 @@ from benchmarks.crowded_scenes import BALANCE_MARGIN, IN_THE_WAY, LEAST_TRAVEL, 
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import load_robot
 from costs.support import SupportPolygon
-from service.setup import prepare
-from service.start import collisions
+from service.setup.prepare import prepare
+from service.start.overlaps import collisions
 
 N_BOXES = 8
 FEET = ("l_foot", "r_foot")

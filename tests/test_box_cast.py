@@ -21,8 +21,8 @@ from costs.scene import ConvexPiece, Scene
 from costs.terms import JointDifference, SweptClearance
 from scopt import Constraint, Cost, Problem, TrustRegionSQP
 from service.planner import plan
-from service.request_file import parse_request
-from service.result import Verdict
+from service.request.file import parse_request
+from service.result.result import Verdict
 
 MARGIN = 0.02
 # A cube of 20 cm that slides along x and y; what carries it along x runs a metre below.

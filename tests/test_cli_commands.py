@@ -19,10 +19,10 @@ from click.testing import Result
 from small_plan import small_plan
 from typer.testing import CliRunner
 
-from service.cli import app
-from service.cli_run import EXIT_CODES
+from service.cli.app import app
+from service.cli.run import EXIT_CODES
 from service.errors import RequestError
-from service.result import PlanResult, Verdict
+from service.result.result import PlanResult, Verdict
 
 ROOT = Path(__file__).parents[1]
 REQUEST = ROOT / "examples" / "requests" / "joint_goal.yaml"
@@ -238,7 +238,7 @@ import sys, time, types
 from dataclasses import replace
 sys.path.insert(0, {support!r})
 from small_plan import small_plan
-from service.result import Verdict
+from service.result.result import Verdict
 made = small_plan()
 def plan(request, on_progress, should_stop):
     on_progress("waiting", 0.5)
@@ -247,7 +247,7 @@ def plan(request, on_progress, should_stop):
     return replace(made, verdict=Verdict.CANCELLED, explanation=("cancelled during 'waiting'",))
 sys.modules["service.planner"] = types.SimpleNamespace(plan=plan)
 sys.argv = ["scopt", "plan", {request!r}, "--out", {out!r}, "--json"]
-from service.cli import main
+from service.cli.app import main
 main()
 """
 

@@ -18,11 +18,11 @@ from rich.console import Console
 import perception
 from costs.stopping import Stopped, poll, stops_when
 from perception import Detection, write_npz
-from service import detect_file
-from service.cli_report import hit_row
-from service.cli_run import progress
-from service.scan_choices import KINDS
-from service.time_limit import TimeOver, at_most
+from service.cli.report import hit_row
+from service.cli.run import progress
+from service.request.choices import KINDS
+from service.scan import detect as detect_file
+from service.scan.time_limit import TimeOver, at_most
 
 # Beside its function of the same name.
 DETECT = sys.modules["perception.detect"]

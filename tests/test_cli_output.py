@@ -14,14 +14,14 @@ from scipy.spatial.transform import Rotation
 from small_plan import small_plan
 
 from costs.robot import load_robot
-from service import output
 from service.errors import ResultError
-from service.motion_json import file_columns, file_positions, samples_of
-from service.output import write_result
-from service.phase_json import phase_from_json, phase_json
-from service.replay import read_motion, verify_result
-from service.result import PlanResult, Verdict
-from service.result_folder import check_folder, read_result
+from service.replay.replay import read_motion, verify_result
+from service.result import output
+from service.result.folder import check_folder, read_result
+from service.result.motion_json import file_columns, file_positions, samples_of
+from service.result.output import write_result
+from service.result.phase_json import phase_from_json, phase_json
+from service.result.result import PlanResult, Verdict
 from service.verify import Phase, PlantedContact, Status
 
 ROOT = Path(__file__).parents[1]

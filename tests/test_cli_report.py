@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
-from service.cli_report import print_figures, print_findings, print_verdict
+from service.cli.report import print_figures, print_findings, print_verdict
 
 
 def _check(name: str, ok: bool, value: float | None, limit: float, unit: str = "m") -> dict[str, Any]:

@@ -16,13 +16,13 @@ from cloud_files import write_bag
 from little_scan import crate_scan, little_scan, scopt
 
 from perception import Cloud, rigid_pose, write_npz, write_pcd
-from service import scene_file
-from service.cloud_asked import CloudAsked, numbers
-from service.scene_file import SceneAsked, see_files
-from service.scene_view import payload_of
-from service.time_limit import TimeOver
+from service.scan import make_scene as scene_file
+from service.scan.cloud import CloudAsked, numbers
+from service.scan.make_scene import SceneAsked, see_files
+from service.scan.time_limit import TimeOver
 from service.viewer.frames import quantized
 from service.viewer.html import render_page
+from service.viewer.scene import payload_of
 
 SCAN = Path(__file__).parents[1] / "examples" / "data" / "valve_scan.pcd"
 
@@ -365,7 +365,7 @@ def test_a_scene_never_overwrites_what_it_is_made_from(scan: Path, tmp_path: Pat
 
 def test_help_imports_no_library_of_the_planner() -> None:
     program = (
-        "import sys\nfrom typer.testing import CliRunner\nfrom service.cli import app\n"
+        "import sys\nfrom typer.testing import CliRunner\nfrom service.cli.app import app\n"
         "assert CliRunner().invoke(app, ['scene', '--help']).exit_code == 0\n"
         "print([name for name in ('numpy', 'perception', 'pinocchio', 'scipy') if name in sys.modules])"
     )

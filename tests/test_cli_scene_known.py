@@ -12,11 +12,11 @@ from little_scan import CRATE, box_obj, crate_scan, scopt
 
 from perception.solids.closed import Solid
 from perception.solids.match import MeshMatch
-from service.cloud_asked import CloudAsked
 from service.errors import RequestError
-from service.scene_before import read_before
-from service.scene_file import SceneAsked
-from service.scene_meshes import doubt, known_of, mesh_asked
+from service.scan.cloud import CloudAsked
+from service.scan.earlier import read_before
+from service.scan.known_meshes import doubt, known_of, mesh_asked
+from service.scan.make_scene import SceneAsked
 
 SIZE = tuple(np.subtract(CRATE[1], CRATE[0]).tolist())
 PLACE = "1 -0.3 0"

@@ -37,8 +37,8 @@ from service.client import AsyncPlannerClient, FieldViolation, PlannerClient, Pl
 from service.errors import RequestError, ResultError
 from service.proto.planner.v1 import planner_pb2 as pb
 from service.proto.planner.v1.result_pb2 import FileChunk
-from service.request import PlanRequest
-from service.request_file import parse_request
+from service.request.file import parse_request
+from service.request.schema import PlanRequest
 from service.wire.requests import request_from_message, request_to_message
 
 Code = grpc.StatusCode

@@ -32,13 +32,13 @@ from planner_stand_in import (
 from rich.console import Console
 from typer.testing import CliRunner
 
-from service.cli import app
-from service.cli_connect import ENDINGS
-from service.cli_run import EXIT_CODES
-from service.cli_top import drawn
-from service.planned import UNPLANNED
+from service.cli.app import app
+from service.cli.connect import ENDINGS
+from service.cli.run import EXIT_CODES
+from service.cli.top import drawn
 from service.proto.planner.v1 import planner_pb2 as pb
-from service.result import Verdict
+from service.request.schema import UNPLANNED
+from service.result.result import Verdict
 
 Code = grpc.StatusCode
 ROOT = Path(__file__).parents[1]
@@ -80,7 +80,7 @@ def test_a_request_ends_with_the_verdict_and_the_folder_that_plan_writes(target:
 
 
 def test_a_terminal_sees_every_iteration(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.cli_request.SELDOM_S", 0.0)
+    monkeypatch.setattr("service.cli.request.SELDOM_S", 0.0)
     assert " 50 % reach: iteration 4, merit 3.5, mu 10, collision off by 0.02" in _request(target).stderr
 
 
@@ -181,7 +181,13 @@ def test_ctrl_c_and_sigterm_stop_the_plan(
     stand_in: PlannerStandIn, target: str, tmp_path: Path, number: signal.Signals
 ) -> None:
     stand_in.plans.append(slow_plan(stand_in))
-    command = [sys.executable, "-c", "from service.cli import main; main()", "request", REQUESTS / "joint_goal.yaml"]
+    command = [
+        sys.executable,
+        "-c",
+        "from service.cli.app import main; main()",
+        "request",
+        REQUESTS / "joint_goal.yaml",
+    ]
     process = subprocess.Popen(
         [*map(str, command), "--target", target, "--out", str(tmp_path / "plan")],
         stdout=subprocess.PIPE,
@@ -274,7 +280,7 @@ def test_grpc_says_nothing_of_its_own(tmp_path: Path) -> None:
     authority = trustme.CA()
     authority.cert_pem.write_to_path(str(tmp_path / "ca.pem"))
     with serving(PlannerStandIn()) as target:
-        words = [sys.executable, "-c", "from service.cli import main; main()", "top", "--once", "--target", target]
+        words = [sys.executable, "-c", "from service.cli.app import main; main()", "top", "--once", "--target", target]
         words += ["--tls-ca", str(tmp_path / "ca.pem")]
         variables = {name: value for name, value in os.environ.items() if name != "GRPC_VERBOSITY"}
         ended = subprocess.run(

@@ -18,9 +18,9 @@ from service.client.local import askable
 from service.client.names import MOST, CloudNames
 from service.errors import RequestError, UnplannedTaskError
 from service.proto.planner.v1 import planner_pb2 as pb
-from service.request import PlanRequest
-from service.request_file import load_request, parse_request
-from service.request_scene import MeshRequest
+from service.request.file import load_request, parse_request
+from service.request.scene import MeshRequest
+from service.request.schema import PlanRequest
 
 Code = grpc.StatusCode
 REQUESTS = Path(__file__).parents[1] / "examples" / "requests"
@@ -173,7 +173,7 @@ def test_robot_files_are_told_from_the_root_too(tmp_path: Path) -> None:
 def test_a_task_without_a_planner_is_told_before_its_cloud_is_read(
     connect: Callable[..., Any], stand_in: PlannerStandIn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.planned.UNPLANNED", {"valve": "valves"})
+    monkeypatch.setattr("service.request.schema.UNPLANNED", {"valve": "valves"})
     with connect() as client, pytest.raises(UnplannedTaskError, match=r"task\.valve: there is no planner for valves"):
         client.plan(load_request(REQUESTS / "valve.yaml"))
     assert stand_in.asked == []

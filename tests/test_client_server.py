@@ -15,7 +15,7 @@ import trustme
 from click.testing import Result
 from typer.testing import CliRunner
 
-from service.cli import app
+from service.cli.app import app
 
 REQUESTS = Path(__file__).parents[1] / "examples" / "requests"
 
@@ -52,7 +52,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     (folder / "tokens.yaml").write_text(lines)
     options = {"listen": "localhost:0", "workers": 1, "drain": 0, "data": folder / "kept"}
     options |= {"tls-cert": folder / "server.pem", "tls-key": folder / "server.key", "tokens": folder / "tokens.yaml"}
-    command = [sys.executable, "-c", "from service.cli import main; main()", "serve"]
+    command = [sys.executable, "-c", "from service.cli.app import main; main()", "serve"]
     command += [word for name, value in options.items() for word in (f"--{name}", str(value))]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:

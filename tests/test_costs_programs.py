@@ -14,7 +14,7 @@ from costs.terms import AxisDirection, FramePose, JointDifference
 from scopt import Constraint, Cost, Penalty, Sense
 from scopt.convex_model import assemble, convexify
 from scopt.qp import BACKENDS, backend
-from service.whole_body import Aims, WholeBody
+from service.body.whole_body import Aims, WholeBody
 
 N_ITERATIONS = 3
 N_WAYPOINTS = 6

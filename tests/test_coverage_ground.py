@@ -14,12 +14,11 @@ from tiny_robots import atlas
 from costs.robot import RobotError, load_robot
 from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError
-from service.footing import floor_at_soles
 from service.planner import plan
-from service.request_file import parse_request
-from service.result import PlanResult, Verdict
-from service.setup import prepare
-from service.start import sole
+from service.request.file import parse_request
+from service.result.result import PlanResult, Verdict
+from service.setup.prepare import prepare
+from service.start.standing import floor_at_soles, sole
 from service.verify import Motion, Status, verify
 from service.verify.ground import ground_gaps
 

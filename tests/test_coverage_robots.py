@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from costs.robot import load_robot
-from service.cli_report import uncovered
+from service.cli.report import uncovered
 from service.errors import RequestError
 from service.planner import plan
-from service.request_file import load_request, parse_request
-from service.result import PlanResult, Verdict
-from service.result_json import summary_json
+from service.request.file import load_request, parse_request
+from service.result.result import PlanResult, Verdict
+from service.result.result_json import summary_json
 from service.verify import Certificate, RelativePoseTarget, verify
 
 

@@ -15,16 +15,16 @@ from tiny_robots import atlas
 from costs.primitive import round_shape
 from costs.robot import load_robot, shapes
 from costs.scene import ConvexPiece, Scene
+from service.body.whole_body import Aims, WholeBody
 from service.errors import RequestError
-from service.exact import ExactShape
-from service.explain_goal import never_reached
+from service.explain.goal import never_reached
 from service.planner import plan
-from service.request import PlanRequest
-from service.request_file import parse_request
-from service.result import Verdict
-from service.start import FEET_GROUP
+from service.request.file import parse_request
+from service.request.schema import PlanRequest
+from service.result.result import Verdict
+from service.start.exact import ExactShape
+from service.start.standing import FEET_GROUP
 from service.verify import PoseTarget
-from service.whole_body import Aims, WholeBody
 
 SEED = st.integers(0, 10_000)
 ARM_END_M = 0.6  # of three links of 0.2 m, 40 mm thick

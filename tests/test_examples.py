@@ -57,7 +57,7 @@ def test_a_convex_term_leaves_joints_at_rest_and_holds_the_base(tmp_path):
 @pytest.fixture
 def planning_server(tmp_path):
     """Where a server of one worker listens."""
-    program = "from service.cli import main; main()"
+    program = "from service.cli.app import main; main()"
     options = ["serve", "--listen", "127.0.0.1:0", "--workers", "1", "--drain", "0", "--data", str(tmp_path / "kept")]
     process = subprocess.Popen([sys.executable, "-c", program, *options], stdout=subprocess.PIPE, text=True)
     try:

@@ -17,20 +17,20 @@ from costs.robot import load_robot
 from costs.scene import Scene
 from costs.terms import JointTarget
 from scopt import Constraint, Sense, Settings
-from service.explain import explain
-from service.explain_conflict import Conflict, Demand, DemandKind, Search
-from service.monitor import Monitor
-from service.phases import LEAST_CLEARANCE, PhaseSolver, straight
+from service.body.monitor import Monitor
+from service.body.phases import LEAST_CLEARANCE, PhaseSolver, straight
+from service.body.restore import restored
+from service.body.whole_body import CLEARANCE_TERMS, Aims, WholeBody
+from service.explain.conflict import Conflict, Demand, DemandKind, Search
+from service.explain.narrow import explain
 from service.planner import _explain, plan, shortfalls
-from service.request import GoalRequest, PoseGoalRequest
-from service.request_file import parse_request
-from service.restore import restored
-from service.result import Verdict
-from service.result_json import summary_json
-from service.start import FEET_GROUP
+from service.request.file import parse_request
+from service.request.schema import GoalRequest, PoseGoalRequest
+from service.result.result import Verdict
+from service.result.result_json import summary_json
+from service.start.standing import FEET_GROUP
 from service.tasks.goal import Goal
 from service.verify import Status, verify
-from service.whole_body import CLEARANCE_TERMS, Aims, WholeBody
 
 # 30 mm between them for an arm of 40 mm: it is 5 mm deep in either, or deeper in one.
 WALLS = (box("left wall", (0.3, 0.515, 0.0), (0.02, 0.5, 0.1)), box("right wall", (0.3, -0.515, 0.0), (0.02, 0.5, 0.1)))

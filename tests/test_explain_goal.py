@@ -15,12 +15,13 @@ from costs.collision.shapes import static_convex
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import load_robot
 from costs.scene import Scene
-from service.exact import penetration
-from service.explain_goal import GoalReasons, goal_reasons, never_reached
-from service.reachability import beyond_reach, chain_length
-from service.start import FEET_GROUP, overlaps
+from service.body.reach import beyond_reach, chain_length
+from service.body.whole_body import Aims, WholeBody
+from service.explain.goal import GoalReasons, goal_reasons, never_reached
+from service.start.exact import penetration
+from service.start.overlaps import overlaps
+from service.start.standing import FEET_GROUP
 from service.verify import JointTarget, PoseTarget
-from service.whole_body import Aims, WholeBody
 
 ANY = np.full(3, np.inf)
 

@@ -8,14 +8,13 @@ from tiny_robots import atlas
 
 from costs.kinematics import planted_poses
 from costs.scene import Scene
-from service.explain_keep import never_kept
-from service.holds import projected
-from service.keep import kept_poses
-from service.request import GoalRequest, PoseGoalRequest
-from service.request_keep import KeepRequest
+from service.body.holds import projected
+from service.body.keep import kept_poses
+from service.body.whole_body import Aims, WholeBody
+from service.explain.keep import never_kept
+from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
 from service.tasks.goal import Goal
 from service.verify import Target
-from service.whole_body import Aims, WholeBody
 
 
 def keeping(*keep: KeepRequest) -> WholeBody:

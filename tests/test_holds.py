@@ -5,9 +5,9 @@ from tiny_robots import atlas, contact_free_state, random_configurations
 
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.terms import FramePose
-from service.holds import PROJECTION_TOLERANCE, largest, least_norm, linearized, projected
-from service.keep import kept_poses
-from service.request_keep import KeepRequest
+from service.body.holds import PROJECTION_TOLERANCE, largest, least_norm, linearized, projected
+from service.body.keep import kept_poses
+from service.request.schema import KeepRequest
 
 
 def standing_with_both_hands():

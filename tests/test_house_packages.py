@@ -28,7 +28,7 @@ def test_help_loads_no_heavy_library() -> None:
     program = (
         "import sys\n"
         "sys.argv = ['scopt', '--help']\n"
-        "from service.cli import main\n"
+        "from service.cli.app import main\n"
         "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
         "heavy = {'open3d', 'cvxpy', 'matplotlib', 'scipy', 'pinocchio', 'coal', 'numpy', 'pydantic', 'yaml'}\n"
         "heavy |= {'markdown_it'}\n"

@@ -10,9 +10,9 @@ from jacobian import check_jacobian
 from scipy.spatial.transform import Rotation
 from tiny_robots import atlas, contact_free_state, random_configurations
 
+from service.body.keep import KeptPose, kept_poses, relative_pose
 from service.errors import RequestError
-from service.keep import KeptPose, kept_poses, relative_pose
-from service.request_keep import KeepRequest
+from service.request.schema import KeepRequest
 
 READY = "reach_ready"
 

@@ -14,18 +14,18 @@ from stranger import Stranger
 from costs.allowance import Allowance, BodyRef
 from costs.robot import load_robot
 from costs.scene import Scene
-from service.cli_report import print_figures, print_findings, print_verdict
+from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
+from service.cli.report import print_figures, print_findings, print_verdict
 from service.errors import RequestError
-from service.output import write_result
 from service.planner import plan, shortfalls
-from service.request_file import parse_request
-from service.result import Verdict
-from service.result_json import summary_json
-from service.setup import prepare
-from service.start import Overlap, overlaps
+from service.request.file import parse_request
+from service.result.output import write_result
+from service.result.result import Verdict
+from service.result.result_json import summary_json
+from service.setup.prepare import prepare
+from service.start.overlaps import Overlap, overlaps
 from service.tasks.escape import DEPTH_ROUNDING, LeavingBody
 from service.verify import Basis, Status, verify
-from service.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 
 BLOCK = {"name": "block", "type": "box", "size": [0.1, 0.1, 0.1], "position": [0.5, 0.06, 0.0]}
 

@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 from stranger import Stranger
 
 from costs.robot import load_robot
-from service.keep import relative_pose
-from service.output import write_result
+from service.body.keep import relative_pose
 from service.planner import plan
-from service.replay import verify_result
-from service.request import PlanRequest
-from service.request_file import load_request, parse_request
-from service.result import PlanResult, Verdict
+from service.replay.replay import verify_result
+from service.request.file import load_request, parse_request
+from service.request.schema import PlanRequest
+from service.result.output import write_result
+from service.result.result import PlanResult, Verdict
 from service.verify import RelativePoseTarget, Status, verify
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -9,14 +9,13 @@ from tiny_robots import atlas
 
 from costs.kinematics import planted_poses
 from costs.scene import Scene
-from service.holds import largest
-from service.keep import kept_poses
-from service.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight
-from service.request import GoalRequest, PoseGoalRequest
-from service.request_keep import KeepRequest
+from service.body.holds import largest
+from service.body.keep import kept_poses
+from service.body.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight
+from service.body.whole_body import Aims, WholeBody
+from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
 from service.tasks.goal import Goal
 from service.tasks.lead import led, ways
-from service.whole_body import Aims, WholeBody
 
 FEET = ("l_foot", "r_foot")
 

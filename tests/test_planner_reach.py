@@ -7,12 +7,12 @@ from stranger import Stranger
 
 from service import planner
 from service import verify as verifier
-from service.monitor import Monitor
-from service.output import write_result
+from service.body.monitor import Monitor
 from service.planner import plan
-from service.request import Options, PlanRequest
-from service.request_file import parse_request
-from service.result import Verdict
+from service.request.file import parse_request
+from service.request.schema import Options, PlanRequest
+from service.result.output import write_result
+from service.result.result import Verdict
 
 TABLE = {"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.75, 0.0, 0.9]}
 POST = {"name": "post", "type": "cylinder", "radius": 0.04, "height": 2.0, "position": [0.5, 0.45, 1.0]}

@@ -8,11 +8,11 @@ from planar_arm import write_planar_arm
 
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
+from service.body.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
+from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
-from service.request_file import parse_request
-from service.result import Verdict
-from service.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
-from service.whole_body import Aims, WholeBody
+from service.request.file import parse_request
+from service.result.result import Verdict
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 

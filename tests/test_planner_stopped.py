@@ -13,13 +13,13 @@ from planar_arm import write_planar_arm
 from perception import Cloud, write_pcd
 from perception.simulate import torus
 from perception.solids import child, process
-from service.monitor import Monitor
-from service.output import write_result
+from service.body.monitor import Monitor
 from service.planner import plan
-from service.request import PlanRequest
-from service.request_file import parse_request
-from service.result import PlanResult, Verdict
-from service.result_folder import read_result
+from service.request.file import parse_request
+from service.request.schema import PlanRequest
+from service.result.folder import read_result
+from service.result.output import write_result
+from service.result.result import PlanResult, Verdict
 
 ROBOT = {"robot": {"name": "atlas"}, "goal": {"posture": "stand"}}
 

@@ -8,8 +8,8 @@ from planar_arm import write_planar_arm
 from costs.state import MotionState
 from scopt import Constraint, ConvexExpression, Cost, Residual
 from service.planner import plan
-from service.request_file import parse_request
-from service.result import Verdict
+from service.request.file import parse_request
+from service.result.result import Verdict
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ import pytest
 from stranger import Stranger
 
 from service.errors import RequestError
-from service.output import write_result
 from service.planner import plan
-from service.request_file import load_request, parse_request
-from service.result import Verdict
+from service.request.file import load_request, parse_request
+from service.result.output import write_result
+from service.result.result import Verdict
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 TRUTH = json.loads((EXAMPLES / "data" / "valve_scan.json").read_text())["valve"]

@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 
 from service.errors import RequestError, ResultError
-from service.output import write_result
 from service.planner import plan
-from service.replay import read_motion, verify_result
-from service.request_file import load_request, parse_request
-from service.result import Verdict
-from service.result_folder import read_result
+from service.replay.replay import read_motion, verify_result
+from service.request.file import load_request, parse_request
+from service.result.folder import read_result
+from service.result.output import write_result
+from service.result.result import Verdict
 from service.verify.certificate import promises_hash
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -158,7 +158,7 @@ def _nothing_left_out(data: dict[str, Any]) -> None:
 
 
 def _canonical(request: dict[str, Any]) -> dict[str, Any]:
-    from service.request_file import to_json
+    from service.request.file import to_json
 
     return to_json(parse_request(request))
 

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import RequestError
-from service.request import PlanRequest, PoseRequest
-from service.request_file import load_request, load_start, parse_request, request_hash, to_json, with_cloud
+from service.request.file import load_request, load_start, parse_request, request_hash, to_json, with_cloud
+from service.request.schema import PlanRequest, PoseRequest
 
 ROOT = Path(__file__).parents[1]
 ORDERS = [(("neck_ry", 0.1), ("back_bkz", 0.2)), (("back_bkz", 0.2), ("neck_ry", 0.1))]

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from perception import write_pcd
 from perception.simulate import Pose, Room, Scanner, box, joined, scan
 from service.errors import RequestError
-from service.request_file import parse_request
-from service.setup import PlanSetup, prepare
+from service.request.file import parse_request
+from service.setup.prepare import PlanSetup, prepare
 
 # A tool that no turn takes to itself: a long body, a tall end, a handle to one side; each from a corner to the other.
 BODIES = (

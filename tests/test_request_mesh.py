@@ -10,10 +10,10 @@ from scipy.spatial import ConvexHull
 
 from perception.solids import closed
 from service.errors import RequestError
-from service.mesh import convex_parts, read_solid
 from service.planner import plan
-from service.request_file import load_request
-from service.result import Verdict
+from service.request.file import load_request
+from service.result.result import Verdict
+from service.scan.meshes import convex_parts, read_solid
 
 CUBE = [
     (0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),

@@ -10,7 +10,7 @@ import pytest
 
 from service.errors import RequestError, shown
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request_file import parse_request, request_hash
+from service.request.file import parse_request, request_hash
 from service.wire.plain import fill, to_plain
 
 PROBLEM: dict[str, Any] = {

@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from perception import Cloud, perceive, write_pcd
-from service.cli import app
+from service.cli.app import app
 from service.errors import RequestError
-from service.request_file import parse_request
-from service.scan_choices import Method, Unknown
-from service.setup import prepare
+from service.request.choices import Method, Unknown
+from service.request.file import parse_request
+from service.setup.prepare import prepare
 
 ROBOT = {"robot": {"name": "atlas"}, "goal": {"posture": "stand"}}
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from costs.robot import RobotModel, load_robot
 from service.errors import RequestError
-from service.request_file import parse_request
-from service.scene_given import MOST_VERTICES, read_scene
-from service.setup import PlanSetup, prepare
+from service.request.file import parse_request
+from service.scan.scene_file import MOST_VERTICES, read_scene
+from service.setup.prepare import PlanSetup, prepare
 
 GOAL = {"posture": "stand"}
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])

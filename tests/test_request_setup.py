@@ -15,11 +15,13 @@ from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.demands.world import flat_floor
 from service.errors import RequestError
-from service.motion_json import file_positions
-from service.obstacles import obstacles_of
-from service.request_file import parse_request
-from service.setup import PlanSetup, prepare
-from service.start import collisions, sole, standing_problems, start_configuration
+from service.request.file import parse_request
+from service.result.motion_json import file_positions
+from service.setup.obstacles import obstacles_of
+from service.setup.prepare import PlanSetup, prepare
+from service.start.configuration import start_configuration
+from service.start.overlaps import collisions
+from service.start.standing import sole, standing_problems
 
 GOAL = {"posture": "stand"}
 BOX = {"type": "box", "size": [0.3, 0.3, 0.3]}

@@ -5,8 +5,8 @@ import re
 import pytest
 
 from service.errors import RequestError
-from service.request_file import parse_request
-from service.setup import prepare
+from service.request.file import parse_request
+from service.setup.prepare import prepare
 
 SIDE = "m is larger than 100 m; are these millimetres? Use"
 FAR = "m from the robot, farther than 100 m; are these millimetres? Use"

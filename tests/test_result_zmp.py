@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from told_results import told_results
 
-from service.motion_json import samples_of
-from service.result_json import to_result_json
+from service.result.motion_json import samples_of
+from service.result.result_json import to_result_json
 from service.verify.promises import outside_polygon
 
 

@@ -16,7 +16,7 @@ from costs.primitive import round_shape
 from costs.robot import RobotError, load_robot, shapes
 from costs.robot.hull import hull_vertices
 from costs.robot.outer import outer_hull
-from service.exact import penetration
+from service.start.exact import penetration
 
 LENGTH = st.floats(1e-3, 2.0)
 RADIUS = st.floats(1e-3, 50.0)

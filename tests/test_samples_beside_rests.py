@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.timing_reference import chain, spline_through
-from service.execute import BESIDE_REST, SAME_TIME_S, SAMPLE_PERIOD_S, _samples
-from service.timing import time_curve
+from service.motion.execute import BESIDE_REST, SAME_TIME_S, SAMPLE_PERIOD_S, _samples
+from service.motion.timing import time_curve
 from service.verify.timeline import times_of
 
 

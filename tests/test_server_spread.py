@@ -17,8 +17,8 @@ from service.executor.local_pool import LocalPool
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED
-from service.request_file import parse_request, request_hash
-from service.result import Verdict
+from service.request.file import parse_request, request_hash
+from service.result.result import Verdict
 from service.rpc import Refusal
 from service.server.admission import Admission
 from service.server.spread import first_certified, with_other_starts

@@ -8,7 +8,7 @@ from tiny_robots import PLANAR, atlas, chain, contact_free_state
 
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.terms import FramePose, PointHalfSpace
-from service.spline import Path, make_spline
+from service.motion.spline import Path, make_spline
 
 FREE = np.full(2, 3.0)
 

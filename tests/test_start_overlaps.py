@@ -11,7 +11,8 @@ from small_robots import CUBE, box
 
 from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
-from service.start import overlaps, placed_bodies
+from service.start.overlaps import overlaps
+from service.start.standing import place_bodies
 from service.verify.ground import GROUND_TOLERANCE_M
 
 FEET = ("l_foot", "r_foot")
@@ -29,7 +30,7 @@ def test_overlaps_are_the_pairs_whose_hulls_meet(atlas: RobotModel, seed: int) -
     q[3:] += rng.normal(size=atlas.n - 3) * 0.4
     centres = rng.uniform([-0.6, -0.6, 0.2], [0.6, 0.6, 1.8], size=(16, 3))
     pieces = tuple(box(f"piece{k}", tuple(c), tuple(rng.uniform(0.02, 0.2, 3))) for k, c in enumerate(centres))
-    placed = placed_bodies(atlas, q)
+    placed = place_bodies(atlas, q)
     met = {
         (body.link, piece.name)
         for body, points in placed
@@ -50,7 +51,7 @@ def test_overlaps_are_the_pairs_whose_hulls_meet(atlas: RobotModel, seed: int) -
 
 def test_a_planted_foot_may_stand_in_the_floor_and_nothing_else_may(atlas: RobotModel) -> None:
     q = atlas.postures["stand"]
-    lowest = min(points[:, 2].min() for _, points in placed_bodies(atlas, q))
+    lowest = min(points[:, 2].min() for _, points in place_bodies(atlas, q))
 
     def floor(depth: float, kind: str) -> Scene:
         return Scene((ConvexPiece("ground", CUBE * [3.0, 3.0, 0.1] + [0.0, 0.0, lowest + depth - 0.1], kind),))

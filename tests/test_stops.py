@@ -14,11 +14,11 @@ from planar_arm import write_planar_arm
 
 from costs.stopping import Stopped, stops_when
 from perception import KINDS, Cloud, detect_kinds, make_view, perceive, update, write_npz
-from service.cloud_asked import CloudAsked
 from service.executor import JobCancelled
 from service.planner import plan
-from service.request_file import parse_request
-from service.result import Verdict
+from service.request.file import parse_request
+from service.result.result import Verdict
+from service.scan.cloud import CloudAsked
 from service.verify import Motion, verify
 from service.work.look import SceneTask, build_scene, detect
 from service.work.plan import PlanAnswer, PlanTask, run_plan

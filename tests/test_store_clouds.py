@@ -11,7 +11,7 @@ import pytest
 
 from perception.files.parse import SUFFIXES
 from perception.solids import read as meshes
-from service.request_scene import MESH_SUFFIXES
+from service.request.scene import MESH_SUFFIXES
 from service.store import (
     UPLOAD_SUFFIXES,
     CloudLimits,

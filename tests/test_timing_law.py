@@ -16,7 +16,7 @@ from benchmarks.timing_reference import chain, fastest_duration, spline_through,
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.scene import Scene
-from service.timing import TimingError, TimingSettings, slow_until_zmp_inside, time_curve
+from service.motion.timing import TimingError, TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Motion, Phase, SupportPolygon, verify
 from service.verify.limits import timed_peaks
 

@@ -12,10 +12,10 @@ from costs.scene import ConvexPiece, Scene
 from costs.state import MotionState
 from costs.terms import FramePose, Masked
 from scopt import Sense
+from service.body.whole_body import Aims, WholeBody
 from service.tasks.program import with_sight
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.verify import AxisTarget, JointTarget, PoseTarget
-from service.whole_body import Aims, WholeBody
 
 # The tip is at (2, 0), (1, 1), (-1, 1) and looks along x, y, -x.
 X = np.array([[0.0, 0.0], [0.0, np.pi / 2], [np.pi / 2, np.pi / 2]])

@@ -17,13 +17,13 @@ from trajopt_problems import ARM_FILES, EXAMPLES, arm, document, straight_rows, 
 from typer.testing import CliRunner
 
 from costs.kinematics import KinematicsEngine, frame_of
-from service.cli import app
+from service.cli.app import app
 from service.errors import RequestError
 from service.planner import plan
-from service.replay import verify_result
-from service.request_file import parse_request
-from service.result import PlanResult, Verdict
-from service.start import placed_bodies
+from service.replay.replay import verify_result
+from service.request.file import parse_request
+from service.result.result import PlanResult, Verdict
+from service.start.standing import place_bodies
 from service.tasks.program import ProgramPhase
 
 ARM = ("--robot", EXAMPLES / "arm7.urdf", "--srdf", EXAMPLES / "arm7.srdf")
@@ -205,11 +205,11 @@ def test_a_phase_solved_anew_keeps_its_steps_and_its_promises() -> None:
 def _phase_of(data: dict[str, Any]) -> ProgramPhase:
     """The first phase that a problem's task plans."""
     from scopt import Settings
-    from service.monitor import Monitor
-    from service.phases import PhaseSolver
-    from service.setup import prepare
+    from service.body.monitor import Monitor
+    from service.body.phases import PhaseSolver
+    from service.body.whole_body import Aims, WholeBody
+    from service.setup.prepare import prepare
     from service.tasks import plan_task
-    from service.whole_body import Aims, WholeBody
 
     request = {"robot": ARM_FILES, "scene": {"obstacles": [TABLE_TOP]}, "task": {"trajopt": data}}
     setup = prepare(parse_request(request))
@@ -332,7 +332,7 @@ def test_a_mistyped_key_ends_in_one_line_with_its_path_and_no_traceback(
 
 def test_a_fixed_waypoint_nearer_than_the_hulls_resolve_is_told_and_not_infeasible() -> None:
     robot, q = arm(), np.array([0.0, 0.2, 0.0, 0.2, 0.0, 0.0, 0.0])
-    tip = max((placed for _, placed in placed_bodies(robot, q)), key=lambda placed: placed[:, 0].max())
+    tip = max((placed for _, placed in place_bodies(robot, q)), key=lambda placed: placed[:, 0].max())
     x, y, z = tip[tip[:, 0].argmax()]
     ball = {"name": "ball", "type": "sphere", "radius": 10.0, "position": [x + 10.012, y, z]}
     data = document(constraints=[term("joint", vals=q.tolist())])

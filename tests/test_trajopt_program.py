@@ -12,7 +12,7 @@ from trajopt_problems import EXAMPLES, arm, document, findings_of, program_of, s
 
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import load_robot
-from service.request import PoseRequest, StartRequest
+from service.request.schema import PoseRequest, StartRequest
 from service.trajopt.manip import manip_columns
 from service.trajopt.problem import PoseTerm, ZmpTerm
 from service.trajopt.program import Timeline

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service import parse_request
-from service.request import PlanRequest
-from service.request_fields import FilePath
+from service.request.fields import FilePath
+from service.request.schema import PlanRequest
 from service.trust import AllowedFolders, TrustError, allowed_folders
 
 CLOUD = "sha256:" + "0" * 64 + ".pcd"

@@ -21,8 +21,8 @@ from small_robots import box
 from costs.curve import Curve
 from costs.robot import load_robot, with_revolute
 from costs.scene import ConvexPiece, Scene
-from service.motion_json import motion_json
-from service.timing import TimingSettings, slow_until_zmp_inside, time_curve
+from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
+from service.result.motion_json import motion_json
 from service.verify import Certificate, Motion, Phase, PlantedContact, Status, SupportPolygon, VerifyError, verify
 from service.verify.certificate import bodies_hash, link_vertices, scene_hash
 from service.verify.forward import Forward

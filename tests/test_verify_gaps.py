@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from told_results import told_results
 
-from service.start import placed_bodies
+from service.start.standing import place_bodies
 from service.verify import Basis, Certificate, Status
 from service.verify.convex import convex_of
 
@@ -33,7 +33,7 @@ def test_every_pose_in_collision_lies_in_a_gap_of_its_pair(results, name):
     wall, here = convex_of(piece.vertices), coal.Transform3s()
     n_inside = 0
     for s in np.linspace(motion.curve.knots[0], motion.curve.knots[-1], 400):
-        for body, vertices in placed_bodies(motion.robot, motion.curve(np.array([s]))[0]):
+        for body, vertices in place_bodies(motion.robot, motion.curve(np.array([s]))[0]):
             if (
                 coal.distance(convex_of(vertices), here, wall, here, coal.DistanceRequest(), coal.DistanceResult())
                 < -1e-5

@@ -17,10 +17,10 @@ from costs.robot import shapes
 from costs.robot.model import LinkBody
 from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError, ResultError
-from service.output import write_result
 from service.planner import plan
-from service.replay import read_motion, verify_result
-from service.request_file import parse_request
+from service.replay.replay import read_motion, verify_result
+from service.request.file import parse_request
+from service.result.output import write_result
 from service.verify import Status, VerifyError, verify
 
 CHECKER = Path(__file__).parents[1] / "examples" / "check_certificate.py"

@@ -10,8 +10,8 @@ import pytest
 from browser import Browser, find_chromium
 from told_results import told_results
 
-from service.output import write_result
-from service.result_json import links_without_shape
+from service.result.output import write_result
+from service.result.result_json import links_without_shape
 
 PHONE = (390, 844)
 REFUSED = ["into a wall", "out of reach", "to a place in a block", "an arm into a table", "atlas in a table"]

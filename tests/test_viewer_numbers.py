@@ -13,8 +13,8 @@ from browser import Browser, find_chromium
 from told_results import told_results
 from viewer_results import make_result
 
-from service.output import write_result
-from service.result import PlanResult, Verdict
+from service.result.output import write_result
+from service.result.result import PlanResult, Verdict
 from service.verify import Basis, Check
 from service.verify.timeline import time_of
 from service.viewer import write_viewer

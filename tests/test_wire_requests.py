@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from service.errors import RequestError
 from service.proto.planner.v1.request_pb2 import HAND_LEFT, MotionRequest
-from service.request import PlanRequest, TaskRequest
-from service.request_file import load_request, parse_request, to_json
+from service.request.file import load_request, parse_request, to_json
+from service.request.schema import PlanRequest, TaskRequest
 from service.wire.plain import enum_name, to_plain
 from service.wire.requests import request_from_message, request_to_message
 from service.wire.violations import violation

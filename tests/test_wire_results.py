@@ -10,9 +10,9 @@ import pytest
 
 from service.planner import plan
 from service.proto.planner.v1.result_pb2 import MotionResult
-from service.request_file import parse_request
-from service.result import PlanResult, Verdict
-from service.result_json import to_result_json
+from service.request.file import parse_request
+from service.result.result import PlanResult, Verdict
+from service.result.result_json import to_result_json
 from service.wire.hashes import certificate_sha256, trajectory_sha256
 from service.wire.perceived import detections_to_messages, scene_to_message
 from service.wire.results import checks_to_messages, result_to_message, verdict_name, verdict_number

@@ -10,7 +10,7 @@ import pytest
 from perception import Cloud, Perceived, memory, perceive
 from service.proto.planner.v1.planner_pb2 import PlanProgress
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, MotionResult
-from service.request_file import parse_request, request_hash
+from service.request.file import parse_request, request_hash
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 QUICK: dict[str, Any] = {

@@ -9,7 +9,7 @@ import pytest
 
 from costs.robot import bundled_robots
 from service.errors import RequestError
-from service.request import GoalRequest, PlanRequest, RobotRequest
+from service.request.schema import GoalRequest, PlanRequest, RobotRequest
 from service.server.robots import RobotFolder
 from service.work.look import describe_robots
 from service.work.robots import WarmRobots

@@ -24,11 +24,11 @@ import numpy as np
 
 from benchmarks.attack.outcome import Answer, Outcome
 from perception import Cloud, read_cloud, write_npz
-from service.cloud_asked import CloudAsked
 from service.executor import JobCancelled, LocalPool
-from service.request import PlanRequest
-from service.request_file import load_request
-from service.scan_choices import EVERY_KIND, KINDS
+from service.request.choices import EVERY_KIND, KINDS
+from service.request.file import load_request
+from service.request.schema import PlanRequest
+from service.scan.cloud import CloudAsked
 from service.server.serve import PRELOAD
 from service.work.look import SceneTask, build_scene, detect, verify
 from service.work.plan import PlanAnswer, PlanTask, run_plan, warm_up

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.attack import bases, judges
 from benchmarks.attack.outcome import Answer, Attack
 from costs.robot import RobotError, RobotModel, load_robot
-from service.motion_json import motion_from_json, motion_json
+from service.result.motion_json import motion_from_json, motion_json
 from service.verify import Motion, VerifyError, verify
 from service.verify.certificate import link_vertices
 

@@ -11,9 +11,9 @@ from typing import Any
 from typer.testing import CliRunner
 
 from benchmarks.attack.outcome import Answer
-from service.cli import app
+from service.cli.app import app
 from service.errors import RequestError, ResultError
-from service.replay import verify_result
+from service.replay.replay import verify_result
 
 CERTIFIED = "CERTIFIED"
 USAGE, INTERNAL = 2, 70  # exit codes

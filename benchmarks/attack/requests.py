@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.attack.outcome import Answer
 from benchmarks.attack.truth import Truth, dense
 from service import RequestError, parse_request, plan
-from service.result import PlanResult
+from service.result.result import PlanResult
 
 CHECKED = ("links_with_shape", "left_out")  # of a certificate's coverage: what was checked, or is named as a pair
 DEEPER_M = 1e-3  # than this two things must not be inside each other in a certified motion

@@ -8,7 +8,7 @@ from typing import Any
 
 from service.proto.planner.v1.planner_pb2 import PlanRequest
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request_file import parse_request
+from service.request.file import parse_request
 from service.wire.requests import request_to_message
 
 ARM = "arm7"  # the robot that ``robots`` writes: seven boxes in a row

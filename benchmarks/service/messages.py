@@ -22,8 +22,8 @@ from benchmarks.service.pings import PING_S, pinging
 from benchmarks.service.servers import Server, started
 from service.client.errors import ANSWER_LOST
 from service.errors import RequestError, UnplannedTaskError
-from service.planned import check_planned
 from service.proto.planner.v1 import planner_pb2 as wire
+from service.request.schema import check_planned
 from service.wire.requests import request_from_message
 from service.wire.unknown import unknown_fields
 

@@ -82,7 +82,7 @@ def started(folder: Path, *arguments: str, workers: int = 2, queue: int = 4) -> 
     """
     robots = asks.robots(folder / "robots")
     log = folder / "server.log"
-    program = (sys.executable, "-c", "from service.cli import main; main()", "serve", "--listen", "127.0.0.1:0")
+    program = (sys.executable, "-c", "from service.cli.app import main; main()", "serve", "--listen", "127.0.0.1:0")
     options = ("--data", str(folder / "data"), "--robots", str(robots), "--workers", str(workers))
     with log.open("a") as errors:
         process = subprocess.Popen(

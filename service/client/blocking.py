@@ -53,7 +53,7 @@ from service.proto.planner.v1.planner_pb2 import (
 )
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request import PlanRequest
+from service.request.schema import PlanRequest
 
 
 class PlannerClient(ClientSettings):

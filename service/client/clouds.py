@@ -10,8 +10,8 @@ from pathlib import Path
 
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
-from service.request import PlanRequest
-from service.request_scene import MESH_SUFFIXES, MeshRequest
+from service.request.scene import MESH_SUFFIXES, MeshRequest
+from service.request.schema import PlanRequest
 
 CHUNK_BYTES = 512 * 2**10
 

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from service.client.clouds import is_sent
 from service.errors import RequestError, shown
-from service.planned import check_planned
-from service.request import PlanRequest, RobotRequest
-from service.request_scene import MeshRequest, SceneRequest
+from service.request.scene import MeshRequest, SceneRequest
+from service.request.schema import PlanRequest, RobotRequest, check_planned
 from service.trust.folders import BUILT, UPLOADED, paths_of
 
 NOT_UPLOADED = (

@@ -28,8 +28,8 @@ from service.proto.planner.v1.planner_pb2 import (
 from service.proto.planner.v1.planner_pb2 import PlanRequest as PlanMessage
 from service.proto.planner.v1.request_pb2 import CloudFile, MotionRequest
 from service.proto.planner.v1.result_pb2 import FileChunk
-from service.request import PlanRequest
-from service.result_folder import RESULT_NAME, ROBOT_NAME, TRAJECTORY_NAME, read_result
+from service.request.schema import PlanRequest
+from service.result.folder import RESULT_NAME, ROBOT_NAME, TRAJECTORY_NAME, read_result
 from service.wire.plain import fill
 from service.wire.requests import request_to_message
 

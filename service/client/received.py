@@ -15,7 +15,7 @@ import grpc
 from service.client.errors import PlannerError
 from service.errors import ResultError, shown
 from service.proto.planner.v1.result_pb2 import FileChunk
-from service.result_folder import WRITTEN, check_folder, replaced
+from service.result.folder import WRITTEN, check_folder, replaced
 
 MAX_FILES = 5000
 MAX_BYTES = 1 * 2**30  # of all files together

@@ -10,12 +10,12 @@ import grpc
 from service.client.answers import verdict_of
 from service.client.errors import PlannerError
 from service.proto.planner.v1.result_pb2 import Certificate, MotionResult
-from service.result_folder import FORMAT
+from service.result.folder import FORMAT
 from service.wire.plain import to_plain
 
 
 def summary_of(result: MotionResult) -> dict[str, Any]:
-    """As ``service.result_json.summary_json`` makes it where the plan was made.
+    """As ``service.result.result_json.summary_json`` makes it where the plan was made.
 
     Raises:
         PlannerError: the certificate is no JSON.

@@ -12,7 +12,7 @@ from costs.scene import Scene
 from service.demands.program import ProgramDemand
 from service.demands.stance import planted_feet
 from service.demands.wheel import Wheel
-from service.request import PlanRequest
+from service.request.schema import PlanRequest
 
 
 @dataclass(frozen=True)

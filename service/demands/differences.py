@@ -12,7 +12,7 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands.demand import Demands
 from service.demands.program import moved_though_fixed
-from service.request import PlanRequest
+from service.request.schema import PlanRequest
 from service.verify import Certificate, Motion, Phase
 from service.verify.certificate import bodies_hash, robot_hash, scene_hash
 

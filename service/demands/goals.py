@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, RobotModel
-from service.request import GoalRequest, PoseGoalRequest
+from service.request.schema import GoalRequest, PoseGoalRequest
 from service.verify import AxisTarget, JointTarget, PoseTarget, Target
 
 JOINT_TOLERANCE = 1e-3  # [rad, m]

@@ -15,7 +15,7 @@ from service.demands.program import program_targets
 from service.demands.stance import Stance, leaving_allowances, standing_allowances
 from service.demands.turning import Turning
 from service.demands.wheel import robot_with_wheel
-from service.start import hull_overlaps
+from service.start.overlaps import hull_overlaps
 from service.verify import Motion, Phase, Target
 from service.verify.duties import waived_checks
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel
 from service.demands.goals import AXES
-from service.request_keep import KeepRequest
+from service.request.schema import KeepRequest
 from service.verify import RelativePoseTarget
 
 

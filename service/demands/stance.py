@@ -13,8 +13,8 @@ from costs.allowance import Allowance, BodyRef
 from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.support import SupportPolygon as FeetHull
-from service.footing import FLOOR_KIND
-from service.start import FEET_GROUP, Overlap, sole
+from service.start.overlaps import Overlap
+from service.start.standing import FEET_GROUP, FLOOR_KIND, sole
 from service.verify import PlantedContact, SupportPolygon
 from service.verify.ground import STANDING_DEPTH_M
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance
 from service.demands.wheel import HAND_AXIS, HANDS, Hand, Wheel, hook_allowances, stroke_targets
-from service.request import ValveRequest
+from service.request.schema import ValveRequest
 from service.verify import CircleTarget, Motion, Phase, RelativePoseTarget, Target
 
 TURN = "turn"

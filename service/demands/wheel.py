@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
 from costs.robot import RobotModel, with_revolute
-from service.names import VALVE_JOINT, VALVE_LINK
+from service.request.names import VALVE_JOINT, VALVE_LINK
 from service.verify import CircleTarget, JointTarget, RelativePoseTarget, Target
 
 if TYPE_CHECKING:

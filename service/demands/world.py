@@ -10,10 +10,10 @@ from jaxtyping import Float
 from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError
-from service.footing import FLOOR_KIND
-from service.names import TakenNames, check_given, with_free_names
-from service.request import PlanRequest
-from service.request_scene import MeshRequest
+from service.request.names import TakenNames, check_given, with_free_names
+from service.request.scene import MeshRequest
+from service.request.schema import PlanRequest
+from service.start.standing import FLOOR_KIND
 
 FLOOR_HALF_WIDTH_M = 10.0
 FLOOR_THICKNESS_M = 0.2

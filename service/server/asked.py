@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from service.errors import RequestError
-from service.planned import check_planned
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request import PlanRequest
-from service.request_scene import MeshRequest, SceneRequest
+from service.request.scene import MeshRequest, SceneRequest
+from service.request.schema import PlanRequest, check_planned
 from service.server.refusal import invalid, refusal_of
 from service.server.robots import RobotFolder
 from service.server.settings import ServerSettings

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from service.errors import RequestError
-from service.request_file import parse_robot, parse_start
+from service.request.file import parse_robot, parse_start
 from service.wire.violations import violation
 
 MESH, UPDATE = "--mesh", "--update"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import BuildSceneRequest
-from service.request_file import parse_known
-from service.request_known import KnownRequest
+from service.request.file import parse_known
+from service.request.scene import KnownRequest
 from service.server.asked import uploaded
 from service.server.cloud_problems import OF_BEFORE, Kept
 from service.server.refusal import invalid

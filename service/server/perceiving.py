@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from service.cloud_asked import CloudAsked
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
@@ -21,10 +20,11 @@ from service.proto.planner.v1.planner_pb2 import (
     GetSceneRequest,
     GetSceneResponse,
 )
-from service.request import RobotRequest
-from service.request_file import parse_scene, parse_start
-from service.request_scene import SceneRequest
+from service.request.file import parse_scene, parse_start
+from service.request.scene import SceneRequest
+from service.request.schema import RobotRequest
 from service.rpc import Context, deadline_of
+from service.scan.cloud import CloudAsked
 from service.server.asked import uploaded
 from service.server.cloud_problems import Kept, as_sent, robot_problems, start_problems
 from service.server.disk import Disk

@@ -14,9 +14,9 @@ import structlog
 
 from service.proto.planner.v1.planner_pb2 import PlanAccepted, PlanFinished, PlanRequest, PlanResponse
 from service.proto.planner.v1.result_pb2 import MotionResult
-from service.request import PlanRequest as Request
-from service.request_file import request_hash
-from service.result import Verdict
+from service.request.file import request_hash
+from service.request.schema import PlanRequest as Request
+from service.result.result import Verdict
 from service.rpc import Context, Refusal, deadline_of
 from service.seen import bind
 from service.server.archive import chunks

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from costs.robot import bundled_robots
-from service.request import PlanRequest, RobotRequest
+from service.request.schema import PlanRequest, RobotRequest
 
 URDF_NAME, SRDF_NAME = "robot.urdf", "robot.srdf"
 UNKNOWN = re.compile(r"(\S*robot: )?unknown robot ")

@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import replace
 
-from service.request import PlanRequest
-from service.result import Verdict
+from service.request.schema import PlanRequest
+from service.result.result import Verdict
 from service.server.workshop import Piece, outcome
 from service.work.plan import PlanAnswer, PlanTask, Refused
 

@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Self
 
 from service.errors import shown
-from service.request_scene import MESH_SUFFIXES
+from service.request.scene import MESH_SUFFIXES
 from service.store.errors import NotStoredError, StoreError, StoreFullError, TooLargeError, UploadRefusedError
 from service.store.folder import PARTIAL, HeldFolder
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from service.body.phases import PhaseSolver, TaskPlan
 from service.errors import RequestError
-from service.phases import PhaseSolver, TaskPlan
-from service.setup import PlanSetup
+from service.setup.prepare import PlanSetup
 from service.tasks.escape import escape
 from service.tasks.reach import plan_reach
 from service.tasks.settle import needs_settling, settle

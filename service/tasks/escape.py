@@ -13,13 +13,13 @@ from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem
+from service.body.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, straight
+from service.body.restore import restored
+from service.body.sampling import free_coordinates
+from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.demands.stance import DEPTH_ROUNDING, leaving_allowances
-from service.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, straight
-from service.restore import restored
-from service.sampling import free_coordinates
-from service.start import Overlap
+from service.start.overlaps import Overlap
 from service.tasks.settle import needs_settling
-from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
 STEP = "escape"
 WAYPOINTS = 10

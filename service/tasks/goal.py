@@ -11,12 +11,12 @@ from jaxtyping import Float
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
+from service.body.whole_body import WholeBody
 from service.demands.goals import AXES, goal_joints, goal_targets, rotation_of
-from service.explain_goal import GoalReasons, goal_reasons
-from service.explain_keep import never_kept
-from service.request import GoalRequest, PoseGoalRequest
+from service.explain.goal import GoalReasons, goal_reasons
+from service.explain.keep import never_kept
+from service.request.schema import GoalRequest, PoseGoalRequest
 from service.verify import Target
-from service.whole_body import WholeBody
 
 AIM = 0.5  # the optimiser keeps to this share of a pose's tolerance, the rest is for the curve and the certificate
 

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from costs.kinematics import planted_poses
 from costs.terms import AxisDirection, FramePose
+from service.body.holds import Hold, least_norm, linearized
+from service.body.whole_body import WholeBody
 from service.demands.goals import AXES, rotation_of
-from service.holds import Hold, least_norm, linearized
-from service.request import PoseGoalRequest
+from service.request.schema import PoseGoalRequest
 from service.tasks.goal import Goal
-from service.whole_body import WholeBody
 
 STEPS = 8  # of the projection from one waypoint onto what holds at the next
 CLOSE = 1e-5  # a start need not be closer [m, rad]

@@ -10,15 +10,25 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Float
 
+from service.body.phases import (
+    LEAST_CLEARANCE,
+    PhaseSolver,
+    PlannedPhase,
+    Solved,
+    Stuck,
+    TaskPlan,
+    guesses,
+    straight,
+    via,
+)
+from service.body.reach import beyond_reach
+from service.body.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
+from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.errors import RequestError
-from service.phases import LEAST_CLEARANCE, PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, guesses, straight, via
-from service.reachability import beyond_reach
-from service.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
-from service.start import collisions, overlaps_and_unresolved
+from service.start.overlaps import collisions, overlaps_and_unresolved
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.trajopt.fields import did_you_mean
 from service.trajopt.problem import CollisionTerm, PoseTerm
-from service.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 
 PHASE = "trajopt"
 APART = LEAST_CLEARANCE + CLEARANCE_TOLERANCE  # kept of all pairs, whatever the file's own collision terms ask [m]

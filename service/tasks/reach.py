@@ -10,8 +10,8 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Float
 
-from service.monitor import Interrupted
-from service.phases import (
+from service.body.monitor import Interrupted
+from service.body.phases import (
     PhaseSolver,
     PlannedPhase,
     Solved,
@@ -22,9 +22,9 @@ from service.phases import (
     straight,
     via,
 )
-from service.request import GoalRequest
-from service.restore import restored
-from service.sampling import Tree
+from service.body.restore import restored
+from service.body.sampling import Tree
+from service.request.schema import GoalRequest
 from service.tasks.goal import Goal
 from service.tasks.lead import led
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.body.phases import PhaseSolver, PlannedPhase, Stuck, TaskPlan
+from service.body.whole_body import WholeBody
 from service.demands.stance import BALANCE_RESERVE
-from service.phases import PhaseSolver, PlannedPhase, Stuck, TaskPlan
-from service.whole_body import WholeBody
 
 WAYPOINTS = 6
 

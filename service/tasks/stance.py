@@ -12,8 +12,8 @@ from jaxtyping import Float
 from costs.scene import Scene
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint, Sense
+from service.body.phases import PhaseSolver
 from service.demands.wheel import HAND_AXIS, Hand, Wheel
-from service.phases import PhaseSolver
 
 SHIFTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # [m]
 ANGLES = np.deg2rad([0.0, 120.0, 240.0])

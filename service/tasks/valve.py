@@ -20,11 +20,8 @@ from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint, Sense
-from service.demands.wheel import HAND_AXIS, Hand, Wheel, hook_allowances, stroke_targets
-from service.errors import RequestError
-from service.holds import Hold
-from service.names import VALVE_LINK
-from service.phases import (
+from service.body.holds import Hold
+from service.body.phases import (
     Bounds,
     PhaseSolver,
     PlannedPhase,
@@ -36,9 +33,12 @@ from service.phases import (
     straight,
     via,
 )
+from service.body.whole_body import LIMIT_RESERVE, WholeBody
+from service.demands.wheel import HAND_AXIS, Hand, Wheel, hook_allowances, stroke_targets
+from service.errors import RequestError
+from service.request.names import VALVE_LINK
 from service.tasks.wheel import tool_positions, turned_angle, with_wheel, wrist_of
 from service.verify import Motion, Target
-from service.whole_body import LIMIT_RESERVE, WholeBody
 
 Mode = Literal["hook", "grasp"]
 

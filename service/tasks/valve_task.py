@@ -8,16 +8,16 @@ import numpy as np
 
 from costs.kinematics import planted_poses
 from perception import ValveDetection, has_clear_spokes
+from service.body.phases import PhaseSolver, TaskPlan
+from service.body.reach import beyond_reach
+from service.body.whole_body import WholeBody
 from service.demands.wheel import HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, wheel_of
 from service.errors import RequestError
-from service.phases import PhaseSolver, TaskPlan
-from service.reachability import beyond_reach
-from service.request import ValveRequest
-from service.scene_given import wheel_of_circle
-from service.setup import PlanSetup
+from service.request.schema import ValveRequest
+from service.scan.scene_file import wheel_of_circle
+from service.setup.prepare import PlanSetup
 from service.tasks.stance import stance_advice
 from service.tasks.valve import plan_turn
-from service.whole_body import WholeBody
 
 SURE = 0.5  # confidence from which a detection is acted on
 TUBE_RADIUS = 0.015  # of a valve given by its circle alone [m]

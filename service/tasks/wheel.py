@@ -8,8 +8,8 @@ from jaxtyping import Float
 from costs.kinematics import KinematicsEngine, frame_of
 from costs.robot import RobotModel
 from costs.rotation import tangent_basis
+from service.body.whole_body import WholeBody
 from service.demands.wheel import HAND_AXIS, Hand, Wheel, robot_with_wheel
-from service.whole_body import WholeBody
 
 
 def wrist_of(hand: Hand, robot: RobotModel) -> tuple[int, float]:

@@ -9,8 +9,8 @@ from typing import Any
 
 from costs.robot import bundled_robots
 from service.errors import RequestError
-from service.request import PlanRequest
-from service.request_file import load_scene, load_start, parse_request
+from service.request.file import load_scene, load_start, parse_request
+from service.request.schema import PlanRequest
 from service.trajopt.document import read_document
 from service.trajopt.fields import did_you_mean
 from service.trajopt.reader import robot_named_in

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from costs.robot import BASE_NAMES, RobotModel
 from service.errors import RequestError
-from service.request import PlanRequest, StartRequest
+from service.request.schema import PlanRequest, StartRequest
 from service.trajopt.manip import manip_columns
 from service.trajopt.program import Program
 from service.trajopt.reader import read_problem

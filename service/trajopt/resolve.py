@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from costs.kinematics import KinematicsEngine, frame_of, planted_poses
 from costs.robot import RobotModel
-from service.request import StartRequest
+from service.request.schema import StartRequest
 from service.trajopt.demanded import pose_matrix
 from service.trajopt.fields import did_you_mean
 from service.trajopt.manip import manip_columns

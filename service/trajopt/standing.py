@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from costs.kinematics import KinematicsEngine, Topology, frame_of, planted_poses
 from costs.robot import RobotModel
-from service.start import FEET_GROUP
+from service.start.standing import FEET_GROUP
 from service.trajopt.demanded import pose_matrix
 from service.trajopt.problem import PoseTerm, Problem, ZmpTerm
 

@@ -14,7 +14,7 @@ from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import FramePose, Masked
 from scopt import Residual
-from service.holds import Hold
+from service.body.holds import Hold
 from service.trajopt.demanded import joint_target, pose_matrix, pose_targets, unproven_terms
 from service.trajopt.problem import PoseTerm
 from service.trajopt.program import Program, Timeline

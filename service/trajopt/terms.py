@@ -29,7 +29,8 @@ from costs.terms import (
     WithinTolerance,
 )
 from scopt import Constraint, Cost, Penalty, Residual, Sense
-from service.start import sole
+from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
+from service.start.standing import sole
 from service.trajopt.demanded import pose_matrix
 from service.trajopt.problem import (
     CartVelTerm,
@@ -42,7 +43,6 @@ from service.trajopt.problem import (
     ZmpTerm,
 )
 from service.trajopt.program import Program, Timeline
-from service.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
 DISTANCE_TOLERANCE = 1e-3  # by which a clearance that is a constraint may fall short [m]
 PLACE, TURN = (True,) * 3 + (False,) * 3, (False,) * 3 + (True,) * 3

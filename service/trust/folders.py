@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from service.errors import shown
-from service.request import PlanRequest, RobotRequest
-from service.request_scene import MeshRequest, SceneRequest
+from service.request.scene import MeshRequest, SceneRequest
+from service.request.schema import PlanRequest, RobotRequest
 from service.trust.errors import TrustError
 
 UPLOADED, BUILT = "sha256:", "scene:"

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request import PlanRequest
-from service.request_file import parse_request, to_json
+from service.request.file import parse_request, to_json
+from service.request.schema import PlanRequest
 from service.wire.plain import fill, to_plain
 
 

@@ -8,13 +8,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from service.motion_json import file_columns, file_positions, sample_times, samples_of
+from service.json_data import plain
 from service.proto.planner.v1.result_pb2 import Certificate as CertificateMessage
 from service.proto.planner.v1.result_pb2 import Check, MotionResult, PhaseTimes, Trajectory
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
-from service.request_file import request_hash
-from service.result import PlanResult, Verdict
-from service.result_json import plain
+from service.request.file import request_hash
+from service.result.motion_json import file_columns, file_positions, sample_times, samples_of
+from service.result.result import PlanResult, Verdict
 from service.verify import Certificate, Motion
 from service.wire.hashes import certificate_sha256, trajectory_sha256
 

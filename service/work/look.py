@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from costs.robot import bundled_robots
-from service.cloud_asked import CloudAsked
 from service.errors import RequestError, ResultError, shown
 from service.executor import Control
-from service.request import GoalRequest, PlanRequest, RobotRequest
-from service.request_known import KnownMeshRequest
+from service.request.scene import KnownMeshRequest
+from service.request.schema import GoalRequest, PlanRequest, RobotRequest
+from service.scan.cloud import CloudAsked
 from service.work.plan import Refused, warm_robots
 from service.work.stopping import stops_with
 
@@ -48,9 +48,9 @@ class SceneTask:
 
 def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
     """The scene's file (docs/scene-format.md); what it reports are the names of steps."""
-    from service.scene_before import read_before
-    from service.scene_file import SceneAsked, on_top_of, see_files
-    from service.scene_meshes import mesh_requested
+    from service.scan.earlier import read_before
+    from service.scan.known_meshes import mesh_requested
+    from service.scan.make_scene import SceneAsked, on_top_of, see_files
 
     meshes = tuple(mesh_requested(one, path) for one, path in task.meshes)
     asked = SceneAsked(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
@@ -68,7 +68,7 @@ def detect(
     clouds: CloudAsked, kind: str, hint: tuple[float, float, float] | None, control: Control
 ) -> Mapping[str, Any] | Refused:
     """What ``scopt detect`` prints."""
-    from service.detect_file import detect_file
+    from service.scan.detect import detect_file
 
     try:
         with stops_with(control):
@@ -84,7 +84,7 @@ def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | 
         files: of a result folder, by their path in it.
         control: says when to stop.
     """
-    from service.replay import verify_result
+    from service.replay.replay import verify_result
 
     with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:
         folder = Path(scratch)

@@ -17,11 +17,11 @@ from jaxtyping import Float
 from scopt import Iteration as Trial
 from service.errors import RequestError, UnplannedTaskError
 from service.executor import Control
-from service.output import write_result
 from service.planner import plan
 from service.proto.planner.v1.planner_pb2 import Iteration, PlanProgress
-from service.request import PlanRequest
-from service.result import PlanResult
+from service.request.schema import PlanRequest
+from service.result.output import write_result
+from service.result.result import PlanResult
 from service.wire.results import result_to_message
 from service.work.robots import WarmRobots
 from service.work.stopping import stops_with
@@ -142,7 +142,7 @@ def warm_up(names: tuple[str, ...] = ("atlas",)) -> None:
     import ompl.base
     import ompl.geometric  # noqa: F401
 
-    from service.request_file import parse_request
+    from service.request.file import parse_request
 
     for name in names:
         request = parse_request({"robot": {"name": name}, "goal": {"posture": "stand"}})

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from costs.robot import RobotModel
-from service.request import PlanRequest, RobotRequest
-from service.setup import load_requested_robot
+from service.request.schema import PlanRequest, RobotRequest
+from service.setup.prepare import load_requested_robot
 
 MAX_ROBOTS = 8
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from service.executor import Control
 from service.planner import plan
-from service.request_file import parse_request
+from service.request.file import parse_request
 
 
 def bend_an_elbow(control: Control | None = None) -> tuple[str, np.ndarray]:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from perception import Cloud, write_npz
 from perception.simulate import Pose, Room, Scanner, scan
-from service.cli import app
+from service.cli.app import app
 
 CRATE = ((1.0, -0.3, 0.0), (1.3, 0.2, 0.6))
 

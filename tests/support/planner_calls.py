@@ -10,7 +10,7 @@ from google.rpc.error_details_pb2 import BadRequest
 from google.rpc.status_pb2 import Status
 
 from service.proto.planner.v1 import planner_pb2 as wire
-from service.request_file import parse_request
+from service.request.file import parse_request
 from service.wire.requests import request_to_message
 
 DETAILS = "grpc-status-details-bin"

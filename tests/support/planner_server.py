@@ -85,4 +85,4 @@ def _started(data: Path, *arguments: str) -> tuple[subprocess.Popen[str], Path]:
 
 
 def _program() -> Sequence[str]:
-    return (sys.executable, "-c", "from service.cli import main; main()", "serve")
+    return (sys.executable, "-c", "from service.cli.app import main; main()", "serve")

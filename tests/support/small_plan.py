@@ -9,9 +9,9 @@ from costs.curve import Curve, TimeLaw
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import RobotModel, with_revolute
 from costs.support import SupportPolygon as FeetHull
-from service.request_file import parse_request
-from service.result import PlanResult, Verdict
-from service.setup import PlanSetup, prepare
+from service.request.file import parse_request
+from service.result.result import PlanResult, Verdict
+from service.setup.prepare import PlanSetup, prepare
 from service.verify import (
     AxisTarget,
     CircleTarget,

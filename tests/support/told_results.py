@@ -15,8 +15,8 @@ from trajopt_problems import ARM_FILES, document, term
 
 from costs.curve import TimeLaw
 from service.planner import plan
-from service.request_file import parse_request
-from service.result import PlanResult, Verdict
+from service.request.file import parse_request
+from service.result.result import PlanResult, Verdict
 from service.verify import Status, SupportPolygon, VerifySettings, verify
 
 DATA = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[3] / "shared" / "data"))

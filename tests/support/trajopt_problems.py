@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from costs.robot import RobotModel, load_robot
-from service.request import StartRequest
-from service.start import start_configuration
+from service.request.schema import StartRequest
+from service.start.configuration import start_configuration
 from service.trajopt.program import Program
 from service.trajopt.reader import read_problem
 from service.trajopt.resolve import Resolved, resolve

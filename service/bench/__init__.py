@@ -1,0 +1,1 @@
+"""Plans of a whole problem set, summed up in one table."""

@@ -1,0 +1,202 @@
+"""A start from a sampling planner: trees among the obstacles, for what no straight start leads around."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.collision import PoseChecker
+from costs.robot import BASE_NAMES
+from service.body.whole_body import WholeBody
+
+EDGE_STEP = 0.15  # largest joint step between the poses at which an edge is checked [rad, m]
+CLOCK_EVERY = 16
+RANGE = 0.6  # longest extension of a tree [rad, m]
+
+
+@dataclass(frozen=True)
+class SamplingProblem:
+    """Joints that may move between two configurations while all others stay.
+
+    Attributes:
+        body: the robot in its scene.
+        checker: of the poses along an edge.
+        start, end: (n,) configurations that differ in ``free`` only.
+        free: indices of the coordinates that move.
+    """
+
+    body: WholeBody
+    checker: PoseChecker
+    start: Float[np.ndarray, "n"]
+    end: Float[np.ndarray, "n"]
+    free: Int[np.ndarray, "k"]
+
+    def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
+        """Whether the free joints' poses are all clear and balanced."""
+        q = np.empty((len(poses), len(self.start)))
+        q[:] = self.start
+        q[:, self.free] = poses
+        placed = self.body.engine.placed(q)
+        polygon = self.body.polygon
+        if polygon is not None and polygon.margin(placed.com[:, :2]).min() < self.body.aims.balance_margin:
+            return False
+        return self.checker.are_clear(placed)
+
+
+def along_edge(first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> Float[np.ndarray, "K k"]:
+    """Poses close to each other on the straight line, the last one included; the first is known to be clear."""
+    way = last - first
+    count = max(int(np.ceil(np.abs(way).max() / EDGE_STEP)), 1)
+    return np.asarray(first + (np.arange(1, count + 1) / count)[:, None] * way)
+
+
+def free_coordinates(body: WholeBody) -> Int[np.ndarray, "k"]:
+    """Coordinates that move no planted link: neither base nor legs that stand."""
+    robot = body.robot
+    fixed = set(range(len(BASE_NAMES))) if robot.is_floating else set()
+    supports = body.engine.topology.supports
+    for foot in body.planted:
+        joint = int(robot.model.frames[robot.model.getFrameId(foot.link)].parentJoint)
+        fixed |= set(np.flatnonzero(supports[joint]).tolist())
+    return np.array([i for i in range(robot.n) if i not in fixed], dtype=int)
+
+
+@dataclass(frozen=True)
+class Tree:
+    """How trees grow and when they are given up; counted, so that equal seeds give equal paths.
+
+    Attributes:
+        seed: of the draws.
+        most_checks: edges and states that are looked at.
+        planner: RRTConnect (Kuffner and LaValle, ICRA 2000), or LBKPIECE1 (Sucan and Kavraki, WAFR 2008, with lazy
+            checks), which gets through narrow shelves with a tenth of the checks and is worse among bars.
+    """
+
+    seed: int
+    most_checks: int
+    planner: Literal["RRTConnect", "LBKPIECE1"] = "RRTConnect"
+
+
+def sampled_path(
+    problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool] = lambda: False
+) -> Float[np.ndarray, "K n"] | None:
+    """Corners of a collision-free polyline from start to end, shortened; None if none was found.
+
+    By a planner of the Open Motion Planning Library.
+
+    Args:
+        problem: what to connect.
+        tree: seed and effort.
+        is_over: asked often; True ends the search.
+    """
+    from ompl import util  # takes a while to import and is the last resort
+
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(tree.seed + 1)
+    corners = _connected(problem, tree, is_over)
+    if corners is None:
+        return None
+    corners = _shortened(problem, corners, np.random.default_rng(tree.seed))
+    q = np.tile(problem.start, (len(corners), 1))
+    q[:, problem.free] = corners
+    return q
+
+
+def _connected(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) -> Float[np.ndarray, "K k"] | None:
+    """Corners of the free coordinates from start to end, as OMPL's planner finds them; None if it does not."""
+    from ompl import base, geometric
+
+    space = base.RealVectorStateSpace(len(problem.free))
+    space.setBounds(_bounds(problem))
+    effort = _Effort(problem, tree.most_checks, is_over)
+
+    def corner(state: object) -> Float[np.ndarray, "k"]:
+        return np.array([state[k] for k in range(len(problem.free))])  # type: ignore[index]
+
+    class Edge(base.MotionValidator):  # type: ignore[misc]
+        def checkMotion(self, first: object, last: object, *_: object) -> bool:
+            return effort.is_clear(along_edge(corner(first), corner(last)))
+
+    information = base.SpaceInformation(space)
+    information.setStateValidityChecker(lambda state: effort.is_clear(corner(state)[None]))
+    information.setMotionValidator(Edge(information))
+    information.setup()
+    definition = base.ProblemDefinition(information)
+    states = [space.allocState(), space.allocState()]
+    for state, q in zip(states, (problem.start, problem.end), strict=True):
+        for k, value in enumerate(q[problem.free].tolist()):
+            state[k] = value
+    definition.setStartAndGoalStates(*states)
+    planner = getattr(geometric, tree.planner)(information)
+    planner.setProblemDefinition(definition)
+    planner.setRange(RANGE)
+    planner.setup()
+    if not planner.solve(base.PlannerTerminationCondition(effort.is_enough)) or not definition.hasExactSolution():
+        return None
+    path = definition.getSolutionPath()
+    return np.array([corner(path.getState(k)) for k in range(path.getStateCount())])
+
+
+def _bounds(problem: SamplingProblem) -> object:
+    """Of each free coordinate: its limits, and at most half a turn beyond start and end."""
+    from ompl import base
+
+    robot = problem.body.robot
+    bounds = base.RealVectorBounds(len(problem.free))
+    for k, index in enumerate(problem.free.tolist()):
+        ends = float(problem.start[index]), float(problem.end[index])
+        bounds.setLow(k, max(float(robot.lower[index]), min(ends) - np.pi))
+        bounds.setHigh(k, min(float(robot.upper[index]), max(ends) + np.pi))
+    return bounds
+
+
+class _Effort:
+    """Counts what a planner looks at, and says when it is enough."""
+
+    def __init__(self, problem: SamplingProblem, most_checks: int, is_over: Callable[[], bool]) -> None:
+        self._problem, self._most_checks, self._is_over = problem, most_checks, is_over
+        self._n_checks = self._n_asked = 0
+        self._is_stopped = False
+
+    def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
+        """Whether poses of the free coordinates are; counts as one check."""
+        self._n_checks += 1
+        return self._problem.is_clear(poses)
+
+    def is_enough(self) -> bool:
+        """Whether to give up."""
+        self._n_asked += 1
+        # The planner asks about three times as often as it checks: a look at the clock each time would be felt.
+        self._is_stopped = self._is_stopped or (self._n_asked % CLOCK_EVERY == 0 and self._is_over())
+        return self._is_stopped or self._n_checks >= self._most_checks
+
+
+def _shortened(
+    problem: SamplingProblem,
+    corners: Float[np.ndarray, "K k"],
+    rng: np.random.Generator,
+    tries: int = 100,
+) -> Float[np.ndarray, "K k"]:
+    """The polyline with random pairs of its corners joined directly where that is clear."""
+    for _ in range(tries):
+        if len(corners) < 3:
+            break
+        first, last = np.sort(rng.choice(len(corners), 2, replace=False))
+        if last - first > 1 and problem.is_clear(along_edge(corners[first], corners[last])):
+            corners = np.delete(corners, np.arange(first + 1, last), axis=0)
+    return corners
+
+
+def along(corners: Float[np.ndarray, "K n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:
+    """Waypoints on a polyline, evenly spread and with every corner among them as far as they suffice."""
+    lengths = np.abs(np.diff(corners, axis=0)).max(axis=1)
+    ends = np.concatenate([[0.0], np.cumsum(np.maximum(lengths, 1e-9))])
+    at = np.linspace(0.0, ends[-1], n_waypoints)
+    for end in ends[1:-1]:
+        at[1 + int(np.argmin(np.abs(at[1:-1] - end)))] = end
+    at.sort()
+    return np.stack([np.interp(at, ends, corners[:, i]) for i in range(corners.shape[1])], axis=1)

@@ -1,0 +1,85 @@
+"""``scopt review``: a plan, its hashes and its reviews, and one more review."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from service.cli.connect import connected
+from service.cli.report import print_figures, print_findings, print_table, print_verdict
+from service.cli.run import consoles, print_json
+from service.client.summary import summary_of
+from service.errors import RequestError
+from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, Review
+from service.result.folder import ResultFiles
+
+
+def review_plan(
+    where: Mapping[str, Any],
+    plan_id: str,
+    is_accepted: bool | None,
+    comment: str,
+    folder: Path | None,
+    as_json: bool,
+) -> None:
+    """Show a plan and, unless ``is_accepted`` is None, review it.
+
+    Args:
+        folder: for the plan's files; None: they are not fetched.
+
+    Raises:
+        RequestError: it has not finished.
+        ResultError: the folder holds something other than an earlier result, or cannot be written.
+    """
+    out, err = consoles()
+    with connected(where, err) as client:
+        stored = client.get_plan(plan_id, out=folder)
+        record, files = stored.record, None if stored.folder is None else ResultFiles(stored.folder)
+        if not record.HasField("result"):
+            state = PlanState.Name(record.state).removeprefix("PLAN_STATE_").lower()
+            raise RequestError(f"plan {plan_id} is {state}; there is nothing to look at yet")
+        if not as_json:
+            _show(out, record, files)
+        if is_accepted is not None:
+            client.review(record, accept=is_accepted, comment=comment)
+            record = client.get_plan(plan_id).record
+    if as_json:
+        print_json(
+            {
+                **summary_of(record.result),
+                "plan_id": record.plan_id,
+                **({} if files is None else {"result": str(files.result), "viewer": str(files.viewer)}),
+                "trajectory_sha256": record.result.trajectory.sha256,
+                "certificate_sha256": record.result.certificate.sha256,
+                "is_approved": record.is_approved,
+                "reviews": [dict(zip(_COLUMNS, _row(review), strict=True)) for review in record.reviews],
+            }
+        )
+        return
+    if record.reviews:
+        print_table(out, _COLUMNS, [_row(review) for review in record.reviews])
+    state = "approved" if record.is_approved else "not approved"
+    out.print(f"plan {record.plan_id} is {state}", markup=False, soft_wrap=True)
+
+
+_COLUMNS = ("decision", "reviewer", "time", "comment")
+
+
+def _show(out: Console, record: PlanRecord, files: ResultFiles | None) -> None:
+    summary = summary_of(record.result)
+    print_findings(out, summary)
+    print_figures(out, summary)
+    out.print(f"trajectory       {record.result.trajectory.sha256 or 'none'}", markup=False, soft_wrap=True)
+    out.print(f"certificate      {record.result.certificate.sha256 or 'none'}", markup=False, soft_wrap=True)
+    if files is not None:
+        out.print(f"viewer           {files.viewer}", markup=False, soft_wrap=True)
+    print_verdict(out, summary)
+
+
+def _row(review: Review) -> tuple[str, str, str, str]:
+    decision = Decision.Name(review.decision).removeprefix("DECISION_")
+    when = review.time.ToDatetime().isoformat(" ", "seconds")
+    return decision, review.reviewer, f"{when} UTC", review.comment

@@ -1,0 +1,190 @@
+"""From waypoints to the executed curve: projected onto the holds, smooth within a phase, at rest between phases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.curve import Curve
+from costs.kinematics import KinematicsEngine
+from costs.stopping import poll
+from service.body.holds import DRIFT, Hold, largest, least_norm, linearized, projected
+
+SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
+SMALLEST_RATE = 1e-12  # tangents this close to their limits keep them
+LIMIT_ROUNDS = 3  # in which joints at their limits are found
+MAX_INSERTIONS = 6  # rounds; each halves the intervals that drift
+
+
+@dataclass(frozen=True)
+class Path:
+    """The waypoints of one phase and what holds along it.
+
+    Attributes:
+        name: of the phase.
+        q: (T, n) waypoints; the first is the last of the phase before.
+        holds: what is kept at zero all along (planted feet, a hand on a wheel).
+        drift: largest residual of a hold between waypoints [m, rad].
+    """
+
+    name: str
+    q: Float[np.ndarray, "T n"]
+    holds: tuple[Hold, ...]
+    drift: float = DRIFT
+
+
+@dataclass(frozen=True)
+class Spline:
+    """The curve of all phases.
+
+    Attributes:
+        curve: through all waypoints.
+        ends: (F + 1,) knot index at which each phase begins, and the last knot.
+        stiff: (K,) whether a knot is one of the phases' own waypoints, not inserted.
+    """
+
+    curve: Curve
+    ends: tuple[int, ...]
+    is_waypoint: np.ndarray
+
+
+def make_spline(
+    engine: KinematicsEngine,
+    paths: Sequence[Path],
+    lower: Float[np.ndarray, "n"],
+    upper: Float[np.ndarray, "n"],
+    speed: Float[np.ndarray, "n"],
+) -> Spline:
+    """A C1 cubic spline through all phases, with waypoints inserted where a hold would drift.
+
+    Args:
+        engine: kinematics.
+        paths: phases in order; each begins where the one before ends.
+        lower, upper: (n,) limits that tangents must not cross.
+        speed: (n,) natural speed of each coordinate; the path parameter runs in about seconds at these speeds.
+    """
+    originals: list[np.ndarray] = []
+    refined: list[Path] = []
+    tangents: list[np.ndarray] = []
+    knots: list[np.ndarray] = []
+    for index, path in enumerate(paths):
+        q = np.array(path.q)
+        if index:
+            q[0] = refined[-1].q[-1]
+        is_original = np.ones(len(q), dtype=bool)
+        q[1:] = projected(engine, q[1:], path.holds)
+        for _ in range(MAX_INSERTIONS):
+            s = _parameter(q, speed)
+            v = _tangents(engine, q, s, path.holds, lower, upper)
+            middle = Curve(s, q, v)(0.5 * (s[1:] + s[:-1]))
+            drifting = np.flatnonzero(largest(engine, middle, path.holds) > path.drift)
+            if not len(drifting):
+                break
+            inserted = projected(engine, middle[drifting], path.holds)
+            q = np.insert(q, drifting + 1, inserted, axis=0)
+            is_original = np.insert(is_original, drifting + 1, False)
+        s = _parameter(q, speed)
+        refined.append(replace(path, q=q))
+        tangents.append(_tangents(engine, q, s, path.holds, lower, upper))
+        knots.append(s)
+        originals.append(is_original)
+    return _joined(refined, knots, tangents, originals)
+
+
+def _joined(
+    paths: Sequence[Path],
+    knots: Sequence[np.ndarray],
+    tangents: Sequence[np.ndarray],
+    originals: Sequence[np.ndarray],
+) -> Spline:
+    """One curve of all phases; they share their border knots, where the tangents vanish."""
+    s, q, v = [knots[0]], [paths[0].q], [tangents[0]]
+    is_waypoint = [originals[0]]
+    ends = [0, len(knots[0]) - 1]
+    for path, knot, tangent, original in zip(paths[1:], knots[1:], tangents[1:], originals[1:], strict=True):
+        s.append(knot[1:] + s[-1][-1])
+        q.append(path.q[1:])
+        v.append(tangent[1:])
+        is_waypoint.append(original[1:])
+        ends.append(ends[-1] + len(knot) - 1)
+    curve = Curve(np.concatenate(s), np.concatenate(q), np.concatenate(v))
+    return Spline(curve, tuple(ends), np.concatenate(is_waypoint))
+
+
+def _parameter(q: Float[np.ndarray, "T n"], speed: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T"]:
+    """Cumulative time of the slowest coordinate at its natural speed."""
+    steps = np.maximum((np.abs(np.diff(q, axis=0)) / speed).max(axis=1), SMALLEST_STEP)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _tangents(
+    engine: KinematicsEngine,
+    q: Float[np.ndarray, "T n"],
+    s: Float[np.ndarray, "T"],
+    holds: Sequence[Hold],
+    lower: Float[np.ndarray, "n"],
+    upper: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "T n"]:
+    """dq/ds at the waypoints: three-point differences that neither overshoot nor break the holds; zero at the ends."""
+    poll()
+    slopes = np.diff(q, axis=0) / np.diff(s)[:, None]
+    tangents = np.zeros_like(q)
+    h = np.diff(s)[:, None]
+    tangents[1:-1] = (h[1:] * slopes[:-1] + h[:-1] * slopes[1:]) / (h[1:] + h[:-1])
+    least, most = _tangent_limits(q, h, lower, upper)
+    tangents = np.clip(tangents, least, most)
+    tangents[1:-1] = _along_holds(engine, q[1:-1], tangents[1:-1], holds, least[1:-1], most[1:-1])
+    return np.asarray(tangents)
+
+
+def _tangent_limits(
+    q: Float[np.ndarray, "T n"],
+    h: Float[np.ndarray, "T-1 1"],
+    lower: Float[np.ndarray, "n"],
+    upper: Float[np.ndarray, "n"],
+) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]]:
+    """Least and greatest tangents with which no interval leaves the limits.
+
+    With ``h v <= 3 (upper - q)`` at its first knot and ``-h v <= 3 (upper - q)`` at its last, a cubic stays below
+    ``upper``, since ``u (1-u)^2`` is at most a third of ``(1 + 2u) (1-u)^2``; the lower limit mirrors it.
+    """
+    above, below = 3.0 * np.maximum(upper - q, 0.0), 3.0 * np.maximum(q - lower, 0.0)
+    least, most = np.full_like(q, -np.inf), np.full_like(q, np.inf)
+    most[:-1], least[:-1] = above[:-1] / h, -below[:-1] / h
+    most[1:] = np.minimum(most[1:], below[1:] / h)
+    least[1:] = np.maximum(least[1:], -above[1:] / h)
+    return least, most
+
+
+def _along_holds(
+    engine: KinematicsEngine,
+    q: Float[np.ndarray, "S n"],
+    v: Float[np.ndarray, "S n"],
+    holds: Sequence[Hold],
+    least: Float[np.ndarray, "S n"],
+    most: Float[np.ndarray, "S n"],
+) -> Float[np.ndarray, "S n"]:
+    """Velocities near the given ones that neither break the holds nor pass their limits.
+
+    Joints that the holds would drive past a limit stay at it while the others keep the holds; where that is not
+    enough, all slow down together.
+    """
+    if not holds or not len(q):
+        return v
+    _, jacobian = linearized(engine, q, holds)
+    at_limit = np.zeros(v.shape, dtype=bool)
+    for _ in range(LIMIT_ROUNDS):
+        free = np.where(at_limit[:, None, :], 0.0, jacobian)
+        v = v - least_norm(free, np.einsum("skn,sn->sk", jacobian, v))
+        beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
+        if not beyond.any():
+            return v
+        at_limit |= beyond
+        v = np.clip(v, least, most)
+    v = v - least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, v))
+    beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
+    share = np.where(beyond, np.where(v > 0.0, most, least) / np.where(beyond, v, 1.0), 1.0)
+    return np.asarray(v * share.min(axis=1, keepdims=True))

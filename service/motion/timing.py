@@ -1,0 +1,266 @@
+"""Timing of a curve: as fast as speed, acceleration and torque limits allow, and slow enough to keep its balance.
+
+Forces and peaks are the verifier's own (``service.verify.dynamics.forces``, ``service.verify.limits.timed_peaks``): a
+mistake in them would make a law as well as the check that passes it.  So the certificate's ZMP, torques and peaks are
+no second opinion on the timing; the tests hold them against forces and peaks computed by other means.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from costs.curve import Curve, TimeLaw
+from costs.robot.model import RobotModel
+from costs.stopping import poll
+from service.motion.timing_rows import Cells, force_rows, motion_rows
+from service.motion.topp import Limits, fastest_speed
+from service.verify.dynamics import forces, sample_times
+from service.verify.limits import timed_peaks
+from service.verify.motion import Motion, Phase, SupportPolygon
+from service.verify.promises import outside_polygon
+
+# A motionless stretch has no limit of its own: no knot interval is passed faster than this [s].
+_SHORTEST_KNOT_TIME = 0.01
+# Grid cells from rest to rest, at least; points within the first and last of them, as shares of their length.
+_CELLS_PER_STRETCH = 100
+_NEAR_REST = np.array([0.01, 0.03, 0.1, 0.3])
+
+
+class TimingError(ValueError):
+    """A curve that cannot be timed; the message says why."""
+
+
+@dataclass(frozen=True)
+class TimingSettings:
+    """How a curve is timed.
+
+    Attributes:
+        velocity_scale, acceleration_scale: shares of the limits to be used, in (0, 1].
+        cells_per_interval: least grid cells of the time law per knot interval; a stretch between two rests with few
+            knots gets more.
+        support_links: links planted on the ground; joints between them and the base carry contact forces that timing
+            does not know, so their torques are left to the verifier (:func:`slow_until_zmp_inside`).
+        use_torques: whether the other joints' torque limits count.
+        zmp_reserve_m: how far inside its polygon the ZMP shall be, or half as far as the robot at rest where that is
+            less.
+    """
+
+    velocity_scale: float = 1.0
+    acceleration_scale: float = 1.0
+    cells_per_interval: int = 6
+    support_links: tuple[str, ...] = ()
+    use_torques: bool = True
+    zmp_reserve_m: float = 0.0
+
+
+def time_curve(
+    robot: RobotModel,
+    curve: Curve,
+    rest_at: Sequence[float] = (),
+    settings: TimingSettings | None = None,
+    phases: Sequence[Phase] = (),
+) -> TimeLaw:
+    """Time law that is as fast as the limits allow, at rest at both ends and at ``rest_at`` (path parameters).
+
+    TOPP-RA (Pham & Pham, T-RO 2018) on a grid that holds every knot, with the curve's second derivative taken from
+    both sides, since it jumps there, and limits kept at points within the cells as well.  Speed and acceleration limits
+    then hold everywhere: the little that is missed between those points is made up for by slowing the stretch between
+    two rests as a whole.  Torque limits hold at the grid points, and so does the ZMP where a phase with a support
+    polygon covers the stretch, as far as it does at rest.
+
+    Raises:
+        TimingError: when a limit is not positive or no law was found.
+    """
+    settings = settings or TimingSettings()
+    limited = replace(
+        robot,
+        velocity=robot.velocity * settings.velocity_scale,
+        acceleration=robot.acceleration * settings.acceleration_scale,
+    )
+    if not (np.all(limited.velocity > 0.0) and np.all(limited.acceleration > 0.0)):
+        raise TimingError("speed and acceleration limits must be positive to time a curve")
+    rests = [float(s) for s in rest_at if curve.knots[0] < s < curve.knots[-1]]
+    grid = _grid(curve, rests, settings.cells_per_interval)
+    ends = np.concatenate([[0], np.searchsorted(grid, np.unique(rests)), [len(grid) - 1]]).astype(int)
+    torque_rows = _unsupported(robot, settings) if settings.use_torques else np.zeros(robot.n, dtype=bool)
+    speed = np.zeros(len(grid))
+    for a, b in pairwise(ends):
+        cells = grid[a : b + 1]
+        support = _support_between(phases, float(cells[0]), float(cells[-1]))
+        speed[a : b + 1] = _segment_speed(limited, curve, cells, torque_rows, support, settings.zmp_reserve_m)
+    law = _law(grid, speed)
+    return _slow_to_limits(limited, curve, law)
+
+
+def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: float = 0.0) -> TimeLaw:
+    """The motion's law, slowed between rests until ZMP (and torques) hold at all samples, if slowness can do that.
+
+    With all speeds divided by c the ZMP moves towards where it is for the resting robot as 1/c^2 (the vertical
+    acceleration's part aside), so one solve per pass suffices; a robot that would fall or overload a joint even at
+    rest is left as it is, for the verifier to say so.
+
+    Args:
+        motion: timed.
+        time_step_s: between samples.
+        reserve_m: how far inside the polygon the ZMP shall be, or half as far as the robot at rest where that is less.
+
+    Raises:
+        TimingError: when the motion has no time law.
+    """
+    if motion.law is None:
+        raise TimingError("an untimed motion cannot be slowed")
+    law = motion.law
+    rests = np.flatnonzero(law.speed <= 1e-12)
+    for _ in range(4):
+        poll()
+        factor = np.ones(len(law.times) - 1)
+        for a, b in pairwise(rests):
+            factor[a:b] = _needed_slowness(motion, law, float(law.path[a]), float(law.path[b]), time_step_s, reserve_m)
+        if np.all(factor <= 1.0):
+            break
+        law = _stretched(law, factor)
+    return law
+
+
+def _grid(curve: Curve, rests: Sequence[float], least_cells: int) -> Float[np.ndarray, "M"]:
+    """Knots, rests, and points between them.
+
+    Points are denser towards the knots, where q'' jumps, and much denser towards rests: where the tangent vanishes, the
+    robot is fastest off when ds/dt rises at once.  Stretches with few knots get more cells for each interval.
+    """
+    knots = curve.knots
+    stops = np.unique(np.concatenate([knots[:1], rests, knots[-1:]]))
+    first, last = np.searchsorted(knots, stops[:-1], side="right"), np.searchsorted(knots, stops[1:], side="left")
+    cells = np.maximum(least_cells, np.ceil(_CELLS_PER_STRETCH / np.maximum(last - first + 1, 1)).astype(int))
+    owner = np.clip(np.searchsorted(stops, 0.5 * (knots[:-1] + knots[1:])) - 1, 0, len(cells) - 1)
+    parts = [
+        start + step * (0.5 - 0.5 * np.cos(np.pi * np.arange(1, count) / count))
+        for start, step, count in zip(knots, np.diff(knots), cells[owner], strict=False)
+    ]
+    inner = np.concatenate(parts)
+    # A rest that falls on a point but for rounding would leave a cell without length.
+    close = 1e-6 * np.diff(knots).min()
+    inner = inner[np.abs(inner[:, None] - stops).min(axis=1) > close]
+    grid = np.unique(np.concatenate([knots, inner, rests]))
+    at = np.searchsorted(grid, stops)
+    behind = grid[at[:-1], None] + np.diff(grid)[at[:-1], None] * _NEAR_REST
+    before = grid[at[1:], None] - np.diff(grid)[at[1:] - 1, None] * _NEAR_REST
+    return np.unique(np.concatenate([grid, behind.ravel(), before.ravel()]))
+
+
+def _unsupported(robot: RobotModel, settings: TimingSettings) -> Bool[np.ndarray, "n"]:
+    """Coordinates whose torque follows from the motion alone: neither base nor between a planted link and the base."""
+    model = robot.model
+    rows = np.isfinite(robot.effort) & (robot.effort > 0.0)
+    rows[: 6 if robot.is_floating else 0] = False
+    for link in settings.support_links:
+        joint = int(model.frames[model.getFrameId(link)].parentJoint)
+        while joint > 0:
+            start = int(model.joints[joint].idx_v)
+            rows[start : start + int(model.joints[joint].nv)] = False
+            joint = int(model.parents[joint])
+    return np.asarray(rows)
+
+
+def _support_between(phases: Sequence[Phase], first: float, last: float) -> SupportPolygon | None:
+    """The support polygon of the one phase that covers the stretch."""
+    slack = 1e-9 * max(1.0, abs(last))
+    covering = [phase for phase in phases if phase.first - slack <= first and last <= phase.last + slack]
+    return covering[0].support if len(covering) == 1 else None
+
+
+def _segment_speed(
+    robot: RobotModel,
+    curve: Curve,
+    grid: Float[np.ndarray, "M"],
+    torque_rows: Bool[np.ndarray, "n"],
+    support: SupportPolygon | None,
+    reserve_m: float,
+) -> Float[np.ndarray, "M"]:
+    """ds/dt on the grid from rest to rest."""
+    cells = Cells.of(curve, grid)
+    shortest = np.diff(curve.knots).min() / _SHORTEST_KNOT_TIME
+    slope = np.abs(curve(grid, 1)) / robot.velocity
+    limit = np.minimum(1.0 / np.maximum(slope.max(axis=1), 1e-12), shortest) ** 2
+    rows = list(motion_rows(robot, cells))
+    for more in (list(force_rows(robot, curve, cells, torque_rows, support, reserve_m)), []):
+        speed = fastest_speed(Limits(rows + more, limit), np.diff(grid))
+        if np.all(speed[1:-1] > 0.0):
+            return speed
+    raise TimingError(f"no time law found between s = {grid[0]} and s = {grid[-1]}")
+
+
+def _law(grid: Float[np.ndarray, "M"], speed: Float[np.ndarray, "M"]) -> TimeLaw:
+    durations = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
+    return TimeLaw(np.concatenate([[0.0], np.cumsum(durations)]), grid, speed)
+
+
+def _stretched(law: TimeLaw, factor: Float[np.ndarray, "M-1"]) -> TimeLaw:
+    """The law with every cell's duration multiplied; the factor may only change where the path rests."""
+    times = np.concatenate([law.times[:1], law.times[0] + np.cumsum(np.diff(law.times) * factor)])
+    return TimeLaw(times, law.path, law.speed / np.append(factor, factor[-1]))
+
+
+def _slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw) -> TimeLaw:
+    """Slow each stretch between rests until its exact peaks are within the limits."""
+    peaks = timed_peaks(curve, law)
+    excess = np.maximum(
+        (peaks.speed / robot.velocity).max(axis=1), np.sqrt((peaks.acceleration / robot.acceleration).max(axis=1))
+    )
+    rests = np.flatnonzero(law.speed <= 1e-12)
+    factor = np.ones(len(law.times) - 1)
+    for a, b in pairwise(rests):
+        inside = (peaks.s >= law.path[a]) & (peaks.s < law.path[b])
+        factor[a:b] = max(1.0, float(excess[inside].max()))
+    return _stretched(law, factor)
+
+
+def _needed_slowness(
+    motion: Motion, law: TimeLaw, first: float, last: float, time_step_s: float, reserve_m: float
+) -> float:
+    """By how much the stretch between two rests must be slowed for balance and torque."""
+    needed = 1.0
+    timed = replace(motion, law=law)
+    for phase in motion.phases:
+        start, end = max(first, phase.first), min(last, phase.last)
+        if end <= start:
+            continue
+        moving, resting = _loads(timed, law, phase, start, end, time_step_s, reserve_m)
+        curable = (moving > 0.0) & (resting < -1e-6)
+        if np.any(curable):
+            needed = max(needed, float(np.max((moving[curable] - resting[curable]) / -resting[curable])))
+    # A little more than the affine estimate asks for.
+    return float(np.sqrt(needed) * (1.01 if needed > 1.0 else 1.0))
+
+
+def _loads(
+    motion: Motion, law: TimeLaw, phase: Phase, first: float, last: float, time_step_s: float, reserve_m: float
+) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k"]]:
+    """How far ZMP and torques are beyond their limits (negative: within), moving and at rest in the same poses.
+
+    Nothing where nothing is beyond: the robot at rest is looked at only where that may help.
+    """
+    times = sample_times(motion, law, first, last, time_step_s)
+    robot, support = motion.robot, phase.support
+    rows = np.isfinite(robot.effort) & (robot.effort > 0.0)
+
+    def measure(timing: TimeLaw, at: Float[np.ndarray, "R"]) -> tuple[np.ndarray, np.ndarray]:
+        found = forces(motion, timing, phase, at)
+        outside = np.full(len(at), -np.inf)
+        if support is not None:
+            outside = np.nan_to_num(outside_polygon(support.polygon, found.zmp(support.height)), nan=1e3)
+        return np.abs(found.torque[:, rows]) / robot.effort[rows] - 1.0, outside
+
+    torque, outside = measure(law, times)
+    beyond = np.flatnonzero((torque > 0.0).any(axis=1) | (outside > -reserve_m))
+    # The same poses at rest: a law that takes forever.
+    still = TimeLaw(law.times * 1e6, law.path, law.speed * 1e-6)
+    torque_still, outside_still = measure(still, times[beyond] * 1e6)
+    reserve = np.minimum(reserve_m, np.maximum(-0.5 * outside_still, 0.0))
+    moving = np.column_stack([torque[beyond], outside[beyond] + reserve])
+    return moving, np.column_stack([torque_still, outside_still + reserve])

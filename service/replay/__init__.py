@@ -1,0 +1,1 @@
+"""Verification of a recorded result against its request."""

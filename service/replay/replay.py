@@ -1,0 +1,176 @@
+"""Verify a result folder anew: its curve is held to what the request demands, not to what the folder promises."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from costs.robot import RobotError, RobotModel, load_robot
+from service.demands import Demands, Held, hold_to_request, pace_differences, turned_differences
+from service.errors import RequestError, ResultError, shown
+from service.replay.consistency import CHANGED, contradictions
+from service.replay.demanded import Grounds, Record, demands_of
+from service.request.file import load_request, parse_request
+from service.request.schema import PlanRequest
+from service.result.folder import TRAJECTORY_NAME, read_result, result_path
+from service.result.motion_json import motion_from_json
+from service.result.result_json import proof_summary
+from service.verify import Certificate, Motion, Status, VerifyError, verify
+
+if TYPE_CHECKING:
+    from perception import ValveDetection
+
+OTHER = "it answers another request, or was changed after it was written"
+WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_LIMIT", "CANCELLED")
+
+
+def verify_result(path: str | Path, request: Path | None = None, clouds: Sequence[Path] = ()) -> dict[str, Any]:
+    """The verdict on a result folder, with the keys of ``result.json`` that speak of it and ``held_to``.
+
+    The folder proves nothing about itself: what a certified motion must do is made anew from the request, and the
+    record is compared with that.
+
+    Args:
+        path: the folder or its ``result.json``.
+        request: file that holds what the user asked; by default what the folder says was asked.
+        clouds: files of the request's scan, to be looked at again; by default the recorded pieces are taken.
+
+    Raises:
+        ResultError: the folder cannot be read, or its data contradict each other or the request.
+        RequestError: the request that is given, or a file it names, cannot be used.
+    """
+    started = time.perf_counter()
+    data = read_result(path)
+    folder = result_path(path).parent
+    robot, recorded = _read_record(data, folder)
+    is_claimed = data["verdict"] == Status.CERTIFIED.value
+    if is_claimed and data.get("certificate") is None:
+        raise ResultError(f"{folder}: the verdict is CERTIFIED, and there is no certificate; {CHANGED}")
+    held, grounds, demands = Held(recorded, ()), None, None
+    if is_claimed:
+        demands, grounds = _demands(data, folder, Record(robot, recorded.scene), request, clouds)
+        with _readable(folder):
+            held = hold_to_request(demands, recorded)
+    table = folder / TRAJECTORY_NAME
+    with _readable(folder):
+        certificate = verify(held.motion)
+        found = held.differences
+        if demands is not None:
+            found += tuple(pace_differences(demands.request, certificate))
+            if demands.request.task is not None and demands.request.task.valve is not None:
+                found += tuple(turned_differences(demands.request.task.valve, data["figures"]))
+        if data.get("certificate") is not None:
+            found += contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
+    if certificate.status is Status.CERTIFIED and is_claimed and found:
+        why = CHANGED if request is None else OTHER
+        raise ResultError("\n".join(f"{folder}: {line}; {why}" for line in found))
+    verdict, explanation = _judged(data["verdict"], certificate)
+    return {
+        "verdict": verdict,
+        "explanation": [*explanation, *found],
+        "notes": list(certificate.notes),
+        "held_to": None if grounds is None else grounds.sentence(),
+        "timings": {"verify": time.perf_counter() - started},
+        **proof_summary(certificate),
+        "phases": data["phases"],
+    }
+
+
+def _demands(
+    data: dict[str, Any], folder: Path, record: Record, given: Path | None, clouds: Sequence[Path]
+) -> tuple[Demands, Grounds]:
+    """What the request demands, and what that rests on."""
+    request = _recorded_request(data, folder) if given is None else load_request(given)
+    with _readable(folder):
+        record = replace(record, valves=_recorded_valves(data))
+    try:
+        return demands_of(request, record, given, clouds)
+    except RequestError as error:
+        if given is not None or clouds:
+            raise
+        line = " ".join(str(error).split())
+        raise ResultError(f"{folder}: the request in this folder cannot be used: {line}; {CHANGED}") from None
+
+
+def _recorded_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
+    """The valves of ``detections``."""
+    hits = [hit for hit in data["detections"] if hit["kind"] == "valve"]
+    if not hits:
+        return ()
+    from perception import ValveDetection  # takes a while, and few results need it
+
+    plain = [{field.name: hit[field.name] for field in fields(ValveDetection)} for hit in hits]
+    vectors = [{name: np.array(hit[name], dtype=float) for name in ("centre", "axis")} for hit in plain]
+    tuples = [{name: tuple(value) for name, value in hit.items() if isinstance(value, list)} for hit in plain]
+    return tuple(ValveDetection(**{**a, **b, **c}) for a, b, c in zip(plain, tuples, vectors, strict=True))
+
+
+def _recorded_request(data: dict[str, Any], folder: Path) -> PlanRequest:
+    try:
+        return parse_request(data.get("request"), folder)
+    except RequestError as error:
+        line = " ".join(str(error).split())
+        raise ResultError(f"{folder}: request of result.json cannot be used: {line}; {CHANGED}") from None
+
+
+def read_motion(data: dict[str, Any], folder: Path) -> Motion:
+    """The motion of a parsed ``result.json`` whose robot files are in ``folder``.
+
+    Raises:
+        ResultError: there is no motion, or the data contradict each other.
+    """
+    return _read_record(data, folder)[1]
+
+
+def _read_record(data: dict[str, Any], folder: Path) -> tuple[RobotModel, Motion]:
+    """The robot of a result's folder, without what the task moves, and the motion."""
+    if data.get("curve") is None:
+        raise ResultError(f"{folder}: the result has no motion to verify; its verdict is {shown(data.get('verdict'))}")
+    with _readable(folder):
+        robot = _read_robot(data["robot"], folder)
+        return robot, motion_from_json(data, robot)
+
+
+@contextmanager
+def _readable(folder: Path) -> Iterator[None]:
+    """What is wrong with the data of a result, as one line that names the folder."""
+    try:
+        yield
+    except KeyError as error:
+        raise ResultError(f"{folder}: result.json lacks {error}; docs/result-format.md lists what it holds") from None
+    except (RobotError, VerifyError, ValueError, TypeError, IndexError, AttributeError) as error:
+        line = " ".join(str(error).split())
+        raise ResultError(f"{folder}: result.json cannot be used: {line}") from None
+
+
+def _read_robot(robot: dict[str, Any], folder: Path) -> RobotModel:
+    def inside(name: str) -> Path:
+        resolved = (folder / name).resolve()
+        if not resolved.is_relative_to(folder.resolve()):
+            raise ResultError(f"{folder}: robot file {shown(name)} lies outside the result folder")
+        return resolved
+
+    return load_robot(
+        urdf=inside(robot["urdf"]),
+        srdf=None if robot["srdf"] is None else inside(robot["srdf"]),
+        package_dirs=[inside(name) for name in robot["package_dirs"]],
+        root=robot["root"],
+    )
+
+
+def _judged(planned: object, certificate: Certificate) -> tuple[str, list[str]]:
+    """The verdict and its reasons: a motion that holds is certified only if it also does what was asked."""
+    if certificate.status is Status.CERTIFIED and planned == Status.CERTIFIED.value:
+        return Status.CERTIFIED.value, []
+    if certificate.status is Status.CERTIFIED:
+        if planned not in WITHOUT_CERTIFICATE:
+            raise ResultError(f"verdict is {shown(planned)}; CERTIFIED, {', '.join(WITHOUT_CERTIFICATE)} would do")
+        return str(planned), [f"the motion holds, but its plan is {planned}: it does not do all that was asked"]
+    is_feasible = certificate.status is Status.FEASIBLE_AT_SAMPLES
+    return "FEASIBLE_AT_SAMPLES" if is_feasible else "NOT_FOUND", [check.text for check in certificate.failed()]

@@ -1,0 +1,228 @@
+"""The ``scene`` section of a request: a scan, a floor, and obstacles by shape."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Field, StrictBool, Tag
+from pydantic.dataclasses import dataclass
+from pydantic_core import PydanticCustomError
+
+from service.errors import shown
+from service.request.choices import Method, Unknown
+from service.request.fields import (
+    SECTION,
+    FilePath,
+    Floor,
+    Label,
+    Length,
+    MapPoint,
+    Message,
+    Number,
+    Point,
+    Quaternion,
+    Section,
+    Size,
+    Sizes,
+    at_most,
+    repeated,
+)
+
+MESH_SUFFIXES = (".stl", ".obj", ".ply")
+"""Mesh files that are whole by themselves, so that they can be uploaded; a URDF may name others."""
+
+
+@dataclass(config=SECTION)
+class _Placed(Section):
+    name: Label
+    position: Point = (0.0, 0.0, 0.0)
+    quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(config=SECTION, kw_only=True)
+class BoxRequest(_Placed):
+    """A box with edge lengths ``size``, its centre at ``position``."""
+
+    type: Literal["box"]
+    size: Sizes
+
+
+@dataclass(config=SECTION, kw_only=True)
+class SphereRequest(_Placed):
+    """A sphere."""
+
+    type: Literal["sphere"]
+    radius: Size
+
+
+@dataclass(config=SECTION, kw_only=True)
+class CylinderRequest(_Placed):
+    """A cylinder of length ``height`` along its own z axis, its centre at ``position``."""
+
+    type: Literal["cylinder"]
+    radius: Size
+    height: Size
+
+
+@dataclass(config=SECTION, kw_only=True)
+class CapsuleRequest(_Placed):
+    """A cylinder of length ``height`` along its own z axis with a half sphere on either end."""
+
+    type: Literal["capsule"]
+    radius: Size
+    height: Size
+
+
+@dataclass(config=SECTION, kw_only=True)
+class ConvexRequest(_Placed):
+    """The convex hull of ``points``."""
+
+    type: Literal["convex"]
+    points: Annotated[tuple[Point, ...], Field(min_length=4), at_most(10_000)]
+
+
+@dataclass(config=SECTION, kw_only=True)
+class MeshRequest(_Placed):
+    """A mesh file (STL, OBJ, PLY, or a URDF with every joint at zero), split into convex pieces.
+
+    ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is one piece.  With ``match`` it is
+    looked for in the scan around where it is placed, and stands where it was found; what of the scan is on it or in it
+    makes no further pieces.
+    """
+
+    type: Literal["mesh"]
+    file: FilePath
+    scale: Length = 1.0
+    decompose: StrictBool = True
+    match: StrictBool = False
+
+
+ObstacleRequest = Annotated[
+    BoxRequest | SphereRequest | CylinderRequest | CapsuleRequest | ConvexRequest | MeshRequest,
+    Field(discriminator="type"),
+]
+
+
+@dataclass(config=SECTION)
+class CloudFileRequest(Section):
+    """One of several cloud files, and the pose that takes its points to the world."""
+
+    file: FilePath
+    position: MapPoint = (0.0, 0.0, 0.0)
+    quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+    @property
+    def transform(self) -> tuple[float, ...] | None:
+        """Position and quaternion; None where the points are in the world as they stand."""
+        pose = (*self.position, *self.quaternion_wxyz)
+        return None if pose == (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0) else pose
+
+
+def _path_or_list(value: object) -> str | None:
+    return "path" if isinstance(value, str) else "list" if isinstance(value, list | tuple) and value else None
+
+
+CloudRequest = Annotated[
+    Annotated[FilePath, Tag("path")] | Annotated[tuple[CloudFileRequest, ...], at_most(64), Tag("list")],
+    Discriminator(
+        _path_or_list,
+        custom_error_type="cloud",
+        custom_error_message="a file, or a list of {file, position, quaternion_wxyz}, is needed",
+    ),
+]
+
+
+@dataclass(config=SECTION)
+class SceneRequest(Section):
+    """What surrounds the robot: a scan or a scene made of one, obstacles, or both.
+
+    Attributes:
+        file: a scene as ``scopt scene`` writes it, planned in as it stands: its pieces, and its valve.
+        cloud: point cloud file, or several with their poses, merged.
+        unit: of the files' lengths.
+        apply_viewpoint: whether the points are in the sensor's frame and its VIEWPOINT takes them to the world (or to
+            what ``position`` and ``quaternion_wxyz`` take to the world).
+        sensor: where the rays of a file that does not say so started.
+        topic: of a bag with several clouds.
+        message: of a bag, the number of the message, or all of them merged.
+        method: how the scan becomes pieces.
+        unknown: what space no ray has seen is taken for.
+        hint: a point in the world near the object of the task.
+        obstacles: shapes with unique names.
+        floor: a height [m], or whether there is a floor at 0 (a scan brings its own); by default there is one for a
+            robot with a free base.
+    """
+
+    file: FilePath | None = None
+    cloud: CloudRequest | None = None
+    unit: Literal["m", "cm", "mm", "km", "in", "ft"] = "m"
+    apply_viewpoint: StrictBool = False
+    sensor: Point | None = None
+    topic: Label | None = None
+    message: Message = 0
+    method: Method = "planes"
+    unknown: Unknown = "free"
+    hint: Point | None = None
+    obstacles: Annotated[tuple[ObstacleRequest, ...], at_most(1000)] = ()
+    floor: Floor | None = None
+
+    @property
+    def cloud_files(self) -> tuple[CloudFileRequest, ...]:
+        """The cloud's files; none without a cloud."""
+        if self.cloud is None:
+            return ()
+        return (CloudFileRequest(self.cloud),) if isinstance(self.cloud, str) else self.cloud
+
+    def __post_init__(self) -> None:
+        twice = repeated(obstacle.name for obstacle in self.obstacles)
+        if twice:
+            raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})
+        if self.file is not None and self.cloud is not None:
+            raise PydanticCustomError("file", "file and cloud exclude each other: a scene was made of its own scan")
+        if self.unknown == "occupied" and not self.cloud:
+            raise PydanticCustomError("unknown", "unknown: occupied needs a scan that says what was seen; give cloud")
+        lost = [one.name for one in self.obstacles if isinstance(one, MeshRequest) and one.match]
+        if lost and not self.cloud:
+            raise PydanticCustomError(
+                "obstacles", "match of {name} needs a scan to look in; give scene.cloud", {"name": shown(lost[0])}
+            )
+
+
+@dataclass(config=SECTION)
+class KnownMeshRequest(Section):
+    """An object whose shape is known, as ``scopt scene --mesh`` takes it.
+
+    Attributes:
+        file: STL, OBJ, PLY or URDF.
+        name: of its pieces; by default that of the file.
+        scale: metres per unit of the file.
+        position: where it stands, or about where it is looked for; everywhere without it.
+        quaternion_wxyz: how it is turned there; without it, it may be turned in any way, or not at all if it is placed.
+        is_placed: whether it stands exactly there; else the scan tells where.
+    """
+
+    file: FilePath
+    name: Label | None = None
+    scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
+    position: Point | None = None
+    quaternion_wxyz: Quaternion | None = None
+    is_placed: StrictBool = False
+
+    def __post_init__(self) -> None:
+        if self.position is None and (self.quaternion_wxyz is not None or self.is_placed):
+            raise PydanticCustomError("known_mesh", "a pose needs a position; give position as well")
+        if self.name is not None and "/" in self.name:
+            raise PydanticCustomError("known_mesh", "name: one without '/' would do, which its pieces have")
+
+
+@dataclass(config=SECTION)
+class KnownRequest(Section):
+    """Known objects, and a scene file that the clouds are held against."""
+
+    meshes: Annotated[tuple[KnownMeshRequest, ...], at_most(20)] = ()
+    update: FilePath | None = None
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """All files, as they are named."""
+        return (*(mesh.file for mesh in self.meshes), *(() if self.update is None else (self.update,)))

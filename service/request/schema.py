@@ -1,0 +1,332 @@
+"""What a user asks: the schema of a request file, as frozen dataclasses that check themselves.
+
+Lengths in metres, angles in radians unless a suffix says otherwise, quaternions as w x y z, world frame z up.
+Only what a request can tell by itself is checked here; ``service.setup.prepare`` checks it against the robot.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, StrictInt
+from pydantic.dataclasses import dataclass
+from pydantic_core import PydanticCustomError
+
+from service.errors import UnplannedTaskError, shown
+from service.request.fields import (
+    MAX_JOINTS,
+    SECTION,
+    FilePath,
+    Joints,
+    Label,
+    Name,
+    Number,
+    PlainData,
+    Point,
+    Quaternion,
+    Section,
+    at_most,
+    exactly_one,
+    repeated,
+)
+from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
+
+
+@dataclass(config=SECTION)
+class RobotRequest(Section):
+    """Which robot: a bundled one by ``name``, or one read from ``urdf`` (and ``srdf``, ``package_dirs``).
+
+    ``root`` says whether the base is free (by default a bundled robot's is, another's is not); ``tool_distance_m`` is
+    how far the bundled robot's hook reaches from the hand's origin.
+    """
+
+    name: Label | None = None
+    urdf: FilePath | None = None
+    srdf: FilePath | None = None
+    package_dirs: Annotated[tuple[FilePath, ...], at_most(20)] = ()
+    root: Literal["floating", "fixed"] | None = None
+    tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
+
+    def __post_init__(self) -> None:
+        exactly_one(self, ("name", "urdf"))
+        if self.name is not None and (self.srdf or self.package_dirs):
+            raise PydanticCustomError("robot", "srdf and package_dirs belong to a robot given by urdf, not by name")
+        if self.urdf is not None and self.tool_distance_m is not None:
+            raise PydanticCustomError("robot", "tool_distance_m belongs to a bundled robot given by name, not by urdf")
+
+
+@dataclass(config=SECTION)
+class PoseRequest(Section):
+    """A pose in the world."""
+
+    position: Point
+    quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(config=SECTION)
+class StartRequest(Section):
+    """Where the robot stands at first: a named posture, overridden joint by joint.
+
+    Joints come as ``joints`` (name to position) or as the two lists ``joint_names`` and ``positions``.
+    """
+
+    posture: Label | None = None
+    joints: Joints = field(default_factory=dict)
+    joint_names: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
+    positions: Annotated[tuple[Number, ...], at_most(MAX_JOINTS)] = ()
+    base: PoseRequest | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.joint_names) != len(self.positions):
+            raise PydanticCustomError(
+                "start",
+                "joint_names has {names} entries and positions has {positions}; they must be as many",
+                {"names": len(self.joint_names), "positions": len(self.positions)},
+            )
+        twice = repeated((*self.joint_names, *self.joints))
+        if twice:
+            raise PydanticCustomError("start", "joint {name} is given twice", {"name": shown(twice[0])})
+
+    @property
+    def positions_by_joint(self) -> dict[str, float]:
+        """All joint positions that were given [rad, m]."""
+        return {**self.joints, **dict(zip(self.joint_names, self.positions, strict=True))}
+
+
+@dataclass(config=SECTION)
+class PoseGoalRequest(Section):
+    """A pose that ``link`` (a link or frame of the robot) has at the end; no quaternion leaves the orientation free."""
+
+    link: Name
+    position: Point
+    quaternion_wxyz: Quaternion | None = None
+    position_tolerance_m: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.001
+    rotation_tolerance_deg: Annotated[Number, Field(ge=0.0, le=180.0)] = 0.5
+    free_axis: Literal["none", "x", "y", "z"] = "none"
+
+    def __post_init__(self) -> None:
+        if self.free_axis != "none" and self.quaternion_wxyz is None:
+            raise PydanticCustomError("pose", "free_axis needs a quaternion_wxyz whose axis it frees")
+
+
+@dataclass(config=SECTION)
+class GoalRequest(Section):
+    """Where the motion ends: joint positions, poses of links, or a named posture."""
+
+    joints: Joints = field(default_factory=dict)
+    poses: Annotated[tuple[PoseGoalRequest, ...], at_most(20)] = ()
+    posture: Label | None = None
+
+    def __post_init__(self) -> None:
+        exactly_one(self, ("joints", "poses", "posture"))
+        twice = repeated(pose.link for pose in self.poses)
+        if twice:
+            words = "link {link} has two poses; one for each link would do"
+            raise PydanticCustomError("goal", words, {"link": shown(twice[0])})
+
+
+@dataclass(config=SECTION)
+class ValveRequest(Section):
+    """Turn a valve: detected in the scan (near ``hint``), or given by ``centre``, ``axis`` and ``radius``.
+
+    Attributes:
+        mode: ``hook`` rests a hook between the spokes, ``grasp`` turns the hand with the wheel.
+        hand: which hand; ``auto`` tries both.
+        turn_deg: positive turns counter-clockwise as seen by the robot.
+        centre, axis, radius: the rim's centre-line circle, axis towards the robot [m].
+    """
+
+    mode: Literal["hook", "grasp"] = "hook"
+    hand: Literal["left", "right", "auto"] = "auto"
+    turn_deg: Annotated[Number, Field(ge=-360.0, le=360.0)] = 360.0
+    hint: Point | None = None
+    centre: Point | None = None
+    axis: Point | None = None
+    radius: Annotated[Number, Field(gt=0.0, le=2.0)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.turn_deg == 0.0:
+            raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; -360 to 360 except 0 would do")
+        if self.axis is not None and math.hypot(*self.axis) < 1e-6:
+            raise PydanticCustomError("valve", "axis has no length; a direction such as [-1, 0, 0] would do")
+
+
+@dataclass(config=SECTION)
+class DoorRequest(Section):
+    """Open a door that the scan shows (near ``hint``).
+
+    Attributes:
+        hand: which hand; ``auto`` tries both.
+        open_deg: angle of the leaf at the end.
+    """
+
+    hand: Literal["left", "right", "auto"] = "auto"
+    open_deg: Annotated[Number, Field(gt=0.0, le=180.0)] = 80.0
+    hint: Point | None = None
+
+
+@dataclass(config=SECTION)
+class EgressRequest(Section):
+    """Get out of the vehicle that the scan shows, on one ``side`` of it (near ``hint``)."""
+
+    side: Literal["left", "right"] = "left"
+    hint: Point | None = None
+
+
+@dataclass(config=SECTION)
+class TaskRequest(Section):
+    """What to do.
+
+    Attributes:
+        valve: to turn.
+        door: to open; not planned yet.
+        egress: out of a vehicle; not planned yet.
+        trajopt: a TrajOpt problem to solve, as in its JSON files (docs/trajopt.md).
+    """
+
+    valve: ValveRequest | None = None
+    door: DoorRequest | None = None
+    egress: EgressRequest | None = None
+    trajopt: PlainData | None = None
+
+    def __post_init__(self) -> None:
+        exactly_one(self, ("valve", "door", "egress", "trajopt"))
+
+
+@dataclass(config=SECTION)
+class Options(Section):
+    """How to plan.
+
+    Attributes:
+        waypoints: per phase; left to the planner when absent.
+        time_limit_s: wall time for the whole plan.
+        margin_m: clearance aimed at.
+        seed: of every random draw.
+        balance_margin_m: how far inside the support polygon the balance point stays.
+        feet: links planted at the start; the robot's own when absent.
+        starts: how many starting trajectories are tried at most.
+        qp: solver of the convex subproblems.
+        velocity_scale, acceleration_scale: share of the robot's limits that is used.
+        timed: whether the motion gets a time law; without one the path alone is planned and certified.
+        escape: whether a start in collision is left first, instead of being refused.
+    """
+
+    waypoints: Annotated[StrictInt, Field(ge=3, le=500)] | None = None
+    time_limit_s: Annotated[Number, Field(gt=0.0, le=3600.0)] = 60.0
+    margin_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.02
+    seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
+    balance_margin_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.02
+    feet: Annotated[tuple[Name, ...], at_most(8)] | None = None
+    starts: Annotated[StrictInt, Field(ge=1, le=64)] = 16
+    qp: Literal["piqp", "clarabel", "cvxpy"] = "piqp"
+    velocity_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.5
+    acceleration_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.3
+    timed: bool = True
+    escape: bool = False
+
+
+@dataclass(config=SECTION)
+class KeepRequest(Section):
+    """A link keeps its pose relative to another link along the whole motion (two hands on a beam).
+
+    Attributes:
+        link: a link or frame of the robot.
+        relative_to: another one; the world when absent.
+        position, quaternion_wxyz: the pose of ``link`` in ``relative_to``; what is absent is as at the start.
+        position_tolerance_m: greatest distance of the link's origin from its place.
+        rotation_tolerance_deg: greatest angle off the orientation, or of the free axis off its direction.
+        free_axis: axis of ``link`` about which it may turn.
+    """
+
+    link: Name
+    relative_to: Name | None = None
+    position: Point | None = None
+    quaternion_wxyz: Quaternion | None = None
+    position_tolerance_m: Annotated[Number, Field(ge=5e-4, le=1.0)] = 0.005
+    rotation_tolerance_deg: Annotated[Number, Field(ge=0.05, le=180.0)] = 1.0
+    free_axis: Literal["none", "x", "y", "z"] = "none"
+
+    def __post_init__(self) -> None:
+        if self.link == self.relative_to:
+            raise PydanticCustomError(
+                "keep", "link and relative_to are both {link}; two links are needed", {"link": shown(self.link)}
+            )
+
+
+@dataclass(config=SECTION, kw_only=True)
+class _Carried(Section):
+    """A body fixed to ``link``, in whose frame it is placed.
+
+    Attributes:
+        link: the link that carries it.
+        touches: further links that hold it; each is kept relative to ``link``.
+        mass_kg: spread evenly.
+    """
+
+    link: Name
+    touches: Annotated[tuple[Name, ...], at_most(20)] = ()
+    mass_kg: Annotated[Number, Field(ge=0.0, le=1000.0)] = 0.0
+
+
+@dataclass(config=SECTION, kw_only=True)
+class AttachedBox(_Carried, BoxRequest):
+    """A box that is carried."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class AttachedSphere(_Carried, SphereRequest):
+    """A sphere that is carried."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class AttachedCylinder(_Carried, CylinderRequest):
+    """A cylinder that is carried."""
+
+
+AttachedRequest = Annotated[AttachedBox | AttachedSphere | AttachedCylinder, Field(discriminator="type")]
+
+
+@dataclass(config=SECTION)
+class PlanRequest(Section):
+    """What a user asks: a robot, where it stands, what surrounds it, and where it shall go or what it shall do.
+
+    ``keep`` lists relative poses that hold along the whole motion to a goal, ``attached`` what links carry.
+    ``folder`` is where relative paths start; it is no part of the request's meaning, of its JSON or of its hash.
+    """
+
+    robot: RobotRequest
+    start: StartRequest = field(default_factory=StartRequest)
+    scene: SceneRequest = field(default_factory=SceneRequest)
+    goal: GoalRequest | None = None
+    task: TaskRequest | None = None
+    keep: Annotated[tuple[KeepRequest, ...], at_most(8)] = ()
+    attached: Annotated[tuple[AttachedRequest, ...], at_most(20)] = ()
+    options: Options = field(default_factory=Options)
+    folder: Annotated[Path, Field(exclude=True)] = field(default=Path(), compare=False)
+
+    def __post_init__(self) -> None:
+        exactly_one(self, ("goal", "task"))
+        if self.task is not None and self.keep:
+            raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
+
+    def resolve(self, path: str) -> Path:
+        """The file or folder that ``path`` of this request means."""
+        return self.folder / path
+
+
+UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
+
+
+def check_planned(request: PlanRequest) -> None:
+    """
+    Raises:
+        UnplannedTaskError: the task is one that nothing here can plan yet.
+    """
+    for name, words in UNPLANNED.items():
+        if request.task is not None and getattr(request.task, name) is not None:
+            raise UnplannedTaskError(
+                f"task.{name}: there is no planner for {words} yet; task.valve, task.trajopt and goals are planned"
+            )

@@ -1,0 +1,162 @@
+"""A motion as the plain data of ``result.json``, and back: samples, curve, phases, and what the task moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.curve import Curve, TimeLaw
+from costs.robot import BASE_NAMES, RobotModel, with_revolute
+from costs.rotation import quaternions_of
+from costs.scene import ConvexPiece, Scene
+from service.result.phase_json import phase_from_json, phase_json, sample_index
+from service.result.zmp_json import zmp_json
+from service.verify import Motion
+from service.verify.timeline import times_of
+
+BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
+
+
+def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
+    """The keys of ``result.json`` that speak of the motion; ``robot`` is the motion's without what the task moves."""
+    s = samples_of(motion)
+    q = motion.curve(s)
+    phases = [phase_json(phase, s) for phase in motion.phases]
+    zmp, zmp_of_phases = zmp_json(motion, s)
+    standing = [phase for phase in phases if phase["support"]]
+    return {
+        "trajectory": {
+            "joint_names": list(file_columns(robot)),
+            "positions": file_positions(robot, q[:, : robot.n]).tolist(),
+            "times": sample_times(motion).tolist(),
+        },
+        "curve": _curve(motion, s),
+        "waypoints": [sample_index(s, knot) for knot in motion.curve.knots],
+        "phases": phases,
+        "waived": sorted(motion.waived or ()),
+        "movables": [_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
+        "support_polygons": [
+            {"first": phase["first"], "last": phase["last"], **phase["support"], "zmp": zmp_of_phase}
+            for phase, zmp_of_phase in zip(standing, zmp_of_phases, strict=True)
+        ],
+        "com": _centres_of_mass(robot, q[:, : robot.n]),
+        "zmp": zmp,
+    }
+
+
+def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
+    """The motion of a parsed ``result.json``, for a robot read from the files beside it.
+
+    Raises:
+        KeyError, TypeError, ValueError: the data do not follow docs/result-format.md.
+    """
+    for movable in data["movables"]:
+        robot = with_revolute(
+            robot,
+            name=movable["joint"],
+            link=movable["name"],
+            origin=np.array(movable["origin"]),
+            axis=np.array(movable["axis"]),
+            bodies={body["name"]: np.array(body["vertices"]) for body in movable["bodies"]},
+            **{key: float(movable[key]) for key in ("lower", "upper", "velocity", "acceleration")},
+        )
+    curve, law = data["curve"], data["curve"]["law"]
+    if tuple(curve["joint_names"]) != robot.joint_names:
+        raise ValueError("curve.joint_names are not the joints of the robot and of what the task moves")
+    s = np.array(curve["samples"], dtype=float)
+    return Motion(
+        robot=robot,
+        scene=Scene(tuple(ConvexPiece(p["name"], np.array(p["vertices"]), p["kind"]) for p in data["pieces"])),
+        curve=Curve(*(np.array(curve[key], dtype=float) for key in ("knots", "positions", "tangents"))),
+        law=None if law is None else TimeLaw(*(np.array(law[key], float) for key in ("times", "path", "speed"))),
+        phases=tuple(phase_from_json(phase, s) for phase in data["phases"]),
+        samples=s,
+        mechanism_links=robot.mechanism_links,
+        waived=frozenset(str(name) for name in data.get("waived", ())),
+    )
+
+
+def samples_of(motion: Motion) -> Float[np.ndarray, "S"]:
+    """Path parameters of the exported samples: the motion's own, or its knots."""
+    return motion.curve.knots if motion.samples is None else motion.samples
+
+
+def sample_times(motion: Motion) -> Float[np.ndarray, "S"]:
+    """When the samples are reached [s]; without a time law, the path parameter stands for the time."""
+    s = samples_of(motion)
+    return s if motion.law is None else times_of(motion.law, s)
+
+
+def file_columns(robot: RobotModel) -> tuple[str, ...]:
+    """Column names of a trajectory in files: a floating base as position and quaternion, then the joints."""
+    return BASE_COLUMNS + robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
+
+
+def file_positions(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "S k"]:
+    """Configurations in the columns of ``file_columns``."""
+    if not robot.is_floating or not len(q):
+        return q if len(q) else np.zeros((0, len(file_columns(robot))))
+    return np.hstack([q[:, :3], quaternions_of(q[:, 3:6]), q[:, 6:]])
+
+
+def _curve(motion: Motion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
+    law = motion.law
+    return {
+        "joint_names": list(motion.robot.joint_names),
+        "knots": motion.curve.knots.tolist(),
+        "positions": motion.curve.positions.tolist(),
+        "tangents": motion.curve.tangents.tolist(),
+        "samples": s.tolist(),
+        "law": None
+        if law is None
+        else {"times": law.times.tolist(), "path": law.path.tolist(), "speed": law.speed.tolist()},
+    }
+
+
+def _movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.ndarray, "S n"]) -> dict[str, Any]:
+    """One mechanism joint of the motion's robot: its bodies in the world at angle 0, and its angle at each sample."""
+    augmented = motion.robot
+    joint = augmented.model.getJointId(augmented.joint_names[column])
+    placement, free = augmented.model.jointPlacements[joint], augmented.model.joints[joint]
+    unit = np.zeros(augmented.n)
+    unit[column] = 1.0
+    bodies = [body for body in augmented.bodies if body.joint == joint]
+    return {
+        "name": bodies[0].link,
+        "joint": augmented.joint_names[column],
+        "type": "revolute",
+        "origin": placement.translation.tolist(),
+        "axis": (placement.rotation @ _axis(augmented, free)).tolist(),
+        "lower": float(augmented.lower[column]),
+        "upper": float(augmented.upper[column]),
+        "velocity": float(augmented.velocity[column]),
+        "acceleration": float(augmented.acceleration[column]),
+        "bodies": [
+            {
+                "name": body.name,
+                "kind": "movable",
+                "vertices": (body.vertices @ placement.rotation.T + placement.translation).tolist(),
+            }
+            for body in bodies
+        ],
+        "angles": q[:, column].tolist(),
+    }
+
+
+def _axis(robot: RobotModel, joint: pin.JointModel) -> Float[np.ndarray, "3"]:
+    """The direction a revolute joint turns about, in its own frame."""
+    data = joint.createData()
+    joint.calc(data, np.zeros(robot.n), np.zeros(robot.n))
+    return np.asarray(data.S).reshape(6)[3:]
+
+
+def _centres_of_mass(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> list[list[float] | None]:
+    """In the world at every sample, null where the robot's file names no masses."""
+    if not sum(inertia.mass for inertia in robot.model.inertias[1:]) > 0.0:
+        return [None] * len(q)
+    data = robot.model.createData()
+    return [pin.centerOfMass(robot.model, data, row).tolist() for row in q]

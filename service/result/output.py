@@ -1,0 +1,76 @@
+"""The result folder: written as a whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from costs.robot import RobotModel
+from service.errors import ResultError, shown
+from service.result.folder import (
+    GLB_NAME,
+    OPENRAVE_NAME,
+    RESULT_NAME,
+    ROBOT_NAME,
+    TRAJECTORY_NAME,
+    VIEWER_NAME,
+    ResultFiles,
+    check_folder,
+    replaced,
+)
+from service.result.motion_json import samples_of
+from service.result.result import PlanResult
+from service.result.result_json import to_result_json
+from service.viewer import drawn_frames, placements_of, write_glb, write_openrave, write_viewer
+
+
+def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
+    """Write a result folder, replacing an earlier one; nothing is left half-written, whatever interrupts it.
+
+    Raises:
+        ResultError: the folder holds something else, or cannot be written.
+    """
+    folder = Path(folder)
+    check_folder(folder)
+    data = to_result_json(result)
+    try:
+        with replaced(folder) as fresh:
+            (fresh / RESULT_NAME).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
+            _write_trajectory(data["trajectory"], fresh / TRAJECTORY_NAME)
+            _write_robot(result.robot, fresh / ROBOT_NAME)
+            _write_views(result, data, fresh)
+    except OSError as error:
+        raise ResultError(f"{folder} cannot be written: {error.strerror or error}") from None
+    return ResultFiles(folder)
+
+
+def _write_trajectory(trajectory: Mapping[str, Any], path: Path) -> None:
+    header = ",".join(("time", *trajectory["joint_names"]))
+    table = np.column_stack([trajectory["times"], np.array(trajectory["positions"])])
+    np.savetxt(path, table, fmt="%.10g", delimiter=",", header=header, comments="")
+
+
+def _write_robot(robot: RobotModel, folder: Path) -> None:
+    folder.mkdir()
+    (folder / "robot.urdf").write_text(robot.source.urdf, encoding="utf-8")
+    if robot.source.srdf:
+        (folder / "robot.srdf").write_text(robot.source.srdf, encoding="utf-8")
+    for name, source in robot.source.files.items():
+        target = folder / name
+        if not target.resolve().is_relative_to(folder.resolve()):
+            raise ResultError(f"mesh path {shown(name)} leads out of the result folder")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
+
+
+def _write_views(result: PlanResult, data: Mapping[str, Any], folder: Path) -> None:
+    q = result.start[None] if result.motion is None else result.motion.curve(samples_of(result.motion))
+    placements = placements_of(result.robot, q[:, : result.robot.n], drawn_frames(result.robot, data))
+    write_viewer(data, placements, folder / VIEWER_NAME)
+    write_glb(data, placements, folder / GLB_NAME)
+    write_openrave(data, folder / OPENRAVE_NAME)

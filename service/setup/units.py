@@ -1,0 +1,175 @@
+"""Whether the lengths of a request can be metres: nothing that matters to a robot is a hundred metres away from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.robot import RobotModel
+from service.request.fields import LARGEST_M
+from service.request.scene import (
+    BoxRequest,
+    CapsuleRequest,
+    ConvexRequest,
+    CylinderRequest,
+    ObstacleRequest,
+    SphereRequest,
+)
+from service.request.schema import PlanRequest
+from service.start.standing import place_bodies
+
+FAR_M = 100.0  # farther from the robot than this is in another unit, or in another frame
+IDLE_M = 30.0  # nothing at such a distance has a bearing on a motion, which is worth a word
+MOST_NAMED = 3
+_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class _Box:
+    """An axis-aligned box in the world [m]."""
+
+    low: Float[np.ndarray, "3"]
+    high: Float[np.ndarray, "3"]
+
+    @staticmethod
+    def around(points: Float[np.ndarray, "V 3"]) -> _Box:
+        return _Box(points.min(axis=0), points.max(axis=0))
+
+    def gap(self, other: _Box) -> float:
+        """Distance between two boxes [m], 0 where they meet."""
+        return float(np.linalg.norm(np.maximum(np.maximum(self.low - other.high, other.low - self.high), 0.0)))
+
+
+def unit_problems(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
+    """One line for each length of a request that only another unit, or another frame, explains.
+
+    Args:
+        request: whose obstacles, floor, goals, hints and base are looked at; sizes were when it was read.
+        robot: as it is asked for.
+        start: (n,) where it stands.
+    """
+    here = _robot_box(robot, start)
+    base = None if request.start.base is None else np.array(request.start.base.position)
+    problems: list[str] = []
+    for field, point, box in _places(request):
+        gap = here.gap(box)
+        if gap <= FAR_M:
+            continue
+        if base is not None and np.linalg.norm(base) > FAR_M >= np.linalg.norm(point):
+            line = f"start.base.position: {_row(base)} is {gap:.0f} m from {field.rpartition('.')[0] or field}"
+            problems.append(f"{line}, farther than {FAR_M:g} m; is it in millimetres? Use {_row(_MM * base)}.")
+        else:
+            line = f"{field}: {_row(point)} is {gap:.0f} m from the robot, farther than {FAR_M:g} m"
+            problems.append(f"{line}; are these millimetres? Use {_row(_MM * point)}.")
+    problems += _convex_problems(request)
+    problems += _floor_problems(request, here)
+    problems += _relative_problems(request)
+    return tuple(dict.fromkeys(problems))
+
+
+def far_obstacles(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
+    """A note about obstacles that are too far away to have a bearing on the motion; none where all are near."""
+    here = _robot_box(robot, start)
+    gaps = [(here.gap(_extent(one)), one.name) for one in request.scene.obstacles]
+    far = [f"{name} ({gap:.0f} m)" for gap, name in gaps if gap > IDLE_M]
+    if not far:
+        return ()
+    named = ", ".join(far[:MOST_NAMED]) + (f" and {len(far) - MOST_NAMED} more" if len(far) > MOST_NAMED else "")
+    return (f"scene.obstacles: out of the robot's reach by far: {named}; are they given in metres?",)
+
+
+def _robot_box(robot: RobotModel, start: Float[np.ndarray, "n"]) -> _Box:
+    """The robot's bodies at its start; where it has none, its base, or the world's origin."""
+    placed = [vertices for _, vertices in place_bodies(robot, start)]
+    base = start[:3] if robot.is_floating else np.zeros(3)
+    return _Box.around(np.vstack(placed) if placed else base[None])
+
+
+def _places(request: PlanRequest) -> Iterator[tuple[str, Float[np.ndarray, "3"], _Box]]:
+    """Field, the numbers it holds, and what they place in the world."""
+    for index, one in enumerate(request.scene.obstacles):
+        field = f"scene.obstacles[{index}]"
+        box = _extent(one)
+        if isinstance(one, ConvexRequest) and not any(one.position):
+            yield f"{field}.points", np.array(one.points[0]), box
+        else:
+            yield f"{field}.position", np.array(one.position), box
+    points: list[tuple[str, tuple[float, float, float] | None]] = [("scene.hint", request.scene.hint)]
+    if request.goal is not None:
+        points += [(f"goal.poses[{k}].position", pose.position) for k, pose in enumerate(request.goal.poses)]
+    points += [
+        (f"keep[{k}].position", keep.position) for k, keep in enumerate(request.keep) if keep.relative_to is None
+    ]
+    task = request.task
+    if task is not None and task.valve is not None:
+        points += [("task.valve.hint", task.valve.hint), ("task.valve.centre", task.valve.centre)]
+    if task is not None and task.door is not None:
+        points.append(("task.door.hint", task.door.hint))
+    if task is not None and task.egress is not None:
+        points.append(("task.egress.hint", task.egress.hint))
+    for field, point in points:
+        if point is not None:
+            yield field, np.array(point), _Box.around(np.array([point]))
+
+
+def _convex_problems(request: PlanRequest) -> Iterator[str]:
+    for index, one in enumerate(request.scene.obstacles):
+        if isinstance(one, ConvexRequest):
+            span = float(np.ptp(np.array(one.points), axis=0).max())
+            if span > LARGEST_M:
+                yield (
+                    f"scene.obstacles[{index}].points: {span:g} m is larger than {LARGEST_M:g} m; "
+                    f"are these millimetres? Use {_MM * span:g}."
+                )
+
+
+def _floor_problems(request: PlanRequest, here: _Box) -> Iterator[str]:
+    floor = request.scene.floor
+    if floor is None or isinstance(floor, bool):
+        return
+    gap = max(float(here.low[2]) - floor, floor - float(here.high[2]))
+    if gap > FAR_M:
+        yield (
+            f"scene.floor: {floor:g} is {gap:.0f} m from the robot, farther than {FAR_M:g} m; "
+            f"is it in millimetres? Use {_MM * floor:g}."
+        )
+
+
+def _relative_problems(request: PlanRequest) -> Iterator[str]:
+    """Places in the frame of a link."""
+    given = [(f"keep[{k}].position", keep.position) for k, keep in enumerate(request.keep) if keep.relative_to]
+    given += [(f"attached[{k}].position", one.position) for k, one in enumerate(request.attached)]
+    for field, position in given:
+        if position is not None and np.linalg.norm(position) > FAR_M:
+            point = np.array(position)
+            line = f"{field}: {_row(point)} is {np.linalg.norm(point):.0f} m from its link, farther than {FAR_M:g} m"
+            yield f"{line}; are these millimetres? Use {_row(_MM * point)}."
+
+
+def _extent(one: ObstacleRequest) -> _Box:
+    """An axis-aligned box around an obstacle; around a mesh, whose size is not known yet, the largest there may be."""
+    rotation = Rotation.from_quat(one.quaternion_wxyz, scalar_first=True).as_matrix()
+    centre = np.array(one.position)
+    match one:
+        case ConvexRequest():
+            return _Box.around(np.array(one.points) @ rotation.T + centre)
+        case BoxRequest():
+            half = np.array(one.size) / 2.0
+        case SphereRequest():
+            half = np.full(3, one.radius)
+        case CylinderRequest():
+            half = np.array([one.radius, one.radius, one.height / 2.0])
+        case CapsuleRequest():
+            half = np.array([one.radius, one.radius, one.height / 2.0 + one.radius])
+        case _:
+            return _Box(centre - LARGEST_M, centre + LARGEST_M)
+    reach = np.abs(rotation) @ half
+    return _Box(centre - reach, centre + reach)
+
+
+def _row(point: Float[np.ndarray, "3"]) -> str:
+    return f"[{', '.join(f'{value:g}' for value in point)}]"

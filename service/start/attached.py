@@ -1,0 +1,82 @@
+"""Bodies that a request attaches to links of its robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.kinematics import frame_of
+from costs.robot import AttachedBody, RobotError, RobotModel, with_attached
+from service.errors import RequestError, would_do
+from service.request.schema import AttachedBox, AttachedRequest, AttachedSphere, KeepRequest, PlanRequest
+
+
+def robot_with_attached(robot: RobotModel, request: PlanRequest) -> RobotModel:
+    """The robot with what it carries.
+
+    Raises:
+        RequestError: one line per problem: a name in use, an unknown link, a link that holds without being kept.
+    """
+    attached = request.attached
+    problems = [line for index in range(len(attached)) for line in _unusable(robot, attached, index)]
+    if problems:
+        raise RequestError(problems)
+    try:
+        carrying = with_attached(robot, [_body(one) for one in attached])
+    except RobotError as error:
+        raise RequestError(f"attached: {error}") from None
+    problems = [line for k, one in enumerate(attached) for line in _loose(carrying, request.keep, one, k)]
+    if problems:
+        raise RequestError(problems)
+    return carrying
+
+
+def _body(one: AttachedRequest) -> AttachedBody:
+    pose: Float[np.ndarray, "4 4"] = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(one.quaternion_wxyz, scalar_first=True).as_matrix()
+    pose[:3, 3] = one.position
+    size: tuple[float, ...]
+    if isinstance(one, AttachedBox):
+        size = one.size
+    elif isinstance(one, AttachedSphere):
+        size = (one.radius,)
+    else:
+        size = (one.radius, one.height)
+    return AttachedBody(one.name, one.link, pose, one.type, size, one.mass_kg, one.touches)
+
+
+def _unusable(robot: RobotModel, attached: Sequence[AttachedRequest], index: int) -> Iterator[str]:
+    """Names in use, and links that the robot does not have."""
+    one, field, names = attached[index], f"attached[{index}]", [other.name for other in attached]
+    frames = sorted({frame.name for frame in robot.model.frames} - {"universe"})
+    if one.name in frames or one.name in {body.name for body in robot.bodies}:
+        yield f"{field}.name: {one.name!r} is a link of {robot.name}; another name would do"
+    if one.name in names[:index]:
+        yield f"{field}.name: {one.name!r} is given twice; another name would do"
+    for key, links in (("link", (one.link,)), ("touches", one.touches)):
+        for link in links:
+            if link not in frames:
+                yield f"unknown link {link!r} in {field}.{key}; {robot.name} has {would_do(link, frames)}"
+
+
+def _loose(robot: RobotModel, keep: Sequence[KeepRequest], one: AttachedRequest, index: int) -> Iterator[str]:
+    """Links that hold the body and may move against it: nothing would be known of how deep they are in it."""
+    kept = [
+        {_joint(robot, other.link), _joint(robot, other.relative_to)} for other in keep if other.free_axis == "none"
+    ]
+    carrier = _joint(robot, one.link)
+    for link in one.touches:
+        joint = _joint(robot, link)
+        if joint != carrier and {joint, carrier} not in kept:
+            yield (
+                f"attached[{index}].touches: {link} may move against {one.link}; "
+                f"keep: [{{link: {link}, relative_to: {one.link}}}] would do"
+            )
+
+
+def _joint(robot: RobotModel, frame: str | None) -> int | None:
+    """The joint that carries a frame; None for a frame that the robot does not have."""
+    return frame_of(robot, frame)[0] if frame is not None and robot.model.existFrame(frame) else None

@@ -1,0 +1,103 @@
+"""Where the robot stands at first: the start configuration of a request, and whether a robot can stand so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.robot import BASE_NAMES, RobotModel
+from service.errors import RequestError, would_do
+from service.request.schema import StartRequest
+
+SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
+STANDING_POSTURE = "stand"
+LARGEST_PITCH_DEG = 85.0
+
+
+def start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
+    """Configuration of a start request, and notes about what was assumed or snapped.
+
+    Raises:
+        RequestError: an unknown posture or joint, or a joint beyond its limits by more than 1e-3.
+    """
+    q, notes = _posture(robot, start)
+    given = start.positions_by_joint
+    problems = unknown_joints(robot, given, "start.joints")
+    if problems:
+        raise RequestError(problems)
+    for name, position in given.items():
+        q[robot.joint_names.index(name)] = position
+    if start.base is not None:
+        if not robot.is_floating:
+            raise RequestError("start.base: this robot's base is fixed; leave it out, or give robot.root: floating")
+        q[:3] = start.base.position
+        q[3:6] = _yaw_pitch_roll(start.base.quaternion_wxyz)
+    return _snapped(robot, q, notes)
+
+
+def unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence[str], field: str) -> list[str]:
+    """One line for each name that is no joint of the robot."""
+    joints = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
+    return [
+        f"unknown joint {name!r} in {field}; {robot.name} has {would_do(name, joints)}"
+        for name in names
+        if name not in joints
+    ]
+
+
+def beyond_limits(robot: RobotModel, positions: Mapping[str, float], field: str, tolerance: float = 0.0) -> list[str]:
+    """One line for each joint position that is beyond the joint's limits by more than ``tolerance``."""
+    problems = []
+    for name, position in positions.items():
+        index = robot.joint_names.index(name)
+        lower, upper = float(robot.lower[index]), float(robot.upper[index])
+        if not lower - tolerance <= position <= upper + tolerance:
+            problems.append(
+                f"{field}.{name}: {position:.6g} is outside the joint's limits; {lower:.6g} to {upper:.6g} would do"
+            )
+    return problems
+
+
+def _posture(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
+    if start.posture is not None:
+        if start.posture not in robot.postures:
+            known = would_do(start.posture, robot.postures) or "no postures; give start.joints"
+            raise RequestError(f"unknown posture {start.posture!r} in start.posture; {robot.name} has {known}")
+        return robot.postures[start.posture].copy(), ()
+    if STANDING_POSTURE in robot.postures:
+        return robot.postures[STANDING_POSTURE].copy(), ()
+    q = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
+    given = set(start.positions_by_joint)
+    joints = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
+    assumed = [name for name in joints if name not in given]
+    if not assumed:
+        return q, ()
+    return q, (f"{len(assumed)} joints without a start position start at 0 or at the nearest limit",)
+
+
+def _yaw_pitch_roll(quaternion_wxyz: tuple[float, float, float, float]) -> Float[np.ndarray, "3"]:
+    """The base's coordinates are intrinsic z-y-x angles, which have no unique value at a pitch of 90 degrees."""
+    rotation = Rotation.from_quat(quaternion_wxyz, scalar_first=True)
+    pitch_deg = math.degrees(math.asin(np.clip(-rotation.as_matrix()[2, 0], -1.0, 1.0)))
+    if abs(pitch_deg) > LARGEST_PITCH_DEG:
+        raise RequestError(
+            f"start.base.quaternion_wxyz: a pitch of {pitch_deg:.0f} deg is too near to 90; "
+            f"at most {LARGEST_PITCH_DEG:.0f} would do"
+        )
+    return np.asarray(rotation.as_euler("ZYX"))
+
+
+def _snapped(
+    robot: RobotModel, q: Float[np.ndarray, "n"], notes: tuple[str, ...]
+) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
+    problems = beyond_limits(robot, dict(zip(robot.joint_names, q, strict=True)), "start.joints", SNAP_TOLERANCE)
+    if problems:
+        raise RequestError(problems)
+    inside = np.clip(q, robot.lower, robot.upper)
+    for index in np.flatnonzero(inside != q):
+        notes += (f"start: {robot.joint_names[index]} snapped from {q[index]:.6g} to its limit {inside[index]:.6g}",)
+    return inside, notes

@@ -1,0 +1,161 @@
+"""Collisions at one configuration: bodies of the robot that overlap pieces or each other, and how deep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.allowance import BodyRef
+from costs.robot import LinkBody, RobotModel
+from costs.scene import ConvexPiece, Scene
+from service.start.exact import EXACT_ROUNDING_M, ExactShape
+from service.start.standing import FLOOR_KIND
+from service.verify.ground import GROUND_TOLERANCE_M
+
+TOUCH_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """A link inside a piece or inside another link, by their shapes or by the hulls that stand for them alone.
+
+    Attributes:
+        link: the one.
+        other: name of the piece or of the other link.
+        depth: how far one would have to be moved to be free [m]; negative where only the hulls overlap.
+        kind: of the piece; None for a link.
+        hull_depth: the same of the hulls that stand for them in planning [m].
+    """
+
+    link: str
+    other: str
+    depth: float
+    kind: str | None = None
+    hull_depth: float = 0.0
+
+    @property
+    def pair(self) -> tuple[BodyRef, BodyRef]:
+        """The link, and the piece or the other link."""
+        other = BodyRef.of_link(self.other) if self.kind is None else BodyRef.of_piece(self.other)
+        return BodyRef.of_link(self.link), other
+
+    @property
+    def where(self) -> str:
+        """``inside shelf (obstacle)``."""
+        return f"inside {self.other}" if self.kind in (None, "", self.other) else f"inside {self.other} ({self.kind})"
+
+    @property
+    def nearness(self) -> str:
+        """Where only the hulls overlap: ``l2 is 0.4 mm from ball (obstacle), nearer than ... hulls resolve ...``."""
+        if self.depth > 0.0:
+            return (
+                f"{self}, as far as tolerances allow, while the planner's hulls overlap by {_length(self.hull_depth)}"
+            )
+        kind = "" if self.kind in (None, "", self.other) else f" ({self.kind})"
+        return (
+            f"{self.link} is {_length(max(-self.depth, 0.0))} from {self.other}{kind}, nearer than the planner's hulls "
+            f"resolve, which overlap by {_length(self.hull_depth)}"
+        )
+
+    def __str__(self) -> str:
+        return f"{self.link} is {_length(self.depth)} {self.where}"
+
+
+def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[str]:
+    """One line for each pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
+    return [str(overlap) for overlap in overlaps(robot, q, scene, planted)]
+
+
+def overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
+    """Every pair that is in collision at ``q`` by its shapes, the deepest first; planted feet may touch the floor."""
+    return overlaps_and_unresolved(robot, q, scene, planted)[0]
+
+
+def overlaps_and_unresolved(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+) -> tuple[list[Overlap], list[Overlap]]:
+    """Pairs in collision by their shapes, and pairs of which only the hulls overlap; the deepest first."""
+    found = _hull_overlaps(robot, q, scene, planted)
+    inside = _deepest([one for one, is_inside in found if is_inside])
+    met = {frozenset(one.pair) for one in inside}
+    return inside, _deepest([one for one, _ in found if frozenset(one.pair) not in met])
+
+
+def hull_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
+    """Every pair whose hulls overlap at ``q``, with the hulls' depths, the deepest first."""
+    found = _hull_overlaps(robot, q, scene, planted)
+    return _deepest([replace(one, depth=one.hull_depth) for one, _ in found])
+
+
+def _hull_overlaps(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+) -> list[tuple[Overlap, bool]]:
+    """Bodies and what their hulls are deeper in than they may be, and whether that is so by their shapes too."""
+    things: list[LinkBody | ConvexPiece] = [*robot.bodies, *scene.pieces]
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    here = np.eye(4)
+    poses = [data.oMi[one.joint].homogeneous if isinstance(one, LinkBody) else here for one in things]
+    vertices = [one.vertices @ pose[:3, :3].T + pose[:3, 3] for one, pose in zip(things, poses, strict=True)]
+    found: list[tuple[Overlap, bool]] = []
+    for k, j in _whose_boxes_meet(vertices, len(robot.bodies)):
+        body, other = robot.bodies[k], things[j]
+        allowed = _allowed_depth(robot, body, other, planted)
+        if not np.isfinite(allowed):
+            continue
+        hull_depth = ExactShape.of_hull(body).depth_in(ExactShape.of_hull(other), poses[k], poses[j])
+        if hull_depth <= allowed:
+            continue
+        depth = hull_depth
+        if body.exact is not None or other.exact is not None:
+            allowed = max(allowed, EXACT_ROUNDING_M)
+            depth = min(ExactShape.of(body).depth_in(ExactShape.of(other), poses[k], poses[j]), hull_depth)
+        name, kind = (other.link, None) if isinstance(other, LinkBody) else (other.name, other.kind)
+        found.append((Overlap(body.link, name, depth, kind, hull_depth), depth > allowed))
+    return found
+
+
+def _deepest(found: Sequence[Overlap]) -> list[Overlap]:
+    """Of each pair the bodies that are deepest, the deepest pair first."""
+    deepest: dict[frozenset[BodyRef], Overlap] = {}
+    for overlap in sorted(found, key=lambda one: (-one.depth, -one.hull_depth)):
+        deepest.setdefault(frozenset(overlap.pair), overlap)
+    return list(deepest.values())
+
+
+def _length(metres: float) -> str:
+    """A length as it is told: ``7.6 mm``, ``23 mm``, ``1.250 m``."""
+    if metres >= 1.0:
+        return f"{metres:.3f} m"
+    if metres < 5e-5:
+        return "less than 0.1 mm"
+    return f"{1e3 * metres:.1f} mm" if metres < 9.95e-3 else f"{1e3 * metres:.0f} mm"
+
+
+def no_way_out(overlap: Overlap, planted: Sequence[str]) -> str:
+    """Why an overlap cannot be left; empty when it can."""
+    names = [overlap.link, overlap.other] if overlap.kind is None else [overlap.link]
+    if all(name in planted for name in names):
+        return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} planted and cannot leave"
+    return ""
+
+
+def _whose_boxes_meet(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
+    """Bodies (the first sets) with a later set whose bounding box meets theirs."""
+    low, high = (np.array([end(points, axis=0) for points in vertices]).reshape(-1, 3) for end in (np.min, np.max))
+    meets = np.all((low[:n_bodies, None] <= high) & (low <= high[:n_bodies, None]), axis=2)
+    return [(k, j) for k, j in np.argwhere(meets).tolist() if k < j]
+
+
+def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPiece, planted: Sequence[str]) -> float:
+    """How deep a body may be in something at the start [m]; infinite for a pair that is not checked."""
+    if isinstance(other, LinkBody):
+        pair = (min(body.link, other.link), max(body.link, other.link))
+        return np.inf if body.joint == other.joint or pair in robot.ignored_pairs else TOUCH_M
+    if body.link in robot.fixed_links:
+        return np.inf
+    return GROUND_TOLERANCE_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M

@@ -1,0 +1,129 @@
+"""Standing at the start: soles of planted feet, the ground below them, masses, and balance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.robot import LinkBody, RobotModel
+from costs.scene import ConvexPiece, Scene
+from costs.support import SupportPolygon
+from service.errors import RequestError
+from service.verify.ground import GROUND_TOLERANCE_M, ground_gaps
+
+FEET_GROUP = "feet"
+
+
+SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
+
+
+def sole(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
+    """Corners of a foot's sole in the world [m]: the link's vertices within 2 mm of its lowest one at ``q``."""
+    vertices = np.vstack([v for body, v in place_bodies(robot, q) if body.link == link])
+    return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
+
+
+def standing_problems(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
+) -> list[str]:
+    """One line for each planted foot that stands on nothing, and one when the centre of mass is outside the soles."""
+    problems = [line for _, line in ground_problems(scene.pieces, soles)]
+    weightless = _weightless_links(robot)
+    if weightless:
+        return [*problems, f"{', '.join(weightless)} of {robot.name} have shapes and no mass; balance needs all masses"]
+    com = pin.centerOfMass(robot.model, robot.model.createData(), q)
+    try:
+        margin = float(SupportPolygon.of_soles(list(soles.values())).margin(com[None, :2])[0])
+    except ValueError:
+        return [*problems, f"the soles of {', '.join(soles)} touch in a line; a foot flat on the floor would do"]
+    if margin < 0.0:
+        problems.append(
+            f"the centre of mass ({com[0]:.3f}, {com[1]:.3f}) is {-margin:.3f} m outside the support polygon of "
+            f"{', '.join(soles)}; move the base or lean the torso"
+        )
+    return problems
+
+
+def _weightless_links(robot: RobotModel) -> list[str]:
+    """A link with a shape for each joint that moves shapes without any mass."""
+    found = {b.joint: b.link for b in reversed(robot.bodies) if b.link not in robot.mechanism_links}
+    return [link for joint, link in sorted(found.items()) if joint and not robot.model.inertias[joint].mass > 0.0]
+
+
+FLOOR_KIND = "floor"
+
+
+LARGEST_SHIFT_M = 0.03  # of a scanned floor: its height is that uncertain
+
+
+def floor_at_soles(
+    seen: Sequence[ConvexPiece], soles: Mapping[str, Float[np.ndarray, "C 3"]]
+) -> tuple[tuple[ConvexPiece, ...], tuple[str, ...]]:
+    """What a scan showed, its floor moved up or down to planted soles where it is near them, and a note about that.
+
+    Args:
+        seen: pieces of a scan.
+        soles: for each planted link, the corners of its sole in the world [m].
+    """
+    floors = [piece for piece in seen if piece.kind == FLOOR_KIND]
+    if not floors or not soles:
+        return tuple(seen), ()
+    gaps = ground_gaps(np.vstack(list(soles.values())), floors)
+    shift = 0.5 * float(gaps.min() + gaps.max())
+    if np.abs(gaps).max() <= GROUND_TOLERANCE_M or not np.abs(gaps).max() <= LARGEST_SHIFT_M:
+        return tuple(seen), ()
+    moved = tuple(
+        replace(piece, vertices=piece.vertices + np.array([0.0, 0.0, shift])) if piece.kind == FLOOR_KIND else piece
+        for piece in seen
+    )
+    way = "up" if shift > 0.0 else "down"
+    note = (
+        f"the scanned floor was moved {way} by {1e3 * abs(shift):.1f} mm to the soles of {', '.join(soles)}; "
+        f"at most {1e3 * LARGEST_SHIFT_M:.0f} mm"
+    )
+    return moved, (note,)
+
+
+def ground_problems(
+    pieces: Sequence[ConvexPiece], soles: Mapping[str, Float[np.ndarray, "C 3"]]
+) -> Iterator[tuple[str, str]]:
+    """Each planted link that stands on nothing, with a line that says so."""
+    for link, corners in soles.items():
+        gaps = ground_gaps(corners, pieces)
+        worst = float(gaps[np.abs(gaps).argmax()])
+        if not np.isfinite(worst):
+            yield link, f"nothing is below a corner of the sole of {link}; scene.floor or an obstacle there would do"
+        elif abs(worst) > GROUND_TOLERANCE_M:
+            side = "below" if worst > 0.0 else "above"
+            yield (
+                link,
+                f"the floor is {1e3 * abs(worst):.1f} mm {side} the sole of {link}; at most "
+                f"{1e3 * GROUND_TOLERANCE_M:.0f} mm would do: move start.base, or leave it out",
+            )
+
+
+LEAST_MASS_KG = 1e-3
+
+
+def check_masses(robot: RobotModel) -> None:
+    """
+    Raises:
+        RequestError: a robot that has to keep its balance weighs nothing.
+    """
+    mass = float(pin.computeTotalMass(robot.model))
+    if robot.is_floating and not mass >= LEAST_MASS_KG:
+        raise RequestError(
+            f"robot.urdf: the links of {robot.name} have {mass:g} kg in all, and a floating robot keeps its balance "
+            "by their masses; give the links <inertial>, or set robot.root to fixed"
+        )
+
+
+def place_bodies(robot: RobotModel, q: Float[np.ndarray, "n"]) -> list[tuple[LinkBody, Float[np.ndarray, "V 3"]]]:
+    """Every body with its vertices in the world at ``q`` [m]."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    return [(b, b.vertices @ data.oMi[b.joint].rotation.T + data.oMi[b.joint].translation) for b in robot.bodies]
