@@ -7,7 +7,7 @@ import pytest
 
 from perception import CONFIDENT, View, make_view
 from perception.detect.beam.detector import detect_beam
-from perception.detect.shared.bar_faces import in_line, runs_on
+from perception.detect.shared.bar_evidence import in_line, runs_on
 from perception.detect.shared.bars import Bar
 from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, scan

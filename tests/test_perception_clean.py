@@ -17,8 +17,7 @@ from perception import (
     make_view,
     voxel_downsample,
 )
-from perception.cleaning.grazed import on_grazed_surface
-from perception.cleaning.outliers import surface_points
+from perception.cleaning.outliers import on_grazed_surface, surface_points
 from perception.simulate import box, cylinder
 from perception.simulate.cast import cast
 from perception.simulate.mesh import Mesh, joined

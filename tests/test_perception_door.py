@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
-from perception.detect.door.edge import side_edge, unevenness
+from perception.detect.door.edges import side_edge, unevenness
 from perception.detect.door.handle import find_handle
 from perception.detect.door.profile import BIN, Profile, Rays, straight_stretches
 from perception.detect.door.upright import Upright, find_uprights

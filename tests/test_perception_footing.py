@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from perception import View, make_view
-from perception.detect.drill.footing import support_share
-from perception.detect.drill.supports import StandingCluster, standing_clusters
+from perception.detect.drill.supports import StandingCluster, standing_clusters, support_share
 from perception.sightlines import sight_index
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 

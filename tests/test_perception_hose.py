@@ -7,10 +7,8 @@ import pytest
 
 from perception import CONFIDENT, Cloud, View, make_view
 from perception.detect.hose.detector import detect_hose
-from perception.detect.hose.mouth import settled
 from perception.detect.hose.tips import find_tips
-from perception.detect.hose.tube import STRAIGHT, Tube, meet_tubes, misfits, refined, square_to
-from perception.detect.hose.tube_evidence import weigh_tube
+from perception.detect.hose.tube import STRAIGHT, Tube, meet_tubes, misfits, refined, settled, square_to, weigh_tube
 from perception.detect.shared.slender import is_flat
 from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan

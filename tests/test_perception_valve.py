@@ -22,12 +22,11 @@ from perception import (
 )
 from perception.cleaning.clean import half_spaces
 from perception.cloud import Cloud
-from perception.detect.valve.circle_fit import Circles, agreement, refitted
+from perception.detect.valve.circles import Circles, agreement, refitted
 from perception.detect.valve.evidence import _openings
 from perception.detect.valve.inside import Inside
-from perception.detect.valve.ring import Ring, pass_ring
-from perception.detect.valve.ring_fit import linearized, moved_ring
-from perception.detect.valve.steering import could_steer, steers
+from perception.detect.valve.ring import Ring, linearized, moved_ring, pass_ring
+from perception.detect.valve.wheel import could_steer, steers
 from perception.detect.vehicle.level import Patch
 from perception.detect.vehicle.seat import Seat
 from perception.sightlines import Sightlines, index_of

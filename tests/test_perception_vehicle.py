@@ -10,9 +10,9 @@ import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
 from perception.detect.vehicle.cushion import Surround, as_cushion, squared_up
-from perception.detect.vehicle.footwell import footwell_of
 from perception.detect.vehicle.level import find_patches, split_at_gap
-from perception.detect.vehicle.opening_side import edges_of, side_of
+from perception.detect.vehicle.opening import edges_of, side_of
+from perception.detect.vehicle.surroundings import footwell_of
 from perception.simulate import Mesh, Pose, Scanner, box, scan
 from perception.simulate.objects.car import Car
 from perception.simulate.objects.placed import Truth

@@ -88,7 +88,7 @@ def _hints(thing: Any) -> dict[str, Any]:
     hints = {}
     for name, annotation in getattr(thing, "__annotations__", {}).items():
         try:
-            hints[name] = eval(annotation, names) if isinstance(annotation, str) else annotation  # noqa: S307
+            hints[name] = eval(annotation, names) if isinstance(annotation, str) else annotation
         except (NameError, TypeError, AttributeError):
             continue
     return hints

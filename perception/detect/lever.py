@@ -9,13 +9,13 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 from threadpoolctl import threadpool_limits
 
+from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.bar_ends import LikelyEnds, likely_ends
-from perception.detect.shared.bar_evidence import Evidence, weigh_bar
+from perception.detect.shared.bar_evidence import BarEvidence, weigh_bar
 from perception.detect.shared.bar_fit import fit_bars
 from perception.detect.shared.bar_pivot import Pivot, face_behind, find_pivot, free_end
 from perception.detect.shared.bar_starts import Run, misfits, sample_about, starts_about
 from perception.detect.shared.bars import Bar, SurroundingRays
-from perception.detect.shared.confidence import rising
 from perception.detect.shared.detection import Detection
 from perception.detect.shared.faces import Face, FaceRays, FacesInSight, face_rays
 from perception.view import View
@@ -40,7 +40,7 @@ class _Found:
 
     face: Face
     ends: LikelyEnds
-    evidence: Evidence
+    evidence: BarEvidence
     pivot: Pivot
     confidence: float
 

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from perception.cloud import Cloud
 from perception.simulate.cast import Caster
 from perception.simulate.mesh import Mesh, joined
-from perception.simulate.scanner import Scanner
-from perception.simulate.sensor import Pose, Sensor
+from perception.simulate.sensor import Pose, Scanner, Sensor
 
 _SCANNER = Scanner()
 

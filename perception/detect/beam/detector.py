@@ -11,17 +11,15 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from perception.cleaning.clean import voxel_downsample
-from perception.detect.beam.strip_bends import straight_parts
-from perception.detect.beam.strips import Strip, find_strips
+from perception.detect.beam.strips import Strip, find_strips, straight_parts
+from perception.detect.shared.arithmetic import cross, rising
 from perception.detect.shared.bar_ends import LikelyEnds, likely_ends
-from perception.detect.shared.bar_evidence import Evidence, weigh_bar
+from perception.detect.shared.bar_evidence import BarEvidence, weigh_bar
 from perception.detect.shared.bar_fit import BarFit, spread_between_edges
 from perception.detect.shared.bar_search import Choice, Rivalry, Stock, choose_bar, rays_about, rivalry
 from perception.detect.shared.bar_starts import Run, run_of
 from perception.detect.shared.bars import Bar, SurroundingRays
-from perception.detect.shared.confidence import rising
 from perception.detect.shared.detection import Detection
-from perception.detect.shared.vectors import cross
 from perception.ground.floor import FloorPlane, on_floors
 from perception.sightlines import SightIndex, sight_index
 from perception.view import View
@@ -58,7 +56,7 @@ class _Beam:
     fit: BarFit
     ends: LikelyEnds
     doubt: float
-    evidence: Evidence
+    evidence: BarEvidence
     flatter: Rivalry
     confidence: float
     points: Float[np.ndarray, "K 3"]
@@ -269,7 +267,7 @@ def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
     return any(look.air >= _LEAST_AIR or look.known <= _LEAST_KNOWN for look in looks)
 
 
-def _confidence(ends: LikelyEnds, choice: Choice, evidence: Evidence, tilt: float) -> float:
+def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: float) -> float:
     """Product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths that agree,
     an axis that its rays hold, a centre that is sure, and ends that are seen or bound to be near."""
     bar, ends_seen = ends.bar, sum(ends.seen)

@@ -26,7 +26,7 @@ _LEAST = 6.0
 
 
 @dataclass(frozen=True)
-class Face:
+class DoorFace:
     """A face that may have a handle.
 
     Attributes:
@@ -84,7 +84,7 @@ class Bump:
     high: Float[np.ndarray, "2"]
 
 
-def rays_towards(rays: Rays, face: Face, out: float) -> Towards:
+def rays_towards(rays: Rays, face: DoorFace, out: float) -> Towards:
     """The rays towards the plane ``out`` before a face."""
     at, end, heading = rays.crossing(face.plane, out)
     depth = end + out
@@ -97,7 +97,7 @@ def rays_towards(rays: Rays, face: Face, out: float) -> Towards:
     return Towards(at, depth, inside & (depth < _DEEPEST))
 
 
-def find_bumps(face: Face, rays: Rays, prefer: int) -> list[Bump]:
+def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
     """The best box near each side edge of a face, and the best across it, where there is enough of one.
 
     Args:
@@ -133,7 +133,7 @@ def _place(zone: str) -> str:
     return "across" if zone == "across" else "side"
 
 
-def _summed(face: Face, seen: Towards, votes: Float[np.ndarray, "R"]) -> Float[np.ndarray, "U V"]:
+def _summed(face: DoorFace, seen: Towards, votes: Float[np.ndarray, "R"]) -> Float[np.ndarray, "U V"]:
     """The votes in cells from the face's lower left corner."""
     shape = np.ceil([face.width / _CELL, (REACH[1] - REACH[0]) / _CELL]).astype(int) + 1
     cell = np.floor((seen.at[seen.mine] - [face.low, face.ground + REACH[0]]) / _CELL).astype(int)
@@ -141,7 +141,7 @@ def _summed(face: Face, seen: Towards, votes: Float[np.ndarray, "R"]) -> Float[n
     return np.bincount(index, votes[seen.mine], int(np.prod(shape))).reshape(shape)
 
 
-def _best_box(grid: Float[np.ndarray, "U V"], face: Face, zone: str, out: float) -> Bump | None:
+def _best_box(grid: Float[np.ndarray, "U V"], face: DoorFace, zone: str, out: float) -> Bump | None:
     """The box with the greatest sum among those where a handle can be."""
     poll()
     sums = np.pad(np.cumsum(np.cumsum(grid, 0), 1), ((1, 0), (1, 0)))

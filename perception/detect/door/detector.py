@@ -12,7 +12,7 @@ from perception.detect.door.handle import Handle, find_handle
 from perception.detect.door.leaf import Leaf, find_leaves
 from perception.detect.door.profile import Rays
 from perception.detect.door.upright import find_uprights
-from perception.detect.shared.confidence import rising
+from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
 from perception.view import View
 

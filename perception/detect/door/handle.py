@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detect.door.bump import JAMB, Bump, Face, find_bumps, rays_towards
+from perception.detect.door.bump import JAMB, Bump, DoorFace, find_bumps, rays_towards
 from perception.detect.door.profile import Rays
 from perception.detect.door.upright import Upright
 
@@ -82,7 +82,7 @@ def find_handle(
         rays: all of the scan.
         prefer: side on which it must be (-1 low, 1 high); 0 either.
     """
-    face = Face(plane, low, high, ground, float(np.clip(rms, 0.006, 0.02)))
+    face = DoorFace(plane, low, high, ground, float(np.clip(rms, 0.006, 0.02)))
     seen = [_measured(face, rays, bump) for bump in find_bumps(face, rays, prefer)]
     return max(seen, key=lambda one: (one.quality, one.evidence), default=None)
 
@@ -120,7 +120,7 @@ class _Seen:
         return np.asarray(((self.at >= self.low - margin) & (self.at <= self.high + margin)).all(axis=1))
 
 
-def _measured(face: Face, rays: Rays, bump: Bump) -> Handle:
+def _measured(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
     """Extent, standoff and surroundings of a bump, from the rays towards it."""
     seen = _seen(face, rays, bump)
     width, height = seen.size
@@ -147,7 +147,7 @@ def _measured(face: Face, rays: Rays, bump: Bump) -> Handle:
     )
 
 
-def _seen(face: Face, rays: Rays, bump: Bump) -> _Seen:
+def _seen(face: DoorFace, rays: Rays, bump: Bump) -> _Seen:
     """What the rays towards a bump met: its standoff first, then where it ends."""
     out = bump.out
     for _ in range(2):
@@ -180,7 +180,7 @@ def _ends(seen: _Seen, at: Float[np.ndarray, "R 2"]) -> tuple[Float[np.ndarray, 
     return _corners(at[seen.mine][seen.met]) if seen.met.sum() >= _FEWEST else (seen.low, seen.high)
 
 
-def _alone(face: Face, seen: _Seen, is_pull: bool) -> float:
+def _alone(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
     """Share of the rays just beside it that met the face; a pipe or post before the face goes on above and below."""
     on_face = np.abs(seen.depth) < max(2.5 * face.sigma, 0.02)
     beside = [seen.within(_RING) & ~seen.within(_ABOUT)]
@@ -193,7 +193,7 @@ def _alone(face: Face, seen: _Seen, is_pull: bool) -> float:
     return min(float(np.mean(on_face[one])) if one.any() else 0.0 for one in beside)
 
 
-def _slack(face: Face, seen: _Seen) -> tuple[float, float]:
+def _slack(face: DoorFace, seen: _Seen) -> tuple[float, float]:
     """From either end to the first ray that went past at the height of the bar, or to just before the edge [m]."""
     middle, half = 0.5 * (seen.low[1] + seen.high[1]), max(0.35 * seen.size[1], 0.005)
     past = seen.at[(seen.vote < 0.0) & (np.abs(seen.at[:, 1] - middle) < half), 0]
@@ -205,7 +205,7 @@ def _slack(face: Face, seen: _Seen) -> tuple[float, float]:
     )
 
 
-def _neck_side(face: Face, seen: _Seen) -> int:
+def _neck_side(face: DoorFace, seen: _Seen) -> int:
     """The end near which more rays ended between bar and face: there is the neck; 0 when that is not clear."""
     middle = 0.5 * (seen.low + seen.high)
     along, up = seen.at.T

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detect.door.edge import Edge, side_edge, unevenness
+from perception.detect.door.edges import Edge, face_rows, side_edge, unevenness
 from perception.detect.door.profile import BAND, BIN, Profile, Rays, Stretch, straight_stretches, take_profile
-from perception.detect.door.rows import face_rows
 from perception.detect.door.upright import Upright, fit_upright
 
 WIDTHS = (0.6, 1.3)

@@ -10,10 +10,9 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
 from perception.cleaning.clean import voxel_downsample
-from perception.detect.drill.footing import support_share
 from perception.detect.drill.shape import BODY_RADIUS, FOOT, Shape, about_up, meet, notch_open
-from perception.detect.drill.supports import StandingCluster, dense_parts, standing_clusters
-from perception.detect.shared.confidence import rising
+from perception.detect.drill.supports import StandingCluster, dense_parts, standing_clusters, support_share
+from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
 from perception.sightlines import SightIndex, Sightlines, sight_index
 from perception.view import View

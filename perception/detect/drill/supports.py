@@ -1,4 +1,4 @@
-"""Level surfaces that things stand on, and the clusters that stand on them."""
+"""Level surfaces that things stand on, the clusters that stand on them, and the share of rays that each foot stops."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from scipy.spatial import cKDTree
 
 from costs.stopping import poll
 from perception.cleaning.clean import voxel_downsample
-from perception.detect.shared.layers import sum_about
+from perception.cleaning.neighbours import nearest
+from perception.detect.shared.arithmetic import sum_about
+from perception.sightlines import SightIndex
 from perception.view import View
 
 _VOXEL = 0.012
@@ -27,6 +29,11 @@ _WIDE = 0.5
 _LEAST_POINTS = 15
 _FOOT_HEIGHT = 0.05
 _LEAST_NEIGHBOURS = (9, 6, 4, 0)
+_FOOTING_HEIGHT = 0.05
+_BESIDE = (0.015, 0.06)
+_OVER_LEVEL, _UNDER = 0.018, 0.03
+_LEAST_FALL = 0.05
+_FEWEST = 4
 
 
 @dataclass(frozen=True)
@@ -132,3 +139,27 @@ def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
 def _on_foot(groups: list[Float[np.ndarray, "K 3"]], level: float) -> list[Float[np.ndarray, "K 3"]]:
     """Those that reach down to the surface."""
     return [one for one in groups if one[:, 2].min() < level + _FOOT_HEIGHT]
+
+
+def support_share(index: SightIndex, cluster: StandingCluster) -> float:
+    """Of the rays that come down to its level right beside its foot, the share that ended there; 1 where few did.
+
+    Rays beside a leg or a post go on below.
+
+    Args:
+        index: all rays of the scan.
+        cluster: with the level it seems to stand on.
+    """
+    foot = cluster.points[cluster.points[:, 2] < cluster.level + _FOOTING_HEIGHT, :2]
+    centre = foot.mean(axis=0)
+    reach = float(np.linalg.norm(foot - centre, axis=1).max()) + _BESIDE[1]
+    rays = index.passing(np.append(centre, cluster.level)[None], reach)
+    rays = rays.selected(rays.direction[:, 2] < -_LEAST_FALL)
+    height = rays.ends[:, 2] - cluster.level
+    rays, height = rays.selected(height < _OVER_LEVEL), height[height < _OVER_LEVEL]
+    if not len(rays):
+        return 1.0
+    crossing = (cluster.level - rays.start[:, 2]) / rays.direction[:, 2]
+    beside, _ = nearest(cKDTree(foot), rays.start[:, :2] + crossing[:, None] * rays.direction[:, :2], 1)
+    height = height[(beside > _BESIDE[0]) & (beside < _BESIDE[1])]
+    return float((height > -_UNDER).mean()) if len(height) >= _FEWEST else 1.0

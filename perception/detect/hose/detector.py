@@ -9,11 +9,9 @@ from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from perception.cleaning.clean import voxel_downsample
-from perception.detect.hose.mouth import settled
 from perception.detect.hose.tips import Tip, find_tips
-from perception.detect.hose.tube import STRAIGHT, Tube, misfits, refined, square_to
-from perception.detect.hose.tube_evidence import Evidence, weigh_tube
-from perception.detect.shared.confidence import rising
+from perception.detect.hose.tube import STRAIGHT, Tube, TubeEvidence, misfits, refined, settled, square_to, weigh_tube
+from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
 from perception.detect.shared.slender import is_flat
 from perception.ground.floor import FloorPlane
@@ -76,7 +74,7 @@ class _End:
 
     tube: Tube
     misfit: float
-    evidence: Evidence
+    evidence: TubeEvidence
     confidence: float
 
 
@@ -184,7 +182,7 @@ def _judged(index: SightIndex, one: _Candidate, is_hinted: bool) -> _End:
     return _End(settled(rays, tube), one.misfit, evidence, _confidence(tube, one.misfit, evidence, is_hinted))
 
 
-def _confidence(tube: Tube, misfit: float, evidence: Evidence, is_hinted: bool) -> float:
+def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bool) -> float:
     """Product of: a solid wall, an opening that rays go into and nothing else in it, a wall all about it, little that
     the tube does not explain, air beside it, depths that agree, a hose's radius, within reach."""
     unseen = 0.8 if is_hinted else 0.4

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from perception.detect.panel.relief import Disc, find_discs
-from perception.detect.shared.confidence import rising
+from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
 from perception.detect.shared.faces import Face, FaceRays, FacesInSight, face_rays, fitted
 from perception.sightlines import SightIndex

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detect.shared.bars import NEAR_SURFACE, Bar, Crossing, Sorted, SurroundingRays, cross_bar, sort_rays
+from perception.detect.shared.bars import NEAR_SURFACE, Bar, BarCrossing, Sorted, SurroundingRays, cross_bar, sort_rays
 from perception.ground.floor import FloorPlane
 
 _INSIDE = 0.003
@@ -75,7 +75,9 @@ def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> Li
     return LikelyEnds(found, (first.is_seen, last.is_seen), (first.hidden, last.hidden))
 
 
-def _gains(rays: SurroundingRays, crossing: Crossing, told: Sorted, floor: FloorPlane | None) -> Float[np.ndarray, "N"]:
+def _gains(
+    rays: SurroundingRays, crossing: BarCrossing, told: Sorted, floor: FloorPlane | None
+) -> Float[np.ndarray, "N"]:
     """How much more likely each ray's end is where the bar is than where it is not; 0: it says nothing."""
     gap = rays.length - crossing.depth
     gain = np.maximum(_LOST, np.log(_ON / _OFF) - 0.5 * (gap / _SIGMA) ** 2) * (told.hit | told.passed)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from perception.detect.shared.bar_faces import in_line, runs_on
 from perception.detect.shared.bars import Bar, SurroundingRays, cross_bar, sort_rays
+from perception.sightlines import Sightlines
 
 _BIN = 0.02
 _MOST_UNSEEN = 12
@@ -19,6 +19,10 @@ _INSIDE = 0.003
 _BEYOND = 0.08
 _AIR = (0.008, 0.045)
 _COARSE_BIN = 0.04
+# How far off a face's plane a ray's end may lie, and how much further for each unit of the slope it met it at [m].
+_OFF, _OFF_BY_SLOPE = 0.01, 0.02
+_REACH = 0.6
+_SHARE, _ALONG = 0.5, 0.35
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ def _end(
 
 
 @dataclass(frozen=True)
-class Evidence:
+class BarEvidence:
     """What speaks for a bar.
 
     Attributes:
@@ -115,7 +119,7 @@ class Evidence:
     hits: Bool[np.ndarray, "N"]
 
 
-def weigh_bar(rays: SurroundingRays, bar: Bar) -> Evidence:
+def weigh_bar(rays: SurroundingRays, bar: Bar) -> BarEvidence:
     """Count hits, passes and air about a fitted bar."""
     crossing = cross_bar(rays, bar)
     told = sort_rays(rays, crossing)
@@ -142,4 +146,50 @@ def weigh_bar(rays: SurroundingRays, bar: Bar) -> Evidence:
         knowns.append(float(known.mean()))
     hits = between & told.hit
     rms = float(np.sqrt(np.mean(gap[hits] ** 2))) if hits.any() else np.inf
-    return Evidence(n_hits, n_hits / max(1, n_hits + n_passed), visible, min(airs), min(knowns), rms, hits)
+    return BarEvidence(n_hits, n_hits / max(1, n_hits + n_passed), visible, min(airs), min(knowns), rms, hits)
+
+
+def in_line(bar: Bar, rays: Sightlines) -> Bool[np.ndarray, "N"]:
+    """Which rays ended beside a bar, level with one of its faces that is seen; a round bar has none.
+
+    Args:
+        bar: of any section.
+        rays: about it.
+    """
+    if bar.section == "round" or not len(rays):
+        return np.zeros(len(rays), dtype=bool)
+    half, frame = np.array(bar.half), bar.frame[1:]
+    seen = np.sign((rays.start.mean(axis=0) - bar.centre) @ frame.T)
+    across = (rays.ends - bar.centre) @ frame.T
+    # Noise lies along the rays: those that graze a face end close to its plane, or on something else behind it.
+    level = np.abs(across * seen - half) < _OFF + _OFF_BY_SLOPE * np.abs(rays.direction @ frame.T)
+    beside = (np.abs(across) > half) & (np.abs(across) < half + _REACH)
+    return np.asarray((level & beside[:, ::-1]).any(axis=1))
+
+
+def runs_on(
+    level: Bool[np.ndarray, "K"],
+    free: Bool[np.ndarray, "K"],
+    outside: Float[np.ndarray, "K"],
+    part: Int[np.ndarray, "K"],
+    n_parts: int,
+) -> Bool[np.ndarray, "P"]:
+    """In which parts of a bar's side most rays beside it met a surface level with its face, and met it
+    before air.
+
+    What looks like a board there is the rim of a panel, or the narrow side of a slab; where air comes first, few rays
+    met it or it is along little of the bar, what is level with the face is another thing.
+
+    Args:
+        level: which of the rays ended level with a face.
+        free: which of the others went on.
+        outside: how far each passes the bar [m].
+        part: of the bar's length that each passes.
+        n_parts: how many there are.
+    """
+    n_level, n_free = (np.bincount(part[those], minlength=n_parts) for those in (level, free))
+    of_level, of_free = (np.bincount(part[those], outside[those], n_parts) for those in (level, free))
+    is_nearer = (n_free == 0) | (of_level * n_free <= of_free * n_level)
+    larger = (n_level > 0) & (n_level >= _SHARE * (n_level + n_free)) & is_nearer
+    # In a heap something or other is level with a face here and there.
+    return np.asarray(larger & (larger.sum() >= _ALONG * ((n_level + n_free) > 0).sum()))

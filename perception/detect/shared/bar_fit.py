@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.stopping import poll
+from perception.detect.shared.arithmetic import cross
 from perception.detect.shared.bars import (
     LEAST_SLOPE,
     SIGMA_DEPTH,
@@ -25,7 +26,6 @@ from perception.detect.shared.bars import (
     cross_bars,
     sort_rays,
 )
-from perception.detect.shared.vectors import cross
 from perception.sightlines import Sightlines
 
 _AROUND = 0.04

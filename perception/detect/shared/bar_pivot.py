@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.bars import Bar
-from perception.detect.shared.confidence import rising
 from perception.detect.shared.faces import Face, FaceRays
 
 _ZONE = 0.05

@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from perception.detect.shared.arithmetic import cross, median_of_known
 from perception.detect.shared.bars import (
     SIGMA_DEPTH,
     SIGMA_EDGE,
     Bar,
-    Crossing,
+    BarCrossing,
     Section,
     SurroundingRays,
     cross_bars,
     cross_sections,
     sort_rays,
 )
-from perception.detect.shared.vectors import cross, median_of_known
 
 _WORST = 9.0
 _TURNS = np.radians(np.arange(0.0, 180.0, 15.0))
@@ -116,7 +116,7 @@ def misfits(sample: Sample, bars: Sequence[Bar]) -> Float[np.ndarray, "B"]:
     return _misfits(sample, cross_bars(sample.rays, bars))
 
 
-def _misfits(sample: Sample, crossing: Crossing, blur: float = 1.0) -> Float[np.ndarray, "B"]:
+def _misfits(sample: Sample, crossing: BarCrossing, blur: float = 1.0) -> Float[np.ndarray, "B"]:
     gap = (sample.rays.length - crossing.depth) / (blur * SIGMA_DEPTH)
     on = gap**2 + (np.maximum(crossing.outside, 0.0) / (blur * SIGMA_EDGE)) ** 2
     off = (np.maximum(-crossing.outside, 0.0) / (blur * SIGMA_EDGE)) ** 2 * sort_rays(sample.rays, crossing).passed
@@ -211,7 +211,7 @@ class _Many:
     halves: Float[np.ndarray, "S 2"]
     section: Section
 
-    def crossed_by(self, rays: SurroundingRays) -> Crossing:
+    def crossed_by(self, rays: SurroundingRays) -> BarCrossing:
         return cross_sections(rays, self.frames, self.centres, self.halves[self.size], self.section)
 
     def chosen(self, keep: Int[np.ndarray, "K"]) -> _Many:

@@ -77,7 +77,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Crossing:
+class BarCrossing:
     """How rays cross a bar as long as need be; leading axes as the bars they were asked for.
 
     Attributes:
@@ -93,13 +93,13 @@ class Crossing:
     along: Float[np.ndarray, "*P N"]
 
 
-def cross_bar(rays: Sightlines, bar: Bar) -> Crossing:
+def cross_bar(rays: Sightlines, bar: Bar) -> BarCrossing:
     """How each ray crosses the bar."""
     crossing = cross_sections(rays, bar.frame[None], bar.centre[None], np.array([bar.half]), bar.section)
-    return Crossing(crossing.outside[0], crossing.side[0], crossing.depth[0], crossing.along[0])
+    return BarCrossing(crossing.outside[0], crossing.side[0], crossing.depth[0], crossing.along[0])
 
 
-def cross_bars(rays: Sightlines, bars: Sequence[Bar]) -> Crossing:
+def cross_bars(rays: Sightlines, bars: Sequence[Bar]) -> BarCrossing:
     """All bars of one section at once."""
     frames, centres = np.stack([bar.frame for bar in bars]), np.stack([bar.centre for bar in bars])
     return cross_sections(rays, frames, centres, np.array([bar.half for bar in bars]), bars[0].section)
@@ -111,7 +111,7 @@ def cross_sections(
     centres: Float[np.ndarray, "P 3"],
     halves: Float[np.ndarray, "P 2"],
     section: Section,
-) -> Crossing:
+) -> BarCrossing:
     """All bars of one section at once, given as frames, centres [m] and half sizes [m]."""
     poll()
     start = frames @ rays.start.T - frames @ centres[:, :, None]
@@ -133,7 +133,7 @@ def cross_sections(
     else:
         slope = np.where(np.abs(d) < 1e-4, np.copysign(1e-4, d), d)
         depth = ((-np.sign(slope) * halves[:, :, None] - moved) / slope).max(axis=1)
-    return Crossing(outside, side, depth, start[:, 0] + depth * way[:, 0])
+    return BarCrossing(outside, side, depth, start[:, 0] + depth * way[:, 0])
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class Sorted:
     before: Bool[np.ndarray, "*P N"]
 
 
-def sort_rays(rays: SurroundingRays, crossing: Crossing) -> Sorted:
+def sort_rays(rays: SurroundingRays, crossing: BarCrossing) -> Sorted:
     """Hits, passes and rays stopped before, whatever the bars' ends.
 
     What ended elsewhere is no hit; just behind a bar it is no pass either, for what lies on the floor touches it.

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detect.shared.confidence import rising
-from perception.detect.valve.depths import axis_error, depth_error, unevenness
+from perception.detect.shared.arithmetic import rising
 from perception.detect.valve.inside import MIDDLE, Inside
-from perception.detect.valve.ring import Passage, Ring
+from perception.detect.valve.ring import Passage, Ring, axis_error, depth_error, unevenness
 from perception.ground.floor import FloorPlane
 from perception.sightlines import Sightlines
 
@@ -38,7 +37,7 @@ _BLURRED = 0.3  # where it does not tell the axis: still worth a report
 
 
 @dataclass(frozen=True)
-class Evidence:
+class WheelEvidence:
     """What the rays say of a ring; each figure from 0 to 1.
 
     Attributes:
@@ -79,7 +78,7 @@ def weigh_wheel(
     hit: Bool[np.ndarray, "N"],
     inside: Inside,
     floor: FloorPlane | None,
-) -> Evidence:
+) -> WheelEvidence:
     """What the rays near a ring say of it."""
     through = rays.length > passage.depth + _BEHIND
     distance = np.linalg.norm(passage.place, axis=1)
@@ -95,14 +94,14 @@ def weigh_wheel(
     air = _shares(sector, around & ~solid, around)
     seen = ~np.isnan(rim)
     if seen.mean() < 0.4:
-        return Evidence(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return WheelEvidence(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     # What is out of sight speaks neither for nor against the rim, but more than half must be seen.
     complete = float(np.mean(rim[seen] > 0.6) * min(1.0, np.sum(rim[seen] > 0.6) / (0.6 * _SECTORS)))
     airy = float(np.mean(air[~np.isnan(air)] > 0.7)) if (~np.isnan(air)).any() else 0.0
     error = depth_error(rays, passage, hit)
     # The hub of a small wheel fills much of its middle.
     hub_share = min(0.4, (_LEAST_HUB / max(MIDDLE * (ring.radius - ring.half_width), _LEAST_HUB)) ** 2)
-    return Evidence(
+    return WheelEvidence(
         rising(complete, 0.55, 0.9)
         * rising(-ring.half_width / ring.radius, *_SLENDER)
         # Much deeper along the axis than wide is the wall of a tube that is seen from its end.

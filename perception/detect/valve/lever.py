@@ -8,15 +8,13 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
+from perception.detect.shared.arithmetic import cross, rising
 from perception.detect.shared.bar_pivot import Pivot
 from perception.detect.shared.bars import Bar
-from perception.detect.shared.confidence import rising
 from perception.detect.shared.detection import Detection
-from perception.detect.shared.vectors import cross
 from perception.detect.valve.foreground import Foreground
 from perception.detect.valve.lever_bars import LENGTHS, FittedBar, find_levers, find_pipes
-from perception.detect.valve.lever_joint import Joint, joint_of
-from perception.detect.valve.lever_settle import settled
+from perception.detect.valve.lever_joint import Joint, joint_of, settled
 from perception.ground.floor import FloorPlane
 from perception.sightlines import SightIndex
 from perception.view import View

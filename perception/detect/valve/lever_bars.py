@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.cleaning.clean import voxel_downsample
-from perception.detect.shared.bar_evidence import Ends, Evidence, find_ends, weigh_bar
+from perception.detect.shared.arithmetic import cross
+from perception.detect.shared.bar_evidence import BarEvidence, Ends, find_ends, weigh_bar
 from perception.detect.shared.bar_fit import BarFit, fit_bars
 from perception.detect.shared.bar_search import rays_about
 from perception.detect.shared.bar_starts import Run, misfits, run_of, sample_about, starts_about
 from perception.detect.shared.bars import Bar, SurroundingRays
-from perception.detect.shared.vectors import cross
 from perception.detect.valve.foreground import Foreground
 from perception.detect.valve.lines import Line, find_lines
 from perception.ground.floor import FloorPlane
@@ -48,7 +48,7 @@ class FittedBar:
 
     fit: BarFit
     ends: Ends
-    evidence: Evidence
+    evidence: BarEvidence
 
     @property
     def bar(self) -> Bar:

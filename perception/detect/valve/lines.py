@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.detect.shared.slim import slim_places
+from perception.detect.shared.slender import slim_places
 
 _BALL = 0.32
 _LEAST_PAIR = 0.1

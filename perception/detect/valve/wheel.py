@@ -1,7 +1,8 @@
-"""Detection of wheel valves: circles proposed, rims fitted to the rays, evidence weighed into a confidence."""
+"""Detection of wheel valves: circles proposed, rims fitted to the rays, evidence weighed, steering wheels set aside."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,14 +13,20 @@ from perception.cleaning.clean import Reach, voxel_downsample
 from perception.cloud import Cloud
 from perception.detect.shared.detection import Detection
 from perception.detect.valve.circles import Circle, find_circles
-from perception.detect.valve.depths import depth_error
-from perception.detect.valve.evidence import Evidence, weigh_wheel
+from perception.detect.valve.evidence import WheelEvidence, weigh_wheel
 from perception.detect.valve.foreground import Foreground
 from perception.detect.valve.inside import Inside, look_inside
-from perception.detect.valve.ring import CLOSE, Ring, pass_ring, rim_hits, rough_gate, wheel_basis
-from perception.detect.valve.ring_fit import fit_ring
-from perception.detect.valve.steering import could_steer, steers
-from perception.detect.vehicle.seat import find_seats
+from perception.detect.valve.ring import (
+    CLOSE,
+    Ring,
+    depth_error,
+    fit_ring,
+    pass_ring,
+    rim_hits,
+    rough_gate,
+    wheel_basis,
+)
+from perception.detect.vehicle.seat import Seat, find_seats
 from perception.ground.floor import FloorPlane
 from perception.sightlines import SightIndex, Sightlines, index_of
 from perception.view import View, make_view
@@ -36,6 +43,11 @@ _HOPELESS = 0.005
 _MOST_RAYS = 4000
 _WIDER, _BESIDE, _JUST_BESIDE = 1.15, 0.07, 0.03
 _MOST_COARSE = 60_000
+_RADII = (0.13, 0.28)
+# From the middle of the cushion's top: forward, to either side, up [m].
+_AHEAD, _ASIDE, _UP = (0.2, 0.75), 0.25, (0.1, 0.65)
+_FACING, _SIDEWAYS = 0.3, 0.35
+_SURE_SEAT = 0.5
 
 
 @dataclass(frozen=True)
@@ -192,7 +204,7 @@ class _Weighed:
 
     ring: Ring
     inside: Inside
-    evidence: Evidence
+    evidence: WheelEvidence
     rms: float
     n_hits: int
 
@@ -252,6 +264,25 @@ def _towards(rays: Sightlines, ring: Ring) -> Ring:
     return ring
 
 
-def _hinted(evidence: Evidence) -> float:
+def _hinted(evidence: WheelEvidence) -> float:
     """Who points at a wheel says that there is one: the odds are better, and it may be a solid one."""
     return float(max(np.sqrt(evidence.confidence), _SOLID * evidence.solid_confidence))
+
+
+def could_steer(ring: Ring) -> bool:
+    """Whether a ring is of a steering wheel's size."""
+    return _RADII[0] < ring.radius + ring.half_width < _RADII[1]
+
+
+def steers(ring: Ring, seats: Sequence[Seat]) -> bool:
+    """Whether a ring is before the chest of who sits on one of the seats, and faces them.
+
+    A chair before a valve is no reason to doubt the valve: seats of vehicles alone count, and only sure ones.
+    """
+    for seat in seats:
+        x, y, z = seat.local(ring.centre[None])[0]
+        towards, aside, _ = np.abs(seat.pose[:3, :3].T @ ring.axis)
+        is_there = _AHEAD[0] < x < _AHEAD[1] and abs(y) < _ASIDE and _UP[0] < z < _UP[1]
+        if seat.confidence >= _SURE_SEAT and is_there and towards > _FACING and aside < _SIDEWAYS:
+            return True
+    return False

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from costs.stopping import poll
-from perception.detect.shared.layers import sum_about
+from perception.detect.shared.arithmetic import sum_about
 
 _CELL = 0.03
 _LAYER = 0.015

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.detect.shared.confidence import rising
+from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
 from perception.detect.vehicle.cushion import USUAL_WIDTH, Cushion, as_cushion, squared_up, surround_of
-from perception.detect.vehicle.footwell import SEAT_HEIGHT, footwell_of
 from perception.detect.vehicle.level import Patch, find_patches, is_inside, split_at_gap
-from perception.detect.vehicle.seat_back import back_of
+from perception.detect.vehicle.surroundings import SEAT_HEIGHT, back_of, footwell_of
 from perception.view import View
 
 _REPORTED = 0.05

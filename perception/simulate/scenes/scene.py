@@ -11,13 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.cloud import Cloud
-from perception.simulate.depth_camera import DepthCamera
 from perception.simulate.mesh import Mesh
 from perception.simulate.objects.placed import Placed, Truth, together
-from perception.simulate.scanner import Scanner
 from perception.simulate.scanning import scan
-from perception.simulate.sensor import Pose, Sensor
-from perception.simulate.solid_state import SolidState
+from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState
 
 VARIANTS: Mapping[str, Sensor] = {
     "dense": Scanner(),
