@@ -91,7 +91,7 @@ def rows(only: str, seed: int) -> Iterator[tuple[str, ...]]:
             chosen = [change for change in changes_of(scene) if only in f"{name} {kind} {change.name}"]
             if not chosen:
                 continue
-            first = perceive(scan(scene.meshes, scene.poses[0], sensor, seed=0, misses=True), valve=False)
+            first = perceive(scan(scene.meshes, scene.poses[0], sensor, seed=0, misses=True))
             for change in chosen:
                 before, samples = first, Samples()
                 *earlier, cloud = (

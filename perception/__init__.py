@@ -6,10 +6,17 @@ from perception.cloud import Cloud, make_cloud
 from perception.convex.piece import Evidence, Piece
 from perception.convex.pieces import Pieces, make_pieces
 from perception.detect import KINDS, detect, detect_each, detect_kinds
-from perception.detect.shared.detection import Detection
-from perception.detect.valve.bodies import has_clear_spokes, rim_bodies, stem_of, valve_bodies, wheel_points
+from perception.detect.shared.detection import CONFIDENT, Detection
+from perception.detect.valve.bodies import (
+    ValveDetection,
+    has_clear_spokes,
+    rim_bodies,
+    stem_of,
+    valve_bodies,
+    wheel_points,
+)
 from perception.detect.valve.ring import wheel_basis
-from perception.detect.valve.wheel import ValveDetection, detect_valves
+from perception.detect.valve.wheel import detect_valves
 from perception.errors import CloudError, PerceptionError
 from perception.files.npz import write_npz
 from perception.files.parse import SUFFIXES
@@ -20,7 +27,7 @@ from perception.ground.floor import FloorPlane, floor_piece, floor_pieces, on_fl
 from perception.ground.levels import find_floor, find_floors
 from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 from perception.memory import Memory
-from perception.perceive import CONFIDENT, Perceived, perceive
+from perception.perceive import Perceived, perceive
 from perception.update import Earlier, update
 from perception.view import View, make_view
 

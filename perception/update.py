@@ -19,10 +19,10 @@ from perception.convex.piece import Piece
 from perception.convex.standing import Ground
 from perception.convex.unknown import unknown_pieces
 from perception.convex.updated import Judge, Updated, updated_pieces
-from perception.detect.valve.wheel import ValveDetection
-from perception.ground.floor import FloorPlane, on_floors
+from perception.detect.shared.detection import Detection
+from perception.ground.floor import FloorPlane, floor_pieces, on_floors
 from perception.ground.levels_again import may_be_level
-from perception.perceive import Perceived, floors_of, matched, unexplained, without_best
+from perception.perceive import Perceived, drop_explained, find_meshes, take_out
 from perception.solids.known import KnownMesh
 from perception.solids.match import MeshMatch
 from perception.view import Cropped, View, crop, view_of
@@ -38,7 +38,7 @@ class Earlier:
         scene: all that stood for the scan before, objects that were found aside.
         pieces: those of its pieces that were made of points; indices of points are not asked for.
         reach, seed: of the scan before.
-        valves: detections, best first.
+        detections: objects, best first within each kind.
         matches: by name where known meshes were found.
         floors: levels of the floor; without any they are looked for anew, which takes longer.
     """
@@ -47,7 +47,7 @@ class Earlier:
     pieces: tuple[Piece, ...]
     reach: Reach
     seed: int
-    valves: tuple[ValveDetection, ...] = ()
+    detections: tuple[Detection, ...] = ()
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
     floors: tuple[FloorPlane, ...] = ()
 
@@ -55,7 +55,7 @@ class Earlier:
     def of(cls, seen: Perceived) -> Earlier:
         """Of what a scan showed."""
         view = seen.view
-        return cls(seen.scene, seen.pieces, view.reach, view.seed, seen.valves, seen.matches, view.floors)
+        return cls(seen.scene, seen.pieces, view.reach, view.seed, seen.detections, seen.matches, view.floors)
 
 
 def update(
@@ -70,8 +70,8 @@ def update(
 
     Pieces that no ray of the new scan passes through stay in the scene as they are: the same objects, the same names.
     What their surfaces do not explain is cleaned and becomes new pieces (slabs and hulls) with new names.  The floor
-    stays while its corners move by less than 1 cm.  A valve or known mesh that was found stays where it was, and is not
-    looked for again unless it is among ``known``; unknown space is made anew if it was asked for.
+    stays while its corners move by less than 1 cm.  Detected objects and known meshes stay where they were and are not
+    looked for again, except for meshes among ``known``.  Unknown space is made anew if there was any.
 
     Args:
         before: what the scan before showed.
@@ -96,7 +96,7 @@ def update(
     stem = [piece for piece in earlier.scene.pieces if piece.kind == "stem"]
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in seen.timings.items()}
     scene = Scene((*seen.floors, *stem, *(piece.shape for piece in pieces), *hidden))
-    return Perceived(scene, pieces, view, view.floor, earlier.valves, timings, view.notes, seen.matches)
+    return Perceived(scene, pieces, view, view.floor, earlier.detections, timings, view.notes, seen.matches)
 
 
 @dataclass(frozen=True)
@@ -139,11 +139,11 @@ def _held_against(
     if is_level(view.obstacles, known=[piece.hull for piece in earlier.pieces]):
         clock.lap("view")
         return _Held(view, [], (), {}, {}, is_left_off=True)
-    floors = _steady(earlier.scene, floors_of(view))
-    kept, _ = without_best(earlier.valves, view)
+    floors = _steady(earlier.scene, floor_pieces(view.floors, view.reach))
+    kept, _ = take_out(earlier.detections, view.obstacles)
     clock.lap("view")
-    matches = {**earlier.matches, **matched(known, view, clock)}
-    kept = unexplained(view.obstacles, kept, matches)
+    matches = {**earlier.matches, **find_meshes(known, view, clock)}
+    kept = drop_explained(view.obstacles, kept, matches)
     hulls = tuple(hull_of(piece.vertices, kept[:0]).simplified for piece in floors)
     judge = None if cleaned else _judge(view.near, ~is_floor, kept)
     made = updated_pieces(

@@ -105,7 +105,7 @@ def _scanned(
             reach=Reach(x=x, y=y),
             robot_hulls=[vertices for _, vertices in place_bodies(robot, start)],
             soles=soles,
-            valve=request.task is not None and request.task.valve is not None,
+            kinds=("wheel",) if request.task is not None and request.task.valve is not None else (),
             hint=None if hint is None else np.array(hint),
             unknown=scene.unknown,
             seed=request.options.seed,

@@ -1,12 +1,26 @@
-"""What every detector says of an object it found."""
+"""Detections: what every detector reports of an object, and what perception needs of a model of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+
+from costs.scene import ConvexPiece
+
+CONFIDENT = 0.5
+"""Confidence from which on a detection is one to act on."""
+
+
+class Model(Protocol):
+    """Model of a detected object that is taken out of the scene's pieces, because a task moves it."""
+
+    def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
+        """Points (N, 3) that are the object's own, and pieces for those of its parts that stay in the scene."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -21,6 +35,7 @@ class Detection:
         residuals: how well the model explains the scan, by name: lengths [m], but for names that end in ``_rad``,
             ``_share`` (0 to 1), ``_ratio`` or ``_score`` and those that begin with ``n_`` (how many).
         points: (K, 3) some of the points it rests on [m].
+        model: of an object that ``perceive`` takes out of the pieces; None for all others.
     """
 
     kind: str
@@ -29,3 +44,4 @@ class Detection:
     confidence: float
     residuals: Mapping[str, float]
     points: Float[np.ndarray, "K 3"]
+    model: Model | None = None

@@ -1,21 +1,84 @@
-"""A detected wheel as solids: what turns (rim, hub, spokes), what stays (stem), and which points were its own."""
+"""A detected wheel: its measures, the solids that turn (rim, hub, spokes), the stem that stays, and its own points."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.scene import ConvexPiece
-from perception.detect.valve.wheel import ValveDetection
+from perception.detect.shared.detection import CONFIDENT, Detection
+from perception.detect.valve.ring import Ring, wheel_basis
 
 _SECTION = 8
 _ROUND = 12
 _CUT = 0.03
 _STEM_BEHIND = 0.6
 _USUAL_STEM_RADIUS = 0.02
-_CONFIDENT = 0.5
 _FEWEST_POINTS = 20
 _EXPLAINED = 0.85
+
+
+@dataclass(frozen=True)
+class ValveDetection:
+    """A wheel valve as seen.
+
+    Attributes:
+        centre: (3,) of the rim [m].
+        axis: (3,) unit, towards the sensor.
+        rim_radius: of the rim's centre line [m].
+        outer_radius: [m].
+        tube_radius: half width of the rim along the radius [m].
+        half_depth: half thickness of the rim along the axis [m].
+        spoke_angles: about the axis, from ``wheel_basis(axis)[0]`` (horizontal), right-handed [rad].
+        hub_radius: inside it nothing was seen through [m].
+        inner_depth: lowest and highest place along the axis of what was seen inside the rim [m].
+        confidence: 0 to 1.
+        rms: of the rim's depth residuals [m].
+        n_inliers: rays that ended on the rim.
+        spoke_half_width: of the spokes [m].
+        spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
+    """
+
+    centre: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    rim_radius: float
+    outer_radius: float
+    tube_radius: float
+    half_depth: float
+    spoke_angles: tuple[float, ...]
+    hub_radius: float
+    inner_depth: tuple[float, float]
+    confidence: float
+    rms: float
+    n_inliers: int
+    spoke_half_width: float = 0.0
+    spoke_share: float = 0.0
+
+    @property
+    def ring(self) -> Ring:
+        """The rim."""
+        return Ring(self.centre, self.axis, self.rim_radius, self.tube_radius, self.half_depth)
+
+    def as_detection(self) -> Detection:
+        """The valve as all detectors report: z of its frame is the axis, x horizontal, the origin the rim's centre."""
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = wheel_basis(self.axis).T, self.centre
+        sizes = {"outer_radius": self.outer_radius, "rim_radius": self.rim_radius, "tube_radius": self.tube_radius}
+        angle = 2.0 * np.pi * np.arange(36) / 36
+        rim = self.rim_radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(36)])
+        points = rim @ pose[:3, :3].T + self.centre
+        return Detection("valve", pose, sizes, self.confidence, {"rms": self.rms}, points, self)
+
+    def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
+        """Points that are wheel or stem, and the stem if one was seen."""
+        own = wheel_points(self, points)
+        stem = stem_of(self, points[~own])
+        if stem is None:
+            return own, ()
+        own[~own] = stem_points(self, stem, points[~own])
+        return own, (stem,)
 
 
 def valve_bodies(
@@ -52,7 +115,7 @@ def has_clear_spokes(detection: ValveDetection) -> bool:
     """Whether the spokes were seen so clearly that a hand may rely on the openings between them."""
     n_spokes = len(detection.spoke_angles)
     return bool(
-        detection.confidence >= _CONFIDENT
+        detection.confidence >= CONFIDENT
         and 2 <= n_spokes <= 8
         and detection.hub_radius < 0.7 * (detection.rim_radius - detection.tube_radius)
         and detection.spoke_share >= _EXPLAINED

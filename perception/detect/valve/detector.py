@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from perception.detect.shared.detection import Detection
+from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.foreground import Foreground
 from perception.detect.valve.lever import detect_lever_valve
-from perception.detect.valve.wheel import as_detection, detect_in
+from perception.detect.valve.wheel import find_wheels
 from perception.view import View
 
-_CONFIDENT = 0.5
 _SURE = 0.8  # for who points at it: a hint makes weak evidence enough
 _BESIDE = 0.05
 
@@ -26,8 +25,8 @@ def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     if not len(view.obstacles):
         return []
     foreground = Foreground.of(view)
-    wheels = [as_detection(valve) for valve in detect_in(view, hint, foreground)]
-    sure = [one for one in wheels if one.confidence >= (_CONFIDENT if hint is None else _SURE)]
+    wheels = [valve.as_detection() for valve in find_wheels(view, hint, foreground)]
+    sure = [one for one in wheels if one.confidence >= (CONFIDENT if hint is None else _SURE)]
     # Spokes and pieces of a rim are slim bars as well, and what is about a lever has round edges.
     levers = [
         one for one in detect_lever_valve(view, hint, foreground) if not any(_is_part_of(one, wheel) for wheel in sure)

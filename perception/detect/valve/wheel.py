@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from perception.cleaning.clean import Reach, voxel_downsample
 from perception.cloud import Cloud
 from perception.detect.shared.detection import Detection
+from perception.detect.valve.bodies import ValveDetection
 from perception.detect.valve.circles import Circle, find_circles
 from perception.detect.valve.evidence import WheelEvidence, weigh_wheel
 from perception.detect.valve.foreground import Foreground
@@ -24,7 +25,6 @@ from perception.detect.valve.ring import (
     pass_ring,
     rim_hits,
     rough_gate,
-    wheel_basis,
 )
 from perception.detect.vehicle.seat import Seat, find_seats
 from perception.ground.floor import FloorPlane
@@ -50,46 +50,16 @@ _FACING, _SIDEWAYS = 0.3, 0.35
 _SURE_SEAT = 0.5
 
 
-@dataclass(frozen=True)
-class ValveDetection:
-    """A wheel valve as seen.
+def detect_wheels(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+    """Wheel valves, best first; each with its ``ValveDetection`` as model.
 
-    Attributes:
-        centre: (3,) of the rim [m].
-        axis: (3,) unit, towards the sensor.
-        rim_radius: of the rim's centre line [m].
-        outer_radius: [m].
-        tube_radius: half width of the rim along the radius [m].
-        half_depth: half thickness of the rim along the axis [m].
-        spoke_angles: about the axis, from ``wheel_basis(axis)[0]`` (horizontal), right-handed [rad].
-        hub_radius: inside it nothing was seen through [m].
-        inner_depth: lowest and highest place along the axis of what was seen inside the rim [m].
-        confidence: 0 to 1.
-        rms: of the rim's depth residuals [m].
-        n_inliers: rays that ended on the rim.
-        spoke_half_width: of the spokes [m].
-        spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
+    z of a hit's frame is the axis, x horizontal, the origin the rim's centre.
+
+    Args:
+        view: the scan, made ready.
+        hint: (3,) a point near the valve [m].
     """
-
-    centre: Float[np.ndarray, "3"]
-    axis: Float[np.ndarray, "3"]
-    rim_radius: float
-    outer_radius: float
-    tube_radius: float
-    half_depth: float
-    spoke_angles: tuple[float, ...]
-    hub_radius: float
-    inner_depth: tuple[float, float]
-    confidence: float
-    rms: float
-    n_inliers: int
-    spoke_half_width: float = 0.0
-    spoke_share: float = 0.0
-
-    @property
-    def ring(self) -> Ring:
-        """The rim."""
-        return Ring(self.centre, self.axis, self.rim_radius, self.tube_radius, self.half_depth)
+    return [valve.as_detection() for valve in find_wheels(view, hint)]
 
 
 def detect_valves(
@@ -107,13 +77,13 @@ def detect_valves(
         reach: where to look; by default within 3 m.
         seed: of the hypotheses.
     """
-    return detect_in(make_view(cloud, reach=reach or Reach(), seed=seed), hint)
+    return find_wheels(make_view(cloud, reach=reach or Reach(), seed=seed), hint)
 
 
-def detect_in(
+def find_wheels(
     view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
 ) -> list[ValveDetection]:
-    """As :func:`detect_valves`, in a scan made ready, whose foreground may be at hand."""
+    """As :func:`detect_valves`, in a scan made ready; the foreground is made where none is given."""
     if not len(view.obstacles):
         return []
     foreground = foreground or Foreground.of(view)
@@ -161,17 +131,6 @@ def _not_steering(detections: list[ValveDetection], view: View) -> list[ValveDet
         else one
         for one in detections
     ]
-
-
-def as_detection(valve: ValveDetection) -> Detection:
-    """The valve in the words all detectors share: z of its frame is the axis, x horizontal, origin the rim's centre."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = wheel_basis(valve.axis).T, valve.centre
-    sizes = {"outer_radius": valve.outer_radius, "rim_radius": valve.rim_radius, "tube_radius": valve.tube_radius}
-    angle = 2.0 * np.pi * np.arange(36) / 36
-    rim = valve.rim_radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(36)])
-    points = rim @ pose[:3, :3].T + valve.centre
-    return Detection("valve", pose, sizes, valve.confidence, {"rms": valve.rms}, points)
 
 
 def _promise(circle: Circle, index: SightIndex) -> float:
