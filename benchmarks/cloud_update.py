@@ -23,7 +23,7 @@ from benchmarks.cloud_pieces import Figures, Targets, Union, ray_samples, true_p
 from benchmarks.cloud_worker import Made
 from benchmarks.tables import Samples, print_table
 from perception import Cloud, Perceived, perceive, update
-from perception.simulate import Caster, DepthCamera, Mesh, Scanner, SolidState, joined, scan
+from perception.simulate import Caster, DepthCamera, Mesh, Scanner, SolidState, join_meshes, scan
 from perception.simulate.scenes import SimulatedScene, make_scene
 from perception.simulate.sensor import Sensor
 
@@ -103,7 +103,7 @@ def rows(only: str, seed: int) -> Iterator[tuple[str, ...]]:
                 for _ in range(_RUNS):
                     after = samples.measure(update, before, cloud)
                 judge = scan(change.meshes, scene.poses[1 - change.poses[-1]], sensor, seed=_JUDGING)
-                figures = judged(after, cloud, judge, Caster(joined(change.meshes)), samples)
+                figures = judged(after, cloud, judge, Caster(join_meshes(change.meshes)), samples)
                 n_kept = len({id(piece) for piece in before.scene.pieces} & {id(piece) for piece in after.scene.pieces})
                 yield (
                     f"{name} {kind} {change.name}",

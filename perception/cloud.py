@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.cleaning.doubts import doubts
+from perception.cleaning.doubts import find_doubts
 from perception.errors import CloudError
 from perception.limits import MAX_INVALID_FRACTION, MAX_POINTS
 
@@ -122,10 +122,10 @@ def make_cloud(
         kept = _finite(misses, np.zeros(3) if miss_origin is None else miss_origin)
         misses = misses[kept]
         miss_origin = miss_origin if miss_origin is None or miss_origin.ndim == 1 else miss_origin[kept]
-    return Cloud(points, origin, (*notes, *doubts(points, origin)), misses, miss_origin)
+    return Cloud(points, origin, (*notes, *find_doubts(points, origin)), misses, miss_origin)
 
 
-def merged(clouds: Sequence[Cloud]) -> Cloud:
+def merge_clouds(clouds: Sequence[Cloud]) -> Cloud:
     """All points and rays of clouds in one frame; each point keeps where its own ray started."""
     if len(clouds) == 1:
         return clouds[0]

@@ -85,9 +85,9 @@ def update(
     clock = Clock()
     earlier = before if isinstance(before, Earlier) else Earlier.of(before)
     cropped = crop(cloud, earlier.reach, robot_hulls)
-    seen = _held_against(earlier, cropped, soles, known, earlier.floors, clock)
+    seen = _hold_against(earlier, cropped, soles, known, earlier.floors, clock)
     if seen.is_left_off:
-        seen = _held_against(earlier, cropped, soles, known, (), clock)
+        seen = _hold_against(earlier, cropped, soles, known, (), clock)
     view, pieces = seen.view, seen.pieces
     hidden: tuple[ConvexPiece, ...] = ()
     if any(piece.kind == "unknown" for piece in earlier.scene.pieces):
@@ -120,7 +120,7 @@ class _Held:
     is_left_off: bool = False
 
 
-def _held_against(
+def _hold_against(
     earlier: Earlier,
     cropped: Cropped,
     soles: Sequence[Float[np.ndarray, "S 3"]],
@@ -139,7 +139,7 @@ def _held_against(
     if is_level(view.obstacles, known=[piece.hull for piece in earlier.pieces]):
         clock.lap("view")
         return _Held(view, [], (), {}, {}, is_left_off=True)
-    floors = _steady(earlier.scene, floor_pieces(view.floors, view.reach))
+    floors = _keep_steady(earlier.scene, floor_pieces(view.floors, view.reach))
     kept, _ = take_out(earlier.detections, view.obstacles)
     clock.lap("view")
     matches = {**earlier.matches, **find_meshes(known, view, clock)}
@@ -157,7 +157,7 @@ def _held_against(
         is_level,
     )
     clock.lap("pieces")
-    view, pieces = _without_strays(view, made, kept)
+    view, pieces = _drop_strays(view, made, kept)
     return _Held(view, floors, pieces, matches, made.timings, made.is_left_off)
 
 
@@ -167,7 +167,7 @@ def _judge(near: Cloud, is_obstacle: Bool[np.ndarray, "N"], kept: Int[np.ndarray
     return lambda asked: scan.surface_among(index[asked])
 
 
-def _without_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple[View, tuple[Piece, ...]]:
+def _drop_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple[View, tuple[Piece, ...]]:
     """The view without what was found to be strays, and the pieces with indices into its obstacles."""
     is_obstacle = np.ones(len(view.obstacles), dtype=bool)
     is_obstacle[kept[~made.is_surface]] = False
@@ -176,7 +176,7 @@ def _without_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tu
     return replace(view, obstacles=view.obstacles[is_obstacle], starts=view.starts[is_obstacle]), pieces
 
 
-def _steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:
+def _keep_steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:
     """The pieces, those of the scene before in place of the ones of their name that are the same within 1 cm."""
     known = {piece.name: piece for piece in before.pieces}
     steady = []

@@ -112,7 +112,7 @@ class Cropped:
 def crop(cloud: Cloud, reach: Reach, robot_hulls: Sequence[Float[np.ndarray, "V 3"]]) -> Cropped:
     """Drop exact copies, what is out of reach and the robot's own points; see ``make_view``."""
     _check_reach(cloud, reach)
-    cloud = without_copies(cloud)
+    cloud = drop_copies(cloud)
     near = cloud.selected(reach.contains(cloud.points))
     own = inside_hulls(near.points, robot_hulls)
     notes = (*cloud.notes, *_crop_note(cloud, near, reach))
@@ -161,7 +161,7 @@ def _stand(reach: Reach, soles: Sequence[Float[np.ndarray, "S 3"]]) -> Float[np.
     return np.asarray(np.mean([np.mean(sole, axis=0) for sole in soles], axis=0))
 
 
-def without_copies(cloud: Cloud) -> Cloud:
+def drop_copies(cloud: Cloud) -> Cloud:
     """The cloud with exact copies of points left out and counted in its notes."""
     is_first = first_of_equals(cloud.points, cloud.starts)
     n_copies = int(len(is_first) - is_first.sum())

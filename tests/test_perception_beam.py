@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from perception import CONFIDENT, Cloud, Detection, View, make_view, read_cloud
 from perception.detect.beam.detector import _continues, detect_beam, loose_points
 from perception.detect.beam.strips import _in_walls, find_strips
-from perception.detect.shared.bar_fit import BarFit, _linearized, _moved, _State, spread_between_edges
+from perception.detect.shared.bar_fit import BarFit, _linearize, _move, _State, spread_between_edges
 from perception.detect.shared.bars import Bar, Section, SurroundingRays, cross_bar, sort_rays
 from perception.detect.shared.slender import is_slender
 from perception.detect.valve.lines import find_lines
@@ -178,12 +178,12 @@ def test_the_fits_derivatives_are_those_of_central_differences(section: Section,
     half = np.array([bar.half])
     state = _State(frame[None], bar.centre[None], half)
     hit = rng.random((1, len(rays))) < 0.6
-    here, jacobian = _linearized(rays, hit, np.ones_like(hit), state, half, section)
+    here, jacobian = _linearize(rays, hit, np.ones_like(hit), state, half, section)
     for i in range(n):
         change = np.zeros((1, n))
         change[0, i] = 1e-6
         ahead, behind = (
-            _linearized(rays, hit, np.ones_like(hit), _moved(state, sign * change, section), half, section)[0]
+            _linearize(rays, hit, np.ones_like(hit), _move(state, sign * change, section), half, section)[0]
             for sign in (1.0, -1.0)
         )
         numeric = (ahead - behind)[0] / 2e-6

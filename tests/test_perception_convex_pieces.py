@@ -20,7 +20,7 @@ from perception.convex.planes import Plane
 from perception.convex.refine import refined
 from perception.convex.slabs import slabs_of
 from perception.convex.split import clusters, merge, split
-from perception.simulate import Caster, Pose, Room, Scanner, joined, scan
+from perception.simulate import Caster, Pose, Room, Scanner, join_meshes, scan
 from perception.simulate.scenes import make_scene
 
 SENSOR = np.array([0.0, 0.0, 1.5])
@@ -96,7 +96,7 @@ def test_buttons_that_stand_out_of_a_panel_by_more_than_its_slab_are_covered() -
     panel = scene.truth[0]
     rays = cloud.points - cloud.starts
     directions = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    hits = Caster(joined(scene.meshes)).hits(cloud.starts, directions).distance
+    hits = Caster(join_meshes(scene.meshes)).hits(cloud.starts, directions).distance
     true = cloud.starts + hits[:, None] * directions
     there = (true - panel.pose_world_object[:3, 3]) @ panel.pose_world_object[:3, :3]
     half = 0.5 * np.array([panel.sizes["width"], panel.sizes["height"]])

@@ -14,7 +14,7 @@ from perception.convex.coarse import coarsened
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.planes import Plane, find_planes
 from perception.convex.slabs import slabs_of
-from perception.simulate import Mesh, box, cast, joined
+from perception.simulate import Mesh, box, cast, join_meshes
 
 LOWER, UPPER = np.full(3, -0.2), np.full(3, 1.2)
 NOWHERE = np.full((1, 3), 9.0)
@@ -35,7 +35,7 @@ def scanned(meshes: list[Mesh], origin: tuple[float, float, float], n: int = 150
         np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
     ])  # fmt: skip
     start = np.array(origin)
-    distance = cast(joined(meshes), start, direction)
+    distance = cast(join_meshes(meshes), start, direction)
     hit = np.isfinite(distance)
     noisy = distance[hit] + np.random.default_rng(seed).normal(0.0, 0.01, int(hit.sum()))
     return Cloud(start + noisy[:, None] * direction[hit], start, misses=start + 8.0 * direction[~hit])

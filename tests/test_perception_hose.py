@@ -8,7 +8,16 @@ import pytest
 from perception import CONFIDENT, Cloud, View, make_view
 from perception.detect.hose.detector import detect_hose
 from perception.detect.hose.tips import find_tips
-from perception.detect.hose.tube import STRAIGHT, Tube, meet_tubes, misfits, refined, settled, square_to, weigh_tube
+from perception.detect.hose.tube import (
+    STRAIGHT,
+    Tube,
+    meet_tubes,
+    misfits,
+    refine_tube,
+    settle_tube,
+    square_to,
+    weigh_tube,
+)
 from perception.detect.shared.slender import is_flat
 from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
@@ -135,7 +144,7 @@ def test_the_tube_that_made_the_rays_explains_them_best_and_is_found_from_nearby
     axis = np.array([-0.9, 0.4, 0.2]) / np.linalg.norm([-0.9, 0.4, 0.2])
     found = Tube(tube.mouth + np.array([0.01, -0.01, 0.01]), axis, 0.045)
     for _ in range(3):
-        found = refined(rays, mine, found)
+        found = refine_tube(rays, mine, found)
     assert np.linalg.norm(found.mouth - tube.mouth) <= 0.01
     assert found.axis @ tube.axis >= np.cos(np.radians(10.0))
     assert found.radius == pytest.approx(0.04, abs=0.004)
@@ -186,7 +195,7 @@ def test_an_end_looked_into_is_settled_to_where_its_returns_end() -> None:
     rays = Sightlines(np.tile(start, (300, 1)), (places - start) / length[:, None], length + rng.normal(0, 0.01, 300))
     tilted = true.axis + 0.2 * across
     rough = Tube(true.mouth + 0.02 * true.axis + 0.008 * over, tilted / np.linalg.norm(tilted), 0.032)
-    found = settled(rays, rough)
+    found = settle_tube(rays, rough)
     assert np.linalg.norm(found.mouth - true.mouth) < 0.005
     assert np.degrees(np.arccos(found.axis @ true.axis)) < 3.0
     assert abs(found.radius - true.radius) < 0.003

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from perception import Cloud, make_view, perceive
 from perception.errors import MeshError
 from perception.perceive import drop_explained
-from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
+from perception.simulate import Pose, Room, Scanner, box, join_meshes, scan, torus
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, solid_of, united
 from perception.solids.decompose import CoacdSettings, Work, convex_parts
@@ -30,7 +30,7 @@ from perception.view import View
 
 RING = torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 16, 8)
 # A tool that no turn takes to itself: a long body, a tall end, a handle to one side.
-TOOL = joined([
+TOOL = join_meshes([
     box((0, 0, 0), (0.4, 0.1, 0.1)), box((0, 0, 0.1), (0.1, 0.1, 0.3)), box((0.25, 0.1, 0), (0.35, 0.25, 0.06)),
 ])  # fmt: skip
 MIDDLE = np.array([0.2, 0.1, 0.12])
@@ -166,7 +166,7 @@ def test_a_box_without_a_lid_is_a_shell_that_can_be_reached_into(tmp_path: Path)
 
 
 def test_boxes_that_share_an_edge_are_two_solids() -> None:
-    pair = joined([box((0, 0, 0), (1, 1, 1)), box((1, 1, 0), (2, 2, 1))])
+    pair = join_meshes([box((0, 0, 0), (1, 1, 1)), box((1, 1, 0), (2, 2, 1))])
     solid = solid_of(pair)
     assert [mesh.volume for mesh in solid.closed] == pytest.approx([1.0, 1.0])
     assert not solid.open

@@ -13,7 +13,7 @@ from perception import Cloud, CloudError, Perceived, perceive, read_cloud
 from perception.cleaning.clean import half_spaces
 from perception.convex.freespace import carve
 from perception.convex.hulls import MAX_VERTICES, limited
-from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, cylinder, joined, scan
+from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, cylinder, join_meshes, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.3)
 ROOM = Room(
@@ -36,7 +36,7 @@ def true_surface(meshes: list[Mesh], cloud: Cloud) -> np.ndarray:
     """Where the true surfaces stop the measured rays, floor and mixed pixels left out."""
     length = np.linalg.norm(cloud.points - cloud.origin, axis=1)
     direction = (cloud.points - cloud.origin) / length[:, None]
-    hit = cast(joined(meshes), cloud.origin, direction)
+    hit = cast(join_meshes(meshes), cloud.origin, direction)
     points = cloud.origin + hit[:, None] * direction
     keep = (np.abs(hit - length) < 0.05) & (points[:, 2] > 0.03) & (np.hypot(points[:, 0], points[:, 1]) < 2.9)
     return points[keep]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
-from perception.detect.vehicle.cushion import Surround, as_cushion, squared_up
+from perception.detect.vehicle.cushion import Surround, as_cushion, square_up
 from perception.detect.vehicle.level import find_patches, split_at_gap
 from perception.detect.vehicle.opening import edges_of, side_of
 from perception.detect.vehicle.surroundings import footwell_of
@@ -282,7 +282,7 @@ def test_a_cushion_cut_by_a_shadow_is_completed_from_the_edges_that_were_seen() 
     points = np.column_stack([flat @ turn + place, rng.normal(0.8, 0.005, len(flat))])
     patch = find_patches(points, 0.5, 1.2)[0]
     surround = Surround(about @ turn + place, np.zeros((0, 2)))
-    squared = squared_up(patch, surround)
+    squared = square_up(patch, surround)
     cushions = [as_cushion(squared, surround, quarter) for quarter in range(4)]
     cushion = max(cushions, key=lambda one: float(one.pose[:2, 0] @ turn[0]))
     assert np.degrees(np.arccos(cushion.pose[:2, 0] @ turn[0])) < 3.0

@@ -129,7 +129,7 @@ def inside_hulls(
     )
     candidates = points[around]
     for vertices, (lower, upper) in zip(hulls, boxes, strict=True):
-        bounds = _rounded(vertices)
+        bounds = _add_roundings(vertices)
         near = np.flatnonzero(_in_box(candidates, lower, upper))
         inside[around[near]] |= (candidates[near] @ bounds[:, :3].T + bounds[:, 3] <= margin).all(axis=1)
     return inside
@@ -145,7 +145,7 @@ def _in_box(
     return mask
 
 
-def _rounded(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
+def _add_roundings(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
     """Half-spaces of the hull's faces, and between those of faces that meet, so that a margin leaves no spikes."""
     hull = _convex_hull(vertices)
     faces, neighbours = hull.equations[:, :3], hull.neighbors

@@ -32,7 +32,7 @@ _SENSOR_ABOVE_FLOOR = 0.05
 _FEW = 0.01
 
 
-def doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> tuple[str, ...]:
+def find_doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> tuple[str, ...]:
     """Sentences about unit and frame, judged from the numbers alone.
 
     Args:

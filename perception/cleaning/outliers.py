@@ -195,7 +195,7 @@ def on_grazed_surface(
         if not len(new):
             break
         found[new] = True
-        asked = near.joined(points, np.flatnonzero(~found), points[new])
+        asked = near.join(points, np.flatnonzero(~found), points[new])
     return found
 
 
@@ -221,7 +221,7 @@ class _Nearest:
         """Of the chosen points only."""
         return _Nearest(self.distance[chosen], self.place[chosen])
 
-    def joined(
+    def join(
         self, points: Float[np.ndarray, "K 3"], chosen: Int[np.ndarray, "C"], new: Float[np.ndarray, "M 3"]
     ) -> Int[np.ndarray, "D"]:
         """Take in further points of the surface; which of the chosen ones have another set of nearest ones then."""

@@ -66,7 +66,7 @@ def detect_lever(
         for face in seen.faces:
             rays = face_rays(face, seen.index, _BEYOND)
             for run in _runs(face, rays, hint):
-                one = _examined(face, rays, run)
+                one = _examine(face, rays, run)
                 if one is not None:
                     found.append(one)
     found.sort(key=lambda one: -one.confidence * one.pivot.confidence)
@@ -88,7 +88,7 @@ def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> li
     if len(points) < _FEWEST:
         return []
     runs = []
-    for members in _connected(points[:, :2]):
+    for members in _connect(points[:, :2]):
         flat = points[members, :2]
         centre = flat.mean(axis=0)
         _, vectors = np.linalg.eigh(np.cov((flat - centre).T))
@@ -103,7 +103,7 @@ def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> li
     return runs
 
 
-def _connected(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
+def _connect(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
     """Indices of the points of each connected patch, large ones first."""
     cells = np.floor((flat - flat.min(axis=0)) / _CELL).astype(int)
     grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)
@@ -116,16 +116,16 @@ def _connected(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
     return sorted((patch for patch in patches if len(patch) >= _FEWEST), key=lambda patch: -len(patch))[:6]
 
 
-def _examined(face: Face, seen: FaceRays, run: Run) -> _Found | None:
+def _examine(face: Face, seen: FaceRays, run: Run) -> _Found | None:
     """Fit a round bar about a run, find its ends and pivot, and weigh it."""
     rays = SurroundingRays(
         seen.rays.start, seen.rays.direction, seen.rays.length, np.abs(seen.ends[:, 2]) < 2.0 * face.sigma
     )
-    bar = _fitted(rays, run)
+    bar = _fit(rays, run)
     if bar is None:
         return None
     ends = likely_ends(rays, bar, None)
-    again = _fitted(rays, Run(ends.bar.centre, ends.bar.axis, ends.bar.first, ends.bar.last))
+    again = _fit(rays, Run(ends.bar.centre, ends.bar.axis, ends.bar.first, ends.bar.last))
     if again is not None:
         ends = likely_ends(rays, again, None)
     bar = ends.bar
@@ -152,7 +152,7 @@ def _examined(face: Face, seen: FaceRays, run: Run) -> _Found | None:
     return _Found(face, ends, evidence, pivot, float(confidence))
 
 
-def _fitted(rays: SurroundingRays, run: Run) -> Bar | None:
+def _fit(rays: SurroundingRays, run: Run) -> Bar | None:
     """The round bar that explains best what is seen about a run."""
     sample = sample_about(rays, run, _TUBE, 400)
     if sample is None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from perception.cloud import Cloud, make_cloud, merged
+from perception.cloud import Cloud, make_cloud, merge_clouds
 from perception.errors import CloudError
 from perception.files.bag import Message
 from perception.files.oddities import rounding_note, without_empty_rows
@@ -90,7 +90,7 @@ def read_clouds(
         clouds.append(_thinned(cloud, step))
         while sum(len(one.points) + len(one.misses) for one in clouds) > MAX_POINTS:
             clouds, step = [_thinned(one, 2) for one in clouds], 2 * step
-    whole = merged(clouds)
+    whole = merge_clouds(clouds)
     if step == 1:
         return whole
     note = f"took 1 of every {step} points of all files, since at most {MAX_POINTS} are used together"

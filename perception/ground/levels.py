@@ -102,9 +102,9 @@ def find_floors(
     main = _under_robot(points, levels, stand)
     if main is None:
         return ()
-    kept = [main, *_reached(points, main, [level for level in levels if level is not main])]
-    first = main.plane if rays is None else _bounded(points, main, rays, stand, extent)
-    return (first, *(_outlined(points, level, rays) for level in kept[1:]))
+    kept = [main, *_reach(points, main, [level for level in levels if level is not main])]
+    first = main.plane if rays is None else _bound(points, main, rays, stand, extent)
+    return (first, *(_outline(points, level, rays) for level in kept[1:]))
 
 
 def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.Generator) -> Iterator[_Level]:
@@ -125,8 +125,8 @@ def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.G
         best = int(np.argmax(score))
         if score[best] * PATCH**2 < 0.4 * _SMALL:
             return
-        fitted = _fitted(points, patches, free, normals[best], float(offsets[best]))
-        level = None if fitted is None else _seen(points, patches, *fitted)
+        fitted = _fit(points, patches, free, normals[best], float(offsets[best]))
+        level = None if fitted is None else _find_parts(points, patches, *fitted)
         if level is not None:
             free[patches.of_point[level.members]] = False
             yield level
@@ -138,7 +138,7 @@ def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.G
         near, normals, offsets, whole = near[:, unlike], normals[unlike], offsets[unlike], whole[unlike]
 
 
-def _fitted(
+def _fit(
     points: Float[np.ndarray, "N 3"],
     patches: Patches,
     free: Bool[np.ndarray, "P"],
@@ -162,7 +162,7 @@ def _fitted(
     return best[1], best[2], usable[np.abs(mine @ best[1] - best[2]) < _BAND]
 
 
-def _seen(
+def _find_parts(
     points: Float[np.ndarray, "N 3"],
     patches: Patches,
     normal: Float[np.ndarray, "3"],
@@ -263,7 +263,7 @@ def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.
     return below > _MOST_BEFORE * len(level.members)
 
 
-def _reached(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level]) -> Iterator[_Level]:
+def _reach(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level]) -> Iterator[_Level]:
     """Levels a robot could step to from level to level, and large ground below, each without its broken parts."""
     open_ends = [main]
     lowest = main.places[:, 2].min()
@@ -294,7 +294,7 @@ def _unbroken(points: Float[np.ndarray, "N 3"], level: _Level) -> _Level | None:
     return _Level(replace(level.plane, area=area), cells, members) if area >= _SMALL else None
 
 
-def _outlined(
+def _outline(
     points: Float[np.ndarray, "N 3"],
     level: _Level,
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]] | None,
@@ -322,7 +322,7 @@ def _outlined(
     return replace(level.plane, outlines=outlines_of(level.plane, near[belongs], level.places[:, :2], rays))
 
 
-def _bounded(
+def _bound(
     points: Float[np.ndarray, "N 3"],
     main: _Level,
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],

@@ -59,7 +59,7 @@ def _is_there(
     is_seen = _area(own[:, :2]) >= _LEAST_SEEN * floor.area
     if not is_seen and not (is_stood_on and _is_lowest(floor, own, points)):
         return False
-    if _moved(floor, own) > (_MOVED if is_seen and is_stood_on else _MOVED_FAR):
+    if _movement(floor, own) > (_MOVED if is_seen and is_stood_on else _MOVED_FAR):
         return False
     centre, extent = np.array([reach.x, reach.y]), reach.radius + _BEYOND
     holes = pierced_cells(floor.normal, floor.offset, rays, own[:, :2], centre, extent)
@@ -84,7 +84,7 @@ def _area(xy: Float[np.ndarray, "N 2"]) -> float:
     return float(picture.sum()) * _CELL**2
 
 
-def _moved(floor: FloorPlane, own: Float[np.ndarray, "N 3"]) -> float:
+def _movement(floor: FloorPlane, own: Float[np.ndarray, "N 3"]) -> float:
     """How far a plane through the points lies off the level, at the worst of them; zero where there are too few [m]."""
     fitted = least_squares(own, floor.normal, floor.offset, (_BAND, _BAND))
     if fitted is None:

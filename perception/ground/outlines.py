@@ -64,7 +64,7 @@ def _parts(
     """Indices of the places that hang together, across gaps of scan lines but not across holes, with the core."""
     lower, shape = _grid(places, _CELL)
     seen = _picture(places, lower, shape, _CELL)
-    joined = _closed(seen) & ~_picture(holes, lower, shape, _CELL)
+    joined = _close(seen) & ~_picture(holes, lower, shape, _CELL)
     label, n_parts = ndimage.label(joined | seen, structure=_AROUND)
     of_place = label[tuple(np.floor((places - lower) / _CELL).astype(int).T)]
     is_kept = np.zeros(n_parts + 1, dtype=bool)
@@ -75,7 +75,7 @@ def _parts(
 def _wide_gaps(places: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "G 2"]:
     """Middles of cells farther from the places than gaps between scan lines and a ragged border explain [m]."""
     lower, shape = _grid(places, _FINE)
-    closed = _closed(_picture(places, lower, shape, _FINE))
+    closed = _close(_picture(places, lower, shape, _FINE))
     return np.asarray((np.argwhere(~ndimage.binary_dilation(closed, structure=_AROUND)) + 0.5) * _FINE + lower)
 
 
@@ -85,7 +85,7 @@ def _grid(places: Float[np.ndarray, "N 2"], cell: float) -> tuple[Float[np.ndarr
     return lower, np.ceil((places.max(axis=0) - lower) / cell).astype(int) + _CLOSING + 1
 
 
-def _closed(seen: Bool[np.ndarray, "U V"]) -> Bool[np.ndarray, "U V"]:
+def _close(seen: Bool[np.ndarray, "U V"]) -> Bool[np.ndarray, "U V"]:
     return np.asarray(ndimage.binary_closing(seen, structure=_AROUND, iterations=_CLOSING))
 
 

@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from perception.solids.mesh import Mesh as Mesh  # the sensors and scenes take it from here
 
 
-def joined(meshes: Sequence[Mesh]) -> Mesh:
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """All triangles in one mesh."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     triangles = [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]
@@ -70,7 +70,7 @@ def capsule(start: Sequence[float], end: Sequence[float], radius: float) -> Mesh
 
 def bent_bar(path: Sequence[Sequence[float]], radius: float) -> Mesh:
     """A round bar along a polyline."""
-    return joined([capsule(a, b, radius) for a, b in pairwise(path)])
+    return join_meshes([capsule(a, b, radius) for a, b in pairwise(path)])
 
 
 def lathe(

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from perception.cloud import Cloud
 from perception.simulate.cast import Caster
-from perception.simulate.mesh import Mesh, joined
+from perception.simulate.mesh import Mesh, join_meshes
 from perception.simulate.sensor import Pose, Scanner, Sensor
 
 _SCANNER = Scanner()
@@ -39,7 +39,7 @@ def scan(
     rng = np.random.default_rng(seed)
     origin = np.array(pose.position)
     direction = sensor.directions() @ pose.rotation.T
-    caster = Caster(joined(meshes))
+    caster = Caster(join_meshes(meshes))
     hits = caster.hits(origin, direction)
     beside = caster.hits(origin, _aside(direction, sensor.footprint_deg, rng)).distance
     ranges = sensor.measured(hits, beside, rng)

@@ -78,7 +78,7 @@ class Sensor(Protocol):
         ...
 
 
-def mixed(
+def mix_ranges(
     first: Float[np.ndarray, "R"], beside: Float[np.ndarray, "R"], share: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "R"]:
     """Ranges of which some at edges (more than 3 cm deep) lie anywhere between both surfaces.
@@ -130,7 +130,7 @@ class Scanner:
 
     def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
         """Mixed pixels at edges, and noise that does not depend on the range."""
-        ranges = mixed(hits.distance, beside, self.mixed_share, rng)
+        ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
         return ranges + rng.normal(0.0, self.sigma, len(ranges))
 
 
@@ -171,7 +171,7 @@ class SolidState:
 
     def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
         """Mixed pixels at edges, and noise that grows on surfaces seen at a slant."""
-        ranges = mixed(hits.distance, beside, self.mixed_share, rng)
+        ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
         return np.asarray(ranges + rng.normal(0.0, 1.0, len(ranges)) * self.deviation(hits))
 
     def deviation(self, hits: Hits) -> Float[np.ndarray, "R"]:
@@ -235,7 +235,7 @@ class DepthCamera:
     def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
         """Flying pixels, holes, and disparities with an error, rounded."""
         forward = self.directions()[:, 0]
-        depth = mixed(hits.distance, beside, self.mixed_share, rng) * forward
+        depth = mix_ranges(hits.distance, beside, self.mixed_share, rng) * forward
         error = gaussian_filter(rng.normal(size=(self.height, self.width)), self.correlation, mode="wrap")
         disparity = self.focal * self.baseline / depth + self.matching * error.ravel() / error.std()
         disparity = self.step * np.round(disparity / self.step)

@@ -113,9 +113,9 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
                 points = points[~bar.holds(points, _NEAR_BAR)]
             if len(known) == n_known:
                 break
-        found = [_anew(index, one, found, view.floor) for one in found]
+        found = [_settle_again(index, one, found, view.floor) for one in found]
     found.sort(key=lambda one: -one.confidence)
-    return [_as_detection(one) for one in _apart(found)]
+    return [_as_detection(one) for one in _drop_duplicates(found)]
 
 
 def loose_points(view: View) -> Float[np.ndarray, "N 3"]:
@@ -161,16 +161,16 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
         ends = likely_ends(rays, before, floor)
         if _end_moves(before, ends.bar) < _HIDDEN_STRETCH - _BEYOND:
             break
-    settled = [_settled(rays, ends.bar, choice.fit, floor)]
+    settled = [_settle(rays, ends.bar, choice.fit, floor)]
     if ends.bar.length < _SHORT * (run.last - run.first):
         # It may lie askew in what it was fitted to.
-        settled.append(_settled(rays, _spanning(ends.bar, run), choice.fit, floor))
+        settled.append(_settle(rays, _span(ends.bar, run), choice.fit, floor))
     return max(
         (one for one in settled if one is not None), key=lambda one: one.confidence * one.bar.length, default=None
     )
 
 
-def _anew(index: SightIndex, one: _Beam, found: Sequence[_Beam], floor: FloorPlane | None) -> _Beam:
+def _settle_again(index: SightIndex, one: _Beam, found: Sequence[_Beam], floor: FloorPlane | None) -> _Beam:
     """Settled with what was found after it and with what it may be a part of, where that makes it surer."""
     others = [other for other in found if other is not one and not _same(other.bar, one.bar)]
     parts = [other.bar for other in others if _continues(other.bar, one.bar)]
@@ -178,11 +178,11 @@ def _anew(index: SightIndex, one: _Beam, found: Sequence[_Beam], floor: FloorPla
         return one
     bar = one.bar
     for part in parts:
-        bar = _spanning(bar, run_of(part))
+        bar = _span(bar, run_of(part))
     sure = [other.bar for other in others if other.confidence > _EXPLAINS]
     known = [other for other in sure if not _continues(other, one.bar)]
     rays = rays_about(index, run_of(bar), _BEYOND, floor, known)
-    new = _settled(rays, bar, one.fit, floor)
+    new = _settle(rays, bar, one.fit, floor)
     return one if new is None or new.confidence < one.confidence else new
 
 
@@ -195,7 +195,7 @@ def _continues(bar: Bar, other: Bar) -> bool:
     return abs(bar.axis @ other.axis) > _IN_LINE and off < _OFF_LINE and gap < _APART
 
 
-def _settled(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None) -> _Beam | None:
+def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None) -> _Beam | None:
     """Fit between the ends that were found until they stay, and weigh; None when it is hopeless."""
     early = weigh_bar(rays, bar)
     if bar.length < _LEAST_LENGTH or early.solid < 0.5:
@@ -206,7 +206,7 @@ def _settled(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | N
         wider = [replace(bar, half=half) for half in ((width + _WIDER, thickness), (width, thickness + _WIDER))]
         if all(weigh_bar(rays, one).air < _LEAST_AIR for one in wider):
             return None
-    fitted = _fitted(rays, bar, fit, floor, _MOST_FITS)
+    fitted = _fit(rays, bar, fit, floor, _MOST_FITS)
     if fitted is None:
         return None
     choice, ends = fitted
@@ -229,7 +229,7 @@ def _settled(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | N
     )
 
 
-def _fitted(
+def _fit(
     rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None, n_fits: int
 ) -> tuple[Choice, LikelyEnds] | None:
     """The bar fitted between its ends, and these found anew; again when they moved."""
@@ -240,7 +240,7 @@ def _fitted(
     if ends.bar.length < _LEAST_LENGTH:
         return None
     if n_fits > 1 and _end_moves(bar, ends.bar) > _STAYS:
-        return _fitted(rays, ends.bar, choice.fit, floor, n_fits - 1)
+        return _fit(rays, ends.bar, choice.fit, floor, n_fits - 1)
     return choice, ends
 
 
@@ -250,7 +250,7 @@ def _end_moves(before: Bar, after: Bar) -> float:
     return max(abs(after.first + shift - before.first), abs(after.last + shift - before.last))
 
 
-def _spanning(bar: Bar, run: Run) -> Bar:
+def _span(bar: Bar, run: Run) -> Bar:
     """At least as long as a run along it."""
     middle, sign = float((run.place - bar.centre) @ bar.axis), float(np.sign(run.axis @ bar.axis))
     first, last = sorted((middle + sign * run.first, middle + sign * run.last))
@@ -305,7 +305,7 @@ def _off_size(width: float, thickness: float) -> float:
     return float(nearest.max(axis=1).min())
 
 
-def _apart(found: list[_Beam]) -> list[_Beam]:
+def _drop_duplicates(found: list[_Beam]) -> list[_Beam]:
     """Without those that lie in a surer one, or just beside it in the same direction."""
     kept: list[_Beam] = []
     for one in found:

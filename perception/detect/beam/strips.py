@@ -98,14 +98,14 @@ def find_strips(
         batch = batch[~taken[batch]]
         starts = []
         for seed, near in zip(batch, tree.query_ball_point(points[batch], _BALL, return_sorted=True), strict=True):
-            start = _at_seed(points, int(seed), np.asarray(near, dtype=np.int64), rng)
+            start = _best_at_seed(points, int(seed), np.asarray(near, dtype=np.int64), rng)
             if start is not None:
                 starts.append((*start, int(seed)))
         starts.sort(key=lambda start: -start[0])
         for _, axis, normal, across, seed in starts:
             if taken[seed]:
                 continue
-            grown = _grown(points, points[seed], axis, normal, across, towards)
+            grown = _grow(points, points[seed], axis, normal, across, towards)
             if grown is None:
                 continue
             strip, members = grown
@@ -138,7 +138,7 @@ def _in_walls(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
 _Start = tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"], tuple[float, float]]
 
 
-def _at_seed(
+def _best_at_seed(
     points: Float[np.ndarray, "N 3"], seed: int, local: Int[np.ndarray, "K"], rng: np.random.Generator
 ) -> _Start | None:
     """The best strip through a seed: score, axis, normal, and between which places across it lies [m]."""
@@ -201,7 +201,7 @@ def _at_seed(
     return score, axis, normal, edges
 
 
-def _grown(
+def _grow(
     points: Float[np.ndarray, "N 3"],
     seed: Float[np.ndarray, "3"],
     axis: Float[np.ndarray, "3"],
@@ -212,7 +212,7 @@ def _grown(
     """The strip fitted to its points and followed as far as they go on, and which points those are."""
     poll()
     side = cross(normal, axis)
-    # The axis' sign in _at_seed: across is measured along normal x axis.
+    # The axis' sign in _best_at_seed: across is measured along normal x axis.
     place = seed + 0.5 * (edges[0] + edges[1]) * side
     half, low, high = 0.5 * (edges[1] - edges[0]), -_BALL, _BALL
     away = np.abs((points - place) @ np.column_stack([normal, side]))
@@ -314,7 +314,7 @@ def straight_parts(strip: Strip) -> list[Strip]:
     if total < len(bins) * _BENT**2 or misfits[best] > _LEFT * total:
         return [strip]
     before = number < bins[breaks[best]]
-    return [_refitted(strip, strip.members[part]) for part in (before, ~before)]
+    return [_refit(strip, strip.members[part]) for part in (before, ~before)]
 
 
 def _course(
@@ -340,7 +340,7 @@ def _misfit(bins: Int[np.ndarray, "B"], course: Float[np.ndarray, "B 3"]) -> flo
     return float(((off - x[:, None] * slope) ** 2).sum())
 
 
-def _refitted(strip: Strip, members: Float[np.ndarray, "K 3"]) -> Strip:
+def _refit(strip: Strip, members: Float[np.ndarray, "K 3"]) -> Strip:
     """As long, wide and inclined as these of its points."""
     middle = members.mean(axis=0)
     vectors = np.linalg.eigh(np.cov((members - middle).T))[1]

@@ -109,10 +109,10 @@ def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
     noise = dict.fromkeys(("side", "across"), 0.0)
     for out in _STANDOFFS:
         seen = rays_towards(rays, face, out)
-        grid = _summed(face, seen, face.votes(seen.depth, out))
+        grid = _sum_votes(face, seen, face.votes(seen.depth, out))
         # No ray ends behind a face, so that what seems to lie as far behind it as a handle lies before it is noise.
         within = seen.mine & (seen.depth > -_WENT_ON)
-        mirrored = _summed(face, Towards(seen.at, -seen.depth, within), face.votes(-seen.depth, out))
+        mirrored = _sum_votes(face, Towards(seen.at, -seen.depth, within), face.votes(-seen.depth, out))
         for zone in _zones(prefer):
             found, dent = _best_box(grid, face, zone, out), _best_box(mirrored, face, zone, out)
             if found is not None and (zone not in best or found.evidence > best[zone].evidence):
@@ -133,7 +133,7 @@ def _place(zone: str) -> str:
     return "across" if zone == "across" else "side"
 
 
-def _summed(face: DoorFace, seen: Towards, votes: Float[np.ndarray, "R"]) -> Float[np.ndarray, "U V"]:
+def _sum_votes(face: DoorFace, seen: Towards, votes: Float[np.ndarray, "R"]) -> Float[np.ndarray, "U V"]:
     """The votes in cells from the face's lower left corner."""
     shape = np.ceil([face.width / _CELL, (REACH[1] - REACH[0]) / _CELL]).astype(int) + 1
     cell = np.floor((seen.at[seen.mine] - [face.low, face.ground + REACH[0]]) / _CELL).astype(int)

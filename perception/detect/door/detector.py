@@ -67,13 +67,13 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     rays = _useful(Rays(starts, ends), view)
     origin = np.median(view.starts, axis=0) if len(view.starts) else np.zeros(3)
     rng = np.random.default_rng(view.seed)
-    few_rays, few_points = _some(rays, rng), _some_points(view.obstacles, rng)
+    few_rays, few_points = _thin(rays, rng), _some_points(view.obstacles, rng)
     uprights = find_uprights(view.obstacles, origin)
     leaves = find_leaves(view.obstacles, few_rays, origin, ground, uprights)
     if hint is not None:
         leaves = [leaf for leaf in leaves if _distance(leaf, np.asarray(hint, dtype=float)) < _HINT_REACH]
     candidates = [
-        _weighed(
+        _weigh(
             leaf,
             find_frame(leaf, few_points, few_rays, origin, ground, uprights),
             rays,
@@ -84,7 +84,7 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     ]
     candidates = [one for one in candidates if one.confidence >= _REPORTED]
     candidates.sort(key=lambda one: -one.confidence)
-    return [_detection(one, ground) for one in _apart(candidates)]
+    return [_detection(one, ground) for one in _drop_duplicates(candidates)]
 
 
 def _ground(view: View) -> float:
@@ -109,7 +109,7 @@ def _distance(leaf: Leaf, hint: Float[np.ndarray, "3"]) -> float:
     return float(np.hypot(aside, out))
 
 
-def _some(rays: Rays, rng: np.random.Generator) -> Rays:
+def _thin(rays: Rays, rng: np.random.Generator) -> Rays:
     """At most so many rays as are needed to tell where space is open."""
     if len(rays.ends) <= _ENOUGH:
         return rays
@@ -122,7 +122,7 @@ def _some_points(points: Float[np.ndarray, "N 3"], rng: np.random.Generator) -> 
     return points if len(points) <= _ENOUGH else points[np.sort(rng.permutation(len(points))[:_ENOUGH])]
 
 
-def _weighed(
+def _weigh(
     leaf: Leaf, frame: Frame | None, rays: Rays, ground: float, hint: Float[np.ndarray, "3"] | None
 ) -> _Candidate:
     """The leaf with its handle, its hinge side, and how surely it is a door."""
@@ -192,7 +192,7 @@ def _unsure(handle: Handle, free_side: int) -> float:
     return 0.0 if handle.is_panic else max(handle.slack)
 
 
-def _apart(candidates: list[_Candidate]) -> list[_Candidate]:
+def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
     """Without those whose middle lies on a surer one."""
     kept: list[_Candidate] = []
     for one in candidates:

@@ -75,7 +75,7 @@ def find_frame(
     """
     best: tuple[float, Frame] | None = None
     for plane in (*_beside(leaf, points, origin, ground), *uprights):
-        frame = _hung(leaf, plane, points, rays, origin, ground)
+        frame = _hang(leaf, plane, points, rays, origin, ground)
         if frame is None:
             continue
         # Of walls that hold it equally well, the one whose yaw needs least opening.
@@ -112,7 +112,7 @@ def _beside(
     return planes
 
 
-def _hung(
+def _hang(
     leaf: Leaf,
     start: Upright,
     points: Float[np.ndarray, "N 3"],
@@ -121,14 +121,14 @@ def _hung(
     ground: float,
 ) -> Frame | None:
     """The leaf as hung in this wall; None when it cannot be."""
-    frame = _judged(leaf, start, points, rays, ground)
+    frame = _judge(leaf, start, points, rays, ground)
     if frame is None:
         return None
-    plane = _refined(leaf, frame, points, origin, ground)
-    return frame if plane is None else _judged(leaf, plane, points, rays, ground) or frame
+    plane = _refine(leaf, frame, points, origin, ground)
+    return frame if plane is None else _judge(leaf, plane, points, rays, ground) or frame
 
 
-def _judged(leaf: Leaf, plane: Upright, points: Float[np.ndarray, "N 3"], rays: Rays, ground: float) -> Frame | None:
+def _judge(leaf: Leaf, plane: Upright, points: Float[np.ndarray, "N 3"], rays: Rays, ground: float) -> Frame | None:
     ends = np.stack([leaf.plane.place(leaf.low.at), leaf.plane.place(leaf.high.at)])
     local = plane.local(ends)
     ajar = float(np.arccos(np.clip(abs(leaf.plane.along @ plane.along), 0.0, 1.0)))
@@ -215,7 +215,7 @@ def _opening(profile: Profile, wall: Float[np.ndarray, "N"], middle: float, widt
     return float(ends[1] - ends[0])
 
 
-def _refined(
+def _refine(
     leaf: Leaf, frame: Frame, points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], ground: float
 ) -> Upright | None:
     """The wall's plane fitted to its points within a metre of the opening, the leaf's own left out."""

@@ -83,7 +83,7 @@ def find_handle(
         prefer: side on which it must be (-1 low, 1 high); 0 either.
     """
     face = DoorFace(plane, low, high, ground, float(np.clip(rms, 0.006, 0.02)))
-    seen = [_measured(face, rays, bump) for bump in find_bumps(face, rays, prefer)]
+    seen = [_measure(face, rays, bump) for bump in find_bumps(face, rays, prefer)]
     return max(seen, key=lambda one: (one.quality, one.evidence), default=None)
 
 
@@ -120,9 +120,9 @@ class _Seen:
         return np.asarray(((self.at >= self.low - margin) & (self.at <= self.high + margin)).all(axis=1))
 
 
-def _measured(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
+def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
     """Extent, standoff and surroundings of a bump, from the rays towards it."""
-    seen = _seen(face, rays, bump)
+    seen = _look_at(face, rays, bump)
     width, height = seen.size
     is_panic = bool(width > 0.4 * face.width)
     is_lever = bool(not is_panic and width > 0.065 and width > 1.6 * height)
@@ -140,14 +140,14 @@ def _measured(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
         is_panic,
         bump.evidence,
         float(np.mean(seen.vote[inside] > 0.0)) if inside.any() else 0.0,
-        _alone(face, seen, is_pull),
+        _free_share(face, seen, is_pull),
         int((inside & (seen.vote > 0.0)).sum()),
         _neck_side(face, seen) if is_lever else 0,
         _slack(face, seen),
     )
 
 
-def _seen(face: DoorFace, rays: Rays, bump: Bump) -> _Seen:
+def _look_at(face: DoorFace, rays: Rays, bump: Bump) -> _Seen:
     """What the rays towards a bump met: its standoff first, then where it ends."""
     out = bump.out
     for _ in range(2):
@@ -180,7 +180,7 @@ def _ends(seen: _Seen, at: Float[np.ndarray, "R 2"]) -> tuple[Float[np.ndarray, 
     return _corners(at[seen.mine][seen.met]) if seen.met.sum() >= _FEWEST else (seen.low, seen.high)
 
 
-def _alone(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
+def _free_share(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
     """Share of the rays just beside it that met the face; a pipe or post before the face goes on above and below."""
     on_face = np.abs(seen.depth) < max(2.5 * face.sigma, 0.02)
     beside = [seen.within(_RING) & ~seen.within(_ABOUT)]

@@ -81,7 +81,7 @@ def find_leaves(
             start = _on_line(points, plane, low, high, line)
             if len(start) < 30:
                 continue
-            leaf = _settled_leaf(points[start], points, rays, origin, ground)
+            leaf = _settle_leaf(points[start], points, rays, origin, ground)
             if leaf is not None and not any(_same(leaf, other) for other in leaves):
                 leaves.append(leaf)
     return leaves
@@ -106,14 +106,14 @@ def _flat_runs(profile: Profile, stretches: list[Stretch]) -> list[tuple[float, 
         if np.isnan(seed.slope) or abs(seed.slope) > _STEEPEST or (seed.last - seed.first) * BIN < 0.2:
             continue
         off = np.abs(profile.depth - seed.slope * centres - seed.intercept)
-        first, last = _grown(profile, stretches, stretches.index(seed), off, _FLAT)
+        first, last = _grow(profile, stretches, stretches.index(seed), off, _FLAT)
         if _LEAST_SEEN <= (last - first) * BIN <= WIDTHS[1] + 0.1:
             low = profile.low + first * BIN
             out.append((low, low + (last - first) * BIN, (seed.slope, seed.intercept)))
     return out
 
 
-def _grown(
+def _grow(
     profile: Profile, stretches: list[Stretch], index: int, off: Float[np.ndarray, "B"], tolerance: float
 ) -> tuple[int, int]:
     """The seed and the stretches beside it that stay within the tolerance of its line; a narrow one may not."""
@@ -166,7 +166,7 @@ def _on_line(
     return np.flatnonzero(inside & (np.abs(local[:, 2] - line[0] * local[:, 0] - line[1]) < 0.035))
 
 
-def _settled_leaf(
+def _settle_leaf(
     start: Float[np.ndarray, "K 3"],
     points: Float[np.ndarray, "N 3"],
     rays: Rays,
@@ -189,7 +189,7 @@ def _settled_leaf(
     index = next(i for i, stretch in enumerate(stretches) if stretch.first <= column < stretch.last)
     if np.isnan(stretches[index].slope):
         return None
-    first, last = _grown(profile, stretches, index, np.abs(profile.depth), _RELIEF)
+    first, last = _grow(profile, stretches, index, np.abs(profile.depth), _RELIEF)
     first, last = _with_strips(profile, stretches, first, last)
     if not _LEAST_SEEN <= (last - first) * BIN <= WIDTHS[1] + 0.1:
         return None
@@ -206,14 +206,14 @@ def _settled_leaf(
     members = points[on & (local[:, 1] < ground + top - 0.03)]
     if len(members) < 40:
         return None
-    plane = _refitted(plane, members, origin)
+    plane = _refit(plane, members, origin)
     rms = float(np.std(members @ plane.normal - plane.offset))
     spread = float(np.std(members @ plane.along))
     sigma = rms / max(spread, 1e-3) / np.sqrt(len(members))
     return Leaf(plane, low, high, bottom, bottom_is_seen, top, top_is_seen, rms, sigma, profile, members)
 
 
-def _refitted(plane: Upright, members: Float[np.ndarray, "K 3"], origin: Float[np.ndarray, "3"]) -> Upright:
+def _refit(plane: Upright, members: Float[np.ndarray, "K 3"], origin: Float[np.ndarray, "3"]) -> Upright:
     """The plane that most of the members lie on; what stands out (handle, seals) pulls at it no more than noise."""
     for _ in range(4):
         off = members @ plane.normal - plane.offset

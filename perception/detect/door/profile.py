@@ -129,7 +129,7 @@ def take_profile(
     square = np.bincount(column[near], (local[near, 2] - centre[column[near]]) ** 2, n_columns)
     # Few points tell nothing of their scatter: one centimetre is taken as known.
     sigma = np.sqrt((square + 1e-4) / (count + 1) / np.maximum(count, 1))
-    storeys = _distinct(column[near], storey[near], (n_columns, n_storeys))
+    storeys = _drop_duplicates(column[near], storey[near], (n_columns, n_storeys))
     centre[storeys < _LEAST_STOREYS] = np.nan
     opened = _open_storeys(plane, rays, start, (n_columns, n_storeys), low, centre)
     return Profile(start, centre, sigma, storeys, opened)
@@ -160,7 +160,7 @@ def _mode(
     return np.asarray(middle[np.where(is_hidden, np.argmax(on_plane, axis=1), best)])
 
 
-def _distinct(column: Int[np.ndarray, "N"], storey: Int[np.ndarray, "N"], shape: tuple[int, int]) -> np.ndarray:
+def _drop_duplicates(column: Int[np.ndarray, "N"], storey: Int[np.ndarray, "N"], shape: tuple[int, int]) -> np.ndarray:
     grid = np.zeros(shape, dtype=bool)
     grid[column, storey] = True
     return np.asarray(grid.sum(axis=1))
@@ -181,7 +181,7 @@ def _open_storeys(
     column, storey = cell[inside, 0], cell[inside, 1]
     level = np.nan_to_num(centre[column], nan=0.0)
     through = end[inside] < np.minimum(level, 0.0) - _BEHIND - _LAYER
-    return _distinct(column[through], storey[through], shape)
+    return _drop_duplicates(column[through], storey[through], shape)
 
 
 def straight_stretches(profile: Profile) -> list[Stretch]:

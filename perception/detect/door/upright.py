@@ -54,7 +54,9 @@ def fit_upright(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]
     return Upright(normal, float(normal[:2] @ centre))
 
 
-def settled(start: Upright, points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], band: float) -> Upright:
+def settle_plane(
+    start: Upright, points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], band: float
+) -> Upright:
     """The plane of the points within ``band`` of it, taken until it stands still."""
     plane = start
     for _ in range(5):
@@ -92,7 +94,7 @@ def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3
         if left.sum() < _LEAST_COLUMNS:
             break
         plane = _most_voted(centre[left], weight[left], origin)
-        plane = settled(plane, means[standing], origin, 0.04)
+        plane = settle_plane(plane, means[standing], origin, 0.04)
         on = left & (np.abs(centre @ plane.normal[:2] - plane.offset) < 0.05)
         if on.sum() < _LEAST_COLUMNS:
             break

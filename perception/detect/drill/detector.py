@@ -106,7 +106,7 @@ def _begin(index: SightIndex, cluster: StandingCluster, supported: float) -> _Be
     grip = float(np.clip(tall - 2.0 * FOOT[2] - 0.03 - BODY_RADIUS, 0.08, 0.17))
     costs = [(_cost(few, least, cluster.level, shape), shape) for shape in _starts(cluster, grip)]
     costs.sort(key=lambda one: one[0])
-    starts = tuple(_distinct([shape for _, shape in costs])[:3])
+    starts = tuple(_drop_duplicates([shape for _, shape in costs])[:3])
     return _Begun(cluster, supported, least, rays, few, starts, costs[0][0])
 
 
@@ -129,7 +129,7 @@ def _finish(begun: _Begun, is_hinted: bool) -> Detection:
         )
         fits.append(Shape.of(result.x))
     best = min(fits, key=lambda shape: _cost(begun.rays, begun.least, level, shape))
-    return _judged(begun, best, is_hinted)
+    return _judge(begun, best, is_hinted)
 
 
 def _starts(cluster: StandingCluster, grip: float) -> list[Shape]:
@@ -144,7 +144,7 @@ def _starts(cluster: StandingCluster, grip: float) -> list[Shape]:
     return shapes
 
 
-def _distinct(shapes: list[Shape]) -> list[Shape]:
+def _drop_duplicates(shapes: list[Shape]) -> list[Shape]:
     """Of those that look nearly the same way only the first."""
     kept: list[Shape] = []
     for shape in shapes:
@@ -177,7 +177,7 @@ def _cost(rays: Sightlines, least: float, level: float, shape: Shape) -> float:
     return float(each.mean() + 0.03 * usual)
 
 
-def _judged(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
+def _judge(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
     """The drill as a detection."""
     rays, cluster = begun.rays, begun.cluster
     outside, depth = meet(rays, shape, cluster.level)

@@ -62,7 +62,7 @@ def standing_clusters(view: View) -> list[StandingCluster]:
     found: list[StandingCluster] = []
     for level in levels:
         layer = standing[(standing[:, 2] > level + _OVER[0]) & (standing[:, 2] < level + _OVER[1])]
-        found += [StandingCluster(one, level) for one in _on_foot(_linked(layer), level)]
+        found += [StandingCluster(one, level) for one in _on_foot(_link(layer), level)]
     return sorted(found, key=lambda one: -len(one.points))
 
 
@@ -107,7 +107,7 @@ def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
     return sorted(heights)
 
 
-def _linked(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
+def _link(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
     """Groups of points within 3 cm of a neighbour, 12 cm above or below it: what overhangs hides what is under it."""
     poll()
     if len(points) < _LEAST_POINTS:
@@ -132,7 +132,7 @@ def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
     """
     pairs = _pairs(cluster.points)
     n_neighbours = np.bincount(pairs.ravel(), minlength=len(cluster.points))
-    levels = [_linked(cluster.points[n_neighbours >= least]) for least in _LEAST_NEIGHBOURS]
+    levels = [_link(cluster.points[n_neighbours >= least]) for least in _LEAST_NEIGHBOURS]
     return [[StandingCluster(part, cluster.level) for part in _on_foot(parts, cluster.level)] for parts in levels]
 
 

@@ -10,7 +10,16 @@ from threadpoolctl import threadpool_limits
 
 from perception.cleaning.clean import voxel_downsample
 from perception.detect.hose.tips import Tip, find_tips
-from perception.detect.hose.tube import STRAIGHT, Tube, TubeEvidence, misfits, refined, settled, square_to, weigh_tube
+from perception.detect.hose.tube import (
+    STRAIGHT,
+    Tube,
+    TubeEvidence,
+    misfits,
+    refine_tube,
+    settle_tube,
+    square_to,
+    weigh_tube,
+)
 from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
 from perception.detect.shared.slender import is_flat
@@ -100,10 +109,10 @@ def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     with threadpool_limits(limits=1, user_api="blas"):
         tips = [tip for tip in find_tips(points, places, _WIDEST) if _may_be_open(index, tip)]
         candidates = sorted((_candidate(index, tip) for tip in tips), key=lambda one: one.misfit)
-        fitted = sorted((_fitted(one) for one in _apart(candidates)[:_MOST_FITTED]), key=lambda one: one.misfit)
+        fitted = sorted((_fit(one) for one in _drop_duplicates(candidates)[:_MOST_FITTED]), key=lambda one: one.misfit)
         for _ in range(_ROUNDS):
-            fitted = [_fitted(one) for one in fitted[:_MOST_JUDGED]]
-        found = [_judged(index, one, hint is not None) for one in fitted if not _stands(points, one.tube, view.floor)]
+            fitted = [_fit(one) for one in fitted[:_MOST_JUDGED]]
+        found = [_judge(index, one, hint is not None) for one in fitted if not _stands(points, one.tube, view.floor)]
     found = sorted(
         (one for one in found if one.confidence > _REPORTED), key=lambda one: one.misfit - 2.0 * one.confidence
     )
@@ -140,7 +149,7 @@ def _candidate(index: SightIndex, tip: Tip) -> _Candidate:
     return _Candidate(tubes[best], rays, np.asarray(mine), float(misfit[best]))
 
 
-def _apart(candidates: list[_Candidate]) -> list[_Candidate]:
+def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
     """Without those that are nearly as a better one."""
     kept: list[_Candidate] = []
     for one in candidates:
@@ -151,9 +160,9 @@ def _apart(candidates: list[_Candidate]) -> list[_Candidate]:
     return kept
 
 
-def _fitted(one: _Candidate) -> _Candidate:
+def _fit(one: _Candidate) -> _Candidate:
     """With the tube fitted to its rays."""
-    tube = refined(one.rays, one.mine, one.tube)
+    tube = refine_tube(one.rays, one.mine, one.tube)
     return replace(one, tube=tube, misfit=float(misfits(one.rays, one.mine, [tube])[0]))
 
 
@@ -174,12 +183,12 @@ def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | No
     return bool(len(filled) and np.bincount(filled).max() >= _LEAST_SECTORS)
 
 
-def _judged(index: SightIndex, one: _Candidate, is_hinted: bool) -> _End:
+def _judge(index: SightIndex, one: _Candidate, is_hinted: bool) -> _End:
     """A fitted tube, weighed, then settled by all rays about it."""
     tube = one.tube
     rays = index.passing(np.stack([tube.mouth, tube.mouth - STRAIGHT * tube.axis]), 1.2 * tube.radius + _BESIDE)
     evidence = weigh_tube(rays, tube)
-    return _End(settled(rays, tube), one.misfit, evidence, _confidence(tube, one.misfit, evidence, is_hinted))
+    return _End(settle_tube(rays, tube), one.misfit, evidence, _confidence(tube, one.misfit, evidence, is_hinted))
 
 
 def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bool) -> float:

@@ -140,7 +140,7 @@ def misfits(rays: Sightlines, mine: Bool[np.ndarray, "N"], tubes: Sequence[Tube]
     return np.asarray(np.where(counts, each, 0.0).sum(axis=1) / max(1, int(mine.sum())))
 
 
-def refined(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube, most_steps: int = 260) -> Tube:
+def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube, most_steps: int = 260) -> Tube:
     """The tube of least misfit near one (Nelder and Mead's simplex)."""
     across, over = square_to(tube.axis)
 
@@ -253,7 +253,7 @@ def _sectors(rays: Sightlines, tube: Tube, depth: Float[np.ndarray, "N"]) -> np.
     return np.asarray((angle * _N_SECTORS).astype(np.int64) % _N_SECTORS)
 
 
-def settled(rays: Sightlines, tube: Tube) -> Tube:
+def settle_tube(rays: Sightlines, tube: Tube) -> Tube:
     """The tube of least squares through the returns from its wall, as long as they most likely go.
 
     Args:
@@ -261,7 +261,7 @@ def settled(rays: Sightlines, tube: Tube) -> Tube:
         tube: near it.
     """
     for near in _ROUNDS:
-        tube = with_mouth_settled(rays, _through_returns(rays, tube, near))
+        tube = settle_mouth(rays, _through_returns(rays, tube, near))
     return tube
 
 
@@ -298,7 +298,7 @@ def _through_returns(rays: Sightlines, tube: Tube, near: float) -> Tube:
     return Tube(mouth, axis / np.linalg.norm(axis), tube.radius + float(change[4]))
 
 
-def with_mouth_settled(rays: Sightlines, tube: Tube) -> Tube:
+def settle_mouth(rays: Sightlines, tube: Tube) -> Tube:
     """The tube moved along its axis to where its returns most likely end.
 
     Looked into, range noise carries returns of wall and rim beyond the mouth; a tube that reaches as far as they do

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from perception.detect.panel.relief import Disc, find_discs
 from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
-from perception.detect.shared.faces import Face, FaceRays, FacesInSight, face_rays, fitted
+from perception.detect.shared.faces import Face, FaceRays, FacesInSight, face_rays, fit_face
 from perception.sightlines import SightIndex
 from perception.view import View
 
@@ -59,13 +59,13 @@ def detect_panel(
         return []
     seen = seen or FacesInSight.of(view, hint)
     with threadpool_limits(limits=1, user_api="blas"):
-        found = [_examined(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
+        found = [_examine(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
     panels = [one for one in found if one is not None and one.confidence >= _REPORTED]
     # Of faces askew and straight through the same panel, both sure, the flatter one is it.
-    return _apart(sorted(panels, key=lambda one: (-round(one.confidence, 2), one.residuals["sigma"])))
+    return _drop_duplicates(sorted(panels, key=lambda one: (-round(one.confidence, 2), one.residuals["sigma"])))
 
 
-def _apart(panels: list[Detection]) -> list[Detection]:
+def _drop_duplicates(panels: list[Detection]) -> list[Detection]:
     """Without those whose centre lies on a surer one: noise may make two faces of one."""
     kept: list[Detection] = []
     for one in panels:
@@ -86,14 +86,14 @@ def _is_panel_sized(face: Face) -> bool:
     return bool(face.size.min() > _SIZES[0] and face.size.max() < _SIZES[1])
 
 
-def _examined(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None:
+def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None:
     """Edges and buttons of a face; None when nothing stands out of it."""
     edges, relief, ends = _Edges(face.low, face.high, (False,) * 4), list[Disc](), np.zeros((0, 3))
     closed = 0.0
     for k in range(_ROUNDS):
         if k > 0:
             # Buttons pull at the plane of a small face: it is fitted anew without them while that makes it flatter.
-            again = fitted(face, ends[_bare(edges, relief, ends)])
+            again = fit_face(face, ends[_bare(edges, relief, ends)])
             if again is None or again.sigma > face.sigma:
                 break
             face = again

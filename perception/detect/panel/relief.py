@@ -133,10 +133,10 @@ def _best(
             best = (float(gain[at]), low + (np.array(at) + 0.5) * _CELL, float(radius))
     if best is None:
         return None
-    return _measured(points, *_sharpened(points, best[1], best[2]), best[0])
+    return _measure(points, *_sharpen(points, best[1], best[2]), best[0])
 
 
-def _sharpened(
+def _sharpen(
     points: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "2"], radius: float
 ) -> tuple[Float[np.ndarray, "2"], float]:
     """The best disc with its middle and radius within a few millimetres of these.
@@ -154,7 +154,7 @@ def _sharpened(
     return centre + np.array([x[best], y[best]]), radius + float(wider[best])
 
 
-def _measured(points: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "2"], radius: float, gain: float) -> Disc:
+def _measure(points: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "2"], radius: float, gain: float) -> Disc:
     """What a disc's points and its surroundings look like."""
     poll()
     apart = np.linalg.norm(points[:, :2] - centre, axis=1)

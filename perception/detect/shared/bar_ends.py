@@ -133,7 +133,7 @@ def _end(
     gain = gain * np.minimum(1.0, _MOST_IN_BIN / np.bincount(in_bin)[in_bin])
     total = np.cumsum(gain)
     steps = np.maximum(np.diff(at, prepend=0.0) - _BIN, 0.0)
-    within = _followed(at, steps, total, np.sort(stopped))
+    within = _count_followed(at, steps, total, np.sort(stopped))
     worth = (total - _UNSEEN_COST * np.cumsum(steps))[:within]
     best = int(np.argmax(worth))
     likely = max(float(at[np.flatnonzero(worth >= worth[best] - _UNDECIDED)[0]]), _BIN)
@@ -150,7 +150,7 @@ def _end(
     return _End(nearest, max(nearest, furthest), is_seen)
 
 
-def _followed(
+def _count_followed(
     at: Float[np.ndarray, "K"],
     steps: Float[np.ndarray, "K"],
     total: Float[np.ndarray, "K"],

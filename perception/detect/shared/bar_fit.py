@@ -81,19 +81,19 @@ def fit_bars(
     """
     if not starts:
         return []
-    bars, usual = [_centred(bar) for bar, _ in starts], np.array([half for _, half in starts])
+    bars, usual = [_centre(bar) for bar, _ in starts], np.array([half for _, half in starts])
     for _ in range(n_rounds):
-        bars, spreads = _solved(rays, bars, usual, most_rays, n_steps)
+        bars, spreads = _solve(rays, bars, usual, most_rays, n_steps)
     return [BarFit(bar, half, spread) for bar, (_, half), spread in zip(bars, starts, spreads, strict=True)]
 
 
-def _centred(bar: Bar) -> Bar:
+def _centre(bar: Bar) -> Bar:
     """Its ends counted from its middle, about which it is tilted."""
     half = 0.5 * bar.length
     return Bar(bar.frame, bar.middle, bar.half, -half, half, bar.section)
 
 
-def _solved(
+def _solve(
     rays: SurroundingRays, bars: list[Bar], usual: Float[np.ndarray, "B 2"], most: int, n_steps: int
 ) -> tuple[list[Bar], list[tuple[float, float]]]:
     """The bars of least robust (soft l1) squared residuals, and the spread of what was fitted."""
@@ -106,7 +106,7 @@ def _solved(
     gradient, curvature = np.zeros((len(bars), n)), np.zeros((len(bars), n, n))
     damping = np.full(len(bars), _FIRST_DAMPING)
     for step in range(n_steps + 1):
-        residuals, jacobian = _linearized(chosen, hit, counts, state, usual, section)
+        residuals, jacobian = _linearize(chosen, hit, counts, state, usual, section)
         root = np.sqrt(1.0 + residuals**2)
         now = 2.0 * (root - 1.0).sum(axis=1)
         better = now < cost
@@ -118,7 +118,7 @@ def _solved(
             break
         damping = np.where(better, 0.3 * damping, 5.0 * damping)
         change = _step(gradient, curvature, damping)
-        state = _moved(best, change, section)
+        state = _move(best, change, section)
     moved = [
         replace(bar, frame=frame, centre=centre, half=(float(half[0]), float(half[1])))
         for bar, frame, centre, half in zip(bars, best.frames, best.centres, best.halves, strict=True)
@@ -144,10 +144,10 @@ def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> 
         fit: fitted to them.
         most_rays: more are thinned.
     """
-    bar = _centred(fit.bar)
+    bar = _centre(fit.bar)
     chosen, hit, counts = _relevant(rays, [bar], most_rays)
     state = _State(bar.frame[None], bar.centre[None], np.array([bar.half]))
-    residuals, jacobian = _linearized(chosen, hit, counts, state, np.array([fit.usual]), bar.section, _SLACK)
+    residuals, jacobian = _linearize(chosen, hit, counts, state, np.array([fit.usual]), bar.section, _SLACK)
     weighted = jacobian / np.sqrt(1.0 + residuals**2)[:, None]
     return _spreads(weighted @ jacobian.transpose(0, 2, 1))[0]
 
@@ -185,7 +185,7 @@ def _chosen(these: Bool[np.ndarray, "B"], one: _State, other: _State) -> _State:
     )
 
 
-def _moved(state: _State, x: Float[np.ndarray, "B n"], section: Section) -> _State:
+def _move(state: _State, x: Float[np.ndarray, "B n"], section: Section) -> _State:
     """The bars after a step: tilts (2), shift across (2), half sizes (2; 1 if round), turn (1)."""
     e0, e1, e2 = (state.frames[:, i] for i in range(3))
     axis = e0 + x[:, 0:1] * e1 + x[:, 1:2] * e2
@@ -199,7 +199,7 @@ def _moved(state: _State, x: Float[np.ndarray, "B n"], section: Section) -> _Sta
     return _State(np.stack([axis, width, cross(axis, width)], axis=1), centres, halves)
 
 
-def _linearized(
+def _linearize(
     rays: Sightlines,
     hit: Bool[np.ndarray, "B N"],
     counts: Bool[np.ndarray, "B N"],

@@ -69,7 +69,7 @@ def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
     ended = (np.abs(side) < radius + _HUB) & (height > low) & (height < bottom - 0.5 * face.sigma)
     wider = (np.abs(side) > radius + _BESIDE) & (np.abs(side) < radius + _HUB) & (height >= bottom)
     held = along[ended | wider]
-    free = np.concatenate([_passed(face, seen, centre, flat, level * bottom, radius) for level in _LEVELS])
+    free = np.concatenate([_passes_behind(face, seen, centre, flat, level * bottom, radius) for level in _LEVELS])
     scores = []
     for end, other in ((bar.first, bar.last), (bar.last, bar.first)):
         mine, far = (_zone(held, free, one, bar) for one in (end, other))
@@ -124,7 +124,7 @@ def _in_bar(
     return offset @ flat, offset @ np.array([-flat[1], flat[0]]), local[:, 2]
 
 
-def _passed(
+def _passes_behind(
     face: Face,
     seen: FaceRays,
     centre: Float[np.ndarray, "3"],

@@ -123,14 +123,14 @@ def choose_bar(
     # A model is never quite true; what is left unexplained makes small differences mean less.
     tolerance = _UNDECIDED * max(1.0, float(cost[best]) / max(1, int(many.mine.sum())))
     doubt = max(
-        _apart(fit.bar, fits[best].bar) for fit, one in zip(fits, cost, strict=True) if one <= cost[best] + tolerance
+        _distance(fit.bar, fits[best].bar) for fit, one in zip(fits, cost, strict=True) if one <= cost[best] + tolerance
     )
     return Choice(fits[best], doubt)
 
 
 def _costs(sample: Sample, fits: Sequence[BarFit], stock: Stock, floor: FloorPlane | None) -> Float[np.ndarray, "B"]:
     """How badly each explains what is seen, and how unlikely it was before, in squared standard deviations."""
-    prior = [stock.rarity_of(fit.usual) + _unusual(fit) + _unsupported(fit.bar, floor) for fit in fits]
+    prior = [stock.rarity_of(fit.usual) + _unusual(fit) + _support_cost(fit.bar, floor) for fit in fits]
     return np.asarray(misfits(sample, [fit.bar for fit in fits]) + prior)
 
 
@@ -139,7 +139,7 @@ def _unusual(fit: BarFit) -> float:
     return float((((np.array(fit.bar.half) - fit.usual) / SIGMA_USUAL) ** 2).sum())
 
 
-def _unsupported(bar: Bar, floor: FloorPlane | None) -> float:
+def _support_cost(bar: Bar, floor: FloorPlane | None) -> float:
     """How far a bar reaches into the floor or hovers just over it, in squared standard deviations.
 
     Where a bar touches the floor its lowest two centimetres cannot be told from it.
@@ -151,7 +151,7 @@ def _unsupported(bar: Bar, floor: FloorPlane | None) -> float:
     return min(_WORST_HOVER, (hovering / _SIGMA_FLOOR) ** 2) + (min(lowest, 0.0) / _SIGMA_FLOOR) ** 2
 
 
-def _apart(one: Bar, other: Bar) -> float:
+def _distance(one: Bar, other: Bar) -> float:
     """How far the middle of one is from the axis of the other [m]."""
     offset = one.middle - other.middle
     return float(np.linalg.norm(offset - (offset @ other.axis) * other.axis))

@@ -145,7 +145,7 @@ def _find_faces(
         frame = _frame(normal)
         centre = members.mean(axis=0)
         low, high = np.percentile((members - centre) @ frame[:2].T, [2, 98], axis=0)
-        faces.append(_refined(Face(frame, centre, low - 0.01, high + 0.01, 0.01), index))
+        faces.append(_refine(Face(frame, centre, low - 0.01, high + 0.01, 0.01), index))
     return [face for face in faces if face is not None]
 
 
@@ -203,13 +203,13 @@ def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
     return FaceRays(rays.selected(inside), at[inside], ends[inside])
 
 
-def _refined(face: Face, index: SightIndex) -> Face | None:
+def _refine(face: Face, index: SightIndex) -> Face | None:
     """The plane through what is flat of the rays' ends, not through what stands out; None when little is."""
     seen = face_rays(face, index, 0.0)
-    return fitted(face, seen.ends[((seen.ends[:, :2] > face.low) & (seen.ends[:, :2] < face.high)).all(axis=1)])
+    return fit_face(face, seen.ends[((seen.ends[:, :2] > face.low) & (seen.ends[:, :2] < face.high)).all(axis=1)])
 
 
-def fitted(face: Face, ends: Float[np.ndarray, "K 3"]) -> Face | None:
+def fit_face(face: Face, ends: Float[np.ndarray, "K 3"]) -> Face | None:
     """The face moved and turned onto what is flat of some ends of rays; None when little is.
 
     Args:

@@ -132,14 +132,14 @@ def _segment(detection: ValveDetection, i: int, n_segments: int, margin: float) 
     distance = np.where(distance > detection.rim_radius, distance / np.cos(np.pi / n_segments), distance)
     ends = [2.0 * np.pi * (i + k) / n_segments for k in (0, 1)]
     local = [np.column_stack([distance * np.cos(a), distance * np.sin(a), height]) for a in ends]
-    return _placed(detection, np.concatenate(local))
+    return _to_world(detection, np.concatenate(local))
 
 
 def _disc(detection: ValveDetection, radius: float, margin: float) -> Float[np.ndarray, "V 3"]:
     low, high = _depth(detection, margin)
     angle = 2.0 * np.pi * np.arange(_ROUND) / _ROUND
     rim = radius / np.cos(np.pi / _ROUND) * np.column_stack([np.cos(angle), np.sin(angle)])
-    return _placed(detection, np.concatenate([np.column_stack([rim, np.full(_ROUND, h)]) for h in (low, high)]))
+    return _to_world(detection, np.concatenate([np.column_stack([rim, np.full(_ROUND, h)]) for h in (low, high)]))
 
 
 def _spoke(detection: ValveDetection, angle: float, margin: float) -> Float[np.ndarray, "V 3"]:
@@ -149,7 +149,7 @@ def _spoke(detection: ValveDetection, angle: float, margin: float) -> Float[np.n
     start, end = 0.7 * detection.hub_radius, detection.rim_radius
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     flat = [r * along + s * half * across for r in (start, end) for s in (-1, 1)]
-    return _placed(detection, np.array([[*xy, h] for xy in flat for h in (low, high)]))
+    return _to_world(detection, np.array([[*xy, h] for xy in flat for h in (low, high)]))
 
 
 def _depth(detection: ValveDetection, margin: float) -> tuple[float, float]:
@@ -158,7 +158,7 @@ def _depth(detection: ValveDetection, margin: float) -> tuple[float, float]:
     return min(low, -detection.half_depth) - margin, max(high, detection.half_depth) + margin
 
 
-def _placed(detection: ValveDetection, local: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+def _to_world(detection: ValveDetection, local: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
     return np.asarray(detection.centre + local @ detection.ring.basis)
 
 
@@ -198,7 +198,7 @@ def stem_of(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> Conv
     angle = 2.0 * np.pi * np.arange(_SECTION) / _SECTION
     rim = radius / np.cos(np.pi / _SECTION) * np.column_stack([np.cos(angle), np.sin(angle)])
     local = [np.column_stack([rim, np.full(_SECTION, h)]) for h in (-back, -end)]
-    return ConvexPiece("stem", _placed(detection, np.concatenate(local)), kind="stem")
+    return ConvexPiece("stem", _to_world(detection, np.concatenate(local)), kind="stem")
 
 
 def stem_points(

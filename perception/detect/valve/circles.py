@@ -71,9 +71,9 @@ def find_circles(
                 local = points[rng.permutation(near)[:n_points]]
                 found += _best_in(local, points[seed], rng, (radii[0], min(radii[1], 0.6 * ball)), n_triples)
     found.sort(key=lambda circle: -circle.score)
-    found = _sharpened(_distinct(found, _REFITTED, 0.15, _SAME_AXIS), points, radii)
+    found = _sharpen(_drop_duplicates(found, _REFITTED, 0.15, _SAME_AXIS), points, radii)
     found.sort(key=lambda circle: -circle.score)
-    return _distinct(found, most)
+    return _drop_duplicates(found, most)
 
 
 def _seeds(points: Float[np.ndarray, "N 3"], rng: np.random.Generator, most: int) -> Int[np.ndarray, "S"]:
@@ -106,22 +106,22 @@ def _best_in(
         return []
     agreed = agreement(local, circles)
     top = np.argsort(-agreed.count * agreed.share, kind="stable")[:3]
-    return _scored(local, circles.selected(top), agreed.selected(top))
+    return _score(local, circles.selected(top), agreed.selected(top))
 
 
-def _sharpened(found: list[Circle], points: Float[np.ndarray, "N 3"], radii: tuple[float, float]) -> list[Circle]:
+def _sharpen(found: list[Circle], points: Float[np.ndarray, "N 3"], radii: tuple[float, float]) -> list[Circle]:
     """Refitted to all points, those that stay within the radii."""
     if not found:
         return []
     centres, axes = np.stack([one.centre for one in found]), np.stack([one.axis for one in found])
     circles = Circles(centres, axes, np.array([one.radius for one in found]))
     for _ in range(2):
-        circles = refitted(points, circles, agreement(points, circles))
+        circles = refit_circles(points, circles, agreement(points, circles))
     circles = circles.selected((circles.radii >= radii[0]) & (circles.radii <= radii[1]))
-    return _scored(points, circles, agreement(points, circles))
+    return _score(points, circles, agreement(points, circles))
 
 
-def _scored(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement) -> list[Circle]:
+def _score(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement) -> list[Circle]:
     covered, score = scores(points, circles, agreed)
     return [
         Circle(circles.centres[i], circles.axes[i], float(circles.radii[i]), float(covered[i]), float(score[i]))
@@ -142,7 +142,7 @@ def _circles_through(triples: Float[np.ndarray, "H 3 3"]) -> Circles:
     return Circles(triples[good, 0] + to_centre, normal / np.sqrt(square)[:, None], radii)
 
 
-def _distinct(circles: list[Circle], most: int, apart: float = 0.3, least_cosine: float = -1.0) -> list[Circle]:
+def _drop_duplicates(circles: list[Circle], most: int, apart: float = 0.3, least_cosine: float = -1.0) -> list[Circle]:
     """The first of those about the same place: of much the same centre, radius and axis.
 
     Args:
@@ -243,7 +243,7 @@ def scores(
     return covered, covered**2 * agreed.share * np.minimum(1.0, agreed.count / _FULL)
 
 
-def refitted(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement) -> Circles:
+def refit_circles(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement) -> Circles:
     """Each circle after one step of least squares on the points that lie on it: their plane, and in it the algebraic
     circle fit of Kasa, IEEE Trans. Instrum. Meas. 25, 1976.
 

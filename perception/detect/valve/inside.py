@@ -133,7 +133,7 @@ def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], cor
     # What lies before or behind the rim's plane, as the end of a stem or the body below it, is no part of the wheel.
     depth = corridor[solid].T @ behind[solid] / np.maximum(hits, 1)
     in_plane, _ = _runs(is_spoke & (np.abs(depth) < _IN_PLANE))
-    whole = _rejoined(runs, np.roll(share, -start))
+    whole = _rejoin(runs, np.roll(share, -start))
     angles = []
     for low, high in whole:
         mine = (np.arange(low, high) + start) % len(angle)
@@ -157,7 +157,7 @@ def _runs(these: Bool[np.ndarray, "A"]) -> tuple[Int[np.ndarray, "R 2"], int]:
     return np.flatnonzero(np.diff(turned)).reshape(-1, 2), start
 
 
-def _rejoined(runs: Int[np.ndarray, "R 2"], share: Float[np.ndarray, "A"]) -> list[tuple[int, int]]:
+def _rejoin(runs: Int[np.ndarray, "R 2"], share: Float[np.ndarray, "A"]) -> list[tuple[int, int]]:
     """Runs of angles, those taken for one that are but a few steps apart with some hits all the way between them."""
     joined: list[tuple[int, int]] = []
     for low, high in runs.tolist():

@@ -14,7 +14,7 @@ from perception.detect.shared.bars import Bar
 from perception.detect.shared.detection import Detection
 from perception.detect.valve.foreground import Foreground
 from perception.detect.valve.lever_bars import LENGTHS, FittedBar, find_levers, find_pipes
-from perception.detect.valve.lever_joint import Joint, joint_of, settled
+from perception.detect.valve.lever_joint import Joint, joint_of, settle_joint
 from perception.ground.floor import FloorPlane
 from perception.sightlines import SightIndex
 from perception.view import View
@@ -59,7 +59,7 @@ def detect_lever_valve(
         levers = find_levers(foreground, view.floor, hint)
         pipes = find_pipes(foreground, view.floor, hint) if levers else []
         for lever in levers:
-            found += [one for pipe in pipes if (one := _joined(lever, pipe, foreground.index, view.floor)) is not None]
+            found += [one for pipe in pipes if (one := _join(lever, pipe, foreground.index, view.floor)) is not None]
     found.sort(key=lambda one: -one.confidence)
     apart: list[_Lever] = []
     for one in found:
@@ -69,7 +69,7 @@ def detect_lever_valve(
     return [one for one in detections if one.confidence >= _REPORTED]
 
 
-def _joined(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None) -> _Lever | None:
+def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None) -> _Lever | None:
     """A bar and a pipe as a valve; None when they do not lie as lever and pipe do."""
     joint = joint_of(lever.bar, pipe.bar, (lever.fit.spread[0], pipe.fit.spread[0]), index)
     if joint is None:
@@ -86,7 +86,7 @@ def _joined(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPl
     )
     if confidence * _as_a_lever(joint.pivot, lever.bar.half[0]) < _HOPELESS:
         return None
-    both = settled(lever.bar, pipe.bar, joint.pivot.along, joint.axis, index, floor)
+    both = settle_joint(lever.bar, pipe.bar, joint.pivot.along, joint.axis, index, floor)
     tilts = [(new or old).spread[0] for new, old in zip(both.fits, (lever.fit, pipe.fit), strict=True)]
     again = joint_of(both.lever, both.pipe, (tilts[0], tilts[1]), index)
     if again is None or (again.pivot.far > again.pivot.along) != (joint.pivot.far > joint.pivot.along):

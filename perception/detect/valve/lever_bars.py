@@ -69,7 +69,7 @@ def find_levers(
     lines = _lines(foreground, hint, _LEVER_TUBE, LENGTHS[0], _LEVER_PAIRS, _LEVER_BALL)
     short = [line for line in lines if line.last - line.first < 1.5 * LENGTHS[1]]
     chosen = _in_air(short, foreground.index, floor, LEVER_RADII[1:2])[:_MOST_LEVERS]
-    fitted = [_fitted(line, foreground.index, floor, LEVER_RADII, TUBES[0]) for line in chosen]
+    fitted = [_fit(line, foreground.index, floor, LEVER_RADII, TUBES[0]) for line in chosen]
     return [
         one
         for one in fitted
@@ -87,7 +87,7 @@ def find_pipes(
     """Longer and thicker round bars; arguments as of :func:`find_levers`."""
     lines = _lines(foreground, hint, _PIPE_TUBES, _LEAST_PIPE, _PIPE_PAIRS, None)
     chosen = _in_air(lines, foreground.index, floor, PIPE_RADII)[:_MOST_PIPES]
-    fitted = [_fitted(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in chosen]
+    fitted = [_fit(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in chosen]
     return [one for one in fitted if one is not None and one.bar.half[0] > 0.015 and one.evidence.rms < 0.025]
 
 
@@ -140,15 +140,15 @@ def _in_air(
     return kept
 
 
-def _fitted(
+def _fit(
     line: Line, index: SightIndex, floor: FloorPlane | None, radii: tuple[tuple[float, float], ...], tube: float
 ) -> FittedBar | None:
     """A round bar about a line, fitted, cut to its ends and fitted again."""
-    first = _once(Run(line.place, line.axis, line.first, line.last), index, floor, radii, tube)
-    return None if first is None else _once(run_of(first.bar), index, floor, radii, tube)
+    first = _fit_once(Run(line.place, line.axis, line.first, line.last), index, floor, radii, tube)
+    return None if first is None else _fit_once(run_of(first.bar), index, floor, radii, tube)
 
 
-def _once(
+def _fit_once(
     run: Run, index: SightIndex, floor: FloorPlane | None, radii: tuple[tuple[float, float], ...], tube: float
 ) -> FittedBar | None:
     rays = rays_about(index, run, _BEYOND, floor)

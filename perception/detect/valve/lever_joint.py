@@ -157,7 +157,7 @@ class Settled:
     is_seen: bool
 
 
-def settled(
+def settle_joint(
     lever: Bar,
     pipe: Bar,
     pivot: float,
@@ -176,7 +176,7 @@ def settled(
         floor: below everything.
     """
     place = lever.centre + pivot * lever.axis
-    rays = _near(index, lever, floor)
+    rays = _rays_near(index, lever, floor)
     rays = replace(rays, elsewhere=rays.elsewhere | ((rays.ends - place) @ up < -lever.half[0] - _BELOW))
     first, last = lever.first, lever.last
     at_last = last - pivot > pivot - first
@@ -186,19 +186,19 @@ def settled(
         last = max(min(last, pivot - _NECK), first + _LEAST_RUN)
     own = best_round(rays, Run(lever.centre, lever.axis, first, last), LEVER_RADII, TUBES[0], _MOST_RAYS)
     if own is not None:
-        lever = _from(own.bar, lever)
-    lever, is_seen = _ended(rays, lever, at_last)
+        lever = _between_ends(own.bar, lever)
+    lever, is_seen = _round_off_end(rays, lever, at_last)
     other = None
     if pipe.length - 2.0 * _BODY > _LEAST_PIPE:
         rays = rays_about(index, Run(pipe.centre, pipe.axis, pipe.first, pipe.last), _BEYOND, floor)
         rays = replace(rays, elsewhere=rays.elsewhere | (np.abs((rays.ends - place) @ pipe.axis) < _BODY))
         other = best_round(rays, Run(pipe.centre, pipe.axis, pipe.first, pipe.last), PIPE_RADII, TUBES[1], _MOST_RAYS)
         if other is not None:
-            pipe = _from(other.bar, pipe)
+            pipe = _between_ends(other.bar, pipe)
     return Settled(lever, pipe, (own, other), is_seen)
 
 
-def _near(index: SightIndex, bar: Bar, floor: FloorPlane | None) -> SurroundingRays:
+def _rays_near(index: SightIndex, bar: Bar, floor: FloorPlane | None) -> SurroundingRays:
     """All rays close to a bar and its ends: the last one that met it tells its end."""
     beyond = replace(bar, first=bar.first - _ABOUT_END, last=bar.last + _ABOUT_END)
     rays = index.passing(beyond.places(_SPACING), _BESIDE)
@@ -206,7 +206,7 @@ def _near(index: SightIndex, bar: Bar, floor: FloorPlane | None) -> SurroundingR
     return SurroundingRays(rays.start, rays.direction, rays.length, elsewhere)
 
 
-def _from(fitted: Bar, rough: Bar) -> Bar:
+def _between_ends(fitted: Bar, rough: Bar) -> Bar:
     """A fitted bar from and to where the rough one goes."""
     axis = fitted.axis
     sign = np.sign(axis @ rough.axis)
@@ -216,7 +216,7 @@ def _from(fitted: Bar, rough: Bar) -> Bar:
     return replace(fitted, first=ends[0], last=ends[1])
 
 
-def _ended(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar, bool]:
+def _round_off_end(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar, bool]:
     """The bar with its free end rounded, halfway between the last ray that met it and the first that went past, and
     whether any went past beyond.
 

@@ -87,14 +87,14 @@ def find_lines(
         local = np.asarray(near, dtype=np.int64)
         if len(local) >= 10:
             way = None if ways is None else ways[i]
-            starts += _at_seed(points, int(seed), local, rng, radii, n_pairs, way)
+            starts += _best_at_seed(points, int(seed), local, rng, radii, n_pairs, way)
     starts.sort(key=lambda start: -start[0])
     found: list[Line] = []
     for _, start in starts[: 6 * most]:
         # What one line explains is not begun at again.
         if len(start.members) and taken[start.members].mean() > _SHARED:
             continue
-        line = _grown(points, start)
+        line = _grow(points, start)
         if line is None or line.last - line.first < least_length:
             continue
         if not _runs_in_any(line, found):
@@ -105,7 +105,7 @@ def find_lines(
     return sorted(found, key=lambda line: -line.score)
 
 
-def _at_seed(
+def _best_at_seed(
     points: Float[np.ndarray, "N 3"],
     seed: int,
     local: Int[np.ndarray, "K"],
@@ -151,7 +151,7 @@ def _contrast(share: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
     return np.asarray(np.maximum(share - 0.4, 0.0) / 0.6)
 
 
-def _grown(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
+def _grow(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
     """The line refitted to its points and extended as far as they go on; None when too few are left."""
     poll()
     if not len(line.members):

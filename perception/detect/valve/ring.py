@@ -215,15 +215,15 @@ def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, n_rounds: int) -> Ring:
             return ring
         keep = np.flatnonzero(hit | missed)
         keep = keep[:: max(1, len(keep) // _MOST_RAYS)]
-        ring = _solved(rays.selected(keep), hit[keep], moved_ring(ring, np.zeros(8)))
+        ring = _solve(rays.selected(keep), hit[keep], move_ring(ring, np.zeros(8)))
     return ring
 
 
-def _solved(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring) -> Ring:
+def _solve(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring) -> Ring:
     """The ring of least robust (soft l1) squared residuals."""
     ring, trial, cost, damping = start, start, np.inf, _FIRST_DAMPING
     for _ in range(_STEPS):
-        residuals, jacobian = linearized(rays, hit, trial)
+        residuals, jacobian = linearize_ring(rays, hit, trial)
         root = np.sqrt(1.0 + residuals**2)
         now = 2.0 * float((root - 1.0).sum())
         if now < cost:
@@ -235,7 +235,7 @@ def _solved(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring) -> Ring:
             gradient, curvature = weighted @ residuals, weighted @ jacobian.T
         else:
             damping *= 5.0
-        trial = moved_ring(ring, _step(ring, gradient, curvature, damping))
+        trial = move_ring(ring, _step(ring, gradient, curvature, damping))
     return ring
 
 
@@ -255,7 +255,7 @@ def _step(
     return np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
 
 
-def moved_ring(ring: Ring, x: Float[np.ndarray, "8"]) -> Ring:
+def move_ring(ring: Ring, x: Float[np.ndarray, "8"]) -> Ring:
     """The ring after a step, its sizes within their limits."""
     basis = ring.basis
     axis = ring.axis + x[3] * basis[0] + x[4] * basis[1]
@@ -263,7 +263,7 @@ def moved_ring(ring: Ring, x: Float[np.ndarray, "8"]) -> Ring:
     return Ring(ring.centre + x[:3] @ basis, axis / np.sqrt(axis @ axis), *(float(size) for size in sizes))
 
 
-def linearized(
+def linearize_ring(
     rays: Sightlines, hit: Bool[np.ndarray, "N"], ring: Ring
 ) -> tuple[Float[np.ndarray, "M"], Float[np.ndarray, "8 M"]]:
     """Residuals in standard deviations and their derivatives by the unknowns of :func:`moved_ring`: depth of the hits,

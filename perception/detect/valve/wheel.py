@@ -95,15 +95,15 @@ def find_wheels(
         some = index_of(index.rays.thinned(_MOST_COARSE))
         # Hubs are circles as well: of two as good, the larger one first.
         circles.sort(key=lambda circle: -circle.score * _promise(circle, some) * np.sqrt(circle.radius))
-        detections = _examined(circles, index, view.floor, hint is not None)
+        detections = _examine_circles(circles, index, view.floor, hint is not None)
     if hint is None:
-        detections = _not_steering(detections, view)
+        detections = _doubt_steering(detections, view)
     detections = [d for d in detections if d.confidence >= _REPORTED]
     detections.sort(key=lambda d: -d.confidence)
-    return _apart(detections)
+    return _drop_duplicates(detections)
 
 
-def _examined(
+def _examine_circles(
     circles: list[Circle], index: SightIndex, floor: FloorPlane | None, is_hinted: bool
 ) -> list[ValveDetection]:
     """The most promising circles as wheels; what lies in the disc of a sure one is not looked at again."""
@@ -120,7 +120,7 @@ def _examined(
     return found
 
 
-def _not_steering(detections: list[ValveDetection], view: View) -> list[ValveDetection]:
+def _doubt_steering(detections: list[ValveDetection], view: View) -> list[ValveDetection]:
     """With little confidence in what a vehicle is steered by."""
     if not any(one.confidence > _STEERING and could_steer(one.ring) for one in detections):
         return detections
@@ -148,7 +148,7 @@ def _promise(circle: Circle, index: SightIndex) -> float:
     return float(max(0.0, solid[rim].mean() - solid[around].mean()))
 
 
-def _apart(detections: list[ValveDetection]) -> list[ValveDetection]:
+def _drop_duplicates(detections: list[ValveDetection]) -> list[ValveDetection]:
     """Without those inside the disc of a surer one: rings about its hub or spokes are the same wheel."""
     kept: list[ValveDetection] = []
     for one in detections:
@@ -171,24 +171,24 @@ class _Weighed:
 def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
     """Fit the rim and weigh the evidence."""
     start = Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012)
-    ring = fit_ring(_about(index, start), start, rough_gate(start), n_rounds=1)
-    first = _weighed(index, ring, floor)
+    ring = fit_ring(_rays_about(index, start), start, rough_gate(start), n_rounds=1)
+    first = _weigh(index, ring, floor)
     # The openings of a small wheel show only when its rim is fitted closely.
     if first.evidence.solid_confidence < _HOPELESS:
         return _as_valve(first, is_hinted)
     # Without the air about it more rays of a small rim are left when they are thinned.
-    ring = fit_ring(_about(index, ring, _JUST_BESIDE), ring, CLOSE, n_rounds=2)
-    return _as_valve(_weighed(index, ring, floor), is_hinted)
+    ring = fit_ring(_rays_about(index, ring, _JUST_BESIDE), ring, CLOSE, n_rounds=2)
+    return _as_valve(_weigh(index, ring, floor), is_hinted)
 
 
-def _about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
+def _rays_about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
     """Rays through and beside a ring, with room for the ring to move."""
     return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thinned(_MOST_RAYS)
 
 
-def _weighed(index: SightIndex, ring: Ring, floor: FloorPlane | None) -> _Weighed:
-    near = _about(index, ring)
-    ring = _towards(near, ring)
+def _weigh(index: SightIndex, ring: Ring, floor: FloorPlane | None) -> _Weighed:
+    near = _rays_about(index, ring)
+    ring = _turn_to_sensor(near, ring)
     passage = pass_ring(near, ring)
     hit = rim_hits(near, ring, passage)
     inside = look_inside(near, ring, passage)
@@ -208,7 +208,7 @@ def _as_valve(one: _Weighed, is_hinted: bool) -> ValveDetection:
         inside.spoke_angles,
         inside.hub_radius,
         inside.depth,
-        _hinted(one.evidence) if is_hinted else one.evidence.confidence,
+        _hinted_confidence(one.evidence) if is_hinted else one.evidence.confidence,
         one.rms,
         one.n_hits,
         inside.spoke_half_width,
@@ -216,14 +216,14 @@ def _as_valve(one: _Weighed, is_hinted: bool) -> ValveDetection:
     )
 
 
-def _towards(rays: Sightlines, ring: Ring) -> Ring:
+def _turn_to_sensor(rays: Sightlines, ring: Ring) -> Ring:
     """The ring with its axis towards where most rays came from."""
     if len(rays) and np.median((rays.start - ring.centre) @ ring.axis) < 0.0:
         return Ring(ring.centre, -ring.axis, ring.radius, ring.half_width, ring.half_depth)
     return ring
 
 
-def _hinted(evidence: WheelEvidence) -> float:
+def _hinted_confidence(evidence: WheelEvidence) -> float:
     """Who points at a wheel says that there is one: the odds are better, and it may be a solid one."""
     return float(max(np.sqrt(evidence.confidence), _SOLID * evidence.solid_confidence))
 

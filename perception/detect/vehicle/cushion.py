@@ -89,7 +89,7 @@ def _cells(flat: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "C 2"]:
     return np.asarray((np.unique(np.floor(flat / _CELL).astype(np.int64), axis=0) + 0.5) * _CELL).reshape(-1, 2)
 
 
-def squared_up(patch: Patch, about: Surround) -> Patch:
+def square_up(patch: Patch, about: Surround) -> Patch:
     """The patch with the rectangle about it that holds the least of what is open, turned along the edges that were
     seen: a shadow's edge is none of its own."""
     few = patch.points[:: max(1, len(patch.points) // _MOST_POINTS), :2] - patch.centre[:2]

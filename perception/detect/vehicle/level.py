@@ -55,7 +55,7 @@ def find_patches(points: Float[np.ndarray, "N 3"], low: float, high: float) -> l
     found = []
     for level in _levels(column, near[:, 2], low, high):
         found += _patches_at(near, column, shape, level)
-    return sorted(_distinct(found), key=lambda patch: -float(np.prod(patch.size) * patch.filled))
+    return sorted(_drop_duplicates(found), key=lambda patch: -float(np.prod(patch.size) * patch.filled))
 
 
 def _levels(
@@ -134,7 +134,7 @@ def _rectangle(flat: Float[np.ndarray, "K 2"]) -> tuple[float, Float[np.ndarray,
     return float(YAWS[best]), ends[0][:, best], ends[1][:, best]
 
 
-def _distinct(patches: list[Patch]) -> list[Patch]:
+def _drop_duplicates(patches: list[Patch]) -> list[Patch]:
     """Without those that are a slice of another one."""
     kept: list[Patch] = []
     for patch in sorted(patches, key=lambda one: -len(one.points)):

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
-from perception.detect.vehicle.cushion import USUAL_WIDTH, Cushion, as_cushion, squared_up, surround_of
+from perception.detect.vehicle.cushion import USUAL_WIDTH, Cushion, as_cushion, square_up, surround_of
 from perception.detect.vehicle.level import Patch, find_patches, is_inside, split_at_gap
 from perception.detect.vehicle.surroundings import SEAT_HEIGHT, back_of, footwell_of
 from perception.view import View
@@ -93,7 +93,7 @@ def find_seats(view: View) -> list[Seat]:
         if patch.size.min() > _DEPTH[1] + _SPARE or patch.size.max() > _WIDTH[1] + _SPARE:
             continue
         about = surround_of(patch, points, starts, ends)
-        patch = squared_up(patch, about)
+        patch = square_up(patch, about)
         cushions = [as_cushion(patch, about, turn) for turn in range(4)]
         best = max(
             (_seen_as_seat(patch, one, points, view, ground, head) for one in cushions), key=lambda s: s.confidence

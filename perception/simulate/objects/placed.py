@@ -43,7 +43,7 @@ class Placed:
     lookalikes: tuple[tuple[str, Float[np.ndarray, "3"]], ...] = ()
 
 
-def together(parts: Sequence[Placed]) -> Placed:
+def join_placed(parts: Sequence[Placed]) -> Placed:
     """Several as one."""
     return Placed(
         tuple(mesh for part in parts for mesh in part.meshes),

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from perception.simulate.objects.loose import Beam
 from perception.simulate.objects.placed import Placed
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
 from perception.simulate.scenes.surroundings import cartons, floor, wall
 
 _SECTIONS = ((0.089, 0.038), (0.089, 0.038), (0.14, 0.038), (0.089, 0.089))
@@ -39,7 +39,7 @@ class Debris:
         rng = generator(name, seed)
         parts: list[Placed] = [floor(), wall(2.1), *heap(rng, self.n_beams, self.middle, self.spread)]
         parts += cartons(rng, self.n_boxes, (1.2, 1.3), 0.3)
-        return assembled(name, seed, parts, (*self.middle, 0.2))
+        return assemble(name, seed, parts, (*self.middle, 0.2))
 
 
 SCENES: Mapping[str, Recipe] = {
@@ -63,7 +63,7 @@ def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], sp
         pose[:3, :3] = rotation.as_matrix()
         pose[:2, 3] = np.array(middle) + rng.uniform(-spread, spread, 2)
         pose[2, 3] = 1.5 if not boxes else max(place[2, 3] + size[0] for place, size in boxes) + length
-        pose = _tipped(_sunk(pose, half, boxes), half, boxes)
+        pose = _tip(_sunk(pose, half, boxes), half, boxes)
         boxes.append((pose, half))
         placed.append(Beam(pose, length, width, thickness).placed())
     return placed
@@ -80,9 +80,7 @@ def _sunk(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[n
     return pose
 
 
-def _tipped(
-    pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]
-) -> np.ndarray:
+def _tip(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Turned about what it lies on, towards its heavy end, until that end lies too; sunk again where it slipped."""
     below = pose.copy()
     below[2, 3] -= _STEP

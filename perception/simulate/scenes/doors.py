@@ -11,7 +11,7 @@ import numpy as np
 from perception.simulate.mesh import box
 from perception.simulate.objects.doors import Door
 from perception.simulate.objects.placed import Placed, things
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
 from perception.simulate.scenes.surroundings import cartons, floor, side_walls
 
 
@@ -56,7 +56,7 @@ class Doorway:
             parts.append(side_walls(self.corridor, middle[0] - 0.1))
         else:
             parts += cartons(rng, 2, (0.35, -1.5 if self.hinge_on == "left" else 1.5), 0.2)
-        return assembled(name, seed, parts, (middle[0], middle[1], 1.1))
+        return assemble(name, seed, parts, (middle[0], middle[1], 1.1))
 
 
 SCENES: Mapping[str, Recipe] = {

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from perception.cloud import Cloud
 from perception.simulate.mesh import Mesh
-from perception.simulate.objects.placed import Placed, Truth, together
+from perception.simulate.objects.placed import Placed, Truth, join_placed
 from perception.simulate.scanning import scan
 from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState
 
@@ -71,7 +71,7 @@ def generator(name: str, seed: int) -> np.random.Generator:
     return np.random.default_rng([zlib.crc32(name.encode()), seed])
 
 
-def assembled(
+def assemble(
     name: str,
     seed: int,
     parts: Sequence[Placed],
@@ -80,7 +80,7 @@ def assembled(
 ) -> SimulatedScene:
     """The parts with two sensor poses, both looking nearly at ``look_at``; the second one is 40 cm aside."""
     rng = np.random.default_rng([zlib.crc32(name.encode()), seed, 1])
-    whole = together(parts)
+    whole = join_placed(parts)
     poses = []
     for shift in ((0.0, 0.0, 0.0), (-0.1, 0.4, -0.12)):
         place = tuple((np.array(position) + shift + rng.normal(0.0, 0.02, 3)).tolist())

@@ -10,7 +10,7 @@ import numpy as np
 from perception.simulate.mesh import bent_bar, box, cylinder
 from perception.simulate.objects.loose import Drill, bucket, can, pot, shelf, table
 from perception.simulate.objects.placed import Placed, things
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
 from perception.simulate.scenes.surroundings import floor, wall
 
 
@@ -45,7 +45,7 @@ class ToolRack:
         parts += [tools(x + 0.15, -0.4, 0.9), can((x + 0.2, 0.42, 0.9)), can((x + 0.25, 0.3, 0.9), 0.04, 0.2)]
         parts += [pot((x + 0.2, 0.3, 0.45)), bucket((x + 0.2, -0.35, 0.1), 0.13, 0.25)]
         parts.append(things(box((x + 0.08, 0.1, 1.35), (x + 0.34, 0.5, 1.55))))
-        return assembled(name, seed, parts, (x + 0.16, self.drills[0][0], self.drills[0][1] + 0.1))
+        return assemble(name, seed, parts, (x + 0.16, self.drills[0][0], self.drills[0][1] + 0.1))
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Workbench:
         place = (0.7, 0.08 + rng.uniform(-0.1, 0.1), 0.8)
         parts.append(Drill(place, np.radians(self.yaw + rng.uniform(-20.0, 20.0))).placed())
         parts += [tools(0.7, -0.3, 0.8), can((0.9, 0.4, 0.8)), things(box((0.95, -0.2, 0.8), (1.15, 0.2, 1.0)))]
-        return assembled(name, seed, parts, (0.7, 0.0, 0.9))
+        return assemble(name, seed, parts, (0.7, 0.0, 0.9))
 
 
 SCENES: Mapping[str, Recipe] = {

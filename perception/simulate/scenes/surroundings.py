@@ -23,7 +23,7 @@ def side_walls(y: float, front: float, back: float = -3.0, height: float = 2.6) 
     return things(box((back, y, 0.0), (front, y + 0.12, height)), box((back, -y - 0.12, 0.0), (front, -y, height)))
 
 
-def closed_room(front: float, back: float, half: float, height: float = 2.6) -> Placed:
+def make_room(front: float, back: float, half: float, height: float = 2.6) -> Placed:
     """Four walls and a ceiling."""
     return Placed(
         (
