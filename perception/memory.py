@@ -76,7 +76,7 @@ def _feed(update: Callable[[bytes], None], value: object) -> None:
         for item in value:
             _feed(update, item)
     elif is_dataclass(value):
-        _feed(update, [type(value).__name__, *(getattr(value, one.name) for one in fields(value))])
+        _feed(update, [type(value).__name__, *(getattr(value, entry.name) for entry in fields(value))])
     else:
         text = repr(value).encode()
         update(f"{type(value).__name__} {len(text)};".encode() + text)
@@ -96,8 +96,8 @@ def _bytes_of(seen: Perceived) -> int:
             for item in value:
                 count(item)
         elif is_dataclass(value):
-            for one in fields(value):
-                count(getattr(value, one.name))
+            for entry in fields(value):
+                count(getattr(value, entry.name))
 
     count(seen)
     return sum(arrays.values())

@@ -65,8 +65,8 @@ class SightIndex:
         centre = places.mean(axis=0)
         size = radius + float(np.linalg.norm(places - centre, axis=1).max())
         if self.groups:
-            found = [self._of_group(group, places, radius, centre, size) for group in self.groups]
-            return self.rays.selected(np.concatenate(found))
+            parts = [self._of_group(group, places, radius, centre, size) for group in self.groups]
+            return self.rays.selected(np.concatenate(parts))
         along = ((centre - self.rays.start) * self.rays.direction).sum(axis=1)
         rays = self.rays.selected((along > -size) & (self.rays.length > along - size))
         return rays.selected(_nearest(rays, places) <= radius)

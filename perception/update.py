@@ -164,7 +164,7 @@ def _hold_against(
 def _judge(near: Cloud, is_obstacle: Bool[np.ndarray, "N"], kept: Int[np.ndarray, "K"]) -> Judge:
     """Tells which of the obstacles that were kept surfaces stand for."""
     scan, index = LocalJudge.of(near.points, near.starts, is_obstacle), np.flatnonzero(is_obstacle)[kept]
-    return lambda asked: scan.surface_among(index[asked])
+    return lambda queries: scan.surface_among(index[queries])
 
 
 def _drop_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple[View, tuple[Piece, ...]]:

@@ -44,7 +44,7 @@ def depth_noise(ranges: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
 def support(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "N 3"],
-    asked: Int[np.ndarray, "K"],
+    queries: Int[np.ndarray, "K"],
     like: Bool[np.ndarray, "N"],
     is_thin: Bool[np.ndarray, "K"],
 ) -> Int[np.ndarray, "K"]:
@@ -56,21 +56,21 @@ def support(
     Args:
         points: (N, 3) all points that were seen [m].
         starts: (N, 3) where their rays started [m].
-        asked: which to judge.
+        queries: which to judge.
         like: of which kind thin things are: for them only these count.
         is_thin: which of those asked are taken for thin things.
     """
-    counts = np.zeros(len(asked), dtype=np.int64)
-    if not len(asked):
+    counts = np.zeros(len(queries), dtype=np.int64)
+    if not len(queries):
         return counts
     if (starts == starts[:1]).all():
-        return _support_in(points, starts, asked, like, is_thin)
+        return _support_in(points, starts, queries, like, is_thin)
     groups = row_keys(np.floor(starts / STARTS_APART))
-    order = np.argsort(groups[asked], kind="stable")
-    for keys in np.split(order, np.flatnonzero(np.diff(groups[asked[order]])) + 1):
-        members = np.flatnonzero(groups == groups[asked[keys[0]]])
+    order = np.argsort(groups[queries], kind="stable")
+    for keys in np.split(order, np.flatnonzero(np.diff(groups[queries[order]])) + 1):
+        members = np.flatnonzero(groups == groups[queries[keys[0]]])
         if len(members) > 1:
-            mine = np.searchsorted(members, asked[keys])
+            mine = np.searchsorted(members, queries[keys])
             counts[keys] = _support_in(points[members], starts[members], mine, like[members], is_thin[keys])
     return counts
 
@@ -78,26 +78,26 @@ def support(
 def _support_in(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "N 3"],
-    asked: Int[np.ndarray, "K"],
+    queries: Int[np.ndarray, "K"],
     like: Bool[np.ndarray, "N"],
     is_thin: Bool[np.ndarray, "K"],
 ) -> Int[np.ndarray, "K"]:
     if len(points) < 2:
-        return np.zeros(len(asked), dtype=np.int64)
+        return np.zeros(len(queries), dtype=np.int64)
     rays = points - starts
     ranges = np.linalg.norm(rays, axis=1)
     directions = rays / np.maximum(ranges, 1e-9)[:, None]
     k = min(_NEIGHBOURS + 1, len(points))
     tree = cKDTree(directions, balanced_tree=False, compact_nodes=False)
-    neighbours = nearest(tree, directions[asked], np.arange(2, k + 1))[1]
+    neighbours = nearest(tree, directions[queries], np.arange(2, k + 1))[1]
     poll()
-    around = _Around.of(directions, ranges, asked, neighbours)
+    around = _Around.of(directions, ranges, queries, neighbours)
     poll()
     eighth = around.aside[:, min(_EIGHTH, k - 2)]
-    reach = np.maximum(2.0 * spacing_radius(ranges[asked]), _FAR_ASIDE * eighth)
+    reach = np.maximum(2.0 * spacing_radius(ranges[queries]), _FAR_ASIDE * eighth)
     counted = (like[neighbours] | ~is_thin[:, None]) & (around.aside <= reach[:, None])
     poll()
-    noise = depth_noise(ranges[asked])
+    noise = depth_noise(ranges[queries])
     level = np.maximum(noise, _SLANT / np.sqrt(2.0) * eighth)
     count = (counted & (np.abs(around.depth) <= level[:, None])).sum(axis=1)
     for neighbour in range(min(_SLOPES, k - 1)):
@@ -123,16 +123,16 @@ class _Around:
         cls,
         directions: Float[np.ndarray, "N 3"],
         ranges: Float[np.ndarray, "N"],
-        asked: Int[np.ndarray, "K"],
+        queries: Int[np.ndarray, "K"],
         neighbours: Int[np.ndarray, "K M"],
     ) -> _Around:
-        along = directions[asked]
+        along = directions[queries]
         right = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=1)])
         right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-9)
         up = np.cross(along, right)
-        offset = (directions[neighbours] - along[:, None]) * ranges[asked, None, None]
+        offset = (directions[neighbours] - along[:, None]) * ranges[queries, None, None]
         u, v = (np.einsum("kmi,ki->km", offset, axis) for axis in (right, up))
-        return cls(u, v, ranges[neighbours] - ranges[asked, None])
+        return cls(u, v, ranges[neighbours] - ranges[queries, None])
 
     @property
     def aside(self) -> Float[np.ndarray, "K M"]:

@@ -53,33 +53,33 @@ class LocalJudge:
             sensor = np.unique(keys, return_inverse=True)[1] if (keys != keys[0]).any() else None
         return cls(points, starts, candidates, directions, sensor)
 
-    def surface_among(self, asked: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "K"]:
+    def surface_among(self, queries: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "K"]:
         """Which of the points asked about, candidates all, a surface stands for.
 
         All other candidates are known to be of surfaces.
         """
-        if not len(asked):
+        if not len(queries):
             return np.zeros(0, dtype=bool)
         known = self.candidates.copy()
-        known[asked] = False
-        beside = self._beside(asked)
+        known[queries] = False
+        beside = self._beside(queries)
         if len(beside) == len(self.points):
-            return np.asarray(surface_points(self.points, self.starts, self.candidates, known)[asked])
+            return np.asarray(surface_points(self.points, self.starts, self.candidates, known)[queries])
         kept = surface_points(self.points[beside], self.starts[beside], self.candidates[beside], known[beside])
-        return np.asarray(kept[np.searchsorted(beside, asked)])
+        return np.asarray(kept[np.searchsorted(beside, queries)])
 
-    def _beside(self, asked: Int[np.ndarray, "K"]) -> Int[np.ndarray, "M"]:
+    def _beside(self, queries: Int[np.ndarray, "K"]) -> Int[np.ndarray, "M"]:
         """Points whose rays pass beside those of the points asked about, ascending; all where most do."""
         everyone = np.arange(len(self.points))
         n_sensors = 1 if self.sensor is None else int(self.sensor.max()) + 1
-        if n_sensors > _MOST_STARTS or len(asked) > _MOST_SHARE * len(everyone):
+        if n_sensors > _MOST_STARTS or len(queries) > _MOST_SHARE * len(everyone):
             return everyone
         width = _NARROWEST
         while width < _WIDEST:
             cells, n_cells = self._cells(width)
             chosen = np.zeros(n_sensors * n_cells**3, dtype=bool)
-            chosen[cells[asked]] = True
-            own = np.unique(cells[asked])
+            chosen[cells[queries]] = True
+            own = np.unique(cells[queries])
             if np.count_nonzero(chosen[cells]) >= _LEAST_RAYS * len(own):
                 for u, v, w in product(_STEPS, repeat=3):
                     chosen[own + ((u * n_cells + v) * n_cells + w)] = True

@@ -28,10 +28,10 @@ def nearest(
     """
     n_neighbours, n_threads = k if isinstance(k, int) else int(np.max(k, initial=1)), thread_count()
     step = max(1, n_threads * _AT_ONCE // max(n_neighbours, 4))
-    found = []
+    parts = []
     for first in range(0, max(len(points), 1), step):
         poll()
-        found.append(tree.query(points[first : first + step], k=k, distance_upper_bound=within, workers=n_threads))
-    if len(found) == 1:
-        return np.asarray(found[0][0]), np.asarray(found[0][1])
-    return np.concatenate([distance for distance, _ in found]), np.concatenate([index for _, index in found])
+        parts.append(tree.query(points[first : first + step], k=k, distance_upper_bound=within, workers=n_threads))
+    if len(parts) == 1:
+        return np.asarray(parts[0][0]), np.asarray(parts[0][1])
+    return np.concatenate([distance for distance, _ in parts]), np.concatenate([index for _, index in parts])

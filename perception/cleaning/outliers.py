@@ -88,11 +88,11 @@ def surface_points(
     if known is not None:
         doubtful &= ~known[chosen]
     kept[chosen[~doubtful]] = True
-    asked, is_thin = chosen[doubtful], ~crowded[doubtful]
+    queries, is_thin = chosen[doubtful], ~crowded[doubtful]
     # A row of the floor's own noise is no wire: thin things are held up by their like.
     like = np.ones(len(points), dtype=bool) if candidates is None else candidates
-    kept[asked] = support(points, starts, asked, like, is_thin) >= np.where(is_thin, _THIN_SUPPORT, _LEAST_SUPPORT)
-    left = asked[~kept[asked]]
+    kept[queries] = support(points, starts, queries, like, is_thin) >= np.where(is_thin, _THIN_SUPPORT, _LEAST_SUPPORT)
+    left = queries[~kept[queries]]
     rays = points[left] - starts[left]
     apart = 2.0 * spacing_radius(np.linalg.norm(rays, axis=1))
     kept[left[on_grazed_surface(points[left], rays, points[kept], apart)]] = True
@@ -184,19 +184,19 @@ def on_grazed_surface(
         surface: (N, 3) points that are known to be of surfaces [m].
         apart: (K,) how far from the nearest of them each may be [m].
     """
-    found = np.zeros(len(points), dtype=bool)
+    reached = np.zeros(len(points), dtype=bool)
     if len(surface) < _NEIGHBOURS or not len(points):
-        return found
+        return reached
     near = _Nearest.of(points, surface)
-    asked = np.arange(len(points))
+    queries = np.arange(len(points))
     for _ in range(_MOST_ROUNDS):
-        asked = asked[near.distance[asked, 0] < apart[asked]]
-        new = asked[_goes_on(points[asked], rays[asked], near.among(asked))]
+        queries = queries[near.distance[queries, 0] < apart[queries]]
+        new = queries[_goes_on(points[queries], rays[queries], near.among(queries))]
         if not len(new):
             break
-        found[new] = True
-        asked = near.join(points, np.flatnonzero(~found), points[new])
-    return found
+        reached[new] = True
+        queries = near.join(points, np.flatnonzero(~reached), points[new])
+    return reached
 
 
 @dataclass

@@ -61,21 +61,21 @@ def detect_lever(
     if not len(view.obstacles):
         return []
     seen = seen or FacesInSight.of(view, hint)
-    found: list[_Found] = []
+    levers: list[_Found] = []
     with threadpool_limits(limits=1, user_api="blas"):
         for face in seen.faces:
             rays = face_rays(face, seen.index, _BEYOND)
             for run in _runs(face, rays, hint):
-                one = _examine(face, rays, run)
-                if one is not None:
-                    found.append(one)
-    found.sort(key=lambda one: -one.confidence * one.pivot.confidence)
+                lever = _examine(face, rays, run)
+                if lever is not None:
+                    levers.append(lever)
+    levers.sort(key=lambda lever: -lever.confidence * lever.pivot.confidence)
     apart: list[_Found] = []
-    for one in found:
-        if all(np.linalg.norm(one.ends.bar.middle - other.ends.bar.middle) > 0.08 for other in apart):
-            apart.append(one)
-    detections = [_as_detection(one, hint is not None) for one in apart]
-    return [one for one in detections if one.confidence >= _REPORTED]
+    for lever in levers:
+        if all(np.linalg.norm(lever.ends.bar.middle - other.ends.bar.middle) > 0.08 for other in apart):
+            apart.append(lever)
+    detections = [_as_detection(lever, hint is not None) for lever in apart]
+    return [lever for lever in detections if lever.confidence >= _REPORTED]
 
 
 def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> list[Run]:
@@ -162,9 +162,9 @@ def _fit(rays: SurroundingRays, run: Run) -> Bar | None:
     return fits[int(np.argmin(misfits(sample, [fit.bar for fit in fits])))].bar
 
 
-def _as_detection(one: _Found, is_hinted: bool) -> Detection:
+def _as_detection(lever: _Found, is_hinted: bool) -> Detection:
     """The lever in the words all detectors share."""
-    bar, pivot, face = one.ends.bar, one.pivot, one.face
+    bar, pivot, face = lever.ends.bar, lever.pivot, lever.face
     z = face.frame[2]
     x = np.sign(pivot.far - pivot.along) * bar.axis
     x = x - (x @ z) * z
@@ -174,15 +174,17 @@ def _as_detection(one: _Found, is_hinted: bool) -> Detection:
     pose[:3, 3] = bar.centre + pivot.along * bar.axis
     sizes = {"length": abs(pivot.far - pivot.along), "radius": bar.half[0]}
     residuals = {
-        "rms": one.evidence.rms,
-        "solid_share": one.evidence.solid,
-        "air_share": one.evidence.air,
-        "visible_share": one.evidence.visible,
+        "rms": lever.evidence.rms,
+        "solid_share": lever.evidence.solid,
+        "air_share": lever.evidence.air,
+        "visible_share": lever.evidence.visible,
         "pivot_score": pivot.confidence,
         "stand_off": pivot.stand_off,
-        "n_hits": float(one.evidence.n_hits),
+        "n_hits": float(lever.evidence.n_hits),
     }
     sure = (
-        np.sqrt(one.confidence * pivot.confidence) if is_hinted else one.confidence * rising(pivot.confidence, *_PIVOT)
+        np.sqrt(lever.confidence * pivot.confidence)
+        if is_hinted
+        else lever.confidence * rising(pivot.confidence, *_PIVOT)
     )
     return Detection("lever", pose, sizes, float(sure), residuals, bar.places(0.01))

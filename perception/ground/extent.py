@@ -112,7 +112,7 @@ def _rectangles(
 ) -> list[Float[np.ndarray, "4 2"]]:
     """Largest rectangles of a picture, one after the other, drawn in to the points they hold."""
     mask, whole = mask.copy(), mask.sum()
-    found: list[Float[np.ndarray, "4 2"]] = []
+    rectangles: list[Float[np.ndarray, "4 2"]] = []
     for _ in range(_MOST_PATCHES):
         if mask.sum() <= _LEFT * whole:
             break
@@ -124,8 +124,8 @@ def _rectangles(
             continue
         low, high = np.maximum(low, inside.min(axis=0)), np.minimum(high, inside.max(axis=0))
         if (high - low).min() >= _NARROWEST:
-            found.append(np.array([low, [high[0], low[1]], high, [low[0], high[1]]]))
-    return found
+            rectangles.append(np.array([low, [high[0], low[1]], high, [low[0], high[1]]]))
+    return rectangles
 
 
 def _largest(mask: Bool[np.ndarray, "U V"]) -> tuple[np.ndarray, np.ndarray]:

@@ -65,8 +65,8 @@ class _Level:
 
 def find_floor(points: Float[np.ndarray, "N 3"], seed: int = 0) -> FloorPlane | None:
     """The level that is the floor of a robot at the world's origin; None when there is none."""
-    found = find_floors(points, seed=seed)
-    return found[0] if found else None
+    floors = find_floors(points, seed=seed)
+    return floors[0] if floors else None
 
 
 def find_floors(

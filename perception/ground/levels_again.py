@@ -143,7 +143,7 @@ def _seen_in_columns(places: Float[np.ndarray, "P 3"], ground: Float[np.ndarray,
     columns -= columns.min(axis=0)
     keys = columns[:, 0] * (columns[:, 1].max() + 1) + columns[:, 1]
     # Far ground could make the count of all columns larger than memory: those of the places are enough.
-    asked, column = np.unique(keys[: len(places)], return_inverse=True)
-    at = np.searchsorted(asked, keys[len(places) :]).clip(max=len(asked) - 1)
-    counts = np.bincount(at[asked[at] == keys[len(places) :]], minlength=len(asked))
+    wanted, column = np.unique(keys[: len(places)], return_inverse=True)
+    at = np.searchsorted(wanted, keys[len(places) :]).clip(max=len(wanted) - 1)
+    counts = np.bincount(at[wanted[at] == keys[len(places) :]], minlength=len(wanted))
     return np.asarray(counts[column])

@@ -54,7 +54,7 @@ def outlines_of(
             if _width(slab.outline) >= _NARROWEST:
                 corners = slab.outline @ plane.basis[:, :2] + plane.offset * plane.normal[:2]
                 outlines.append((slab.area, corners))
-    outlines.sort(key=lambda one: -one[0])
+    outlines.sort(key=lambda item: -item[0])
     return tuple(corners for _, corners in outlines)
 
 

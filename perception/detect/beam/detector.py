@@ -92,7 +92,7 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     points, _ = voxel_downsample(loose_points(view), _VOXEL)
     if hint is not None:
         points = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
-    found: list[_Beam] = []
+    beams: list[_Beam] = []
     # The fits are many and small: with several threads BLAS spends its time on handing them out.
     with threadpool_limits(limits=1, user_api="blas"):
         known: list[Bar] = []
@@ -104,18 +104,18 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
                 if _is_explained(strip, known) or any(_is_again(strip, old, known[n:]) for old, n in tried):
                     continue
                 tried.append((strip, len(known)))
-                one = _examine(index, strip, view.floor, known)
-                if one is not None and one.confidence > _REPORTED:
-                    found.append(one)
-                    known += [one.bar] if one.confidence > _EXPLAINS else []
+                beam = _examine(index, strip, view.floor, known)
+                if beam is not None and beam.confidence > _REPORTED:
+                    beams.append(beam)
+                    known += [beam.bar] if beam.confidence > _EXPLAINS else []
             # What a beam explains hides what lies across it.
             for bar in known[n_known:]:
                 points = points[~bar.holds(points, _NEAR_BAR)]
             if len(known) == n_known:
                 break
-        found = [_settle_again(index, one, found, view.floor) for one in found]
-    found.sort(key=lambda one: -one.confidence)
-    return [_as_detection(one) for one in _drop_duplicates(found)]
+        beams = [_settle_again(index, beam, beams, view.floor) for beam in beams]
+    beams.sort(key=lambda beam: -beam.confidence)
+    return [_as_detection(beam) for beam in _drop_duplicates(beams)]
 
 
 def loose_points(view: View) -> Float[np.ndarray, "N 3"]:
@@ -166,24 +166,24 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
         # It may lie askew in what it was fitted to.
         settled.append(_settle(rays, _span(ends.bar, run), choice.fit, floor))
     return max(
-        (one for one in settled if one is not None), key=lambda one: one.confidence * one.bar.length, default=None
+        (beam for beam in settled if beam is not None), key=lambda beam: beam.confidence * beam.bar.length, default=None
     )
 
 
-def _settle_again(index: SightIndex, one: _Beam, found: Sequence[_Beam], floor: FloorPlane | None) -> _Beam:
+def _settle_again(index: SightIndex, beam: _Beam, beams: Sequence[_Beam], floor: FloorPlane | None) -> _Beam:
     """Settled with what was found after it and with what it may be a part of, where that makes it surer."""
-    others = [other for other in found if other is not one and not _same(other.bar, one.bar)]
-    parts = [other.bar for other in others if _continues(other.bar, one.bar)]
-    if one.confidence >= _SURE and not parts:
-        return one
-    bar = one.bar
+    others = [other for other in beams if other is not beam and not _same(other.bar, beam.bar)]
+    parts = [other.bar for other in others if _continues(other.bar, beam.bar)]
+    if beam.confidence >= _SURE and not parts:
+        return beam
+    bar = beam.bar
     for part in parts:
         bar = _span(bar, run_of(part))
     sure = [other.bar for other in others if other.confidence > _EXPLAINS]
-    known = [other for other in sure if not _continues(other, one.bar)]
+    known = [other for other in sure if not _continues(other, beam.bar)]
     rays = rays_about(index, run_of(bar), _BEYOND, floor, known)
-    new = _settle(rays, bar, one.fit, floor)
-    return one if new is None or new.confidence < one.confidence else new
+    new = _settle(rays, bar, beam.fit, floor)
+    return beam if new is None or new.confidence < beam.confidence else new
 
 
 def _continues(bar: Bar, other: Bar) -> bool:
@@ -204,7 +204,7 @@ def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | No
         # It may be a part of a wider one's face.
         width, thickness = bar.half
         wider = [replace(bar, half=half) for half in ((width + _WIDER, thickness), (width, thickness + _WIDER))]
-        if all(weigh_bar(rays, one).air < _LEAST_AIR for one in wider):
+        if all(weigh_bar(rays, wide).air < _LEAST_AIR for wide in wider):
             return None
     fitted = _fit(rays, bar, fit, floor, _MOST_FITS)
     if fitted is None:
@@ -305,22 +305,22 @@ def _off_size(width: float, thickness: float) -> float:
     return float(nearest.max(axis=1).min())
 
 
-def _drop_duplicates(found: list[_Beam]) -> list[_Beam]:
+def _drop_duplicates(beams: list[_Beam]) -> list[_Beam]:
     """Without those that lie in a surer one, or just beside it in the same direction."""
     kept: list[_Beam] = []
-    for one in found:
-        if not any(_same(one.bar, other.bar) or _same(other.bar, one.bar) for other in kept):
-            kept.append(one)
+    for beam in beams:
+        if not any(_same(beam.bar, other.bar) or _same(other.bar, beam.bar) for other in kept):
+            kept.append(beam)
     return kept
 
 
-def _same(one: Bar, other: Bar) -> bool:
-    margin = 0.5 * min(one.half) if abs(one.axis @ other.axis) > 0.98 else 0.0
-    return bool(other.holds(one.places(0.02), margin).mean() > 0.5)
+def _same(bar: Bar, other: Bar) -> bool:
+    margin = 0.5 * min(bar.half) if abs(bar.axis @ other.axis) > 0.98 else 0.0
+    return bool(other.holds(bar.places(0.02), margin).mean() > 0.5)
 
 
-def _as_detection(one: _Beam) -> Detection:
-    bar, evidence = one.bar, one.evidence
+def _as_detection(beam: _Beam) -> Detection:
+    bar, evidence = beam.bar, beam.evidence
     axes = bar.frame if bar.half[0] >= bar.half[1] else bar.frame[[0, 2, 1]]
     pose = np.eye(4)
     pose[:3, :3] = np.column_stack([axes[0], np.cross(axes[2], axes[0]), axes[2]])
@@ -328,15 +328,15 @@ def _as_detection(one: _Beam) -> Detection:
     sizes = {"length": bar.length, "width": 2.0 * max(bar.half), "thickness": 2.0 * min(bar.half)}
     residuals = {
         "rms": evidence.rms,
-        "axis_spread_rad": one.fit.spread[0],
-        "centre_spread": one.fit.spread[1],
-        "doubt": one.doubt,
+        "axis_spread_rad": beam.fit.spread[0],
+        "centre_spread": beam.fit.spread[1],
+        "doubt": beam.doubt,
         "solid_share": evidence.solid,
         "air_share": evidence.air,
         "visible_share": evidence.visible,
-        "misfit_ratio": one.flatter.misfit,
-        "flatter_ratio": one.flatter.share,
-        "hidden_length": one.hidden,
-        "n_ends_seen": float(sum(one.ends.seen)),
+        "misfit_ratio": beam.flatter.misfit,
+        "flatter_ratio": beam.flatter.share,
+        "hidden_length": beam.hidden,
+        "n_ends_seen": float(sum(beam.ends.seen)),
     }
-    return Detection("beam", pose, sizes, one.confidence, residuals, one.points)
+    return Detection("beam", pose, sizes, beam.confidence, residuals, beam.points)

@@ -92,7 +92,7 @@ def find_strips(
     tree = cKDTree(points)
     seeds = rng.choice(len(points), min(n_seeds, len(points)), replace=False)
     taken = np.zeros(len(points), dtype=bool)
-    found: list[Strip] = []
+    strips: list[Strip] = []
     for batch in np.array_split(seeds, max(1, len(seeds) // _BATCH)):
         # What one strip explains is not begun at again.
         batch = batch[~taken[batch]]
@@ -111,8 +111,8 @@ def find_strips(
             strip, members = grown
             if taken[members].mean() < _SHARED:
                 taken[members] = True
-                found.append(strip)
-    return sorted(found, key=lambda strip: -strip.score)[:most]
+                strips.append(strip)
+    return sorted(strips, key=lambda strip: -strip.score)[:most]
 
 
 def _in_walls(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
@@ -283,9 +283,9 @@ def _clear(
     ring = is_between & (across > half + 0.01) & (across < half + 0.04)
     beside = np.bincount(bins[ring], minlength=n_bins)
     clear = 2.0 * beside * 2.0 * half <= inside * 0.06
-    told = np.where(inside > 0, np.where(clear, 1, -1), 0)
-    told[1:-1][(told[1:-1] == 0) & (told[:-2] == 1) & (told[2:] == 1)] = 1
-    return told
+    marks = np.where(inside > 0, np.where(clear, 1, -1), 0)
+    marks[1:-1][(marks[1:-1] == 0) & (marks[:-2] == 1) & (marks[2:] == 1)] = 1
+    return marks
 
 
 def _run(along: Float[np.ndarray, "K"], middle: float) -> tuple[float, float]:

@@ -114,13 +114,13 @@ def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
         within = seen.mine & (seen.depth > -_WENT_ON)
         mirrored = _sum_votes(face, Towards(seen.at, -seen.depth, within), face.votes(-seen.depth, out))
         for zone in _zones(prefer):
-            found, dent = _best_box(grid, face, zone, out), _best_box(mirrored, face, zone, out)
-            if found is not None and (zone not in best or found.evidence > best[zone].evidence):
-                best[zone] = found
+            bump, dent = _best_box(grid, face, zone, out), _best_box(mirrored, face, zone, out)
+            if bump is not None and (zone not in best or bump.evidence > best[zone].evidence):
+                best[zone] = bump
             if dent is not None:
                 noise[_place(zone)] = max(noise[_place(zone)], dent.evidence)
-    left = [Bump(one.evidence - noise[_place(zone)], one.out, one.low, one.high) for zone, one in best.items()]
-    return [one for one in left if one.evidence > _LEAST]
+    left = [Bump(bump.evidence - noise[_place(zone)], bump.out, bump.low, bump.high) for zone, bump in best.items()]
+    return [bump for bump in left if bump.evidence > _LEAST]
 
 
 def _zones(prefer: int) -> tuple[str, ...]:

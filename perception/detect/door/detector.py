@@ -82,9 +82,9 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
         )
         for leaf in leaves[:_EXAMINED]
     ]
-    candidates = [one for one in candidates if one.confidence >= _REPORTED]
-    candidates.sort(key=lambda one: -one.confidence)
-    return [_detection(one, ground) for one in _drop_duplicates(candidates)]
+    candidates = [candidate for candidate in candidates if candidate.confidence >= _REPORTED]
+    candidates.sort(key=lambda candidate: -candidate.confidence)
+    return [_detection(candidate, ground) for candidate in _drop_duplicates(candidates)]
 
 
 def _ground(view: View) -> float:
@@ -195,16 +195,16 @@ def _unsure(handle: Handle, free_side: int) -> float:
 def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
     """Without those whose middle lies on a surer one."""
     kept: list[_Candidate] = []
-    for one in candidates:
-        middle = one.leaf.plane.place(0.5 * (one.leaf.low.at + one.leaf.high.at))
+    for candidate in candidates:
+        middle = candidate.leaf.plane.place(0.5 * (candidate.leaf.low.at + candidate.leaf.high.at))
         if all(_distance(other.leaf, middle) > 0.15 for other in kept):
-            kept.append(one)
+            kept.append(candidate)
     return kept
 
 
-def _detection(one: _Candidate, ground: float) -> Detection:
-    leaf, frame, handle = one.leaf, one.frame, one.handle
-    hinge_at, free_at = _ends(leaf, frame, one.hinge)
+def _detection(candidate: _Candidate, ground: float) -> Detection:
+    leaf, frame, handle = candidate.leaf, candidate.frame, candidate.handle
+    hinge_at, free_at = _ends(leaf, frame, candidate.hinge)
     width = abs(free_at - hinge_at)
     pose = np.eye(4)
     pose[:3, 0] = leaf.plane.along * (1.0 if free_at > hinge_at else -1.0)
@@ -227,9 +227,9 @@ def _detection(one: _Candidate, ground: float) -> Detection:
         sizes["handle_x"] = abs(along - hinge_at)
         sizes["handle_y"] = side * handle.out
         sizes["handle_z"] = float(handle.centre[1] - ground)
-        residuals["handle_slack"] = _unsure(handle, -one.hinge)
+        residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
     step = max(1, len(leaf.points) // _SHOWN)
-    return Detection("door", pose, sizes, one.confidence, residuals, leaf.points[::step])
+    return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step])
 
 
 def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:

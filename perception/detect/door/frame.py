@@ -105,7 +105,7 @@ def _beside(
                 best = (far - near, mine)
         if best is not None:
             chosen.append(points[best[1]])
-    planes = [fit_upright(one, origin) for one in chosen]
+    planes = [fit_upright(members, origin) for members in chosen]
     if len(chosen) == 2:
         both = fit_upright(np.concatenate(chosen), origin)
         planes.insert(0, both)
@@ -166,25 +166,25 @@ def _judge(leaf: Leaf, plane: Upright, points: Float[np.ndarray, "N 3"], rays: R
     )
 
 
-def _columns(profile: Profile, one: float, other: float) -> np.ndarray:
-    low, high = sorted((one, other))
+def _columns(profile: Profile, start: float, end: float) -> np.ndarray:
+    low, high = sorted((start, end))
     centres = profile.centres
     return np.flatnonzero((centres > low) & (centres < high))
 
 
-def _wall_share(profile: Profile, one: float, other: float, least: float) -> float:
+def _wall_share(profile: Profile, start: float, end: float, least: float) -> float:
     """Share of the columns seen that stand on the plane; NaN when little was seen."""
-    mine = _columns(profile, one, other)
+    mine = _columns(profile, start, end)
     seen = profile.is_solid[mine] | (profile.open_storeys[mine] > 0)
-    if seen.sum() * BIN < least * abs(other - one):
+    if seen.sum() * BIN < least * abs(end - start):
         return float("nan")
     on = profile.is_solid[mine] & (np.abs(profile.depth[mine]) < _ON_WALL)
     return float(on.sum() / seen.sum())
 
 
-def _gap(profile: Profile, one: float, other: float) -> tuple[float, float]:
+def _gap(profile: Profile, start: float, end: float) -> tuple[float, float]:
     """Shares of the opening's columns that are open, and that hold wall."""
-    mine = _columns(profile, one, other)
+    mine = _columns(profile, start, end)
     if not len(mine):
         return 0.0, 0.0
     on = profile.is_solid[mine] & (np.abs(profile.depth[mine]) < 0.5 * _ON_WALL)

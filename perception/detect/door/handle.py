@@ -84,7 +84,7 @@ def find_handle(
     """
     face = DoorFace(plane, low, high, ground, float(np.clip(rms, 0.006, 0.02)))
     seen = [_measure(face, rays, bump) for bump in find_bumps(face, rays, prefer)]
-    return max(seen, key=lambda one: (one.quality, one.evidence), default=None)
+    return max(seen, key=lambda handle: (handle.quality, handle.evidence), default=None)
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def _free_share(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
             column & (seen.at[:, 1] > end) & (seen.at[:, 1] < end + _PULL_END)
             for end in (seen.low[1] - _ABOUT - _PULL_END, seen.high[1] + _ABOUT)
         ]
-    return min(float(np.mean(on_face[one])) if one.any() else 0.0 for one in beside)
+    return min(float(np.mean(on_face[side])) if side.any() else 0.0 for side in beside)
 
 
 def _slack(face: DoorFace, seen: _Seen) -> tuple[float, float]:

@@ -92,8 +92,8 @@ def _holds(leaf: Leaf, place: Float[np.ndarray, "3"]) -> bool:
     return bool(abs(local[2]) < 0.01 and leaf.low.at < local[0] < leaf.high.at)
 
 
-def _same(one: Leaf, other: Leaf) -> bool:
-    ends = [one.plane.place(edge.at) for edge in (one.low, one.high)]
+def _same(leaf: Leaf, other: Leaf) -> bool:
+    ends = [leaf.plane.place(edge.at) for edge in (leaf.low, leaf.high)]
     others = [other.plane.place(edge.at) for edge in (other.low, other.high)]
     return all(np.linalg.norm(a - b) < 0.05 for a, b in zip(ends, others, strict=True))
 

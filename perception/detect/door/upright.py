@@ -87,7 +87,7 @@ def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3
     centre = np.stack([np.bincount(column, means[:, k], n_columns) for k in range(2)], axis=1) / height[:, None]
     tall = height >= _LEAST_HEIGHT
     centre, weight = centre[tall], np.minimum(height[tall], 30).astype(float)
-    found: list[Upright] = []
+    planes: list[Upright] = []
     standing = np.ones(len(means), dtype=bool)
     left = np.ones(len(centre), dtype=bool)
     for _ in range(most):
@@ -98,9 +98,9 @@ def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3
         on = left & (np.abs(centre @ plane.normal[:2] - plane.offset) < 0.05)
         if on.sum() < _LEAST_COLUMNS:
             break
-        found.append(plane)
+        planes.append(plane)
         left &= ~on
-    return found
+    return planes
 
 
 def _most_voted(

@@ -48,13 +48,15 @@ def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     if not len(view.obstacles):
         return []
     index = sight_index(view.cloud)
-    clusters = [part for one in standing_clusters(view) for part in _of_a_size(one)]
+    clusters = [part for cluster in standing_clusters(view) for part in _of_a_size(cluster)]
     if hint is not None:
-        clusters = [one for one in clusters if np.linalg.norm(one.points.mean(axis=0) - hint) < _HINT_RADIUS]
-    held = [(one, share) for one in clusters if (share := support_share(index, one)) > _SUPPORTED[0]]
-    begun = sorted((_begin(index, *one) for one in held[:_MOST_CLUSTERS]), key=lambda one: one.least_cost)
-    found = [_finish(one, hint is not None) for one in begun[:_MOST_FITS]]
-    return sorted((one for one in found if one.confidence > _REPORTED), key=lambda one: -one.confidence)
+        clusters = [
+            cluster for cluster in clusters if np.linalg.norm(cluster.points.mean(axis=0) - hint) < _HINT_RADIUS
+        ]
+    held = [(cluster, share) for cluster in clusters if (share := support_share(index, cluster)) > _SUPPORTED[0]]
+    begun = sorted((_begin(index, *start) for start in held[:_MOST_CLUSTERS]), key=lambda start: start.least_cost)
+    hits = [_finish(begun_fit, hint is not None) for begun_fit in begun[:_MOST_FITS]]
+    return sorted((hit for hit in hits if hit.confidence > _REPORTED), key=lambda hit: -hit.confidence)
 
 
 def _of_a_size(cluster: StandingCluster) -> list[StandingCluster]:
@@ -105,7 +107,7 @@ def _begin(index: SightIndex, cluster: StandingCluster, supported: float) -> _Be
     tall = float(np.percentile(cluster.points[:, 2], 98)) - cluster.level
     grip = float(np.clip(tall - 2.0 * FOOT[2] - 0.03 - BODY_RADIUS, 0.08, 0.17))
     costs = [(_cost(few, least, cluster.level, shape), shape) for shape in _starts(cluster, grip)]
-    costs.sort(key=lambda one: one[0])
+    costs.sort(key=lambda pair: pair[0])
     starts = tuple(_drop_duplicates([shape for _, shape in costs])[:3])
     return _Begun(cluster, supported, least, rays, few, starts, costs[0][0])
 

@@ -59,11 +59,11 @@ def standing_clusters(view: View) -> list[StandingCluster]:
     for level in levels:
         on_board |= _on_board(points, level)
     standing = points[~on_board]
-    found: list[StandingCluster] = []
+    clusters: list[StandingCluster] = []
     for level in levels:
         layer = standing[(standing[:, 2] > level + _OVER[0]) & (standing[:, 2] < level + _OVER[1])]
-        found += [StandingCluster(one, level) for one in _on_foot(_link(layer), level)]
-    return sorted(found, key=lambda one: -len(one.points))
+        clusters += [StandingCluster(foot, level) for foot in _on_foot(_link(layer), level)]
+    return sorted(clusters, key=lambda cluster: -len(cluster.points))
 
 
 def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray, "N"]:
@@ -138,7 +138,7 @@ def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
 
 def _on_foot(groups: list[Float[np.ndarray, "K 3"]], level: float) -> list[Float[np.ndarray, "K 3"]]:
     """Those that reach down to the surface."""
-    return [one for one in groups if one[:, 2].min() < level + _FOOT_HEIGHT]
+    return [group for group in groups if group[:, 2].min() < level + _FOOT_HEIGHT]
 
 
 def support_share(index: SightIndex, cluster: StandingCluster) -> float:

@@ -108,19 +108,26 @@ def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     # The sums are many and small: with several threads BLAS spends its time on handing them out.
     with threadpool_limits(limits=1, user_api="blas"):
         tips = [tip for tip in find_tips(points, places, _WIDEST) if _may_be_open(index, tip)]
-        candidates = sorted((_candidate(index, tip) for tip in tips), key=lambda one: one.misfit)
-        fitted = sorted((_fit(one) for one in _drop_duplicates(candidates)[:_MOST_FITTED]), key=lambda one: one.misfit)
+        candidates = sorted((_candidate(index, tip) for tip in tips), key=lambda candidate: candidate.misfit)
+        fitted = sorted(
+            (_fit(candidate) for candidate in _drop_duplicates(candidates)[:_MOST_FITTED]),
+            key=lambda candidate: candidate.misfit,
+        )
         for _ in range(_ROUNDS):
-            fitted = [_fit(one) for one in fitted[:_MOST_JUDGED]]
-        found = [_judge(index, one, hint is not None) for one in fitted if not _stands(points, one.tube, view.floor)]
-    found = sorted(
-        (one for one in found if one.confidence > _REPORTED), key=lambda one: one.misfit - 2.0 * one.confidence
+            fitted = [_fit(candidate) for candidate in fitted[:_MOST_JUDGED]]
+        ends = [
+            _judge(index, candidate, hint is not None)
+            for candidate in fitted
+            if not _stands(points, candidate.tube, view.floor)
+        ]
+    ends = sorted(
+        (end for end in ends if end.confidence > _REPORTED), key=lambda end: end.misfit - 2.0 * end.confidence
     )
     kept: list[_End] = []
-    for end in found:
+    for end in ends:
         if all(np.linalg.norm(end.tube.mouth - other.tube.mouth) > _SAME for other in kept):
             kept.append(end)
-    return [_as_detection(one) for one in kept]
+    return [_as_detection(end) for end in kept]
 
 
 def _may_be_open(index: SightIndex, tip: Tip) -> bool:
@@ -152,18 +159,18 @@ def _candidate(index: SightIndex, tip: Tip) -> _Candidate:
 def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
     """Without those that are nearly as a better one."""
     kept: list[_Candidate] = []
-    for one in candidates:
-        apart = [np.linalg.norm(one.tube.mouth - other.tube.mouth) for other in kept]
-        turned = [one.tube.axis @ other.tube.axis for other in kept]
+    for candidate in candidates:
+        apart = [np.linalg.norm(candidate.tube.mouth - other.tube.mouth) for other in kept]
+        turned = [candidate.tube.axis @ other.tube.axis for other in kept]
         if all(a > 0.04 or t < 0.75 for a, t in zip(apart, turned, strict=True)):
-            kept.append(one)
+            kept.append(candidate)
     return kept
 
 
-def _fit(one: _Candidate) -> _Candidate:
+def _fit(candidate: _Candidate) -> _Candidate:
     """With the tube fitted to its rays."""
-    tube = refine_tube(one.rays, one.mine, one.tube)
-    return replace(one, tube=tube, misfit=float(misfits(one.rays, one.mine, [tube])[0]))
+    tube = refine_tube(candidate.rays, candidate.mine, candidate.tube)
+    return replace(candidate, tube=tube, misfit=float(misfits(candidate.rays, candidate.mine, [tube])[0]))
 
 
 def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | None) -> bool:
@@ -183,12 +190,14 @@ def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | No
     return bool(len(filled) and np.bincount(filled).max() >= _LEAST_SECTORS)
 
 
-def _judge(index: SightIndex, one: _Candidate, is_hinted: bool) -> _End:
+def _judge(index: SightIndex, candidate: _Candidate, is_hinted: bool) -> _End:
     """A fitted tube, weighed, then settled by all rays about it."""
-    tube = one.tube
+    tube = candidate.tube
     rays = index.passing(np.stack([tube.mouth, tube.mouth - STRAIGHT * tube.axis]), 1.2 * tube.radius + _BESIDE)
     evidence = weigh_tube(rays, tube)
-    return _End(settle_tube(rays, tube), one.misfit, evidence, _confidence(tube, one.misfit, evidence, is_hinted))
+    return _End(
+        settle_tube(rays, tube), candidate.misfit, evidence, _confidence(tube, candidate.misfit, evidence, is_hinted)
+    )
 
 
 def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bool) -> float:
@@ -216,12 +225,12 @@ def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bo
     return float(value**0.7 if is_hinted else value)
 
 
-def _as_detection(one: _End) -> Detection:
-    z, evidence = one.tube.axis, one.evidence
+def _as_detection(end: _End) -> Detection:
+    z, evidence = end.tube.axis, end.evidence
     across, over = square_to(z)
     pose = np.eye(4)
     pose[:3, :3] = np.column_stack([across, over, z])
-    pose[:3, 3] = one.tube.mouth
+    pose[:3, 3] = end.tube.mouth
     residuals = {
         "rms": evidence.rms,
         "solid_share": evidence.solid,
@@ -231,4 +240,4 @@ def _as_detection(one: _End) -> Detection:
     if not np.isnan(evidence.open):
         residuals["open_share"] = evidence.open
     points = evidence.points[:: max(1, len(evidence.points) // _MOST_POINTS)]
-    return Detection("hose", pose, {"radius": one.tube.radius}, one.confidence, residuals, points)
+    return Detection("hose", pose, {"radius": end.tube.radius}, end.confidence, residuals, points)

@@ -50,7 +50,7 @@ def find_tips(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "K 3"]
     if not len(places) or len(points) < _LEAST_POINTS:
         return []
     tree, ways = cKDTree(points), spread_directions(_DIRECTIONS)
-    found: list[Tip] = []
+    tips: list[Tip] = []
     for block in np.array_split(places, -(-len(places) // _BLOCK)):
         poll()
         distance, near = tree.query(block, _MOST_NEAR, distance_upper_bound=_BALL)
@@ -59,12 +59,12 @@ def find_tips(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "K 3"]
         # Where something ends all that is near lies on one side.
         mean = offset.sum(axis=1) / is_near.sum(axis=1, keepdims=True)
         lopsided = np.linalg.norm(mean, axis=1) > _LEAST_LOPSIDED
-        found += _in_block(block[lopsided], offset[lopsided], is_near[lopsided], ways, widest)
-    found.sort(key=lambda tip: -tip.n_points)
+        tips += _in_block(block[lopsided], offset[lopsided], is_near[lopsided], ways, widest)
+    tips.sort(key=lambda tip: -tip.n_points)
     kept: list[Tip] = []
-    for tip in found:
+    for tip in tips:
         poll()
-        if all(np.linalg.norm(tip.place - one.place) > _APART or tip.axis @ one.axis < _ALIKE for one in kept):
+        if all(np.linalg.norm(tip.place - other.place) > _APART or tip.axis @ other.axis < _ALIKE for other in kept):
             kept.append(tip)
     return kept
 
@@ -80,7 +80,7 @@ def _in_block(
     poll()
     ahead = np.where(is_near[:, None], np.einsum("kmi,di->kdm", offset, ways), -np.inf)
     of_place, of_way = np.nonzero(ahead.max(axis=2) < _BEYOND)
-    found = []
+    tips = []
     for i, j in zip(of_place.tolist(), of_way.tolist(), strict=True):
         poll()
         cap = offset[i][ahead[i, j] > -_DEPTH]
@@ -90,8 +90,8 @@ def _in_block(
         middle = 0.5 * (lateral.min(axis=0) + lateral.max(axis=0))
         radius = float(np.linalg.norm(lateral - middle, axis=1).max())
         if radius < widest:
-            found.append(Tip(places[i] + middle, ways[j], radius, len(cap)))
-    return found
+            tips.append(Tip(places[i] + middle, ways[j], radius, len(cap)))
+    return tips
 
 
 def spread_directions(n: int) -> Float[np.ndarray, "n 3"]:

@@ -217,9 +217,11 @@ def weigh_tube(rays: Sightlines, tube: Tube) -> TubeEvidence:
     inward = into & (rays.length > met.plane[0] - NEAR_WALL)
     beside = ~on & ~into & (met.outside[0] > _AIR[0]) & (met.outside[0] < _AIR[1]) & straight & arrives
     sector = _sectors(rays, tube, met.depth[0])
-    free, full = (np.bincount(sector[beside & one], minlength=_N_SECTORS) for one in (gap > NEAR_WALL, gap < NEAR_WALL))
+    free, full = (
+        np.bincount(sector[beside & mask], minlength=_N_SECTORS) for mask in (gap > NEAR_WALL, gap < NEAR_WALL)
+    )
     known = free + full > 0
-    there, missing = (np.bincount(sector[one], minlength=_N_SECTORS) for one in (hits, clear & ~hits))
+    there, missing = (np.bincount(sector[mask], minlength=_N_SECTORS) for mask in (hits, clear & ~hits))
     return TubeEvidence(
         int(hits.sum()),
         float(hits[clear].mean()) if clear.any() else 0.0,

@@ -59,19 +59,19 @@ def detect_panel(
         return []
     seen = seen or FacesInSight.of(view, hint)
     with threadpool_limits(limits=1, user_api="blas"):
-        found = [_examine(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
-    panels = [one for one in found if one is not None and one.confidence >= _REPORTED]
+        examined = [_examine(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
+    panels = [panel for panel in examined if panel is not None and panel.confidence >= _REPORTED]
     # Of faces askew and straight through the same panel, both sure, the flatter one is it.
-    return _drop_duplicates(sorted(panels, key=lambda one: (-round(one.confidence, 2), one.residuals["sigma"])))
+    return _drop_duplicates(sorted(panels, key=lambda panel: (-round(panel.confidence, 2), panel.residuals["sigma"])))
 
 
 def _drop_duplicates(panels: list[Detection]) -> list[Detection]:
     """Without those whose centre lies on a surer one: noise may make two faces of one."""
     kept: list[Detection] = []
-    for one in panels:
-        centre = one.pose_world_object[:3, 3]
+    for panel in panels:
+        centre = panel.pose_world_object[:3, 3]
         if not any(_covers(other, centre) for other in kept):
-            kept.append(one)
+            kept.append(panel)
     return kept
 
 
@@ -161,19 +161,19 @@ def _is_button(disc: Disc) -> bool:
 
 def _stands_alone(disc: Disc, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> bool:
     """Whether the face was seen between it and any other relief, so that they are no parts of one larger thing."""
-    return all(one is disc or _is_apart(disc, one, ends) for one in discs)
+    return all(other is disc or _is_apart(disc, other, ends) for other in discs)
 
 
-def _is_apart(one: Disc, other: Disc, ends: Float[np.ndarray, "K 3"]) -> bool:
-    way = other.centre - one.centre
+def _is_apart(disc: Disc, other: Disc, ends: Float[np.ndarray, "K 3"]) -> bool:
+    way = other.centre - disc.centre
     apart = float(np.linalg.norm(way))
-    gap = apart - one.radius - other.radius
+    gap = apart - disc.radius - other.radius
     if not _BETWEEN < gap < _NEIGHBOURS:
         return gap >= _NEIGHBOURS
-    offset = ends[:, :2] - one.centre
+    offset = ends[:, :2] - disc.centre
     along, aside = offset @ way / apart, np.abs(offset @ np.array([-way[1], way[0]])) / apart
-    height = ends[(along > one.radius) & (along < apart - other.radius) & (aside < min(one.radius, other.radius)), 2]
-    return bool(len(height) >= _FEWEST_BETWEEN and np.median(height) < 0.5 * min(one.height, other.height))
+    height = ends[(along > disc.radius) & (along < apart - other.radius) & (aside < min(disc.radius, other.radius)), 2]
+    return bool(len(height) >= _FEWEST_BETWEEN and np.median(height) < 0.5 * min(disc.height, other.height))
 
 
 def _edges(face: Face, seen: FaceRays) -> _Edges:

@@ -58,15 +58,15 @@ def find_discs(
         least_gain: of a disc.
         most: how many to look for.
     """
-    found: list[Disc] = []
+    discs: list[Disc] = []
     left, kernels = points, _kernels(low, high)
-    while len(found) < most:
+    while len(discs) < most:
         disc = _best(left, kernels, low, high, sigma)
         if disc is None or disc.gain < least_gain:
             break
-        found.append(disc)
+        discs.append(disc)
         left = left[np.linalg.norm(left[:, :2] - disc.centre, axis=1) > disc.radius + _COLLAR]
-    return found
+    return discs
 
 
 @dataclass(frozen=True)

@@ -55,11 +55,11 @@ def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> Li
         floor: below everything.
     """
     crossing = cross_bar(rays, bar)
-    told = sort_rays(rays, crossing)
+    outcome = sort_rays(rays, crossing)
     inside = crossing.outside < -_INSIDE
-    gains = _gains(rays, crossing, told, floor)
-    speaks, stopped = inside & (gains != 0.0), crossing.along[inside & told.before]
-    hits = inside & told.hit
+    gains = _gains(rays, crossing, outcome, floor)
+    speaks, stopped = inside & (gains != 0.0), crossing.along[inside & outcome.before]
+    hits = inside & outcome.hit
     middle = 0.5 * (bar.first + bar.last)
     first, last = (
         _end(at[speaks], gains[speaks], hits[speaks], sign * (stopped - middle))
@@ -71,22 +71,22 @@ def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> Li
         height = _ON_FLOOR + max(0.0, float(floor.above(nearest.corners).min()))
         descent = float(bar.axis @ floor.normal)
         first, last = first.above(height, descent), last.above(height, -descent)
-    found = replace(bar, first=middle - first.place, last=middle + last.place)
-    return LikelyEnds(found, (first.is_seen, last.is_seen), (first.hidden, last.hidden))
+    cut = replace(bar, first=middle - first.place, last=middle + last.place)
+    return LikelyEnds(cut, (first.is_seen, last.is_seen), (first.hidden, last.hidden))
 
 
 def _gains(
-    rays: SurroundingRays, crossing: BarCrossing, told: Sorted, floor: FloorPlane | None
+    rays: SurroundingRays, crossing: BarCrossing, outcome: Sorted, floor: FloorPlane | None
 ) -> Float[np.ndarray, "N"]:
     """How much more likely each ray's end is where the bar is than where it is not; 0: it says nothing."""
     gap = rays.length - crossing.depth
-    gain = np.maximum(_LOST, np.log(_ON / _OFF) - 0.5 * (gap / _SIGMA) ** 2) * (told.hit | told.passed)
+    gain = np.maximum(_LOST, np.log(_ON / _OFF) - 0.5 * (gap / _SIGMA) ** 2) * (outcome.hit | outcome.passed)
     if floor is not None:
         # What ended on the floor under a bar ended near the bar too: which of the two was nearer?
         downwards = np.minimum(rays.direction @ floor.normal, -_LEAST_SLOPE)
         beyond = floor.above(rays.start) / -downwards - crossing.depth
         of_floor = np.clip(0.5 * ((gap - beyond) ** 2 - gap**2) / _SIGMA**2, _LOST, 0.0)
-        gain = np.where(rays.elsewhere & ~told.before, of_floor, gain)
+        gain = np.where(rays.elsewhere & ~outcome.before, of_floor, gain)
     return np.asarray(gain)
 
 

@@ -41,9 +41,9 @@ class Ends:
 def find_ends(rays: SurroundingRays, bar: Bar) -> Ends:
     """Follow the bar from where it is surest to where rays inside its outline go on behind it."""
     crossing = cross_bar(rays, bar)
-    told = sort_rays(rays, crossing)
+    outcome = sort_rays(rays, crossing)
     inside = crossing.outside < -_INSIDE
-    hits, passes, stopped = (crossing.along[inside & those] for those in (told.hit, told.passed, told.before))
+    hits, passes, stopped = (crossing.along[inside & those] for those in (outcome.hit, outcome.passed, outcome.before))
     if len(hits) < 3:
         return Ends(bar, (False, False))
     middle = 0.5 * (bar.first + bar.last)
@@ -122,29 +122,29 @@ class BarEvidence:
 def weigh_bar(rays: SurroundingRays, bar: Bar) -> BarEvidence:
     """Count hits, passes and air about a fitted bar."""
     crossing = cross_bar(rays, bar)
-    told = sort_rays(rays, crossing)
+    outcome = sort_rays(rays, crossing)
     between = (crossing.along > bar.first) & (crossing.along < bar.last)
     inside = between & (crossing.outside < -_INSIDE)
-    n_hits, n_passed = int((inside & told.hit).sum()), int((inside & told.passed).sum())
+    n_hits, n_passed = int((inside & outcome.hit).sum()), int((inside & outcome.passed).sum())
     n_bins = max(1, round(bar.length / _COARSE_BIN))
     of_bin = ((crossing.along - bar.first) / bar.length * n_bins).clip(0, n_bins - 1).astype(np.int64)
-    visible = float((np.bincount(of_bin[inside & told.hit], minlength=n_bins) > 0).mean())
+    visible = float((np.bincount(of_bin[inside & outcome.hit], minlength=n_bins) > 0).mean())
     beside = between & (crossing.outside > _AIR[0]) & (crossing.outside < _AIR[1])
     gap = rays.length - crossing.depth
-    through = told.passed | (rays.elsewhere & ~told.before)
-    level = told.passed & in_line(bar, rays) & ~rays.elsewhere
+    through = outcome.passed | (rays.elsewhere & ~outcome.before)
+    level = outcome.passed & in_line(bar, rays) & ~rays.elsewhere
     if rays.taken is not None:
         level &= ~rays.taken
     airs, knowns = [], []
     for sign in (-1.0, 1.0):
         there = beside & (np.sign(crossing.side) == sign)
         free = np.bincount(of_bin[there & through], minlength=n_bins)
-        full = np.bincount(of_bin[there & ~through & ~told.before], minlength=n_bins)
+        full = np.bincount(of_bin[there & ~through & ~outcome.before], minlength=n_bins)
         known = (free + full) > 0
         is_larger = runs_on(level[there], (through & ~level)[there], crossing.outside[there], of_bin[there], n_bins)
         airs.append(float(((free > full) & ~is_larger)[known].mean()) if known.any() else 0.0)
         knowns.append(float(known.mean()))
-    hits = between & told.hit
+    hits = between & outcome.hit
     rms = float(np.sqrt(np.mean(gap[hits] ** 2))) if hits.any() else np.inf
     return BarEvidence(n_hits, n_hits / max(1, n_hits + n_passed), visible, min(airs), min(knowns), rms, hits)
 

@@ -130,7 +130,7 @@ def _spreads(curvature: Float[np.ndarray, "B n n"]) -> list[tuple[float, float]]
     scale = _SCALE[: curvature.shape[1]]
     inverse = np.linalg.inv(curvature * scale[:, None] * scale + 1e-6 * np.eye(len(scale)))
     deviation = scale * np.sqrt(np.maximum(np.einsum("bnn->bn", inverse), 0.0))
-    return [(float(one[:2].max()), float(one[2:4].max())) for one in deviation]
+    return [(float(row[:2].max()), float(row[2:4].max())) for row in deviation]
 
 
 def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> tuple[float, float]:
@@ -159,11 +159,11 @@ def _relevant(
     crossing = cross_bars(rays, bars)
     low, high = np.array([[bar.first, bar.last] for bar in bars]).T
     between = (crossing.along >= low[:, None]) & (crossing.along <= high[:, None])
-    told = sort_rays(rays, crossing)
-    counts = between & (told.hit | (told.passed & (crossing.outside < _AROUND)))
+    outcome = sort_rays(rays, crossing)
+    counts = between & (outcome.hit | (outcome.passed & (crossing.outside < _AROUND)))
     keep = np.flatnonzero(counts.any(axis=0))
     keep = keep[:: max(1, -(-len(keep) // most))]
-    return rays.selected(keep), (told.hit & counts)[:, keep], counts[:, keep]
+    return rays.selected(keep), (outcome.hit & counts)[:, keep], counts[:, keep]
 
 
 def _step(
@@ -177,11 +177,11 @@ def _step(
     return np.asarray(np.clip(step, -_LARGEST_STEP[: len(scale)], _LARGEST_STEP[: len(scale)]))
 
 
-def _chosen(these: Bool[np.ndarray, "B"], one: _State, other: _State) -> _State:
+def _chosen(these: Bool[np.ndarray, "B"], new: _State, old: _State) -> _State:
     return _State(
-        np.where(these[:, None, None], one.frames, other.frames),
-        np.where(these[:, None], one.centres, other.centres),
-        np.where(these[:, None], one.halves, other.halves),
+        np.where(these[:, None, None], new.frames, old.frames),
+        np.where(these[:, None], new.centres, old.centres),
+        np.where(these[:, None], new.halves, old.halves),
     )
 
 
@@ -222,8 +222,8 @@ def _linearize(
     speed = np.maximum(np.hypot(d1, d2), LEAST_SLOPE)
     side = (d1 * p2 - d2 * p1) / speed
     # How the ray moves in the bar's section for tilts, shifts and turn: changes of p1, p2, d1, d2.
-    one, nil = np.ones_like(p0), np.zeros_like(p0)
-    moves = [(-p0, nil, -d0, nil), (nil, -p0, nil, -d0), (-one, nil, nil, nil), (nil, -one, nil, nil)]
+    unit, nil = np.ones_like(p0), np.zeros_like(p0)
+    moves = [(-p0, nil, -d0, nil), (nil, -p0, nil, -d0), (-unit, nil, nil, nil), (nil, -unit, nil, nil)]
     if section == "box":
         moves.append((p2, -p1, d2, -d1))
     sign = np.sign(side)
@@ -247,7 +247,7 @@ def _linearize(
         if section == "box":
             moved_reach = (np.sign(d2) * b2 * half1 + np.sign(d1) * b1 * half2) / speed - reach * faster
         by_edge.append(sign * moved_side - moved_reach)
-    sizes_edge = [-np.abs(d2) / speed, -np.abs(d1) / speed] if section == "box" else [-one]
+    sizes_edge = [-np.abs(d2) / speed, -np.abs(d1) / speed] if section == "box" else [-unit]
     # Order of the unknowns: tilts, shifts, sizes, turn.
     depth_rows = np.stack([*by_depth[:4], *by_half, *by_depth[4:]], axis=1)
     edge_rows = np.stack([*by_edge[:4], *sizes_edge, *by_edge[4:]], axis=1)

@@ -72,7 +72,7 @@ def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
     free = np.concatenate([_passes_behind(face, seen, centre, flat, level * bottom, radius) for level in _LEVELS])
     scores = []
     for end, other in ((bar.first, bar.last), (bar.last, bar.first)):
-        mine, far = (_zone(held, free, one, bar) for one in (end, other))
+        mine, far = (_zone(held, free, held_end, bar) for held_end in (end, other))
         seen_free = far[0] * (1.0 - mine[0]) * (_UNSEEN_PIVOT + (1.0 - _UNSEEN_PIVOT) * mine[1])
         unseen = (1.0 - far[0]) * (1.0 - far[1]) * mine[1] * _UNSEEN_END
         scores.append(seen_free + unseen)
@@ -84,8 +84,8 @@ def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
     if len(at) >= _FEWEST:
         pivot = float(np.clip(np.median(at), *sorted((end + inwards * radius, end + inwards * _ZONE))))
     # A gap hardly deeper than the noise tells ends apart by chance.
-    told = rising(bottom / face.sigma, *_GAP_OVER_NOISE)
-    return Pivot(float(pivot), far_end, stand_off, float(max(scores)) * told)
+    certainty = rising(bottom / face.sigma, *_GAP_OVER_NOISE)
+    return Pivot(float(pivot), far_end, stand_off, float(max(scores)) * certainty)
 
 
 def face_behind(face: Face, seen: FaceRays, place: Float[np.ndarray, "3"]) -> float:

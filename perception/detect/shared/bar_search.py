@@ -115,15 +115,17 @@ def choose_bar(
     cost = _costs(many, fits, stock, floor)
     promising = np.flatnonzero(cost <= cost.min() + max(_HOPEFUL, _HOPEFUL_SHARE * float(cost.min()))).tolist()
     again = fit_bars(rays, [(fits[i].bar, fits[i].usual) for i in promising], most_rays, n_rounds=1)
-    for i, fit, one in zip(promising, again, _costs(many, again, stock, floor), strict=True):
-        fits[i], cost[i] = fit, one
+    for i, fit, fit_cost in zip(promising, again, _costs(many, again, stock, floor), strict=True):
+        fits[i], cost[i] = fit, fit_cost
     # Where nothing but noise tells sizes apart, it is the usual one.
     usual = [stock.rarity_of(fit.usual) for fit in fits]
     best = min(np.flatnonzero(cost <= cost.min() + _UNDECIDED).tolist(), key=lambda i: (usual[i], cost[i]))
     # A model is never quite true; what is left unexplained makes small differences mean less.
     tolerance = _UNDECIDED * max(1.0, float(cost[best]) / max(1, int(many.mine.sum())))
     doubt = max(
-        _distance(fit.bar, fits[best].bar) for fit, one in zip(fits, cost, strict=True) if one <= cost[best] + tolerance
+        _distance(fit.bar, fits[best].bar)
+        for fit, fit_cost in zip(fits, cost, strict=True)
+        if fit_cost <= cost[best] + tolerance
     )
     return Choice(fits[best], doubt)
 
@@ -151,9 +153,9 @@ def _support_cost(bar: Bar, floor: FloorPlane | None) -> float:
     return min(_WORST_HOVER, (hovering / _SIGMA_FLOOR) ** 2) + (min(lowest, 0.0) / _SIGMA_FLOOR) ** 2
 
 
-def _distance(one: Bar, other: Bar) -> float:
+def _distance(bar: Bar, other: Bar) -> float:
     """How far the middle of one is from the axis of the other [m]."""
-    offset = one.middle - other.middle
+    offset = bar.middle - other.middle
     return float(np.linalg.norm(offset - (offset @ other.axis) * other.axis))
 
 

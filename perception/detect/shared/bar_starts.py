@@ -103,7 +103,7 @@ def sample_about(rays: SurroundingRays, run: Run, radius: float, most: int) -> S
     norm = float(np.linalg.norm(away))
     if norm < _LEAST_SQUARE:
         return None
-    mine, passes = (one[:: max(1, -(-len(one) // most))] for one in (mine, passes))
+    mine, passes = (mask[:: max(1, -(-len(mask) // most))] for mask in (mine, passes))
     chosen = rays.selected(np.concatenate([mine, passes]))
     return Sample(chosen, np.arange(len(chosen)) < len(mine), away / norm)
 

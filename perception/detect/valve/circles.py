@@ -61,7 +61,7 @@ def find_circles(
     """
     if len(points) < 12:
         return []
-    found: list[Circle] = []
+    hypotheses: list[Circle] = []
     for i, seed in enumerate(_seeds(points, rng, n_seeds)):
         poll()
         square = ((points - points[seed]) ** 2).sum(axis=1)
@@ -69,11 +69,11 @@ def find_circles(
             near = np.flatnonzero(square <= ball**2)
             if i % every == 0 and len(near) >= 12:
                 local = points[rng.permutation(near)[:n_points]]
-                found += _best_in(local, points[seed], rng, (radii[0], min(radii[1], 0.6 * ball)), n_triples)
-    found.sort(key=lambda circle: -circle.score)
-    found = _sharpen(_drop_duplicates(found, _REFITTED, 0.15, _SAME_AXIS), points, radii)
-    found.sort(key=lambda circle: -circle.score)
-    return _drop_duplicates(found, most)
+                hypotheses += _best_in(local, points[seed], rng, (radii[0], min(radii[1], 0.6 * ball)), n_triples)
+    hypotheses.sort(key=lambda circle: -circle.score)
+    hypotheses = _sharpen(_drop_duplicates(hypotheses, _REFITTED, 0.15, _SAME_AXIS), points, radii)
+    hypotheses.sort(key=lambda circle: -circle.score)
+    return _drop_duplicates(hypotheses, most)
 
 
 def _seeds(points: Float[np.ndarray, "N 3"], rng: np.random.Generator, most: int) -> Int[np.ndarray, "S"]:
@@ -109,12 +109,12 @@ def _best_in(
     return _score(local, circles.selected(top), agreed.selected(top))
 
 
-def _sharpen(found: list[Circle], points: Float[np.ndarray, "N 3"], radii: tuple[float, float]) -> list[Circle]:
+def _sharpen(hypotheses: list[Circle], points: Float[np.ndarray, "N 3"], radii: tuple[float, float]) -> list[Circle]:
     """Refitted to all points, those that stay within the radii."""
-    if not found:
+    if not hypotheses:
         return []
-    centres, axes = np.stack([one.centre for one in found]), np.stack([one.axis for one in found])
-    circles = Circles(centres, axes, np.array([one.radius for one in found]))
+    centres, axes = np.stack([circle.centre for circle in hypotheses]), np.stack([circle.axis for circle in hypotheses])
+    circles = Circles(centres, axes, np.array([circle.radius for circle in hypotheses]))
     for _ in range(2):
         circles = refit_circles(points, circles, agreement(points, circles))
     circles = circles.selected((circles.radii >= radii[0]) & (circles.radii <= radii[1]))
@@ -152,8 +152,8 @@ def _drop_duplicates(circles: list[Circle], most: int, apart: float = 0.3, least
             radii whose ratio differs from one by nearly twice that.
         least_cosine: between axes that are taken for the same.
     """
-    centres, axes = np.array([one.centre for one in circles]), np.array([one.axis for one in circles])
-    radii = np.array([one.radius for one in circles])
+    centres, axes = np.array([circle.centre for circle in circles]), np.array([circle.axis for circle in circles])
+    radii = np.array([circle.radius for circle in circles])
     taken = np.zeros(len(circles), dtype=bool)
     kept: list[Circle] = []
     for i, circle in enumerate(circles):
@@ -269,12 +269,12 @@ def refit_circles(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Ag
     along = (lean[:, None, :] @ directions)[:, 0, 1:] / np.maximum(2.0 * variances[:, 1:], 1e-9)
     offset = (directions[:, :, 1:] @ along[:, :, None])[:, :, 0]
     radii = np.sqrt((along**2).sum(axis=1) + variances[:, 1:].sum(axis=1))
-    told = (agreed.count >= _FEWEST) & np.isfinite(radii)
-    pick = told[:, None]
+    is_known = (agreed.count >= _FEWEST) & np.isfinite(radii)
+    pick = is_known[:, None]
     return Circles(
         np.where(pick, middle + mean + offset, circles.centres),
         np.where(pick, directions[:, :, 0], circles.axes),
-        np.where(told, radii, circles.radii),
+        np.where(is_known, radii, circles.radii),
     )
 
 

@@ -26,13 +26,15 @@ def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
         return []
     foreground = Foreground.of(view)
     wheels = [valve.as_detection() for valve in find_wheels(view, hint, foreground)]
-    sure = [one for one in wheels if one.confidence >= (CONFIDENT if hint is None else _SURE)]
+    sure = [wheel for wheel in wheels if wheel.confidence >= (CONFIDENT if hint is None else _SURE)]
     # Spokes and pieces of a rim are slim bars as well, and what is about a lever has round edges.
     levers = [
-        one for one in detect_lever_valve(view, hint, foreground) if not any(_is_part_of(one, wheel) for wheel in sure)
+        lever
+        for lever in detect_lever_valve(view, hint, foreground)
+        if not any(_is_part_of(lever, wheel) for wheel in sure)
     ]
-    others = [one for one in wheels if not any(_is_about(one, lever) for lever in levers)]
-    return sorted([*others, *levers], key=lambda one: -one.confidence)
+    others = [wheel for wheel in wheels if not any(_is_about(wheel, lever) for lever in levers)]
+    return sorted([*others, *levers], key=lambda hit: -hit.confidence)
 
 
 def _is_part_of(lever: Detection, wheel: Detection) -> bool:

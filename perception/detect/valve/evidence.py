@@ -174,9 +174,9 @@ def _free_aside(rays: Sightlines, ring: Ring) -> float:
     deep = min(ring.half_depth, _USUAL_DEPTH)
     behind_there, behind_end = (-(start[:, 2] + t * way[:, 2]) - deep for t in (leaves, rays.length))
     goes_in = (square > 0.0) & (behind_end > _ASIDE[0] - 0.005)
-    told = goes_in & (behind_there > _ASIDE[0]) & (behind_there < _ASIDE[1])
-    n_out = float((rays.length[told] > leaves[told] + _WALL).sum())
-    return rising((n_out + _LENIENT) / (float(told.sum()) + _LENIENT), _ENCLOSED, _FREE_ASIDE)
+    counted = goes_in & (behind_there > _ASIDE[0]) & (behind_there < _ASIDE[1])
+    n_out = float((rays.length[counted] > leaves[counted] + _WALL).sum())
+    return rising((n_out + _LENIENT) / (float(counted.sum()) + _LENIENT), _ENCLOSED, _FREE_ASIDE)
 
 
 def _shares(sector: np.ndarray, these: Bool[np.ndarray, "N"], all_of: Bool[np.ndarray, "N"]) -> Float[np.ndarray, "S"]:

@@ -54,19 +54,21 @@ def detect_lever_valve(
     if not len(view.obstacles):
         return []
     foreground = foreground or Foreground.of(view)
-    found: list[_Lever] = []
+    valves: list[_Lever] = []
     with threadpool_limits(limits=1, user_api="blas"):
         levers = find_levers(foreground, view.floor, hint)
         pipes = find_pipes(foreground, view.floor, hint) if levers else []
         for lever in levers:
-            found += [one for pipe in pipes if (one := _join(lever, pipe, foreground.index, view.floor)) is not None]
-    found.sort(key=lambda one: -one.confidence)
+            valves += [
+                valve for pipe in pipes if (valve := _join(lever, pipe, foreground.index, view.floor)) is not None
+            ]
+    valves.sort(key=lambda valve: -valve.confidence)
     apart: list[_Lever] = []
-    for one in found:
-        if all(np.linalg.norm(one.bar.middle - other.bar.middle) > 0.1 for other in apart):
-            apart.append(one)
-    detections = [_as_detection(one, hint is not None) for one in apart]
-    return [one for one in detections if one.confidence >= _REPORTED]
+    for valve in valves:
+        if all(np.linalg.norm(valve.bar.middle - other.bar.middle) > 0.1 for other in apart):
+            apart.append(valve)
+    detections = [_as_detection(valve, hint is not None) for valve in apart]
+    return [valve for valve in detections if valve.confidence >= _REPORTED]
 
 
 def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None) -> _Lever | None:
@@ -102,23 +104,23 @@ def _as_a_lever(pivot: Pivot, radius: float) -> float:
     return rising(length, LENGTHS[0], LENGTHS[0] + 0.03) * rising(length / radius, *_SLIM) * pivot.confidence
 
 
-def _as_detection(one: _Lever, is_hinted: bool) -> Detection:
+def _as_detection(valve: _Lever, is_hinted: bool) -> Detection:
     """The valve in the words all detectors share."""
-    bar, pivot = one.bar, one.joint.pivot
+    bar, pivot = valve.bar, valve.joint.pivot
     x = np.sign(pivot.far - pivot.along) * bar.axis
-    z = one.joint.axis - (one.joint.axis @ x) * x
+    z = valve.joint.axis - (valve.joint.axis @ x) * x
     z /= np.linalg.norm(z)
     pose = np.eye(4)
     pose[:3, :3] = np.column_stack([x, cross(z, x), z])
     pose[:3, 3] = bar.centre + pivot.along * bar.axis
     sizes = {"lever_length": abs(pivot.far - pivot.along), "lever_radius": bar.half[0]}
     residuals = {
-        "rms": one.fitted.evidence.rms,
-        "solid_share": one.fitted.evidence.solid,
-        "air_share": one.fitted.evidence.air,
+        "rms": valve.fitted.evidence.rms,
+        "solid_share": valve.fitted.evidence.solid,
+        "air_share": valve.fitted.evidence.air,
         "pivot_score": pivot.confidence,
-        "n_hits": float(one.fitted.evidence.n_hits),
-        "axis_rad": one.joint.spread,
+        "n_hits": float(valve.fitted.evidence.n_hits),
+        "axis_rad": valve.joint.spread,
     }
-    confidence = float(np.sqrt(one.confidence)) if is_hinted else one.confidence
+    confidence = float(np.sqrt(valve.confidence)) if is_hinted else valve.confidence
     return Detection("valve", pose, sizes, confidence, residuals, bar.places(0.01))

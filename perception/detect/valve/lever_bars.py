@@ -71,13 +71,13 @@ def find_levers(
     chosen = _in_air(short, foreground.index, floor, LEVER_RADII[1:2])[:_MOST_LEVERS]
     fitted = [_fit(line, foreground.index, floor, LEVER_RADII, TUBES[0]) for line in chosen]
     return [
-        one
-        for one in fitted
-        if one is not None
-        and LENGTHS[0] < one.bar.length < LENGTHS[1]
-        and one.bar.half[0] < 0.028
-        and one.evidence.solid > 0.5
-        and any(one.ends.seen)
+        candidate
+        for candidate in fitted
+        if candidate is not None
+        and LENGTHS[0] < candidate.bar.length < LENGTHS[1]
+        and candidate.bar.half[0] < 0.028
+        and candidate.evidence.solid > 0.5
+        and any(candidate.ends.seen)
     ]
 
 
@@ -88,7 +88,11 @@ def find_pipes(
     lines = _lines(foreground, hint, _PIPE_TUBES, _LEAST_PIPE, _PIPE_PAIRS, None)
     chosen = _in_air(lines, foreground.index, floor, PIPE_RADII)[:_MOST_PIPES]
     fitted = [_fit(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in chosen]
-    return [one for one in fitted if one is not None and one.bar.half[0] > 0.015 and one.evidence.rms < 0.025]
+    return [
+        candidate
+        for candidate in fitted
+        if candidate is not None and candidate.bar.half[0] > 0.015 and candidate.evidence.rms < 0.025
+    ]
 
 
 def _lines(
@@ -133,8 +137,8 @@ def _in_air(
         for half in radii:
             # Its points lie on the side that is seen.
             place = line.place + _SEEN_SIDE * half[0] * away
-            told = weigh_bar(rays, Bar(frame, place, half, line.first, line.last, "round"))
-            if told.solid * told.air * told.visible > _HOPELESS:
+            evidence = weigh_bar(rays, Bar(frame, place, half, line.first, line.last, "round"))
+            if evidence.solid * evidence.air * evidence.visible > _HOPELESS:
                 kept.append(line)
                 break
     return kept

@@ -223,7 +223,7 @@ def _round_off_end(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar,
     A ray that leans on the bar goes past its end nearer to its middle than it would cross its near side.
     """
     crossing = cross_bar(rays, bar)
-    told = sort_rays(rays, crossing)
+    outcome = sort_rays(rays, crossing)
     radius = bar.half[0]
     inside = crossing.outside < -_INSIDE
     # Where on the axis each ray comes nearest to it, and how far before that place a ball of the bar's radius would
@@ -237,8 +237,8 @@ def _round_off_end(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar,
     sign, end = (1.0, bar.last) if at_last else (-1.0, -bar.first)
     reached = sign * nearest + radius - half_chord
     near = inside & (np.abs(reached - end) < _ABOUT_END)
-    passes = reached[near & told.passed]
-    end = _border(reached[near & told.hit], passes, end)
+    passes = reached[near & outcome.passed]
+    end = _border(reached[near & outcome.hit], passes, end)
     is_seen = bool(np.count_nonzero(passes > end) >= _FEWEST)
     return replace(bar, last=end) if at_last else replace(bar, first=-end), is_seen
 

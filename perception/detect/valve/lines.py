@@ -89,7 +89,7 @@ def find_lines(
             way = None if ways is None else ways[i]
             starts += _best_at_seed(points, int(seed), local, rng, radii, n_pairs, way)
     starts.sort(key=lambda start: -start[0])
-    found: list[Line] = []
+    lines: list[Line] = []
     for _, start in starts[: 6 * most]:
         # What one line explains is not begun at again.
         if len(start.members) and taken[start.members].mean() > _SHARED:
@@ -97,12 +97,12 @@ def find_lines(
         line = _grow(points, start)
         if line is None or line.last - line.first < least_length:
             continue
-        if not _runs_in_any(line, found):
-            found.append(line)
+        if not _runs_in_any(line, lines):
+            lines.append(line)
             taken[line.members] = True
-            if len(found) == most:
+            if len(lines) == most:
                 break
-    return sorted(found, key=lambda line: -line.score)
+    return sorted(lines, key=lambda line: -line.score)
 
 
 def _best_at_seed(
@@ -211,9 +211,9 @@ def _runs_in_any(line: Line, others: Sequence[Line]) -> bool:
     if not others:
         return False
     places = line.place + np.linspace(line.first, line.last, 9)[:, None] * line.axis
-    offset = places - np.array([one.place for one in others])[:, None]
-    along = np.einsum("kpi,ki->kp", offset, np.array([one.axis for one in others]))
+    offset = places - np.array([other.place for other in others])[:, None]
+    along = np.einsum("kpi,ki->kp", offset, np.array([other.axis for other in others]))
     apart = np.sqrt(np.maximum((offset**2).sum(axis=2) - along**2, 0.0))
-    first, last, radius = np.array([(one.first, one.last, one.radius) for one in others]).T[:, :, None]
+    first, last, radius = np.array([(other.first, other.last, other.radius) for other in others]).T[:, :, None]
     inside = (apart < radius) & (along >= first) & (along <= last)
     return bool((inside.mean(axis=1) > _RUNS_IN).any())

@@ -107,29 +107,29 @@ def _examine_circles(
     circles: list[Circle], index: SightIndex, floor: FloorPlane | None, is_hinted: bool
 ) -> list[ValveDetection]:
     """The most promising circles as wheels; what lies in the disc of a sure one is not looked at again."""
-    found: list[ValveDetection] = []
+    valves: list[ValveDetection] = []
     n_examined = 0
     for circle in circles:
         if n_examined == _EXAMINED:
             break
-        sure = [one for one in found if one.confidence > _SURE]
-        if any(np.linalg.norm(circle.centre - one.centre) < one.outer_radius for one in sure):
+        sure = [valve for valve in valves if valve.confidence > _SURE]
+        if any(np.linalg.norm(circle.centre - valve.centre) < valve.outer_radius for valve in sure):
             continue
-        found.append(_examine(circle, index, floor, is_hinted))
+        valves.append(_examine(circle, index, floor, is_hinted))
         n_examined += 1
-    return found
+    return valves
 
 
 def _doubt_steering(detections: list[ValveDetection], view: View) -> list[ValveDetection]:
     """With little confidence in what a vehicle is steered by."""
-    if not any(one.confidence > _STEERING and could_steer(one.ring) for one in detections):
+    if not any(valve.confidence > _STEERING and could_steer(valve.ring) for valve in detections):
         return detections
     seats = find_seats(view)
     return [
-        replace(one, confidence=_STEERING * one.confidence)
-        if could_steer(one.ring) and steers(one.ring, seats)
-        else one
-        for one in detections
+        replace(valve, confidence=_STEERING * valve.confidence)
+        if could_steer(valve.ring) and steers(valve.ring, seats)
+        else valve
+        for valve in detections
     ]
 
 
@@ -151,9 +151,9 @@ def _promise(circle: Circle, index: SightIndex) -> float:
 def _drop_duplicates(detections: list[ValveDetection]) -> list[ValveDetection]:
     """Without those inside the disc of a surer one: rings about its hub or spokes are the same wheel."""
     kept: list[ValveDetection] = []
-    for one in detections:
-        if all(np.linalg.norm(one.centre - other.centre) > other.outer_radius for other in kept):
-            kept.append(one)
+    for valve in detections:
+        if all(np.linalg.norm(valve.centre - other.centre) > other.outer_radius for other in kept):
+            kept.append(valve)
     return kept
 
 
@@ -196,8 +196,8 @@ def _weigh(index: SightIndex, ring: Ring, floor: FloorPlane | None) -> _Weighed:
     return _Weighed(ring, inside, evidence, depth_error(near, passage, hit), int(hit.sum()))
 
 
-def _as_valve(one: _Weighed, is_hinted: bool) -> ValveDetection:
-    ring, inside = one.ring, one.inside
+def _as_valve(weighed: _Weighed, is_hinted: bool) -> ValveDetection:
+    ring, inside = weighed.ring, weighed.inside
     return ValveDetection(
         ring.centre,
         ring.axis,
@@ -208,9 +208,9 @@ def _as_valve(one: _Weighed, is_hinted: bool) -> ValveDetection:
         inside.spoke_angles,
         inside.hub_radius,
         inside.depth,
-        _hinted_confidence(one.evidence) if is_hinted else one.evidence.confidence,
-        one.rms,
-        one.n_hits,
+        _hinted_confidence(weighed.evidence) if is_hinted else weighed.evidence.confidence,
+        weighed.rms,
+        weighed.n_hits,
         inside.spoke_half_width,
         inside.spoke_share,
     )

@@ -52,10 +52,10 @@ def find_patches(points: Float[np.ndarray, "N 3"], low: float, high: float) -> l
     cell = np.floor((near[:, :2] - near[:, :2].min(axis=0)) / _CELL).astype(int)
     shape = (int(cell[:, 0].max()) + 1, int(cell[:, 1].max()) + 1)
     column = cell[:, 0] * shape[1] + cell[:, 1]
-    found = []
+    patches = []
     for level in _levels(column, near[:, 2], low, high):
-        found += _patches_at(near, column, shape, level)
-    return sorted(_drop_duplicates(found), key=lambda patch: -float(np.prod(patch.size) * patch.filled))
+        patches += _patches_at(near, column, shape, level)
+    return sorted(_drop_duplicates(patches), key=lambda patch: -float(np.prod(patch.size) * patch.filled))
 
 
 def _levels(
@@ -137,7 +137,7 @@ def _rectangle(flat: Float[np.ndarray, "K 2"]) -> tuple[float, Float[np.ndarray,
 def _drop_duplicates(patches: list[Patch]) -> list[Patch]:
     """Without those that are a slice of another one."""
     kept: list[Patch] = []
-    for patch in sorted(patches, key=lambda one: -len(one.points)):
+    for patch in sorted(patches, key=lambda candidate: -len(candidate.points)):
         if all(np.linalg.norm(patch.centre - other.centre) > 0.15 for other in kept):
             kept.append(patch)
     return kept

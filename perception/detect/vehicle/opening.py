@@ -78,17 +78,17 @@ def detect_opening(view: View, hint: Float[np.ndarray, "3"] | None = None) -> li
     for seat in seats:
         if seat.confidence < _LEAST_SEAT or np.isnan(seat.floor):
             continue
-        local, from_seat, to_seat = (seat.local(one) for one in (view.near.points, starts, ends))
+        local, from_seat, to_seat = (seat.local(places) for places in (view.near.points, starts, ends))
         for side in (1.0, -1.0):
             if any(_has_neighbour(seat, side, other) for other in seats if other.confidence >= _LEAST_SEAT):
                 continue
-            found = _beside(seat, side, local, from_seat, to_seat, view)
-            if found is not None and found.confidence >= _REPORTED:
-                sides.append(found)
-    sides.sort(key=lambda one: -one.confidence)
+            opening = _beside(seat, side, local, from_seat, to_seat, view)
+            if opening is not None and opening.confidence >= _REPORTED:
+                sides.append(opening)
+    sides.sort(key=lambda opening: -opening.confidence)
     out: list[Detection] = []
-    for one in sides:
-        hit = _detection(one, hint is not None)
+    for opening in sides:
+        hit = _detection(opening, hint is not None)
         place = hit.pose_world_object[:3, 3]
         if hint is not None and np.linalg.norm((place - hint)[:2]) > 0.5 * hit.sizes["width"] + 0.3:
             continue
@@ -142,16 +142,22 @@ def _beside(
     return _Side(seat, side, at, rear, front, top, floor, sill, open_share, float(confidence), world)
 
 
-def _detection(one: _Side, is_hinted: bool) -> Detection:
-    seat = one.seat
-    confidence = one.confidence**_HINT_TRUST if is_hinted else one.confidence
+def _detection(opening: _Side, is_hinted: bool) -> Detection:
+    seat = opening.seat
+    confidence = opening.confidence**_HINT_TRUST if is_hinted else opening.confidence
     pose = np.eye(4)
-    outwards = seat.pose[:3, 1] * one.side
+    outwards = seat.pose[:3, 1] * opening.side
     pose[:3, :3] = np.column_stack([outwards, np.cross([0.0, 0.0, 1.0], outwards), [0.0, 0.0, 1.0]])
-    pose[:3, 3] = seat.pose[:3, 3] + seat.pose[:3, :3] @ [0.5 * (one.rear + one.front), one.side * one.at, one.floor]
-    sizes = {"width": one.front - one.rear, "height": float(one.top - one.floor), "sill": one.sill}
-    step = max(1, len(one.points) // _SHOWN)
-    return Detection("opening", pose, sizes, confidence, {"open_seen_share": one.open_share}, one.points[::step])
+    pose[:3, 3] = seat.pose[:3, 3] + seat.pose[:3, :3] @ [
+        0.5 * (opening.rear + opening.front),
+        opening.side * opening.at,
+        opening.floor,
+    ]
+    sizes = {"width": opening.front - opening.rear, "height": float(opening.top - opening.floor), "sill": opening.sill}
+    step = max(1, len(opening.points) // _SHOWN)
+    return Detection(
+        "opening", pose, sizes, confidence, {"open_seen_share": opening.open_share}, opening.points[::step]
+    )
 
 
 def side_of(width: float, local: Float[np.ndarray, "N 3"], floor: float) -> float | None:
@@ -173,7 +179,7 @@ def side_of(width: float, local: Float[np.ndarray, "N 3"], floor: float) -> floa
     sill, panels = _outermost(local[pan], near, beyond, 3.0), _outermost(local[body], near, beyond, 6.0)
     if sill is not None and sill > far:
         return None
-    return max((one for one in (sill, panels) if one is not None and one <= far), default=None)
+    return max((edge for edge in (sill, panels) if edge is not None and edge <= far), default=None)
 
 
 def _outermost(mine: Float[np.ndarray, "K 3"], near: float, far: float, least: float) -> float | None:

@@ -96,7 +96,8 @@ def find_seats(view: View) -> list[Seat]:
         patch = square_up(patch, about)
         cushions = [as_cushion(patch, about, turn) for turn in range(4)]
         best = max(
-            (_seen_as_seat(patch, one, points, view, ground, head) for one in cushions), key=lambda s: s.confidence
+            (_seen_as_seat(patch, cushion, points, view, ground, head) for cushion in cushions),
+            key=lambda s: s.confidence,
         )
         if best.confidence >= _REPORTED:
             seats.append(best)
