@@ -40,7 +40,7 @@ from costs.state import MotionState
 from scopt import Problem, Settings, TrustRegionSQP
 from service.bench.problem_set import BenchRobot, read_problems
 from service.body.monitor import Monitor
-from service.body.phases import PhaseSolver, Solved, straight
+from service.body.phases import PhaseSolver, Solved, straight_path
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import PlanRequest
 from service.setup.prepare import prepare
@@ -144,7 +144,7 @@ def cases_of(request: PlanRequest, robot: RobotModel, counts: Sequence[int]) -> 
             return
         end = pose.x[0]
     for count in counts:
-        start = straight(body.nominal, end, count)
+        start = straight_path(body.nominal, end, count)
         at_ends = {0: start[0], count - 1: end} if goal.is_complete else {0: start[0]}
         as_it_is = replace(solver, settings=Settings(max_iterations=0))
         posed = as_it_is.trajectory(

@@ -26,8 +26,8 @@ from benchmarks.tables import print_table
 from costs.robot import LinkBody, RobotModel
 from service.bench.bench import COLUMNS, failures, run_bench, table
 from service.bench.problem_set import BenchProblem, BenchRobot, read_problems
-from service.setup.obstacles import obstacles_of
 from service.setup.prepare import load_requested_robot
+from service.setup.world import build_obstacles
 
 ROOT = Path(__file__).resolve().parents[1]
 TIME_LIMIT_S = 2.0
@@ -111,7 +111,7 @@ def judged(
         assert request.goal is not None
         start = np.array([request.start.positions_by_joint[joint] for joint in robot.joint_names])
         goal = np.array([request.goal.joints[joint] for joint in robot.joint_names])
-        pieces = [piece.vertices for piece in obstacles_of(request).pieces]
+        pieces = [piece.vertices for piece in build_obstacles(request).pieces]
         length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
         yield {
             "length": float(length / np.linalg.norm(goal - start)),

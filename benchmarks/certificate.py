@@ -23,7 +23,7 @@ from service.bench.problem_set import BenchRobot, read_problems
 from service.planner import plan
 from service.request.file import load_request
 from service.result.result import PlanResult
-from service.start.overlaps import overlaps
+from service.start.overlaps import find_overlaps
 from service.verify import verify
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -69,7 +69,7 @@ def _row(name: str, results: list[PlanResult]) -> list[str]:
             clearances.append(verify(motion).min_clearance_m)
             timed.append(_median_ms(verify, motion))
             untimed.append(_median_ms(verify, replace(motion, law=None)))
-            pose.append(_median_ms(overlaps, motion.robot, motion.curve.positions[-1], motion.scene, ()))
+            pose.append(_median_ms(find_overlaps, motion.robot, motion.curve.positions[-1], motion.scene, ()))
     figures = [len(timed), *_spread(timed), *_spread(untimed), statistics.median(pose)]
     shown = [f"{figure:.1f}" if isinstance(figure, float) else str(figure) for figure in figures]
     return [name, *shown, f"{1e3 * statistics.median(clearances):.1f}"]

@@ -22,7 +22,7 @@ from costs.robot import RobotModel
 from costs.robot.shapes import box
 from costs.scene import ConvexPiece, Scene
 from scopt import TrustRegionSQP
-from service.body.phases import PlannedPhase, TaskPlan, straight
+from service.body.phases import PlannedPhase, TaskPlan, straight_path
 from service.body.whole_body import Aims, WholeBody
 from service.motion.execute import make_motion
 from service.motion.timing import TimingSettings
@@ -105,7 +105,7 @@ def _crowded(
     witness = _motion(crowded, path, palm, place, is_pose)
     if verify(witness).status is not Status.CERTIFIED:
         return None
-    direct = _motion(crowded, straight(path[0], path[-1], len(path)), palm, place, is_pose)
+    direct = _motion(crowded, straight_path(path[0], path[-1], len(path)), palm, place, is_pose)
     return CrowdedScene(name, request, witness, verify(direct).status is Status.CERTIFIED)
 
 
@@ -147,7 +147,7 @@ def _drawn_path(body: WholeBody, rng: np.random.Generator, side: str) -> Float[n
         return None
     lower, upper = body.bounds(2 * HALF + 1, {0: start, HALF: middle, 2 * HALF: goal})
     problem = body.problem(lower, upper, body.checker(ends=[start, middle, goal]))
-    first = np.concatenate([straight(start, middle, HALF + 1)[:-1], straight(middle, goal, HALF + 1)])
+    first = np.concatenate([straight_path(start, middle, HALF + 1)[:-1], straight_path(middle, goal, HALF + 1)])
     result = TrustRegionSQP().solve(problem, first)
     return result.x if result.is_feasible else None
 
@@ -204,7 +204,7 @@ def _boxes(
         n_boxes: how many.
         arm: joints of the reaching arm.
     """
-    known, direct = body.engine(path), body.engine(straight(path[0], path[-1], len(path)))
+    known, direct = body.engine(path), body.engine(straight_path(path[0], path[-1], len(path)))
     everywhere = list(range(len(body.robot.bodies)))
     moving = [b for b in everywhere if body.robot.bodies[b].joint in arm]
     thrown = [thrown_box(body, rng, direct, moving, ACROSS) for _ in range(THROWS)]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from service.errors import UnplannedTaskError
 from service.request.file import load_request
-from service.request.schema import check_planned
+from service.request.schema import check_task_has_planner
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples" / "requests"
 
@@ -18,7 +18,7 @@ def shipped_requests() -> list[Path]:
 
 def _is_planned(path: Path) -> bool:
     try:
-        check_planned(load_request(path))
+        check_task_has_planner(load_request(path))
     except UnplannedTaskError:
         return False
     return True

@@ -42,8 +42,8 @@ from costs.kinematics import planted_poses
 from costs.robot import RobotModel
 from costs.terms import FramePose
 from scopt import Constraint, Sense, Settings, TrustRegionSQP
-from service.body.keep import KeptPose, relative_pose
-from service.body.phases import PlannedPhase, TaskPlan, straight
+from service.body.holds import KeptPose, relative_pose
+from service.body.phases import PlannedPhase, TaskPlan, straight_path
 from service.body.whole_body import Aims, WholeBody
 from service.errors import RequestError
 from service.motion.execute import make_motion
@@ -109,7 +109,7 @@ def _scene(robot: RobotModel, name: str, rng: np.random.Generator, n_boxes: int,
     witness = _motion(crowded, path, targets)
     if verify(witness).status is not Status.CERTIFIED:
         return None
-    direct = _motion(crowded, straight(path[0], path[-1], len(path)), targets)
+    direct = _motion(crowded, straight_path(path[0], path[-1], len(path)), targets)
     return CrowdedScene(name, request, witness, verify(direct).status is Status.CERTIFIED)
 
 
@@ -203,7 +203,7 @@ def _drawn_path(body: WholeBody, rng: np.random.Generator) -> Float[np.ndarray, 
         return None
     lower, upper = body.bounds(2 * HALF + 1, {0: start, HALF: middle, 2 * HALF: goal})
     problem = body.problem(lower, upper, body.checker(ends=[start, middle, goal]))
-    first = np.concatenate([straight(start, middle, HALF + 1)[:-1], straight(middle, goal, HALF + 1)])
+    first = np.concatenate([straight_path(start, middle, HALF + 1)[:-1], straight_path(middle, goal, HALF + 1)])
     result = TrustRegionSQP().solve(problem, first)
     is_one_way = np.abs(np.diff(result.x, axis=0)).max() < LARGEST_STEP
     return result.x if result.is_feasible and is_one_way else None
@@ -251,7 +251,7 @@ def _boxes(
     None where too few of those are found.
     """
     robot = body.robot
-    known, direct = body.engine(path), body.engine(straight(path[0], path[-1], len(path)))
+    known, direct = body.engine(path), body.engine(straight_path(path[0], path[-1], len(path)))
     hands = {robot.model.getJointId(joint) for side in SIDES for joint in robot.groups[arm_of(side)][-3:]}
     outer = [index for index, one in enumerate(robot.bodies) if one.joint in hands]
     kept: list[dict[str, Any]] = []

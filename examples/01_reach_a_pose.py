@@ -1,6 +1,7 @@
-"""Atlas brings its left hook over a table: prints the verdict and writes a viewer to look at.
+"""Atlas moves its left hook over a table.
 
-The request is plain data here; `scopt plan examples/requests/pose_goal.yaml` reads the like from a file.
+Prints the verdict and the checks of the certificate, and writes `out/reach_a_pose/viewer.html` to open in a browser.
+The request is a dictionary here; `scopt plan examples/requests/pose_goal.yaml` reads a similar one from a file.
 """
 
 from service import parse_request, plan, write_result
@@ -20,8 +21,8 @@ request = parse_request(
                 {
                     "link": "l_tool",
                     "position": [0.6, 0.2, 1.15],
-                    "quaternion_wxyz": [0.7071068, 0.0, 0.7071068, 0.0],  # the hand axis points ahead
-                    "free_axis": "z",  # the hand may turn about it
+                    "quaternion_wxyz": [0.7071068, 0.0, 0.7071068, 0.0],  # the axis of the hand points forward
+                    "free_axis": "z",  # the hand may rotate about its own z axis
                 }
             ]
         },

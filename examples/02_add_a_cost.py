@@ -1,7 +1,7 @@
-"""A cost of one's own: an arm of two links reaches a point while its elbow is drawn to a height.
+"""An arm of two links reaches a point, first without and then with a cost that pulls its elbow to a height.
 
-Prints the elbow's height without and with the cost.  A residual is one class: its value and its derivative at the
-state all terms share; here the state is the kinematics of all waypoints.
+Prints the mean height of the elbow in both cases.  The cost is a residual written in this file: one class with
+value and derivative.  Both are functions of the state that all terms share, here the kinematics of all waypoints.
 """
 
 import tempfile
@@ -30,7 +30,7 @@ N_WAYPOINTS = 10
 
 
 class ElbowHeight(Residual[MotionState]):
-    """Height of the elbow above a wanted one, one row per waypoint [m]."""
+    """Height of the elbow above a target height, one row per waypoint [m]."""
 
     def __init__(self, joint: int, height: float) -> None:
         self.joint, self.height = joint, height

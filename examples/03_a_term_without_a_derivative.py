@@ -1,7 +1,8 @@
-"""Atlas reaches over a table twice, the second time with its left elbow drawn up: prints how high, and the verdicts.
+"""Atlas reaches over a table, first without and then with a cost that raises its left elbow.
 
-The elbow's height is a cost of one's own of which only the value is written; its derivative comes from finite
-differences, which are checked while they are made.  A second residual brings its derivative, and has it checked.
+Prints the height of the elbow and the verdict of both plans.  The cost is written in this file with its value only; its
+derivative comes from finite differences, which are checked as they are computed.  The last line compares the written
+derivative of a second residual with finite differences.
 """
 
 import sys
@@ -24,7 +25,7 @@ REQUEST = {
 
 
 class BelowHeight(Residual[MotionState]):
-    """How far the elbow is below a wanted height, one row per waypoint [m]."""
+    """Distance of the elbow below a target height, one row per waypoint [m]."""
 
     def __init__(self, robot: RobotModel, height: float) -> None:
         self.joint, _ = frame_of(robot, LINK)
@@ -35,7 +36,7 @@ class BelowHeight(Residual[MotionState]):
 
 
 class BelowHeightFaster(BelowHeight):
-    """The same with its derivative, some twenty times as fast."""
+    """The same residual with a written derivative, about twenty times as fast."""
 
     def linearize(self, state: MotionState) -> AffineRows:
         kinematics = state.kinematics
@@ -46,7 +47,7 @@ class BelowHeightFaster(BelowHeight):
 
 
 def terms(phase: str, robot: RobotModel, n_waypoints: int) -> list[Cost[MotionState]]:
-    """Called for every step of the plan ("goal pose", "reach"); a goal pose has one waypoint."""
+    """Return the additional terms of one planning step ("goal pose" with one waypoint, or "reach")."""
     weight = 20.0 / n_waypoints  # [cost/m], averaged over the waypoints
     return [Cost("elbow up", BelowHeight(robot, height=1.3), weight, Penalty.HINGE)]
 

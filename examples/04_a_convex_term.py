@@ -1,8 +1,9 @@
-"""Atlas reaches over a table with few joints: prints which ones move without and with a term written in CVXPY.
+"""Atlas reaches over a table, first without and then with two terms written as CVXPY expressions.
 
-The term is the sum of absolute joint displacements, which leaves a joint at rest unless it is worth its price; a sum of
-squares moves all of them a little.  A second one, a constraint, keeps the base within 7 mm of where it stands.  Both
-enter every convex subproblem as they are written, not linearised, and the subproblem is then solved by Clarabel.
+Prints the verdict, how far the base moves and which joints move, then the error for an expression that is not convex.
+The first term is a cost, the sum of absolute joint displacements: it leaves most joints at rest, while a sum of squares
+moves all of them a little.  The second is a constraint that keeps the base within 7 mm of its start.  Both enter every
+convex subproblem unchanged, not linearised, and Clarabel then solves the subproblem.
 """
 
 import sys
@@ -25,7 +26,7 @@ ARMS = ("l_arm", "r_arm", "back", "neck")
 
 
 def terms(phase: str, robot: RobotModel, n_waypoints: int) -> list[Cost[MotionState] | Constraint[MotionState]]:
-    """Called for every step of the plan ("goal pose", "reach")."""
+    """Return the additional terms of one planning step ("goal pose" or "reach")."""
     rest = robot.postures["stand"]
     upper = [index for index, name in enumerate(robot.joint_names) if name.startswith(ARMS)]
     few = ConvexExpression(robot.n, lambda q: cp.norm1(q[upper] - rest[upper]))

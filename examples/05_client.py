@@ -1,6 +1,7 @@
-"""Has a planning server plan a motion: prints progress as it comes, the verdict, and where a joint is when.
+"""A planning server plans a motion for this client.
 
-Run `scopt serve` in another terminal first, then `python examples/05_client.py localhost:50051`.
+Prints the progress, the verdict, the first and last angle of one joint, and the path of a viewer page.  First run
+`scopt serve` in another terminal, then `python examples/05_client.py localhost:50051`.
 """
 
 import sys
@@ -15,7 +16,7 @@ request = parse_request(
     {
         "robot": {"name": "atlas"},
         "start": {"posture": "stand"},
-        # A cloud file that is here would be uploaded: "scene": {"cloud": "scan.pcd"}.
+        # A local cloud file is uploaded: "scene": {"cloud": "scan.pcd"}.
         "scene": {
             "obstacles": [{"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.75, 0.0, 0.9]}]
         },
@@ -26,7 +27,7 @@ request = parse_request(
 
 
 def show(event):
-    """One line for the place in the queue, each step and each iteration that is told."""
+    """Print one line for the place in the queue, each step and each reported iteration."""
     if event.HasField("queued"):
         print(f"behind {event.queued.place}, about {event.queued.expected_wait_s:.1f} s")
     elif event.HasField("progress") and event.progress.HasField("iteration"):

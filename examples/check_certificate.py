@@ -1,8 +1,9 @@
-"""Replay a certificate as a stranger would: `python examples/check_certificate.py out/valve` prints a table of claims.
+"""Check a certificate with independent code: `python examples/check_certificate.py out/valve`.
 
-Only numpy and pinocchio: own placements and rotation bounds (`replayed_motion.py`), what the folder says twice
-(`replayed_record.py`), what the motion does (`replayed_targets.py`), and for distances Wolfe's
-minimum-norm-point algorithm (Math. Programming 11, 1976), which hands over a separating direction as its proof.
+Prints one line per claim, `ok` or `FAIL`, and exits with 1 if any claim fails.  It imports only numpy and pinocchio.
+Parts are placements and motion bounds (`replayed_motion.py`), facts that the folder states twice (`replayed_record.py`)
+and targets (`replayed_targets.py`).  Distances come from Wolfe's minimum-norm-point algorithm (Math. Programming 11,
+1976), which returns a separating direction as its proof.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from replayed_targets import target
 
 
 def closest(a: Array, b: Array, wanted: float) -> tuple[float, Array]:
-    """Wolfe's algorithm: lower bound of the distance of two hulls and its direction; stops at what is wanted."""
+    """Return a lower bound of the distance of two hulls and its direction (Wolfe); stop once it reaches ``wanted``."""
     best, top, corral, weight = -np.inf, np.eye(3)[2], b[:1] - a[:1], np.ones(1)
     for _ in range(80):
         norm = np.linalg.norm(weight @ corral)
@@ -48,7 +49,7 @@ def closest(a: Array, b: Array, wanted: float) -> tuple[float, Array]:
 
 
 def separation(a: Array, b: Array, wanted: float) -> float:
-    """Proven lower bound of the signed distance of two hulls; stops as soon as it is as much as wanted."""
+    """Return a proven lower bound of the signed distance of two hulls; stop once it reaches ``wanted``."""
     best, n = closest(a, b, wanted)
     if best >= min(wanted, 0.0):
         return best
@@ -60,7 +61,7 @@ def separation(a: Array, b: Array, wanted: float) -> float:
         value, n = float(values[k]), starts[k]
         for _ in range(50):
             best = max(best, value)
-            # Moved apart along n, the hulls' closest direction is never a worse one than n.
+            # After moving the hulls apart along n, their closest direction is at least as good as n.
             n = closest(a, b + (1e-3 - 1.2 * value) * n, np.inf)[1]
             before, value = value, float((b @ n).min() - (a @ n).max())
             if best >= wanted or value < before + 1e-9:
@@ -71,7 +72,7 @@ def separation(a: Array, b: Array, wanted: float) -> float:
 
 
 def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
-    """Every pair on the whole curve: by the certificate's rows where it has some, by bounding boxes elsewhere."""
+    """Check every pair on the whole curve: by the certificate's rows if there are any, else by bounding boxes."""
     solids, named, moved = {}, {}, {m["name"] for m in data["movables"]}
     for body in data["bodies"]:
         frame = replay.model.frames[replay.model.getFrameId(body["link"])]
@@ -102,7 +103,7 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
         pair = pair[::-1] if pair[::-1] in rows else pair
         (_, jm, mover), (_, jh, holder) = solids[pair[0]], solids[pair[1]]
         chain, own = replay.chain(jh, jm, mover), sorted(rows.get(pair, []))
-        seen = sweeps.setdefault((pair[0], jh), {})  # what all pairs of one mover and one frame share
+        seen = sweeps.setdefault((pair[0], jh), {})  # shared by all pairs of one mover and one frame
         for a, b in itertools.pairwise(edges):
             phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
             depths = [w["depth"] for w in phase["allowances"] if covers(w, named[pair[0]], named[pair[1]])]
@@ -132,7 +133,7 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
 
 
 def feet(replay: Replay, phase: dict[str, Any], contact: dict[str, Any]) -> tuple[bool, str]:
-    """Sole corners stay where they are planted."""
+    """Check that the corners of a sole stay at their planted places."""
     frame, sole = replay.model.frames[replay.model.getFrameId(contact["link"])], np.array(contact["sole"])
     pose = pin.XYZQUATToSE3(np.array([*contact["position"], *np.roll(contact["quaternion_wxyz"], -1)]))
     points = np.array([frame.placement.act(pose.actInv(corner)) for corner in sole])
@@ -148,7 +149,7 @@ def feet(replay: Replay, phase: dict[str, Any], contact: dict[str, Any]) -> tupl
 
 
 def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple[bool, str]:
-    """A frame's origin, and the tips of its axes at 10 cm (or of the free one), stay at their places in the other's."""
+    """Check that a frame's origin and points 10 cm along its axes (or its free axis) stay in place."""
     model, reference = replay.model, target["reference"]
     frame = model.frames[model.getFrameId(target["frame"])]
     holder, there = 0, pin.SE3.Identity()
@@ -177,7 +178,7 @@ def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple
 
 
 def balance(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
-    """The centre of mass stays inside the support polygon, with the promised margin."""
+    """Check that the centre of mass stays inside the support polygon by the promised margin."""
     corners = np.array(phase["support"]["polygon"])
     edge = np.roll(corners, -1, axis=0) - corners
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
@@ -202,7 +203,7 @@ def balance(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
 
 
 def limits(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
-    """Joint positions stay within the URDF's limits."""
+    """Check that joint positions stay within the limits of the URDF."""
     own = slice(6 if replay.base.any() else 0, len(replay.model.lowerPositionLimit))
     low, high = replay.model.lowerPositionLimit[own], replay.model.upperPositionLimit[own]
 

@@ -1,7 +1,7 @@
-"""Make the scans of a door and of a vehicle's inside that the requests beside them name, with the truth as JSON.
+"""Simulate the scans of a door and of the inside of a vehicle used by `examples/requests/{door,egress}.yaml`.
 
-Writes ``examples/data/{door,vehicle}_scan.{pcd,json}``: world coordinates, VIEWPOINT = sensor pose. The robot stands or
-sits at the origin and faces +x.
+Writes ``examples/data/{door,vehicle}_scan.{pcd,json}`` and prints their sizes.  Points are in world coordinates;
+VIEWPOINT is the sensor pose, the JSON file holds the true objects. The robot is at the origin and faces +x.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ REACH_M = 4.0
 
 
 def main() -> None:
-    """Scan, keep what lies in reach, write both files of each."""
+    """Scan both scenes, keep the points in reach, and write two files for each."""
     for name, scene_name in SCANS.items():
         scene = make_scene(scene_name, seed=0)
         points = scene.scan("sparse").points

@@ -1,7 +1,7 @@
-"""Make the scan that ships with the project: a wheel valve before a wall, a pipe, a box, and Atlas' own arms in view.
+"""Simulate the bundled scan: a wheel valve in front of a wall, a pipe, a box, and the arms of Atlas in view.
 
-Writes ``examples/data/valve_scan.pcd`` (world coordinates, VIEWPOINT = sensor pose) and the truth beside it as JSON.
-Atlas stands at the origin in its reach-ready posture and faces +x.
+Writes ``examples/data/valve_scan.{pcd,json}`` and prints the size.  Points are in world coordinates, VIEWPOINT is the
+sensor pose, the JSON file holds the true valve. Atlas stands at the origin (posture ``reach_ready``) facing +x.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LARGEST = 1_000_000
 
 
 def link_hulls(posture: str) -> list[np.ndarray]:
-    """Vertices of Atlas' bodies in the world, without the head around the sensor."""
+    """Return the vertices of the bodies of Atlas in the world, without the head around the sensor."""
     robot = load_robot("atlas")
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.postures[posture])
@@ -41,7 +41,7 @@ def link_hulls(posture: str) -> list[np.ndarray]:
 
 
 def main() -> None:
-    """Scan, keep what lies within 5 m, write both files."""
+    """Scan, keep the points within 5 m, and write both files."""
     hulls = link_hulls("reach_ready")
     cloud = scan(ROOM.meshes(hulls) + VALVE.meshes(), SENSOR, Scanner(n_lines=84), seed=7)
     near = cloud.points[np.linalg.norm(cloud.points, axis=1) < 5.0]

@@ -1,6 +1,6 @@
-"""The motion of a result, rebuilt from its URDF and curve: placements, and how far points leave their chords.
+"""Motion of a result, rebuilt from its URDF and curve: placements, and bounds of how far points leave their chords.
 
-The other half of `check_certificate.py`; numpy and pinocchio only.
+A part of `check_certificate.py`; imports only numpy and pinocchio.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import pinocchio as pin
 
 ROUNDING = 1e-8  # of a coordinate as written [rad, m]
 Array = np.ndarray
-Named = tuple[str, str | None, str]  # who has a body (robot, mechanism, scene), its link, its name
+Named = tuple[str, str | None, str]  # owner of a body (robot, mechanism, scene), its link, its name
 
 
 def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
-    """The URDF (continuous joints as revolute ones), its root, and the joints that the task moves."""
+    """Build the model of the URDF (continuous joints as revolute ones), its root and the joints the task moves."""
     tree = ElementTree.parse(folder / data["robot"]["urdf"]).getroot()
     for joint in (j for j in tree.iter("joint") if j.get("type") == "continuous"):
         joint.set("type", "revolute")
@@ -49,7 +49,7 @@ def covers(allowance: dict[str, Any], one: Named, other: Named) -> bool:
 
 
 class Replay:
-    """Placements along the curve, and how far a point can leave the chord between two of them."""
+    """Placements along the curve, and bounds of how far a point leaves the chord between two of them."""
 
     def __init__(self, model: pin.Model, data: dict[str, Any]) -> None:
         self.model, curve, phases = model, data["curve"], data["phases"]
@@ -87,7 +87,7 @@ class Replay:
         return (points @ r.T + t - tf) @ rf
 
     def chain(self, holder: int, mover: int, points: Array) -> list[tuple[int, int, float]]:
-        """(coordinate, joint, reach) from the holder outwards; reach bounds |dp/dq| in any configuration."""
+        """Return (coordinate, joint, reach) from the holder outwards; reach bounds |dp/dq| in any configuration."""
         up, down, parents = [], [], self.model.parents
         for path, joint in ((up, holder), (down, mover)):
             while joint:
@@ -116,7 +116,7 @@ class Replay:
         return np.abs(slopes).max(axis=0), np.abs([self.q(a, 2, piece), self.q(b, 2, piece)]).max(axis=0)
 
     def bound(self, a: float, b: float, chain: list[tuple[int, int, float]], mover: int, points: Array) -> float:
-        """How far any of the points may leave its chord between a and b, the exported samples' line included."""
+        """Bound how far any point leaves its chord between a and b, on the curve and on the line through samples."""
         ids, joints, reach = (np.array(column) for column in zip(*chain, strict=True))
         piece = int(np.searchsorted(self.knots, 0.5 * (a + b)) - 1)
         (speed, bend), k = (rate[ids] for rate in self.rates(a, b, piece)), np.arange(len(ids))
@@ -137,9 +137,9 @@ class Replay:
     def highest(
         self, phase: dict, value: Callable[[float], float], leaving: Callable[[float, float], float], allowed: float
     ) -> float:
-        """Bound of a convex value on a phase: at its chords' ends, plus how far the path leaves the chords.
+        """Bound a convex value on a phase: the largest at the ends of chords, plus how far the path leaves them.
 
-        Chords are halved as long as only the second part is more than what is allowed.
+        Chords are halved as long as the value at the ends is allowed and the sum is not.
         """
         first, last = self.samples[phase["first"]], self.samples[phase["last"]]
         edges = self.edges[(self.edges >= first) & (self.edges <= last)]
@@ -150,7 +150,7 @@ class Replay:
             at_ends, middle = max(value(a), value(b)), 0.5 * (a + b)
             top = at_ends + leaving(a, b)
             if at_ends > allowed:
-                return top  # refuted: how far it goes elsewhere does not matter
+                return top  # refuted: its value elsewhere does not matter
             if at_ends <= allowed < top and b - a > least:
                 chords += [(a, middle), (middle, b)]
             else:

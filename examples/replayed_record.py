@@ -1,6 +1,6 @@
-"""What a result folder says more than once, and whether it agrees: hashes, samples, the CSV table, times and speeds.
+"""Agreement of facts that a result folder states more than once: hashes, samples, the CSV table, times and speeds.
 
-A part of `check_certificate.py`; numpy and pinocchio only.
+A part of `check_certificate.py`; imports only numpy and pinocchio.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 import pinocchio as pin
 from replayed_motion import Array, Replay
 
-SAME = 1e-6  # numbers that are written twice [m, rad, s]
+SAME = 1e-6  # tolerance of numbers that are written twice [m, rad, s]
 Claim = tuple[bool, str]
 
 
 def hashes(folder: Path, data: dict[str, Any]) -> Claim:
-    """The recorded hashes are those of the request, the URDF, the pieces, the bodies and the promises."""
+    """Check the recorded hashes of the request, the URDF, the pieces, the bodies and the promises."""
     canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))
     moved = [(b["name"], b["vertices"] - np.array(m["origin"])) for m in data["movables"] for b in m["bodies"]]
     bodies = sorted([(b["name"], b["vertices"]) for b in data["bodies"]] + moved, key=lambda b: b[0])
@@ -32,7 +32,7 @@ def hashes(folder: Path, data: dict[str, Any]) -> Claim:
         "promises_sha256": (proof["promises_sha256"], _of_promises(data)),
     }
     pairs = [tuple(pair) for pair in data["ignored_pairs"]]
-    if not data["movables"]:  # what moves with a task has neighbours of its own among the ignored pairs
+    if not data["movables"]:  # a mechanism adds ignored pairs that the folder does not list
         named = [(f"{a}|{b}", np.empty((0, 3))) for a, b in sorted(pairs)]
         expected["bodies_sha256"] = (proof["bodies_sha256"], _of_shapes(bodies + named))
     wrong = [name for name, (written, made) in expected.items() if written != made]
@@ -40,7 +40,7 @@ def hashes(folder: Path, data: dict[str, Any]) -> Claim:
 
 
 def samples(folder: Path, replay: Replay, data: dict[str, Any]) -> Claim:
-    """Samples and the CSV table are points of the curve at the times of its law."""
+    """Check that the samples and the CSV table are points of the curve at the times of its law."""
     is_floating, n = bool(replay.base.any()), len(data["curve"]["joint_names"]) - len(data["movables"])
     rows, times = np.array(data["trajectory"]["positions"], float), np.array(data["trajectory"]["times"], float)
     q = np.array([replay.q(s)[:n] for s in replay.samples])
@@ -62,7 +62,7 @@ def samples(folder: Path, replay: Replay, data: dict[str, Any]) -> Claim:
 
 
 def speeds(replay: Replay, data: dict[str, Any]) -> Claim:
-    """No joint goes faster than the URDF allows, at the ends of the law's steps and from sample to sample."""
+    """Check the joint speeds against the URDF, at the ends of the law's steps and from sample to sample."""
     law, model = data["curve"]["law"], replay.model
     if law is None:
         return True, "the motion is untimed"
@@ -83,7 +83,7 @@ def speeds(replay: Replay, data: dict[str, Any]) -> Claim:
 
 
 def _time(data: dict[str, Any], s: float) -> float:
-    """When the curve is at s: between two nodes of the law the path's speed changes evenly."""
+    """Return the time at path parameter s; between two nodes of the law the path acceleration is constant."""
     law = data["curve"]["law"]
     if law is None:
         return float(s)
@@ -100,7 +100,7 @@ def _sha(content: bytes) -> str:
 
 
 def _of_shapes(named: list[tuple[str, Any]]) -> str:
-    """Name, number of vertices, and the vertices in whole micrometres, one shape after the other."""
+    """Hash name, number of vertices, and vertices in whole micrometres, one shape after the other."""
     content = b""
     for name, vertices in named:
         content += name.encode() + b"\0" + len(vertices).to_bytes(8, "little")
@@ -109,7 +109,7 @@ def _of_shapes(named: list[tuple[str, Any]]) -> str:
 
 
 def _of_promises(data: dict[str, Any]) -> str:
-    """Texts and numbers of all promises in the order of docs/result-format.md."""
+    """Hash the texts and numbers of all promises in the order of docs/result-format.md."""
     s, content = data["curve"]["samples"], b""
     for part in (part for phase in data["phases"] for part in _promises(phase, s)):
         if isinstance(part, str):

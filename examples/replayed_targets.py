@@ -1,6 +1,6 @@
-"""What the phases of a result do: joints and frames where they are to be, replayed on the curve.
+"""Targets of the phases of a result: joints and frames at their promised places, checked on the curve.
 
-A part of `check_certificate.py`; numpy and pinocchio only.
+A part of `check_certificate.py`; imports only numpy and pinocchio.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import numpy as np
 import pinocchio as pin
 from replayed_motion import Array, Replay
 
-TIP_M = 0.1  # directions are looked at by the tips of rods of this length
+TIP_M = 0.1  # a direction is checked by the tip of a rod of this length
 Excess = Callable[[float], float]
-"""How far something is beyond what is allowed at a place of the path [m]; negative where it is within."""
+"""Distance beyond the tolerance at a path parameter [m]; negative within the tolerance."""
 
 
 def target(replay: Replay, phase: dict[str, Any], wanted: dict[str, Any]) -> tuple[bool, str]:
-    """A pose, circle, axis or joint value, at one place of the path or along the whole phase."""
+    """Check a pose, circle, axis or joint value, at one path parameter or along the whole phase."""
     if wanted["kind"] == "joint":
         off = abs(replay.q(replay.samples[wanted["at"]])[replay.names.index(wanted["joint"])] - wanted["value"])
         return off <= wanted["tolerance"], f"{wanted['joint']} is {off:.5f} off"
@@ -41,7 +41,7 @@ def target(replay: Replay, phase: dict[str, Any], wanted: dict[str, Any]) -> tup
 def _excesses(
     replay: Replay, joint: int, origin: Array, turn: Array, wanted: dict[str, Any]
 ) -> list[tuple[Excess, Array]]:
-    """How far a frame is beyond what is asked, each with the axis (in the frame) that it speaks of, zero for places."""
+    """Return the excesses of a frame, each with the axis (in the frame) that it concerns, zero for positions."""
 
     def place(s: float) -> Array:
         return np.asarray(replay.points(s, joint, origin[None])[0])
@@ -74,7 +74,7 @@ def _excesses(
     asked = [(lambda s: float((np.abs((place(s) - goal) @ pose) - wide).max()), none)]
     turns = wanted["rotation_tolerance_deg"]
     if wanted["quaternion_wxyz"] is not None and None not in turns:
-        # Within the tolerance about every axis, no axis of the frame leans by more than all of them together.
+        # If every axis is within its tolerance, no axis leans by more than the norm of the tolerances.
         most = float(np.linalg.norm(turns))
         asked += [(lean(axis, pose @ axis, most), axis) for axis in np.eye(3)]
     return asked

@@ -18,8 +18,8 @@ from perception.detect.valve.bodies import (
 from perception.detect.valve.ring import wheel_basis
 from perception.detect.valve.wheel import detect_valves
 from perception.errors import CloudError, PerceptionError
+from perception.files.formats import SUFFIXES
 from perception.files.npz import write_npz
-from perception.files.parse import SUFFIXES
 from perception.files.pcd import write_pcd
 from perception.files.placing import METRES_BY_UNIT, rigid_pose
 from perception.files.read import read_cloud, read_clouds

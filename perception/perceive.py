@@ -24,9 +24,8 @@ from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.bodies import ValveDetection
 from perception.errors import MeshError
 from perception.ground.floor import FloorPlane, floor_pieces
-from perception.solids.known import KnownMesh, located
-from perception.solids.match import MeshMatch
-from perception.solids.pieces import made_by_coacd
+from perception.solids.match import KnownMesh, MeshMatch, located
+from perception.solids.pieces import make_coacd_pieces
 from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]
@@ -203,7 +202,7 @@ def _make_pieces(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes
     """Make pieces of the kept obstacle points; ``pieces[i].points`` are indices into all of them."""
     points, starts = view.obstacles[kept], view.starts[kept]
     if method == "coacd":
-        made = made_by_coacd(points, starts, view.cloud.rays)
+        made = make_coacd_pieces(points, starts, view.cloud.rays)
     else:
         made = make_pieces(points, starts, view.cloud.rays, view.seed)
     return replace(made, pieces=tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces))

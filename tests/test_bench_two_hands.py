@@ -7,9 +7,9 @@ from benchmarks.crowded_scenes import LEAST_TRAVEL, POSITION_TOLERANCE
 from benchmarks.two_handed_scenes import PALMS, two_handed_scenes
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import load_robot
-from service.body.keep import relative_pose
+from service.body.holds import relative_pose
 from service.setup.prepare import prepare
-from service.start.overlaps import collisions
+from service.start.overlaps import describe_collisions
 
 N_BOXES = 8
 FEET = ("l_foot", "r_foot")
@@ -36,7 +36,7 @@ def test_the_known_motion_is_clear_of_boxes_floor_and_self(robot, scenes):
         pieces = prepare(scene.request, robot=robot).scene
         assert sum(piece.kind != "floor" for piece in pieces.pieces) == N_BOXES
         for q in samples(scene):
-            assert collisions(scene.witness.robot, q, pieces, FEET) == []
+            assert describe_collisions(scene.witness.robot, q, pieces, FEET) == []
 
 
 def test_the_planner_is_told_where_the_palms_go_and_nothing_of_the_motion(robot, scenes):

@@ -8,7 +8,7 @@ from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import load_robot
 from costs.support import SupportPolygon
 from service.setup.prepare import prepare
-from service.start.overlaps import collisions
+from service.start.overlaps import describe_collisions
 
 N_BOXES = 8
 FEET = ("l_foot", "r_foot")
@@ -35,7 +35,7 @@ def test_the_known_motion_is_clear_of_boxes_floor_and_self(robot, scenes):
         pieces = prepare(scene.request, robot=robot).scene
         assert sum(piece.kind != "floor" for piece in pieces.pieces) == N_BOXES
         for q in samples(scene):
-            assert collisions(robot, q, pieces, FEET) == []
+            assert describe_collisions(robot, q, pieces, FEET) == []
 
 
 def test_the_known_motion_stands_balanced_on_feet_that_stay_where_they_are(robot, scenes):
@@ -71,7 +71,7 @@ def test_boxes_are_in_the_way_of_the_straight_line(robot, scenes):
         pieces = prepare(scene.request, robot=robot).scene
         q = samples(scene)
         straight = q[0] + (q[-1] - q[0]) * np.linspace(0.0, 1.0, 41)[:, None]
-        lines = [line for row in straight for line in collisions(robot, row, pieces, FEET)]
+        lines = [line for row in straight for line in describe_collisions(robot, row, pieces, FEET)]
         hits = {word for line in lines for word in line.split() if word.startswith("box")}
         assert len(hits) >= IN_THE_WAY - 1  # the draw looks at swept hulls, which are a little larger
         assert not scene.is_straight_enough

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -181,6 +182,12 @@ def test_verify_and_view_read_what_plan_wrote(tmp_path: Path, monkeypatch: pytes
     assert viewed.stdout.strip() == str((tmp_path / "plan" / "viewer.html").resolve())
     assert _scopt("verify", tmp_path).exit_code == 3
     assert _scopt("view", tmp_path).exit_code == 3
+
+
+def test_version_is_that_of_the_package() -> None:
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    result = _scopt("--version")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, f"scopt {project['version']}\n", "")
 
 
 def test_robots_lists_atlas() -> None:

@@ -23,7 +23,7 @@ from service.cli.report import hit_row
 from service.cli.run import progress
 from service.request.choices import KINDS
 from service.scan import detect as detect_file
-from service.scan.time_limit import TimeOver, at_most
+from service.scan.time_limit import TimeOver, limit_time
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_a_time_that_is_over_before_the_clouds_were_read_is_one_line(
     def late(*_: object) -> None:
         raise TimeOver
 
-    monkeypatch.setattr(detect_file, "read_asked", late)
+    monkeypatch.setattr(detect_file, "read_input", late)
     result = scopt("detect", "valve", scan, "--time-limit", 0.5, "--json")
     assert result.exit_code == 5
     line = "--time-limit: 0.5 s were over before anything could be looked for; more would do"
@@ -102,7 +102,7 @@ def test_a_time_that_is_over_before_the_clouds_were_read_is_one_line(
 
 def test_work_ends_at_the_first_poll_after_the_time_is_over() -> None:
     def work() -> None:
-        with at_most(0.02):
+        with limit_time(0.02):
             while True:
                 poll()
 
@@ -112,14 +112,14 @@ def test_work_ends_at_the_first_poll_after_the_time_is_over() -> None:
 
 def test_a_time_limit_sets_no_signal_and_raises_nothing_where_nobody_polls() -> None:
     earlier = signal.getsignal(signal.SIGALRM)
-    with at_most(1e-6):
+    with limit_time(1e-6):
         assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
         assert signal.getsignal(signal.SIGALRM) is earlier
         time.sleep(0.001)
 
 
 def test_a_stop_from_outside_is_no_time_that_is_over() -> None:
-    with pytest.raises(Stopped), stops_when(lambda: True), at_most(60.0):
+    with pytest.raises(Stopped), stops_when(lambda: True), limit_time(60.0):
         poll()
 
 

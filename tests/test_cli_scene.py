@@ -17,10 +17,10 @@ from little_scan import crate_scan, little_scan, scopt
 
 from perception import Cloud, rigid_pose, write_npz, write_pcd
 from service.scan import make_scene as scene_file
-from service.scan.cloud import CloudAsked, numbers
-from service.scan.make_scene import SceneAsked, see_files
+from service.scan.cloud import CloudInput, numbers
+from service.scan.make_scene import SceneInput, build_scene
 from service.scan.time_limit import TimeOver
-from service.viewer.frames import quantized
+from service.viewer.frames import quantize
 from service.viewer.html import render_page
 from service.viewer.scene import payload_of
 
@@ -402,11 +402,11 @@ def test_the_page_draws_everything_and_talks_to_nobody(browser: Browser, written
 
 def test_the_page_tells_residuals_in_their_units_and_where_the_origin_is(browser: Browser, tmp_path: Path) -> None:
     write_npz(tmp_path / "a.npz", little_scan())
-    seen = see_files(SceneAsked(CloudAsked((tmp_path / "a.npz",)), unknown="occupied"), lambda _: None)
+    seen = build_scene(SceneInput(CloudInput((tmp_path / "a.npz",)), unknown="occupied"), lambda _: None)
     residuals = {"rms": 0.002, "axis_spread_rad": 0.01, "air_share": 0.5, "n_ends_seen": 2.0, "rival_ratio": 0.25}
     hit = {"kind": "beam", "confidence": 1.0, "pose_world_object": np.eye(4).tolist(), "sizes": {"length": 1.5}}
     payload = payload_of(seen, "a") | {
-        "detections": [{**hit, "residuals": residuals, "points": quantized(np.zeros((1, 3)))}]
+        "detections": [{**hit, "residuals": residuals, "points": quantize(np.zeros((1, 3)))}]
     }
     (tmp_path / "a.html").write_text(render_page(payload, "a", "scene"))
     browser.open((tmp_path / "a.html").as_uri())
@@ -424,7 +424,7 @@ def test_the_page_tells_residuals_in_their_units_and_where_the_origin_is(browser
 
 def test_the_page_outlines_what_is_there_to_be_gripped_and_pressed(browser: Browser, tmp_path: Path) -> None:
     write_npz(tmp_path / "a.npz", little_scan())
-    seen = see_files(SceneAsked(CloudAsked((tmp_path / "a.npz",))), lambda _: None)
+    seen = build_scene(SceneInput(CloudInput((tmp_path / "a.npz",))), lambda _: None)
     handle = {"handle_x": 0.8, "handle_y": 0.06, "handle_z": 1.0, "lever_direction": -1.0}
     button = {"button_0_x": 0.05, "button_0_y": -0.02, "button_0_radius": 0.01}
     sizes = {
@@ -433,7 +433,7 @@ def test_the_page_outlines_what_is_there_to_be_gripped_and_pressed(browser: Brow
         "drill": {"grip_length": 0.12, "body_length": 0.21},
     }
     hit = {"confidence": 1.0, "pose_world_object": np.eye(4).tolist(), "residuals": {}}
-    hits = [{**hit, "kind": kind, "sizes": of, "points": quantized(np.zeros((1, 3)))} for kind, of in sizes.items()]
+    hits = [{**hit, "kind": kind, "sizes": of, "points": quantize(np.zeros((1, 3)))} for kind, of in sizes.items()]
     (tmp_path / "a.html").write_text(render_page(payload_of(seen, "a") | {"detections": hits}, "a", "scene"))
     browser.open((tmp_path / "a.html").as_uri())
     browser.settle()
@@ -542,7 +542,7 @@ def _late(*_: object) -> None:
 
 
 def test_a_scene_is_written_when_the_time_ends_the_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_file, "look_for", _late)
+    monkeypatch.setattr(scene_file, "search_objects", _late)
     cloud, out = crate_scan(tmp_path / "a.npz"), tmp_path / "scene.json"
     result = scopt("scene", cloud, "--out", out, "--detect", "valve", "--detect", "door", "--time-limit", 60)
     assert result.exit_code == 5
@@ -554,7 +554,7 @@ def test_a_scene_is_written_when_the_time_ends_the_search(tmp_path: Path, monkey
 def test_a_time_that_is_over_before_there_are_pieces_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scene_file, "read_asked", _late)
+    monkeypatch.setattr(scene_file, "read_input", _late)
     cloud, out = crate_scan(tmp_path / "a.npz"), tmp_path / "scene.json"
     result = scopt("scene", cloud, "--out", out, "--time-limit", 0.5)
     assert result.exit_code == 5

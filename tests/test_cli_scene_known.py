@@ -13,10 +13,10 @@ from little_scan import CRATE, box_obj, crate_scan, scopt
 from perception.solids.closed import Solid
 from perception.solids.match import MeshMatch
 from service.errors import RequestError
-from service.scan.cloud import CloudAsked
-from service.scan.earlier import read_before
-from service.scan.known_meshes import doubt, known_of, mesh_asked
-from service.scan.make_scene import SceneAsked
+from service.scan.cloud import CloudInput
+from service.scan.earlier import read_earlier_scene
+from service.scan.known_meshes import explain_low_confidence, load_known_meshes, parse_mesh_option
+from service.scan.make_scene import SceneInput
 
 SIZE = tuple(np.subtract(CRATE[1], CRATE[0]).tolist())
 PLACE = "1 -0.3 0"
@@ -124,7 +124,7 @@ def test_a_mesh_is_asked_for_anywhere_near_a_place_or_at_a_pose(
 ) -> None:
     for name in ("crate.obj", "look at me.obj"):
         box_obj(tmp_path / name, (0, 0, 0), (1, 1, 1))
-    asked = mesh_asked(f"{tmp_path}/{text}")
+    asked = parse_mesh_option(f"{tmp_path}/{text}")
     assert asked.is_placed is is_placed
     assert (asked.pose_world_mesh is None) == (pose is None)
     assert (asked.hint is None) == (hint is None)
@@ -155,19 +155,19 @@ def test_a_mesh_that_cannot_be_asked_for_is_one_line(tmp_path: Path, text: str, 
     box_obj(tmp_path / "crate.obj", (0, 0, 0), (1, 1, 1))
     (tmp_path / "scan.pcd").write_text("")
     with pytest.raises(RequestError) as error:
-        mesh_asked(f"{tmp_path}/{text}")
+        parse_mesh_option(f"{tmp_path}/{text}")
     assert str(error.value).startswith(problem.format(tmp_path))
 
 
 def test_a_confidence_that_is_a_little_too_low_does_not_read_as_enough() -> None:
     match = MeshMatch(np.eye(4), 0.4991, {"n_points": 7.0}, Solid((), (), ()), 0.01)
-    assert doubt(match) == "confidence 0.49, 0.5 is needed (7 points lie on it)"
+    assert explain_low_confidence(match) == "confidence 0.49, 0.5 is needed (7 points lie on it)"
 
 
 def test_meshes_take_no_name_that_pieces_have(tmp_path: Path) -> None:
     files = [box_obj(tmp_path / name, (0, 0, 0), (1, 1, 1)) for name in ("wall.obj", "a.obj")]
-    asked = [mesh_asked(str(file)) for file in (*files, files[1])]
-    assert [one.name for one in known_of(asked)] == ["wall-2", "a", "a-2"]
+    asked = [parse_mesh_option(str(file)) for file in (*files, files[1])]
+    assert [one.name for one in load_known_meshes(asked)] == ["wall-2", "a", "a-2"]
 
 
 def test_a_scale_that_makes_a_speck_of_a_mesh_is_refused(tmp_path: Path) -> None:
@@ -177,7 +177,7 @@ def test_a_scale_that_makes_a_speck_of_a_mesh_is_refused(tmp_path: Path) -> None
     with pytest.raises(
         RequestError, match=r"speck\.urdf spans 1e-05 m at --mesh-scale 1e-05; 0\.001 to 100 m would do"
     ):
-        known_of([mesh_asked(str(path), 1e-5)])
+        load_known_meshes([parse_mesh_option(str(path), 1e-5)])
 
 
 def test_the_very_same_scan_leaves_every_piece_as_it_was(folder: Path, plain: dict[str, Any]) -> None:
@@ -220,7 +220,7 @@ def test_a_mesh_stays_in_an_update_and_goes_when_rays_go_through_it(folder: Path
     assert [one["placing"] for one in without["meshes"]] == ["gone", "given"]
     assert "crate/1" in without["update"]["gone"]
     assert any(note.startswith("crate is gone: ") for note in without["notes"])
-    assert "crate" not in [mesh.name for mesh in read_before(folder / "gone.json").meshes]
+    assert "crate" not in [mesh.name for mesh in read_earlier_scene(folder / "gone.json").meshes]
 
 
 def test_a_mesh_asked_for_again_takes_the_place_of_the_one_before(folder: Path, matched: dict[str, Any]) -> None:
@@ -284,19 +284,19 @@ def test_a_scene_that_cannot_be_updated_is_one_line(
     path = tmp_path / "before.json"
     path.write_bytes(damage(plain))
     with pytest.raises(RequestError) as error:
-        read_before(path)
+        read_earlier_scene(path)
     (line,) = error.value.problems
     assert line.startswith(f"--update: {path}{problem}")
 
 
 def test_a_scene_that_is_not_there_cannot_be_updated(tmp_path: Path) -> None:
     with pytest.raises(RequestError, match=r"--update: .*none\.json cannot be read: No such file"):
-        read_before(tmp_path / "none.json")
+        read_earlier_scene(tmp_path / "none.json")
 
 
 def test_a_scene_read_back_is_the_scene_that_was_written(folder: Path, plain: dict[str, Any]) -> None:
-    before = read_before(folder / "plain.json")
-    assert before.settings == SceneAsked(CloudAsked(())).settings
+    before = read_earlier_scene(folder / "plain.json")
+    assert before.settings == SceneInput(CloudInput(())).settings
     assert [piece.vertices.tolist() for piece in before.scene.pieces] == [one["vertices"] for one in plain["pieces"]]
     assert [piece.name for piece in before.pieces] == [one["name"] for one in plain["pieces"] if "seen" in one]
     planes = [piece.plane for piece in before.pieces if piece.kind == "wall"]

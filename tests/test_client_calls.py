@@ -122,19 +122,19 @@ def test_a_cloud_that_the_server_knows_is_not_sent_to_its_end(
     connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = written_cloud(tmp_path, 40_000_000)
-    from service.client import clouds
+    from service.client import local_files
 
     read: list[int] = []
-    chunks_of = clouds._chunks
+    read_chunks = local_files._read_chunks
 
     def counted(path: Path) -> Iterator[bytes]:
-        for chunk in chunks_of(path):
+        for chunk in read_chunks(path):
             read.append(len(chunk))
             yield chunk
 
-    cloud = clouds.cloud_to_send(path)
+    cloud = local_files.hash_file(path)
     stand_in.clouds[f"sha256:{cloud.sha256}.pcd"] = b""
-    monkeypatch.setattr(clouds, "_chunks", counted)
+    monkeypatch.setattr(local_files, "_read_chunks", counted)
     with connect() as client:
         assert client.upload_cloud(path) == f"sha256:{cloud.sha256}.pcd"
         time.sleep(0.05)
@@ -145,11 +145,10 @@ def test_a_cloud_that_the_server_knows_is_not_sent_to_its_end(
 def test_a_cloud_that_vanishes_on_its_way_is_an_error_of_the_request(
     connect: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from service.client import clouds
+    from service.client import local_files
 
-    cloud = clouds.cloud_to_send(written_cloud(tmp_path))
-    for module in ("blocking", "asynchronous"):
-        monkeypatch.setattr(f"service.client.{module}.cloud_to_send", lambda path: cloud)
+    cloud = local_files.hash_file(written_cloud(tmp_path))
+    monkeypatch.setattr("service.client.asynchronous.hash_file", lambda path: cloud)
     cloud.path.unlink()
     with connect() as client, pytest.raises(RequestError, match=r"scan\.pcd cannot be read: No such file"):
         client.upload_cloud(cloud.path)
@@ -248,17 +247,16 @@ def test_an_upload_whose_answer_was_lost_on_this_side_is_made_again(
 
     async def main() -> str:
         async with AsyncPlannerClient(target, retry=Retry(first_delay_s=0.01)) as client:
-            upload, lost = (
-                client._stub.UploadCloud,
-                [AioRpcError(Code.INTERNAL, Metadata(), Metadata(), "Internal error from Core")],
-            )
+            stub = client._transport._stub
+            upload = stub.UploadCloud
+            lost = [AioRpcError(Code.INTERNAL, Metadata(), Metadata(), "Internal error from Core")]
 
             async def first_lost(*arguments: Any, **named: Any) -> Any:
                 if lost:
                     raise lost.pop()
                 return await upload(*arguments, **named)
 
-            monkeypatch.setattr(client._stub, "UploadCloud", first_lost)
+            monkeypatch.setattr(stub, "UploadCloud", first_lost)
             return await client.upload_cloud(path)
 
     assert asyncio.run(main()) in stand_in.clouds
@@ -328,7 +326,7 @@ def test_there_is_an_end_to_asking_again(
 
 def test_a_deadline_ends_a_plan_and_tells_what_it_was_at(connect: Callable[..., Any], stand_in: PlannerStandIn) -> None:
     stand_in.plans.append(slow_plan(stand_in))
-    with connect() as client, pytest.raises(PlannerError, match=r"no answer within 0\.2 s; it was at 'waiting'"):
+    with connect() as client, pytest.raises(PlannerError, match=r"no answer within 0\.2 s; last step: 'waiting'"):
         client.plan(REQUEST, deadline_s=0.2)
     assert stand_in.stopped.wait(5.0)
 

@@ -35,7 +35,7 @@ from typer.testing import CliRunner
 from service.cli.app import app
 from service.cli.connect import ENDINGS
 from service.cli.run import EXIT_CODES
-from service.cli.top import drawn
+from service.cli.top import draw_status
 from service.proto.planner.v1 import planner_pb2 as pb
 from service.request.schema import UNPLANNED
 from service.result.result import Verdict
@@ -80,7 +80,7 @@ def test_a_request_ends_with_the_verdict_and_the_folder_that_plan_writes(target:
 
 
 def test_a_terminal_sees_every_iteration(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.cli.request.SELDOM_S", 0.0)
+    monkeypatch.setattr("service.cli.request.LOG_PERIOD_S", 0.0)
     assert " 50 % reach: iteration 4, merit 3.5, mu 10, collision off by 0.02" in _request(target).stderr
 
 
@@ -255,8 +255,10 @@ def test_a_token_that_cannot_be_used_is_told_by_where_it_comes_from(
     empty, odd = tmp_path / "empty", tmp_path / "odd"
     empty.write_text("\n")
     odd.write_text("two words")
-    assert top("--token-file", empty).startswith(f"--token-file {empty} is empty; the line that `scopt token` prints")
-    printable = "printable ASCII characters without blanks are needed\n"
+    assert top("--token-file", empty).startswith(
+        f"--token-file {empty} is empty; expected the line that `scopt token` prints"
+    )
+    printable = "expected printable ASCII characters without blanks\n"
     assert top("--token-file", odd) == f"--token-file {odd}: {printable}"
     assert top(SCOPT_TOKEN="two words") == f"the variable SCOPT_TOKEN: {printable}"
     assert stand_in.asked == []
@@ -268,10 +270,10 @@ def test_without_a_token_that_the_server_knows_the_ways_to_give_one_are_told(
     stand_in.plans += [refused(Code.UNAUTHENTICATED, "a token is needed")] * 2
     result = _request(target)
     assert result.exit_code == 77
-    assert "a token is needed; --token-file FILE or the variable SCOPT_TOKEN would do" in result.stderr
+    assert "a token is needed; give --token-file FILE or set SCOPT_TOKEN" in result.stderr
     (tmp_path / "token").write_text("wrong")
     assert (
-        f"the token is that of --token-file {tmp_path}/token"
+        f"the token is from --token-file {tmp_path}/token"
         in _request(target, "--token-file", tmp_path / "token").stderr
     )
 
@@ -288,7 +290,7 @@ def test_grpc_says_nothing_of_its_own(tmp_path: Path) -> None:
         )
     assert ended.returncode == 69
     (line,) = ended.stderr.splitlines()
-    assert line.startswith(f"what listens at {target} speaks no TLS")
+    assert line.startswith(f"the server at {target} does not use TLS")
 
 
 def test_a_plan_that_is_not_there_or_not_finished_is_not_reviewed(stand_in: PlannerStandIn, target: str) -> None:
@@ -298,7 +300,7 @@ def test_a_plan_that_is_not_there_or_not_finished_is_not_reviewed(stand_in: Plan
     running = _scopt("review", PLAN_ID, "--accept", "--target", target)
     assert (running.exit_code, running.stderr) == (
         3,
-        f"plan {PLAN_ID} is running; there is nothing to look at yet\n",
+        f"plan {PLAN_ID} is running; expected a finished plan\n",
     )
     assert stand_in.reviews == []
 
@@ -323,8 +325,8 @@ def test_top_looks_once_where_there_is_no_terminal(target: str) -> None:
 
 def test_top_keeps_what_it_saw_last_when_the_server_goes() -> None:
     screen = Console(file=StringIO(), width=120)
-    screen.print(drawn(pb.GetStatusResponse(version="0.1.0", queued=3), "robot:1", "UNAVAILABLE: gone\nfor good"))
-    screen.print(drawn(pb.GetStatusResponse(is_draining=True), "robot:1"))
+    screen.print(draw_status(pb.GetStatusResponse(version="0.1.0", queued=3), "robot:1", "UNAVAILABLE: gone\nfor good"))
+    screen.print(draw_status(pb.GetStatusResponse(is_draining=True), "robot:1"))
     assert isinstance(screen.file, StringIO)
     text = screen.file.getvalue()
     assert "UNAVAILABLE: gone for good" in text

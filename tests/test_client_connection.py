@@ -19,7 +19,7 @@ from planner_stand_in import PlannerStandIn, serving
 
 from service.client import PlannerClient, PlannerError, Retry
 from service.client.connection import Connection
-from service.client.unreachable import explained
+from service.client.error_texts import explain_unreachable
 from service.errors import RequestError
 
 
@@ -103,51 +103,59 @@ def _told(kind: str, target: str, **settings: Any) -> str:
 @pytest.mark.parametrize("kind", CLIENTS)
 def test_where_nothing_listens_is_told_by_its_address(kind: str, tmp_path: Path) -> None:
     for target in ("localhost:1", f"unix:{tmp_path}/socket"):
-        assert _told(kind, target) == f"nothing answers at {target}; is `scopt serve` running there?"
+        assert _told(kind, target) == f"no server answers at {target}; start one there with `scopt serve`"
     target = "no.such.host.invalid:50051"
-    assert _told(kind, target) == f"target: no address is known for {target}; is the name right?"
+    assert _told(kind, target) == f"target: no address is known for {target}; check the name"
 
 
 @pytest.mark.parametrize("kind", CLIENTS)
 @pytest.mark.parametrize("words", [b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n", b"SSH-2.0-OpenSSH\r\n"])
 def test_what_is_no_planning_service_is_told(kind: str, words: bytes) -> None:
     with _saying(words) as target:
-        assert _told(kind, target) == f"what listens at {target} is no planning service; is it the right port?"
+        assert _told(kind, target) == f"the program at {target} is no planning service; check the port"
 
 
 @pytest.mark.parametrize("kind", CLIENTS)
 def test_a_server_that_speaks_tls_and_one_that_does_not_are_told(folder: Path, kind: str) -> None:
     ca = folder / "ca.pem"
     with serving(PlannerStandIn(), _server(folder, False)) as target:
-        assert _told(kind, target) == f"the server at {target} hangs up; it may speak TLS: give tls_ca (--tls-ca)"
+        closed = f"the server at {target} closes the connection; it may use TLS: give tls_ca (--tls-ca)"
+        assert _told(kind, target) == closed
         found = _told(kind, target, tls_ca=folder / "other.pem")
         assert found.startswith(f"the server's certificate at {target} does not come from the authority in tls_ca")
         by_number = target.replace("localhost", "127.0.0.1")
-        assert _told(kind, by_number, tls_ca=ca).startswith(f"the server's certificate is not for {by_number}; ask for")
+        assert _told(kind, by_number, tls_ca=ca).startswith(
+            f"the server's certificate is not for {by_number}; use a host name"
+        )
     with serving(PlannerStandIn(), _server(folder, True)) as target:
-        assert "it may want a certificate of this client: give tls_cert" in _told(kind, target, tls_ca=ca)
+        assert "it may require a client certificate: give tls_cert" in _told(kind, target, tls_ca=ca)
     with serving(PlannerStandIn()) as target:
-        assert _told(kind, target, tls_ca=ca).startswith(f"what listens at {target} speaks no TLS; leave out tls_ca")
+        assert _told(kind, target, tls_ca=ca).startswith(f"the server at {target} does not use TLS; leave out tls_ca")
 
 
 def test_what_a_server_says_of_itself_is_left_as_it_is() -> None:
     connection = Connection("robot:50051")
-    assert explained("the server is stopping", connection) == "the server is stopping"
-    assert explained("Socket closed", connection) == "the connection to robot:50051 broke off"
+    for text, expected in (
+        ("the server is stopping", "the server is stopping"),
+        ("Socket closed", "the connection to robot:50051 broke"),
+    ):
+        error = PlannerError(grpc.StatusCode.UNAVAILABLE, text, retry_delay_s=0.5)
+        explained = explain_unreachable(error, connection)
+        assert (explained.text, explained.retry_delay_s) == (expected, 0.5)
 
 
 def test_a_token_goes_to_this_machine_in_the_clear_and_elsewhere_under_tls(tmp_path: Path) -> None:
     for target in ("localhost:50051", "127.0.0.1:1", "[::1]:1", "unix:/tmp/socket"):
         assert Connection(target, token="abc").metadata == (("authorization", "Bearer abc"),)
     for target in ("robot:50051", "192.168.1.2:1", "[::2]:1", "localhost.evil.example:1"):
-        with pytest.raises(RequestError, match="in the clear; give tls_ca"):
+        with pytest.raises(RequestError, match="without TLS; give tls_ca"):
             Connection(target, token="abc")
         assert Connection(target, tls_ca=tmp_path / "ca.pem", token="abc").is_secure
 
 
 @pytest.mark.parametrize("token", ["", "two words", "line\nend", "\u00e4"])
 def test_a_token_that_no_header_can_hold_is_refused_without_being_shown(token: str) -> None:
-    with pytest.raises(RequestError, match="printable ASCII") as caught:
+    with pytest.raises(RequestError, match="token: expected printable ASCII") as caught:
         Connection("localhost:1", token=token)
     assert not token or token not in str(caught.value)
     assert "abc" not in repr(Connection("localhost:1", token="abc"))
@@ -157,7 +165,7 @@ def test_a_token_that_no_header_can_hold_is_refused_without_being_shown(token: s
     "target", ["", "localhost", "localhost:", ":1", "localhost:70000", "a b:1", "unix:", "x:\u0661"]
 )
 def test_a_target_without_host_and_port_is_refused(target: str) -> None:
-    with pytest.raises(RequestError, match="target: HOST:PORT is needed"):
+    with pytest.raises(RequestError, match="expected HOST:PORT or unix:PATH"):
         PlannerClient(target)
 
 
@@ -171,12 +179,12 @@ def test_any_text_is_a_target_or_refused(text: str) -> None:
 
 
 def test_tls_files_that_cannot_be_used_are_refused(folder: Path) -> None:
-    with pytest.raises(RequestError, match="tls_cert and tls_key belong together"):
+    with pytest.raises(RequestError, match="tls_cert and tls_key: one is missing; give both or none"):
         PlannerClient("localhost:1", tls_cert=folder / "client.pem")
     with pytest.raises(RequestError, match=r"tls_ca: .*missing\.pem cannot be read: No such file"):
         PlannerClient("localhost:1", tls_ca=folder / "missing.pem")
     (folder / "notes.pem").write_text("no certificate")
-    with pytest.raises(RequestError, match=r"tls_ca: .*notes\.pem holds no certificate of an authority in PEM"):
+    with pytest.raises(RequestError, match=r"tls_ca: .*notes\.pem contains no PEM certificate of an authority"):
         PlannerClient("localhost:1", tls_ca=folder / "notes.pem")
-    with pytest.raises(RequestError, match=r"tls_cert and tls_key: .*server\.key do not go together"):
+    with pytest.raises(RequestError, match=r"tls_cert and tls_key: .*server\.key are no PEM certificate"):
         PlannerClient("localhost:1", tls_cert=folder / "client.pem", tls_key=folder / "server.key")

@@ -13,9 +13,8 @@ from planner_clients import CLIENTS
 from planner_stand_in import PlannerStandIn, accepted, refuse, refused, serving, written_cloud
 
 from service.client import PlannerClient, PlannerError
-from service.client.clouds import local_files, with_ids
-from service.client.local import askable
-from service.client.names import MOST, CloudNames
+from service.client.error_texts import MAX_NAMES, UploadNames
+from service.client.local_files import find_local_files, replace_by_ids, resolve_paths
 from service.errors import RequestError, UnplannedTaskError
 from service.proto.planner.v1 import planner_pb2 as pb
 from service.request.file import load_request, parse_request
@@ -43,11 +42,10 @@ def test_a_cloud_that_starts_here_and_is_not_here_is_told_here(
     with connect() as client, pytest.raises(RequestError) as caught:
         client.plan(_request(tmp_path, scene={"cloud": clouds}))
     assert caught.value.problems == (
-        "scene.cloud[0].file: 'nowhere.pcd' is not there; name a file that is",
-        "scene.cloud[1].file: 'bag' is a folder, and files are uploaded one by one; "
-        "name a file in it, or its path from the root there",
+        "scene.cloud[0].file: 'nowhere.pcd' does not exist; expected an existing file",
+        "scene.cloud[1].file: 'bag' is a folder; expected a file in it, or an absolute path on the server",
     )
-    with connect() as client, pytest.raises(RequestError, match=r"scene\.cloud: 'nowhere\.pcd' is not there"):
+    with connect() as client, pytest.raises(RequestError, match=r"scene\.cloud: 'nowhere\.pcd' does not exist"):
         client.plan(_request(tmp_path, scene={"cloud": "nowhere.pcd"}))
     assert stand_in.asked == []
 
@@ -56,7 +54,7 @@ def test_clouds_to_look_at_that_are_not_here_are_told_here(
     connect: Callable[..., Any], stand_in: PlannerStandIn
 ) -> None:
     with connect() as client:
-        with pytest.raises(RequestError, match=r"clouds\[1\]: 'nowhere\.pcd' is not there"):
+        with pytest.raises(RequestError, match=r"clouds\[1\]: 'nowhere\.pcd' does not exist"):
             client.detect([f"sha256:{SHA}.pcd", "nowhere.pcd"], "valve")
         with pytest.raises(RequestError, match=r"clouds\[0\]: 'tests' is a folder"):
             client.build_scene(Path("tests"))
@@ -70,7 +68,7 @@ def test_a_path_of_neither_machine_is_told_to_be_on_neither(
     stand_in.plans.append(refused(Code.INVALID_ARGUMENT, line, _bad(line)))
     with connect() as client, pytest.raises(PlannerError) as caught:
         client.plan(_request(tmp_path, scene={"cloud": "/nowhere.pcd"}))
-    assert caught.value.problems == (f"{line}; it is no file here that could be uploaded",)
+    assert caught.value.problems == (f"{line}; no such file on this machine either, so it was not uploaded",)
 
 
 @pytest.mark.parametrize("told", ["{id}: no DATA line", "no cloud '{cut}… is there; upload it first, or again"])
@@ -115,30 +113,30 @@ def test_an_upload_that_is_refused_names_its_file(tmp_path: Path, kind: str, tol
 
 
 def test_names_of_clouds_are_not_kept_for_ever() -> None:
-    names = CloudNames()
-    for number in range(MOST + 10):
-        names.remember(f"sha256:{number:064x}.pcd", Path(f"{number}.pcd"))
-    told = PlannerError(Code.INVALID_ARGUMENT, f"sha256:{9:064x}.pcd and sha256:{MOST:064x}.pcd are damaged")
-    assert names.in_words_of_here(told).text == f"sha256:{9:064x}.pcd and {MOST}.pcd are damaged"
+    names = UploadNames()
+    for number in range(MAX_NAMES + 10):
+        names.add(f"sha256:{number:064x}.pcd", Path(f"{number}.pcd"))
+    told = PlannerError(Code.INVALID_ARGUMENT, f"sha256:{9:064x}.pcd and sha256:{MAX_NAMES:064x}.pcd are damaged")
+    assert names.restore(told).text == f"sha256:{9:064x}.pcd and {MAX_NAMES}.pcd are damaged"
 
 
 def test_paths_of_a_request_are_told_from_the_root_to_a_server_on_this_machine(tmp_path: Path) -> None:
     request = load_request(REQUESTS / "mesh.yaml")
-    asked = askable(request, is_this_machine=True)
+    asked = resolve_paths(request, is_this_machine=True)
     assert asked.folder == request.folder
     (tmp_path / "crate.urdf").touch()
     obstacle = {"name": "crate", "type": "mesh", "file": "crate.urdf"}
-    (crate,) = askable(_request(tmp_path, scene={"obstacles": [obstacle]}), is_this_machine=True).scene.obstacles
+    (crate,) = resolve_paths(_request(tmp_path, scene={"obstacles": [obstacle]}), is_this_machine=True).scene.obstacles
     assert isinstance(crate, MeshRequest)
     assert crate.file == str(tmp_path / "crate.urdf")
 
 
 @pytest.mark.parametrize("is_this_machine", [True, False])
 def test_meshes_that_are_files_here_are_uploaded_and_named_by_their_id(is_this_machine: bool) -> None:
-    request = askable(load_request(REQUESTS / "mesh.yaml"), is_this_machine)
-    ((name, path),) = local_files(request).items()
+    request = resolve_paths(load_request(REQUESTS / "mesh.yaml"), is_this_machine)
+    ((name, path),) = find_local_files(request).items()
     assert path.name == "window_frame.obj"
-    (frame,) = with_ids(request, {name: "sha256:1.obj"}).scene.obstacles
+    (frame,) = replace_by_ids(request, {name: "sha256:1.obj"}).scene.obstacles
     assert isinstance(frame, MeshRequest)
     assert frame.file == "sha256:1.obj"
 
@@ -151,21 +149,21 @@ def test_paths_of_this_machine_are_not_asked_of_another(tmp_path: Path) -> None:
     ]
     request = _request(tmp_path, robot={"urdf": "robot.urdf"}, scene={"obstacles": obstacles})
     with pytest.raises(RequestError) as caught:
-        askable(request, is_this_machine=False)
+        resolve_paths(request, is_this_machine=False)
     robot, table, gone = caught.value.problems
     assert robot.startswith("robot.urdf: 'robot.urdf' is a path of this machine; it is not uploaded")
     assert table.startswith("scene.obstacles[0].file: 'table.urdf' is a path of this machine")
     assert "scopt serve --allow FOLDER" in table
-    assert gone == "scene.obstacles[1].file: 'gone.obj' is not there; name a file that is"
-    with pytest.raises(RequestError, match=r"^scene\.obstacles\[1\]\.file: 'gone\.obj' is not there"):
-        askable(request, is_this_machine=True)
+    assert gone == "scene.obstacles[1].file: 'gone.obj' does not exist; expected an existing file"
+    with pytest.raises(RequestError, match=r"^scene\.obstacles\[1\]\.file: 'gone\.obj' does not exist"):
+        resolve_paths(request, is_this_machine=True)
 
 
 def test_robot_files_are_told_from_the_root_too(tmp_path: Path) -> None:
     for name in ("robot.urdf", "robot.srdf"):
         (tmp_path / name).touch()
     robot = {"urdf": "robot.urdf", "srdf": "robot.srdf", "package_dirs": ["."]}
-    asked = askable(_request(tmp_path, robot=robot), is_this_machine=True).robot
+    asked = resolve_paths(_request(tmp_path, robot=robot), is_this_machine=True).robot
     assert (asked.urdf, asked.srdf) == (f"{tmp_path}/robot.urdf", f"{tmp_path}/robot.srdf")
     assert asked.package_dirs == (str(tmp_path),)
 
@@ -188,7 +186,7 @@ def test_a_result_folder_too_large_for_one_message_is_told_here(
     with PlannerClient(target) as client, pytest.raises(RequestError) as caught:
         client.verify(tmp_path)
     assert str(caught.value) == (
-        "files: 5.0 MiB to send; a server takes at most 4.0 MiB at once, and robot/torso.stl alone has 5.0 MiB; "
-        "verify the folder here, or ask by the plan's id"
+        "files: the message has 5.0 MiB; a server accepts at most 4.0 MiB and robot/torso.stl alone has 5.0 MiB; "
+        "verify the folder here, or give the plan's id"
     )
     assert stand_in.asked == []

@@ -18,7 +18,7 @@ from service.planner import plan
 from service.request.file import parse_request
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
-from service.start.standing import floor_at_soles, sole
+from service.start.standing import move_floor_to_soles, sole_corners
 from service.verify import Motion, Status, verify
 from service.verify.ground import ground_gaps
 
@@ -108,13 +108,13 @@ def _seen(height: float, tilt: float = 0.0) -> tuple[ConvexPiece, ...]:
 
 
 def test_a_scanned_floor_is_moved_to_the_soles_by_at_most_30_mm_and_says_so() -> None:
-    soles = {foot: sole(atlas(), atlas().postures["stand"], foot) for foot in FEET}
-    (floor, box), notes = floor_at_soles(_seen(0.02), soles)
+    soles = {foot: sole_corners(atlas(), atlas().postures["stand"], foot) for foot in FEET}
+    (floor, box), notes = move_floor_to_soles(_seen(0.02), soles)
     assert np.abs(ground_gaps(np.vstack(list(soles.values())), (floor,))).max() < 1e-6
     assert np.array_equal(box.vertices, _seen(0.02)[1].vertices)
     assert re.fullmatch(r"the scanned floor was moved down by 20\.0 mm to the soles of .*; at most 30 mm", notes[0])
     for height in (0.0, 0.0029, -0.0029, 0.031, -0.031):
-        pieces, notes = floor_at_soles(_seen(height), soles)
+        pieces, notes = move_floor_to_soles(_seen(height), soles)
         assert notes == ()
         assert np.array_equal(pieces[0].vertices, _seen(height)[0].vertices)
 

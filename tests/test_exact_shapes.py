@@ -22,7 +22,7 @@ from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
 from service.result.result import Verdict
-from service.start.exact import ExactShape
+from service.start.overlaps import ExactShape
 from service.start.standing import FEET_GROUP
 from service.verify import PoseTarget
 

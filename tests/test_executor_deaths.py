@@ -1,4 +1,4 @@
-"""What becomes of a pool's jobs when workers die, lie, stop listening, or never become ready."""
+"""A pool's jobs when workers die, send nonsense, stop reading or never become ready."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from pathlib import Path
 
@@ -18,8 +19,8 @@ import executor_jobs as jobs
 import pytest
 from executor_waiting import Events, is_running, parent_of, until
 
-from service.executor import Job, JobCancelled, LocalPool, WorkerDied
-from service.executor.frames import Kind
+from service.executor import Job, JobCancelled, LocalPool, WorkerDied, WorkerState, supervisor
+from service.executor.messages import Kind
 
 SOON_S = 20.0  # far more than anything takes
 SUPPORT = Path(jobs.__file__).parent
@@ -30,82 +31,102 @@ def pids(pool: LocalPool) -> list[int]:
 
 
 def running_on(pool: LocalPool, todo: list[Job[str]]) -> list[int]:
-    """The workers that have one of these jobs."""
-    return [job.pid for job in todo if job.pid is not None and job.running() and pool.place(job) is None]
+    """Return the process ids of the workers that run one of these jobs."""
+    return [job.pid for job in todo if job.pid is not None and job.running() and pool.queue_position(job) is None]
 
 
-def test_killing_workers_under_load_loses_no_job_and_answers_none_twice(tmp_path: Path) -> None:
-    answered: Counter[int] = Counter()
+@pytest.fixture(scope="module")
+def healing_pool() -> Iterator[LocalPool]:
+    """One worker that tests of this file may kill."""
+    with LocalPool(1) as pool:
+        yield pool
+
+
+@pytest.fixture
+def single(healing_pool: LocalPool) -> LocalPool:
+    """One worker, which is up."""
+    assert until(lambda: [worker.state for worker in healing_pool.stats().workers] == [WorkerState.IDLE])
+    return healing_pool
+
+
+@pytest.fixture
+def short_retry_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Failed starts are repeated after 10 and 20 ms instead of 100 and 200."""
+    monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.01)
+
+
+def test_killing_workers_under_load_loses_no_job_and_ends_none_twice(tmp_path: Path) -> None:
+    n_ends: Counter[int] = Counter()
     with LocalPool(2) as pool:
         assert pool.wait_ready(SOON_S)
-        todo = [pool.submit(jobs.leave_mark_late, tmp_path, str(i), 0.004) for i in range(150)]
+        todo = [pool.submit(jobs.append_mark_late, tmp_path, str(i), 0.004) for i in range(150)]
         for job in todo:
-            job.add_done_callback(lambda job: answered.update([job.number]))
+            job.add_done_callback(lambda job: n_ends.update([job.number]))
         for n_done in range(10, 140, 20):
             assert until(lambda n_done=n_done: sum(job.done() for job in todo) >= n_done, SOON_S)
             assert until(lambda: running_on(pool, todo))
             os.kill(running_on(pool, todo)[0], signal.SIGKILL)
         assert [job.result(SOON_S) for job in todo] == [str(i) for i in range(150)]
         assert pool.stats().restarts == 7
-    assert answered == Counter(job.number for job in todo)
+    assert n_ends == Counter(job.number for job in todo)
     assert set((tmp_path / "marks").read_text().split()) == {str(i) for i in range(150)}
 
 
-def test_a_job_whose_worker_dies_is_begun_again(tmp_path: Path) -> None:
-    with LocalPool(1) as pool:
-        job = pool.submit(jobs.kill_own_worker, tmp_path, 2)
-        assert job.result(SOON_S) == 3
-        assert job.attempts == 3
+def test_a_job_whose_worker_dies_is_started_again(single: LocalPool, tmp_path: Path) -> None:
+    job = single.submit(jobs.kill_own_worker, tmp_path, 2)
+    assert job.result(SOON_S) == 3
+    assert job.attempts == 3
 
 
-def test_what_a_worker_said_before_it_died_counts() -> None:
+def test_messages_sent_before_a_worker_died_count(single: LocalPool) -> None:
     events = Events()
 
-    def be_busy(event: bytes) -> None:  # where answers are read, until the worker is dead
+    assert single.wait_ready(SOON_S)
+    (worker,) = pids(single)
+
+    def wait_for_death(event: bytes) -> None:  # where messages are read
         events(event)
-        time.sleep(0.2 if len(events.seen) == 1 else 0.0)
+        assert until(lambda: not is_running(worker))
 
-    with LocalPool(1) as pool:
-        job = pool.submit(jobs.answer_and_die, 12, on_event=be_busy)
-        assert job.result(SOON_S) == "done"
-        assert (job.attempts, len(events.seen)) == (1, 12)
+    job = single.submit(jobs.return_and_die, 12, on_event=wait_for_death)
+    assert job.result(SOON_S) == "done"
+    assert (job.attempts, len(events.seen)) == (1, 12)
 
 
-def test_a_job_begun_again_goes_before_those_that_wait(tmp_path: Path) -> None:
-    with LocalPool(1) as pool:
-        deadly = pool.submit(jobs.kill_own_worker, tmp_path, 1)
-        waiting = pool.submit(jobs.leave_mark, tmp_path, "waited")
-        assert deadly.result(SOON_S) == 2
-        waiting.result(SOON_S)
+def test_a_job_started_again_runs_before_queued_ones(single: LocalPool, tmp_path: Path) -> None:
+    deadly = single.submit(jobs.kill_own_worker, tmp_path, 1)
+    waiting = single.submit(jobs.append_mark, tmp_path, "waited")
+    assert deadly.result(SOON_S) == 2
+    waiting.result(SOON_S)
     assert (tmp_path / "marks").read_text().split() == ["run", "run", "waited"]
 
 
-def test_a_job_that_always_kills_its_worker_is_given_up_and_the_pool_lives(tmp_path: Path) -> None:
-    with LocalPool(1) as pool:
-        job = pool.submit(jobs.kill_own_worker, tmp_path, 99)
-        with pytest.raises(WorkerDied, match=r"worker ended \(SIGKILL\), job begun 3 times") as caught:
-            job.result(SOON_S)
-        assert (caught.value.how, caught.value.attempts) == ("SIGKILL", 3)
-        assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
-        assert pool.stats().restarts == 3
+def test_a_job_that_always_kills_its_worker_fails_and_the_pool_goes_on(single: LocalPool, tmp_path: Path) -> None:
+    restarts = single.stats().restarts
+    job = single.submit(jobs.kill_own_worker, tmp_path, 99)
+    with pytest.raises(WorkerDied, match=r"worker ended \(SIGKILL\), job started 3 times") as caught:
+        job.result(SOON_S)
+    assert (caught.value.cause, caught.value.attempts) == ("SIGKILL", 3)
+    assert single.submit(jobs.add, 1, 2).result(SOON_S) == 3
+    assert single.stats().restarts == restarts + 3
 
 
-def test_a_crash_names_its_signal_and_keeps_the_last_words() -> None:
-    with LocalPool(1) as pool, pytest.raises(WorkerDied, match="SIGSEGV") as caught:
-        pool.submit(jobs.crash, max_attempts=1).result(SOON_S)
-    assert "the last words" in caught.value.said
-    assert "executor_jobs.py" in caught.value.said  # the stack at the crash
+def test_the_error_of_a_crash_has_its_signal_and_the_last_output(single: LocalPool) -> None:
+    with pytest.raises(WorkerDied, match="SIGSEGV") as caught:
+        single.submit(jobs.crash, max_attempts=1).result(SOON_S)
+    assert "the last words" in caught.value.last_output
+    assert "executor_jobs.py" in caught.value.last_output  # the stack at the crash
 
 
-def test_a_worker_that_leaves_names_its_exit_code() -> None:
-    with LocalPool(1) as pool, pytest.raises(WorkerDied, match="exit 7"):
-        pool.submit(jobs.leave_without_a_word, 7, max_attempts=2).result(SOON_S)
+def test_the_error_of_a_worker_that_exits_has_its_exit_code(single: LocalPool) -> None:
+    with pytest.raises(WorkerDied, match="exit 7"):
+        single.submit(jobs.exit_silently, 7, max_attempts=2).result(SOON_S)
 
 
-def test_a_job_that_is_cancelled_is_not_begun_again() -> None:
+def test_a_cancelled_job_is_not_started_again() -> None:
     events = Events()
     with LocalPool(1, grace_s=30.0) as pool:
-        job = pool.submit(jobs.never_asks, on_event=events)
+        job = pool.submit(jobs.never_poll, on_event=events)
         worker = events.first()
         job.cancel()
         time.sleep(0.02)
@@ -115,42 +136,42 @@ def test_a_job_that_is_cancelled_is_not_begun_again() -> None:
         assert job.attempts == 1
 
 
-def test_a_job_waiting_to_be_begun_again_can_be_cancelled(tmp_path: Path) -> None:
+def test_a_job_waiting_to_be_started_again_can_be_cancelled(tmp_path: Path) -> None:
     with LocalPool(1, warm_up=jobs.warm_up, start_timeout_s=SOON_S) as pool:
         events = Events()
-        job = pool.submit(jobs.never_asks, on_event=events)
+        job = pool.submit(jobs.never_poll, on_event=events)
         os.kill(parent_of(events.first()), signal.SIGKILL)  # so that it takes a while until there is another worker
-        assert until(lambda: pool.place(job) == 1)
+        assert until(lambda: pool.queue_position(job) == 1)
         assert job.cancel()
         with pytest.raises(CancelledError):
             job.result(SOON_S)
 
 
-def test_each_job_is_answered_once_however_close_its_end_is_to_the_kill() -> None:
-    answered: Counter[int] = Counter()
+def test_each_job_ends_once_however_close_its_end_is_to_the_kill() -> None:
+    n_ends: Counter[int] = Counter()
     outcomes: Counter[str] = Counter()
     grace_s = 0.02
 
     def note(job: Job[str]) -> None:
-        answered[job.number] += 1
+        n_ends[job.number] += 1
         outcomes["killed" if job.exception() else job.result()] += 1  # which of them, only the clock knows
 
     with LocalPool(2, grace_s=grace_s) as pool:
         for i in range(24):
-            job = pool.submit(jobs.until_stopped_then, grace_s * (0.5 + i / 24), on_event=(events := Events()))
+            job = pool.submit(jobs.stop_late, grace_s * (0.5 + i / 24), on_event=(events := Events()))
             job.add_done_callback(note)
             events.first()
             job.cancel()
         assert pool.drain(SOON_S)
-    assert set(answered.values()) == {1}
+    assert set(n_ends.values()) == {1}
     assert sum(outcomes.values()) == 24
     assert set(outcomes) <= {"killed", "stopped"}
 
 
-def test_a_worker_stopped_in_the_middle_of_its_answer_holds_up_nobody() -> None:
+def test_a_worker_suspended_while_it_sends_its_result_delays_no_other_job() -> None:
     stopped: list[int] = []
 
-    def stop(worker: int) -> None:  # runs where answers are read, so that this one cannot be through yet
+    def stop(worker: int) -> None:  # runs where messages are read, so that the result has not arrived yet
         if not stopped:
             os.kill(worker, signal.SIGSTOP)
         stopped.append(worker)
@@ -166,48 +187,48 @@ def test_a_worker_stopped_in_the_middle_of_its_answer_holds_up_nobody() -> None:
         assert job.attempts == 2
 
 
-def test_a_worker_that_stops_reading_holds_up_nobody() -> None:
+def test_a_worker_that_stops_reading_delays_no_other_job() -> None:
     with LocalPool(2, grace_s=0.05) as pool:
         assert pool.wait_ready(SOON_S)
-        deaf = pids(pool)[0]
-        os.kill(deaf, signal.SIGSTOP)
+        suspended = pids(pool)[0]
+        os.kill(suspended, signal.SIGSTOP)
         job = pool.submit(jobs.size_of, bytes(20_000_000))
         assert until(lambda: job.pid is not None)
-        assert job.pid == deaf
+        assert job.pid == suspended
         assert [pool.submit(jobs.add, i, i).result(SOON_S) for i in range(20)] == [2 * i for i in range(20)]
         job.cancel()
         with pytest.raises(JobCancelled):
             job.result(SOON_S)
         assert pool.wait_ready(SOON_S)
-        assert until(lambda: not is_running(deaf))
+        assert until(lambda: not is_running(suspended))
 
 
-@pytest.mark.parametrize("fn", [jobs.talk_nonsense, jobs.hang_up])
-def test_a_worker_that_talks_nonsense_or_hangs_up_is_replaced(fn: object) -> None:
-    with LocalPool(1) as pool:
-        with pytest.raises(WorkerDied, match="SIGKILL"):
-            pool.submit(fn, max_attempts=2).result(SOON_S)
-        assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
+@pytest.mark.parametrize("fn", [jobs.send_nonsense, jobs.close_sockets])
+def test_a_worker_that_sends_nonsense_or_closes_its_socket_is_replaced(single: LocalPool, fn: object) -> None:
+    with pytest.raises(WorkerDied, match="SIGKILL"):
+        single.submit(fn, max_attempts=2).result(SOON_S)
+    assert single.submit(jobs.add, 1, 2).result(SOON_S) == 3
 
 
 @pytest.mark.parametrize("payload", [b"\xff" * 64, struct.pack("<BQQ", Kind.READY, 0, 0)])
-def test_a_worker_that_talks_nonsense_while_idle_gets_no_job(payload: bytes) -> None:
-    with LocalPool(1) as pool:
-        pool.submit(jobs.talk_nonsense_later, payload).result(SOON_S)
-        assert until(lambda: pool.stats().restarts == 1)
-        assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
+def test_a_worker_that_sends_nonsense_while_idle_gets_no_job(single: LocalPool, payload: bytes) -> None:
+    restarts = single.stats().restarts
+    single.submit(jobs.send_nonsense_later, payload).result(SOON_S)
+    assert until(lambda: single.stats().restarts == restarts + 1)
+    assert single.submit(jobs.add, 1, 2).result(SOON_S) == 3
 
 
-def test_a_job_that_reports_without_end_holds_up_nobody() -> None:
+def test_a_job_that_reports_without_end_delays_no_other_job() -> None:
     with LocalPool(2, grace_s=SOON_S) as pool:
-        loud = pool.submit(jobs.report_without_end, on_event=lambda _: time.sleep(0.0005))  # slower than they come
-        assert until(loud.running)
+        # The callback is slower than the events are sent.
+        reporting = pool.submit(jobs.report_until_stopped, on_event=lambda _: time.sleep(0.0005))
+        assert until(reporting.running)
         assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
-        loud.cancel()
-        assert loud.result(SOON_S) == "silent at last"
+        reporting.cancel()
+        assert reporting.result(SOON_S) == "stopped"
 
 
-def test_what_a_killed_worker_had_started_ends_with_it() -> None:
+def test_processes_started_by_a_killed_worker_end_with_it() -> None:
     events = Events()
     with LocalPool(1, grace_s=0.05) as pool:
         job = pool.submit(jobs.start_child, on_event=events)
@@ -218,7 +239,7 @@ def test_what_a_killed_worker_had_started_ends_with_it() -> None:
         assert pool.submit(jobs.add, 1, 2).result(SOON_S) == 3
 
 
-def test_the_pool_outlives_the_process_it_forks_from(tmp_path: Path) -> None:
+def test_the_pool_survives_the_death_of_its_fork_server(tmp_path: Path) -> None:
     with LocalPool(2) as pool:
         assert pool.wait_ready(SOON_S)
         old = pids(pool)
@@ -239,29 +260,29 @@ sys.path.insert(0, sys.argv[1])
 import executor_jobs as jobs
 from service.executor import LocalPool
 
-def tell(event):
-    print(*(event if isinstance(event, tuple) else [event]), flush=True)
+def show(pids):
+    print(" ".join(map(str, pids)) + "\\n", end="", flush=True)  # in one piece: two threads print
 
 pool = LocalPool(3)
-pool.submit(jobs.start_child, on_event=tell)
-pool.submit(jobs.stuck_in_native_code, on_event=tell)
+pool.submit(jobs.start_child, on_event=show)
+pool.submit(jobs.stuck_in_native_code, on_event=lambda pid: show([pid]))
 pool.wait_ready()
-print(*(worker.pid for worker in pool.stats().workers), flush=True)
+show(worker.pid for worker in pool.stats().workers)
 time.sleep(60)
 """
 
 
-def test_nothing_is_left_when_the_server_is_killed() -> None:
+def test_no_process_is_left_when_the_server_is_killed() -> None:
     with subprocess.Popen([sys.executable, "-c", SERVER, str(SUPPORT)], stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
-        told = {int(pid) for _ in range(3) for pid in server.stdout.readline().split()}
-        assert len(told) == 4  # three workers and what one of them started
-        nursery = {parent_of(min(told))}
+        started = {int(pid) for _ in range(3) for pid in server.stdout.readline().split()}
+        assert len(started) == 4  # three workers and what one of them started
+        fork_server = {parent_of(min(started))}
         server.kill()
-        assert until(lambda: not any(is_running(pid) for pid in told | nursery))
+        assert until(lambda: not any(is_running(pid) for pid in started | fork_server))
 
 
-def test_a_server_killed_while_its_modules_load_leaves_nothing(tmp_path: Path) -> None:
+def test_a_server_killed_while_its_modules_load_leaves_no_process(tmp_path: Path) -> None:
     note = f"pathlib.Path({str(tmp_path / 'pid')!r}).write_text(str(os.getpid()))"
     (tmp_path / "loads_slowly.py").write_text(f"import os, pathlib, time; {note}; time.sleep(60)")
     code = (
@@ -275,16 +296,15 @@ def test_a_server_killed_while_its_modules_load_leaves_nothing(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_workers_leave_interrupts_to_the_server(number: int) -> None:
-    with LocalPool(1) as pool:
-        assert pool.submit(jobs.signal_own_group_with, number).result(SOON_S) == "still here"
-        nursery = parent_of(pids(pool)[0])
-        os.kill(nursery, number)
-        time.sleep(0.02)
-        assert is_running(nursery)
+def test_workers_ignore_interrupts(single: LocalPool, number: int) -> None:
+    assert single.submit(jobs.signal_itself, number).result(SOON_S) == "still here"
+    fork_server = parent_of(pids(single)[0])
+    os.kill(fork_server, number)
+    time.sleep(0.02)
+    assert is_running(fork_server)
 
 
-def test_a_worker_has_no_more_memory_than_it_may() -> None:
+def test_the_memory_of_a_worker_is_bounded() -> None:
     with LocalPool(1, max_bytes=2**29) as pool:
         with pytest.raises(MemoryError):
             pool.submit(jobs.allocate, 2**30).result(SOON_S)
@@ -292,7 +312,7 @@ def test_a_worker_has_no_more_memory_than_it_may() -> None:
         assert pool.stats().restarts == 0
 
 
-def test_a_worker_is_replaced_after_its_share_of_jobs() -> None:
+def test_a_worker_is_replaced_after_recycle_after_jobs() -> None:
     with LocalPool(1, recycle_after=5) as pool:
         seen = [pool.submit(jobs.pid).result(SOON_S) for _ in range(5)]
         assert until(lambda: seen[0] not in pids(pool) and pool.stats().ready == 1)
@@ -324,24 +344,27 @@ def test_every_worker_is_warmed_up_before_its_first_job() -> None:
     assert answers == [["warm"]] * 6
 
 
-def test_jobs_do_not_wait_for_workers_that_cannot_be_warmed_up(caplog: pytest.LogCaptureFixture) -> None:
-    with LocalPool(1, warm_up=jobs.warm_up_badly) as pool:
+@pytest.mark.usefixtures("short_retry_waits")
+def test_jobs_fail_when_workers_cannot_be_warmed_up(caplog: pytest.LogCaptureFixture) -> None:
+    with LocalPool(1, warm_up=jobs.fail_to_warm_up) as pool:
         assert not pool.wait_ready(0.01)
         with pytest.raises(WorkerDied, match="none could be started") as caught:
             pool.submit(jobs.pid).result(SOON_S)
-    assert "no robot there" in caught.value.said
+    assert "no robot there" in caught.value.last_output
     assert "no robot there" in caplog.text
 
 
-def test_jobs_do_not_wait_for_workers_that_never_become_ready() -> None:
+@pytest.mark.usefixtures("short_retry_waits")
+def test_jobs_fail_when_workers_never_become_ready() -> None:
     with (
-        LocalPool(1, warm_up=jobs.warm_up_for_ever, start_timeout_s=0.4) as pool,
+        LocalPool(1, warm_up=jobs.warm_up_without_end, start_timeout_s=0.3) as pool,
         pytest.raises(WorkerDied, match="none could be started"),
     ):
         pool.submit(jobs.pid).result(SOON_S)
 
 
-def test_jobs_do_not_wait_for_modules_that_are_not_there() -> None:
+@pytest.mark.usefixtures("short_retry_waits")
+def test_jobs_fail_when_a_preloaded_module_is_missing() -> None:
     with (
         LocalPool(1, preload=("no_such_module",)) as pool,
         pytest.raises(WorkerDied, match="No module named 'no_such_module'"),
@@ -362,12 +385,14 @@ def test_workers_compute_with_one_thread(monkeypatch: pytest.MonkeyPatch) -> Non
             assert pool.submit(jobs.environment, name).result(SOON_S) == "1"
 
 
+@pytest.mark.usefixtures("single")  # idle, so that its own descriptors stay as they are
 def test_a_closed_pool_leaves_neither_processes_nor_threads_nor_descriptors() -> None:
+    threads = set(threading.enumerate())
     fds = len(os.listdir("/proc/self/fd"))
     with LocalPool(2) as pool:
         assert pool.wait_ready(SOON_S)
         workers = pids(pool)
-        nursery = parent_of(workers[0])
-    assert not any(is_running(pid) for pid in (*workers, nursery))
-    assert "scopt-pool" not in {thread.name for thread in threading.enumerate()}
+        fork_server = parent_of(workers[0])
+    assert not any(is_running(pid) for pid in (*workers, fork_server))
+    assert set(threading.enumerate()) == threads
     assert len(os.listdir("/proc/self/fd")) == fds

@@ -1,4 +1,4 @@
-"""What becomes of jobs in a pool where nothing goes wrong: results, errors, events, stops, deadlines."""
+"""Jobs of a pool whose workers stay alive: results, errors, events, cancellation, deadlines."""
 
 from __future__ import annotations
 
@@ -39,6 +39,27 @@ def single() -> Iterator[LocalPool]:
         yield pool
 
 
+@pytest.fixture(scope="module")
+def patient() -> Iterator[LocalPool]:
+    """One worker that is not killed."""
+    with LocalPool(1, grace_s=SOON_S) as pool:
+        assert pool.wait_ready(SOON_S)
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def killing_pool() -> Iterator[LocalPool]:
+    with LocalPool(1, grace_s=0.05) as pool:
+        yield pool
+
+
+@pytest.fixture
+def strict(killing_pool: LocalPool) -> LocalPool:
+    """One worker, which is up, and is killed soon when its job does not stop."""
+    assert until(lambda: [worker.state for worker in killing_pool.stats().workers] == [WorkerState.IDLE])
+    return killing_pool
+
+
 def test_a_result_comes_back(pool: LocalPool) -> None:
     assert pool.submit(jobs.add, 1, right=2).result(SOON_S) == 3
 
@@ -47,18 +68,18 @@ def test_functions_run_in_another_process(pool: LocalPool) -> None:
     assert pool.submit(jobs.pid).result(SOON_S) in {worker.pid for worker in pool.stats().workers}
 
 
-def test_a_job_knows_the_time_of_who_submitted_it(pool: LocalPool) -> None:
+def test_a_job_knows_the_callers_time(pool: LocalPool) -> None:
     before = time.monotonic()
     assert before < pool.submit(jobs.now).result(SOON_S) < time.monotonic()
 
 
-def test_a_job_on_another_machine_is_told_the_time_here() -> None:
+def test_a_job_on_another_machine_knows_the_callers_time() -> None:
     worker = RayWorker(pickle.dumps(WorkerSetup((), None, None)))
     answer = worker.run(1, pickle.dumps((jobs.now, (), {})), False, now=1e6)
     assert pickle.loads(answer.payload) == pytest.approx(1e6, abs=5.0)
 
 
-def test_workers_let_others_go_first(pool: LocalPool) -> None:
+def test_workers_have_a_lower_priority(pool: LocalPool) -> None:
     assert pool.submit(os.nice, 0).result(SOON_S) > os.nice(0)
 
 
@@ -74,7 +95,7 @@ def test_partial_functions_run(pool: LocalPool) -> None:
     assert events.seen == [0, 1]
 
 
-def test_many_bytes_go_there_and_back(pool: LocalPool) -> None:
+def test_large_arguments_and_results_arrive_whole(pool: LocalPool) -> None:
     assert pool.submit(jobs.size_of, bytes(20_000_000)).result(SOON_S) == 20_000_000
     assert pool.submit(jobs.many_bytes, 20_000_000).result(SOON_S) == bytes(20_000_000)
 
@@ -86,24 +107,24 @@ def test_an_exception_comes_back_with_where_it_was_raised(pool: LocalPool) -> No
     assert "in raise_value_error" in str(error.__cause__)
 
 
-def test_an_exception_that_cannot_be_read_back_is_told_in_words(pool: LocalPool) -> None:
+def test_an_exception_that_cannot_be_unpickled_becomes_text(pool: LocalPool) -> None:
     with pytest.raises(JobFailed, match=r"Stubborn: 1 and 2"):
         pool.submit(jobs.raise_stubborn).result(SOON_S)
 
 
-def test_leaving_is_an_error_and_ends_no_worker(pool: LocalPool) -> None:
+def test_system_exit_is_an_error_and_ends_no_worker(pool: LocalPool) -> None:
     restarts = pool.stats().restarts
     with pytest.raises(JobFailed, match="SystemExit: 3"):
         pool.submit(jobs.raise_exit).result(SOON_S)
     assert pool.stats().restarts == restarts
 
 
-def test_a_result_that_cannot_be_carried_is_an_error(pool: LocalPool) -> None:
-    with pytest.raises(JobFailed, match="returned what cannot be carried between processes, a lock"):
+def test_a_result_that_cannot_be_pickled_is_an_error(pool: LocalPool) -> None:
+    with pytest.raises(JobFailed, match="returned what cannot be pickled, a lock"):
         pool.submit(jobs.return_a_lock).result(SOON_S)
 
 
-def test_an_event_that_cannot_be_carried_is_an_error(pool: LocalPool) -> None:
+def test_an_event_that_cannot_be_pickled_is_an_error(pool: LocalPool) -> None:
     with pytest.raises(TypeError, match="pickle"):
         pool.submit(jobs.report_a_lock).result(SOON_S)
 
@@ -136,28 +157,28 @@ def test_an_event_handler_that_fails_harms_no_job(pool: LocalPool, caplog: pytes
     assert "an event of job" in caplog.text
 
 
-def test_jobs_run_in_the_order_in_which_they_came(single: LocalPool, tmp_path: Path) -> None:
+def test_jobs_run_in_order_of_submission(single: LocalPool, tmp_path: Path) -> None:
     names = [f"job {i}" for i in range(30)]
-    wait([single.submit(jobs.leave_mark, tmp_path, name) for name in names], SOON_S)
+    wait([single.submit(jobs.append_mark, tmp_path, name) for name in names], SOON_S)
     assert (tmp_path / "marks").read_text().splitlines() == names
 
 
-def test_a_queued_job_knows_its_place(single: LocalPool, tmp_path: Path) -> None:
+def test_a_queued_job_has_a_position(single: LocalPool, tmp_path: Path) -> None:
     running = single.submit(jobs.wait_for_file, tmp_path / "go")
     queued = [single.submit(jobs.pid) for _ in range(3)]
     assert until(running.running)
-    assert [single.place(job) for job in (running, *queued)] == [None, 1, 2, 3]
+    assert [single.queue_position(job) for job in (running, *queued)] == [None, 1, 2, 3]
     assert (single.stats().running, single.stats().queued) == (1, 3)
     queued[0].cancel()
-    assert [single.place(job) for job in queued] == [None, 1, 2]
+    assert [single.queue_position(job) for job in queued] == [None, 1, 2]
     (tmp_path / "go").touch()
     wait(queued, SOON_S)
-    assert single.place(queued[2]) is None
+    assert single.queue_position(queued[2]) is None
 
 
 def test_a_queued_job_that_is_cancelled_never_runs(single: LocalPool, tmp_path: Path) -> None:
     running = single.submit(jobs.wait_for_file, tmp_path / "go")
-    queued = single.submit(jobs.leave_mark, tmp_path, "queued")
+    queued = single.submit(jobs.append_mark, tmp_path, "queued")
     done = Events()
     queued.add_done_callback(done)
     assert queued.cancel()
@@ -172,9 +193,9 @@ def test_a_queued_job_that_is_cancelled_never_runs(single: LocalPool, tmp_path: 
     assert done.seen == [queued]
 
 
-def test_a_running_job_stops_when_asked_and_hands_over_what_it_has(pool: LocalPool) -> None:
+def test_a_cancelled_running_job_stops_and_returns_its_result(pool: LocalPool) -> None:
     events = Events()
-    job = pool.submit(jobs.until_stopped, on_event=events)
+    job = pool.submit(jobs.run_until_stopped, on_event=events)
     events.first()
     restarts = pool.stats().restarts
     assert job.cancel()
@@ -182,77 +203,76 @@ def test_a_running_job_stops_when_asked_and_hands_over_what_it_has(pool: LocalPo
     assert pool.stats().restarts == restarts
 
 
-def test_a_stop_reaches_one_job_alone(pool: LocalPool) -> None:
+def test_a_cancel_stops_one_job_only(pool: LocalPool) -> None:
     first, second = Events(), Events()
-    stopped = pool.submit(jobs.until_stopped, on_event=first)
-    other = pool.submit(jobs.until_stopped, on_event=second)
+    stopped = pool.submit(jobs.run_until_stopped, on_event=first)
+    other = pool.submit(jobs.run_until_stopped, on_event=second)
     first.first(), second.first()
     stopped.cancel()
     assert stopped.result(SOON_S) == "the best so far"
     time.sleep(0.15)
     assert other.running()
-    after = pool.submit(jobs.until_stopped)  # on the worker that was asked to stop just now
+    after = pool.submit(jobs.run_until_stopped)  # on the worker whose job was stopped just now
     time.sleep(0.05)
     assert after.running()
     other.cancel(), after.cancel()
     assert {other.result(SOON_S), after.result(SOON_S)} == {"the best so far"}
 
 
-def test_nothing_is_left_to_cancel_of_a_job_that_is_done(pool: LocalPool) -> None:
+def test_a_finished_job_cannot_be_cancelled(pool: LocalPool) -> None:
     job = pool.submit(jobs.add, 1, 2)
     job.result(SOON_S)
     assert not job.cancel()
     assert job.result() == 3
 
 
-@pytest.mark.parametrize("fn", [jobs.never_asks, jobs.stuck_in_native_code])
-def test_a_job_that_does_not_stop_is_killed_and_its_worker_replaced(fn: object) -> None:
+@pytest.mark.parametrize("fn", [jobs.never_poll, jobs.stuck_in_native_code])
+def test_a_job_that_does_not_stop_is_killed_and_its_worker_replaced(strict: LocalPool, fn: object) -> None:
     events = Events()
-    with LocalPool(1, grace_s=0.05) as pool:
-        job = pool.submit(fn, on_event=events)
-        worker = events.first()
-        assert job.cancel()
-        with pytest.raises(JobCancelled, match="ended"):
-            job.result(SOON_S)
-        assert not job.cancelled()
-        assert pool.submit(jobs.pid).result(SOON_S) != worker
-        assert pool.stats().restarts == 1
+    restarts = strict.stats().restarts
+    job = strict.submit(fn, on_event=events)
+    worker = events.first()
+    assert job.cancel()
+    with pytest.raises(JobCancelled, match="ended"):
+        job.result(SOON_S)
+    assert not job.cancelled()
+    assert strict.submit(jobs.pid).result(SOON_S) != worker
+    assert strict.stats().restarts == restarts + 1
 
 
 def test_a_worker_has_no_signal_handler_that_could_raise_in_a_job(pool: LocalPool) -> None:
     assert pool.submit(jobs.signal_handlers).result(SOON_S) == []
 
 
-def test_a_job_that_raises_that_it_was_cancelled_is_answered_as_cancelled_and_its_worker_stays() -> None:
+def test_a_cancelled_job_that_raises_job_cancelled_keeps_its_worker(patient: LocalPool) -> None:
     events = Events()
-    with LocalPool(1, grace_s=SOON_S) as pool:
-        job = pool.submit(jobs.raise_when_stopped, on_event=events)
-        worker = events.first()
-        assert job.cancel()
-        with pytest.raises(JobCancelled, match="stopped by itself"):
-            job.result(SOON_S)
-        assert pool.submit(jobs.pid).result(SOON_S) == worker
-        assert pool.stats().restarts == 0
+    job = patient.submit(jobs.raise_when_stopped, on_event=events)
+    worker = events.first()
+    assert job.cancel()
+    with pytest.raises(JobCancelled, match="stopped by itself"):
+        job.result(SOON_S)
+    assert patient.submit(jobs.pid).result(SOON_S) == worker
+    assert patient.stats().restarts == 0
 
 
-def test_a_job_that_stops_for_its_deadline_is_answered_as_late() -> None:
-    with LocalPool(1, grace_s=SOON_S) as pool:
-        assert pool.wait_ready(SOON_S)
-        job = pool.submit(jobs.raise_when_stopped, deadline=time.monotonic() + 1.0)
-        with pytest.raises(DeadlineExceeded):
-            job.result(SOON_S)
+def test_a_job_that_stops_at_its_deadline_raises_deadline_exceeded(patient: LocalPool) -> None:
+    job = patient.submit(jobs.raise_when_stopped, deadline=time.monotonic() + 0.2)
+    with pytest.raises(DeadlineExceeded, match="it stopped by itself"):
+        job.result(SOON_S)
 
 
-def test_a_job_that_says_it_was_cancelled_and_was_not_has_failed(pool: LocalPool) -> None:
+def test_a_job_that_raises_job_cancelled_without_a_cancel_has_failed(pool: LocalPool) -> None:
     with pytest.raises(JobFailed, match="JobCancelled"):
         pool.submit(jobs.raise_cancelled).result(SOON_S)
 
 
-def test_a_kill_leaves_no_event_half_way() -> None:
+def test_a_kill_delivers_no_incomplete_event() -> None:
     with LocalPool(1, grace_s=0.005) as pool:
         for _ in range(3):
             sizes: list[int] = []
-            job = pool.submit(jobs.report_for_ever, 200_000, on_event=lambda event, to=sizes: to.append(len(event)))
+            job = pool.submit(
+                jobs.report_and_never_poll, 200_000, on_event=lambda event, to=sizes: to.append(len(event))
+            )
             assert until(lambda got=sizes: len(got) > 3)
             job.cancel()
             with pytest.raises(JobCancelled):
@@ -260,24 +280,23 @@ def test_a_kill_leaves_no_event_half_way() -> None:
             assert set(sizes) == {200_000}
 
 
-def test_a_cancel_that_comes_late_leaves_the_next_job_alone() -> None:
-    with LocalPool(1, grace_s=SOON_S) as pool:
-        for i in range(40):
-            events = Events()
-            job = pool.submit(jobs.until_stopped, on_event=events)
-            after = pool.submit(jobs.add, i, 1)
-            events.first()
-            job.cancel()
-            assert after.result(SOON_S) == i + 1
-        assert pool.stats().restarts == 0
+def test_a_late_cancel_does_not_stop_the_next_job(patient: LocalPool) -> None:
+    for i in range(40):
+        events = Events()
+        job = patient.submit(jobs.run_until_stopped, on_event=events)
+        after = patient.submit(jobs.add, i, 1)
+        events.first()
+        job.cancel()
+        assert after.result(SOON_S) == i + 1
+    assert patient.stats().restarts == 0
 
 
-def test_a_deadline_that_passes_while_a_job_waits_ends_it_unrun(single: LocalPool, tmp_path: Path) -> None:
+def test_a_job_queued_at_its_deadline_never_runs(single: LocalPool, tmp_path: Path) -> None:
     running = single.submit(jobs.wait_for_file, tmp_path / "go")
-    queued = single.submit(jobs.leave_mark, tmp_path, "queued", deadline=time.monotonic() + 0.05)
-    late = single.submit(jobs.leave_mark, tmp_path, "late", deadline=time.monotonic() - 1.0)
+    queued = single.submit(jobs.append_mark, tmp_path, "queued", deadline=time.monotonic() + 0.05)
+    late = single.submit(jobs.append_mark, tmp_path, "late", deadline=time.monotonic() - 1.0)
     for job in (queued, late):
-        with pytest.raises(DeadlineExceeded, match="begun 0 times"):
+        with pytest.raises(DeadlineExceeded, match="started 0 times"):
             job.result(SOON_S)
     assert single.stats().queued == 0
     (tmp_path / "go").touch()
@@ -287,29 +306,27 @@ def test_a_deadline_that_passes_while_a_job_waits_ends_it_unrun(single: LocalPoo
 
 
 def test_a_deadline_stops_a_running_job(pool: LocalPool) -> None:
-    job = pool.submit(jobs.until_stopped, deadline=time.monotonic() + 0.05)
+    job = pool.submit(jobs.run_until_stopped, deadline=time.monotonic() + 0.05)
     assert job.result(SOON_S) == "the best so far"
 
 
-def test_a_deadline_kills_a_job_that_does_not_stop() -> None:
-    with LocalPool(1, grace_s=0.05) as pool:
-        pool.wait_ready(SOON_S)
-        with pytest.raises(DeadlineExceeded, match="ended"):
-            pool.submit(jobs.never_asks, deadline=time.monotonic() + 0.05).result(SOON_S)
-        assert pool.submit(jobs.add, 1, 2, deadline=time.monotonic() + 60.0).result(SOON_S) == 3
+def test_a_deadline_kills_a_job_that_does_not_stop(strict: LocalPool) -> None:
+    with pytest.raises(DeadlineExceeded, match="ended"):
+        strict.submit(jobs.never_poll, deadline=time.monotonic() + 0.05).result(SOON_S)
+    assert strict.submit(jobs.add, 1, 2, deadline=time.monotonic() + 60.0).result(SOON_S) == 3
 
 
-def test_a_coroutine_that_is_cancelled_stops_its_job(pool: LocalPool) -> None:
-    async def give_up() -> None:
-        job = pool.submit(jobs.until_stopped)
+def test_a_cancelled_coroutine_stops_its_job(pool: LocalPool) -> None:
+    async def time_out() -> None:
+        job = pool.submit(jobs.run_until_stopped)
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(asyncio.wrap_future(job), 0.05)
         assert job.result(SOON_S) == "the best so far"
 
-    asyncio.run(give_up())
+    asyncio.run(time_out())
 
 
-def test_stats_tell_of_each_worker(single: LocalPool, tmp_path: Path) -> None:
+def test_stats_describe_each_worker(single: LocalPool, tmp_path: Path) -> None:
     before = single.stats()
     job = single.submit(jobs.wait_for_file, tmp_path / "go")
     assert until(job.running)
@@ -324,7 +341,7 @@ def test_stats_tell_of_each_worker(single: LocalPool, tmp_path: Path) -> None:
     assert (single.stats().ready, single.stats().running) == (1, 0)
 
 
-def test_what_workers_print_goes_to_the_log(
+def test_the_output_of_workers_goes_to_the_log(
     pool: LocalPool, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with caplog.at_level(logging.INFO, "service.executor"):
@@ -335,7 +352,7 @@ def test_what_workers_print_goes_to_the_log(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_pool_that_drains_takes_no_more_and_finishes_what_it_has() -> None:
+def test_a_draining_pool_refuses_jobs_and_finishes_accepted_ones() -> None:
     with LocalPool(1) as pool:
         queued = [pool.submit(jobs.nap, 0.02) for _ in range(3)]
         assert pool.drain(SOON_S)
@@ -344,26 +361,26 @@ def test_a_pool_that_drains_takes_no_more_and_finishes_what_it_has() -> None:
             pool.submit(jobs.pid)
 
 
-def test_what_does_not_finish_in_time_is_cancelled_by_a_drain() -> None:
+def test_a_drain_cancels_jobs_that_do_not_finish_in_time() -> None:
     with LocalPool(1, grace_s=0.05) as pool:
         soft, hard = Events(), Events()
-        partial_result = pool.submit(jobs.until_stopped, on_event=soft)
+        partial_result = pool.submit(jobs.run_until_stopped, on_event=soft)
         soft.first()
-        queued = pool.submit(jobs.never_asks, on_event=hard)
+        queued = pool.submit(jobs.never_poll, on_event=hard)
         assert not pool.drain(0.05)
         assert partial_result.result(0) == "the best so far"
         assert queued.cancelled()
     assert hard.seen == []
 
 
-def test_shutdown_finishes_jobs_unless_told_to_cancel_what_waits(tmp_path: Path) -> None:
+def test_shutdown_finishes_jobs_or_cancels_queued_ones(tmp_path: Path) -> None:
     with LocalPool(1) as pool:
-        finished = [pool.submit(jobs.leave_mark, tmp_path, str(i)) for i in range(3)]
+        finished = [pool.submit(jobs.append_mark, tmp_path, str(i)) for i in range(3)]
     assert [job.result(0) for job in finished] == ["0", "1", "2"]
     pool = LocalPool(1)
     running = pool.submit(jobs.nap, 0.05)
     assert until(running.running)
-    queued = pool.submit(jobs.leave_mark, tmp_path, "3")
+    queued = pool.submit(jobs.append_mark, tmp_path, "3")
     pool.shutdown(cancel_futures=True)
     pool.shutdown()
     assert running.result(0) == 0.05

@@ -15,17 +15,17 @@ LIBRARY = (
 PARSE_A_SCAN = """
 import sys
 from pathlib import Path
-from perception.files.worker import parse_in_worker
+from perception.files.read import parse_in_sandbox
 sys.path.insert(0, sys.argv[1])
-parse_in_worker(Path(sys.argv[1]) / "scan.las")
+parse_in_sandbox(Path(sys.argv[1]) / "scan.las")
 """
 SPLIT_A_MESH = """
-import os, sys
+import sys
 import numpy as np
 from perception.solids.mesh import Mesh
-from perception.solids.process import Limits, run_coacd
-os.environ["PYTHONPATH"] = sys.argv[1]
-run_coacd([Mesh(np.eye(3), np.array([[0, 1, 2]]))], {}, Limits())
+from perception.solids.process import run_coacd
+sys.path.insert(0, sys.argv[1])
+run_coacd([Mesh(np.eye(3), np.array([[0, 1, 2]]))], {})
 """
 
 

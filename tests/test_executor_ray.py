@@ -1,4 +1,4 @@
-"""The executor on a Ray cluster of this machine: what holds for local workers holds for its actors."""
+"""The executor on a Ray cluster of this machine: its actors do what local workers do."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if importlib.util.find_spec("ray") is None:
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    with ray_cluster() as found:
-        yield found
+    with ray_cluster() as address:
+        yield address
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def pool(address: str) -> Iterator[CancellableExecutor]:
 
 
 @pytest.fixture(autouse=True)
-def _full(pool: CancellableExecutor) -> None:
+def _all_workers_ready(pool: CancellableExecutor) -> None:
     assert until(lambda: pool.stats().ready == 2, SOON_S)
 
 
@@ -69,9 +69,9 @@ def test_events_arrive_in_order_and_before_the_result(pool: CancellableExecutor)
     assert pool.submit(jobs.count_up, 200).result(SOON_S) == "counted"
 
 
-def test_a_running_job_stops_when_asked(pool: CancellableExecutor) -> None:
+def test_a_cancelled_running_job_stops(pool: CancellableExecutor) -> None:
     events = Events()
-    job = pool.submit(jobs.until_stopped, on_event=events)
+    job = pool.submit(jobs.run_until_stopped, on_event=events)
     assert events.first() in [worker.pid for worker in pool.stats().workers]
     restarts = pool.stats().restarts
     job.cancel()
@@ -81,16 +81,16 @@ def test_a_running_job_stops_when_asked(pool: CancellableExecutor) -> None:
 
 def test_a_queued_job_that_is_cancelled_never_runs(pool: CancellableExecutor, tmp_path: Path) -> None:
     running = [pool.submit(jobs.wait_for_file, tmp_path / "go") for _ in range(2)]
-    queued = pool.submit(jobs.leave_mark, tmp_path, "queued")
+    queued = pool.submit(jobs.append_mark, tmp_path, "queued")
     assert until(lambda: pool.stats().running == 2, SOON_S)
-    assert pool.place(queued) == 1
+    assert pool.queue_position(queued) == 1
     assert queued.cancel()
     (tmp_path / "go").touch()
     assert all(job.result(SOON_S) for job in running)
     assert not (tmp_path / "marks").exists()
 
 
-@pytest.mark.parametrize("fn", [jobs.never_asks, jobs.stuck_in_native_code])
+@pytest.mark.parametrize("fn", [jobs.never_poll, jobs.stuck_in_native_code])
 def test_a_job_that_does_not_stop_is_killed_and_its_actor_replaced(pool: CancellableExecutor, fn: object) -> None:
     job = pool.submit(fn)
     assert until(lambda: job.pid is not None)
@@ -104,23 +104,23 @@ def test_a_job_that_does_not_stop_is_killed_and_its_actor_replaced(pool: Cancell
 
 
 def test_a_deadline_stops_or_kills(pool: CancellableExecutor) -> None:
-    job = pool.submit(jobs.until_stopped, deadline=time.monotonic() + 0.1)
+    job = pool.submit(jobs.run_until_stopped, deadline=time.monotonic() + 0.1)
     assert job.result(SOON_S) == "the best so far"
     with pytest.raises(DeadlineExceeded):
-        pool.submit(jobs.never_asks, deadline=time.monotonic() + 0.1).result(SOON_S)
+        pool.submit(jobs.never_poll, deadline=time.monotonic() + 0.1).result(SOON_S)
     with pytest.raises(DeadlineExceeded):
         pool.submit(jobs.pid, deadline=time.monotonic() - 0.1).result(SOON_S)
 
 
-def test_a_job_whose_actor_dies_is_begun_again(pool: CancellableExecutor, tmp_path: Path) -> None:
+def test_a_job_whose_actor_dies_is_started_again(pool: CancellableExecutor, tmp_path: Path) -> None:
     job = pool.submit(jobs.kill_own_worker, tmp_path, 1)
     assert job.result(SOON_S) == 2
-    with pytest.raises(WorkerDied, match="job begun 2 times"):
+    with pytest.raises(WorkerDied, match="job started 2 times"):
         pool.submit(jobs.kill_own_worker, tmp_path, 99, max_attempts=2).result(SOON_S)
 
 
 def test_killing_actors_under_load_loses_no_job(pool: CancellableExecutor, tmp_path: Path) -> None:
-    todo = [pool.submit(jobs.leave_mark_late, tmp_path, str(i), 0.02) for i in range(60)]
+    todo = [pool.submit(jobs.append_mark_late, tmp_path, str(i), 0.02) for i in range(60)]
     for n_done in (10, 30):
         assert until(lambda n_done=n_done: sum(job.done() for job in todo) >= n_done, SOON_S)
         victim = next(worker.pid for worker in pool.stats().workers if worker.pid is not None)
@@ -142,7 +142,7 @@ def test_memory_of_an_actor_is_bounded(address: str, pool: CancellableExecutor) 
         pool.resize(2)
 
 
-def test_the_time_is_that_of_who_submitted_the_job(pool: CancellableExecutor) -> None:
+def test_a_job_knows_the_callers_time(pool: CancellableExecutor) -> None:
     before = time.monotonic()
     assert before - 1.0 < pool.submit(jobs.now).result(SOON_S) < time.monotonic()
 

@@ -18,14 +18,15 @@ from costs.scene import Scene
 from costs.terms import JointTarget
 from scopt import Constraint, Sense, Settings
 from service.body.monitor import Monitor
-from service.body.phases import LEAST_CLEARANCE, PhaseSolver, straight
-from service.body.restore import restored
+from service.body.phases import LEAST_CLEARANCE, PhaseSolver, straight_path
+from service.body.restore import restore_feasibility
 from service.body.whole_body import CLEARANCE_TERMS, Aims, WholeBody
 from service.explain.conflict import Conflict, Demand, DemandKind, Search
 from service.explain.narrow import explain
-from service.planner import _explain, plan, shortfalls
+from service.planner import _explain, plan
 from service.request.file import parse_request
 from service.request.schema import GoalRequest, PoseGoalRequest
+from service.result.attempt import list_shortfalls
 from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.start.standing import FEET_GROUP
@@ -87,7 +88,7 @@ def test_what_pulls_the_robot_where_it_is_stuck_is_named_even_if_it_is_not_loade
     end = np.array([1.0, 0.4, 0.0])
     nowhere = Constraint("nowhere", JointTarget(8, 3, [3], np.arange(3), np.full(3, 9.0)), Sense.EQUAL_ZERO)
     solver = PhaseSolver(body, Monitor(60.0), Settings())
-    line = straight(body.nominal, end, 8)
+    line = straight_path(body.nominal, end, 8)
     solved = solver.trajectory("reach", [line], {0: body.nominal, 7: end}, constraints=[nowhere])
     assert not solved.is_feasible
     found = by_name(explain("reach", solved, 1, Settings(), time_limit_s=60.0))
@@ -127,7 +128,7 @@ def test_a_pillar_between_fixed_ends_is_named_with_waypoints(tmp_path):
     body = arm_behind(tmp_path, pillar, fence, n_links=3, start=(-1.0, 0.0, 0.0))
     end = np.array([1.0, 0.0, 0.0])
     solver = PhaseSolver(body, Monitor(60.0), Settings())
-    solved = solver.trajectory("reach", [straight(body.nominal, end, 8)], {0: body.nominal, 7: end})
+    solved = solver.trajectory("reach", [straight_path(body.nominal, end, 8)], {0: body.nominal, 7: end})
     assert not solved.is_feasible
     conflict = explain("reach", solved, 1, Settings(), time_limit_s=60.0)
     (demand,) = conflict.demands
@@ -270,7 +271,7 @@ def test_what_costs_and_margins_keep_from_being_found_is_found_without_them():
     body = standing_atlas()
     solved = stuck(body, "l_tool", (1.245, 0.2, 1.1))
     solver = PhaseSolver(body, Monitor(60.0), Settings())
-    last = restored(solver, "goal pose", solved)
+    last = restore_feasibility(solver, "goal pose", solved)
     assert last.is_feasible
     assert solver.monitor.attempts("goal pose") == 1
     tool = planted_poses(body.engine, last.x[0], ["l_tool"])["l_tool"][:3, 3]
@@ -282,7 +283,7 @@ def test_what_costs_and_margins_keep_from_being_found_is_found_without_them():
             short = constraint.violation(constraint.residual.value(state))
             assert short.max(initial=0.0) <= constraint.tolerance, constraint.name
     beyond = stuck(body, "l_tool", (0.3, 0.2, 2.4))
-    assert restored(solver, "goal pose", beyond) is beyond
+    assert restore_feasibility(solver, "goal pose", beyond) is beyond
 
 
 def test_what_could_not_be_proven_is_told_with_its_time():
@@ -290,10 +291,10 @@ def test_what_could_not_be_proven_is_told_with_its_time():
     barefoot = replace(motion, phases=tuple(replace(phase, allowances=()) for phase in motion.phases))
     certificate = verify(barefoot)  # feet that touch the floor, which nothing proves to stay out of it
     assert certificate.status is Status.FEASIBLE_AT_SAMPLES
-    lines = shortfalls(certificate)
+    lines = list_shortfalls(certificate)
     assert {line.split(" not shown")[0] for line in lines} == {
         "clearance of l_foot and floor",
         "clearance of r_foot and floor",
     }
     assert all(line.endswith(" s)") for line in lines)
-    assert shortfalls(small_plan().certificate) == ()
+    assert list_shortfalls(small_plan().certificate) == ()

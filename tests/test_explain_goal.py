@@ -15,11 +15,10 @@ from costs.collision.shapes import static_convex
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.robot import load_robot
 from costs.scene import Scene
-from service.body.reach import beyond_reach, chain_length
+from service.body.reach import chain_length, find_out_of_reach
 from service.body.whole_body import Aims, WholeBody
-from service.explain.goal import GoalReasons, goal_reasons, never_reached
-from service.start.exact import penetration
-from service.start.overlaps import overlaps
+from service.explain.goal import GoalReasons, find_goal_reasons, never_reached
+from service.start.overlaps import find_overlaps, penetration_depth
 from service.start.standing import FEET_GROUP
 from service.verify import JointTarget, PoseTarget
 
@@ -64,11 +63,11 @@ def test_a_stretched_arm_is_as_long_as_its_chain():
     robot = chain((Segment(Z), Segment(Z, origin=(1.0, 0.0, 0.0))))
     assert chain_length(robot, None, "tip") == pytest.approx(2.0)
     assert chain_length(robot, "link1", "tip") == pytest.approx(2.0)
-    assert beyond_reach(standing(robot), "tip", np.array([2.01, 0.0, 0.0])) == (
+    assert find_out_of_reach(standing(robot), "tip", np.array([2.01, 0.0, 0.0])) == (
         "tip cannot reach [2.01, 0.0, 0.0]: it is 2.01 m from the base, "
         "and the chain between them is at most 2.00 m long"
     )
-    assert beyond_reach(standing(robot), "tip", np.array([1.99, 0.0, 0.0])) is None
+    assert find_out_of_reach(standing(robot), "tip", np.array([1.99, 0.0, 0.0])) is None
 
 
 def test_a_free_base_has_no_reach():
@@ -98,7 +97,7 @@ def test_what_the_given_joints_alone_bring_into_an_obstacle_stays_in_it_wherever
     (line,) = never_reached(body, joints(j0=0.0, j1=0.0))
     assert line == "the goal is in collision: l1 is 20 mm inside block (obstacle), wherever the other joints are"
     for last in np.linspace(-3.0, 3.0, 50):
-        inside = overlaps(arm, np.array([0.0, 0.0, last]), body.scene, ())
+        inside = find_overlaps(arm, np.array([0.0, 0.0, last]), body.scene, ())
         assert "l1" in {overlap.link for overlap in inside}
     # j1 alone does not say where l1 is, and a link beyond the given joints may turn away
     assert never_reached(body, joints(j1=0.0)) == ()
@@ -115,7 +114,7 @@ def test_given_joints_in_collision_are_told_with_the_depth_however_small_it_is(a
 def test_a_goal_that_touches_or_is_clear_by_little_is_not_called_impossible(arm):
     for gap in (0.0, 1e-4, 5e-3):
         beside = box("block", (0.5, 0.05 + gap, 0.0), (0.03, 0.03, 0.1))
-        reasons = goal_reasons(standing(arm, beside), joints(j0=0.0, j1=0.0, j2=0.0))
+        reasons = find_goal_reasons(standing(arm, beside), joints(j0=0.0, j1=0.0, j2=0.0))
         assert reasons == GoalReasons((), ())
 
 
@@ -181,7 +180,7 @@ def _stays_inside(robot, piece, target, line, rng, turn):
         depths = []
         for one in (one for one in robot.bodies if one.link == link):
             in_frame = (one.vertices - frame.placement.translation) @ frame.placement.rotation
-            depths.append(penetration(static_convex(in_frame @ rotation.T + position), shape))
+            depths.append(penetration_depth(static_convex(in_frame @ rotation.T + position), shape))
         assert max(depths) > 0.0, line
 
 
@@ -212,9 +211,9 @@ def test_two_poses_that_put_links_into_each_other_are_told_with_both(arm):
 
 def test_a_pose_that_only_its_tolerance_may_free_is_noted_and_not_called_impossible(arm):
     beside = box("block", (0.5, 0.05 - 3e-3, 0.0), (0.03, 0.03, 0.1))
-    reasons = goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=2e-3)])
+    reasons = find_goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=2e-3)])
     assert reasons.impossible == reasons.unresolved == ()
     told = "with l2 at [0.4, 0.0, 0.0], turned as asked, l2 is 3.0 mm inside block (obstacle)"
     assert reasons.notes == (f"{told}; only its tolerance can free it",)
-    exact = goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=1e-4, turn=1e-3)])
+    exact = find_goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=1e-4, turn=1e-3)])
     assert exact == GoalReasons((f"the goal is in collision: {told}",), ())

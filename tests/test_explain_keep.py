@@ -8,10 +8,9 @@ from tiny_robots import atlas
 
 from costs.kinematics import planted_poses
 from costs.scene import Scene
-from service.body.holds import projected
-from service.body.keep import kept_poses
+from service.body.holds import make_kept_poses, project_onto_holds
 from service.body.whole_body import Aims, WholeBody
-from service.explain.keep import never_kept
+from service.explain.keep import find_never_kept
 from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
 from service.tasks.goal import Goal
 from service.verify import Target
@@ -21,7 +20,7 @@ def keeping(*keep: KeepRequest) -> WholeBody:
     robot = atlas()
     ready = robot.postures["reach_ready"]
     body = WholeBody.standing(robot, Scene(), ready, ("l_foot", "r_foot"), Aims())
-    return replace(body, kept=kept_poses(robot, ready, keep))
+    return replace(body, kept=make_kept_poses(robot, ready, keep))
 
 
 def places(body: WholeBody, q: np.ndarray, **shift: list[float]) -> tuple[Target, ...]:
@@ -37,35 +36,35 @@ HANDS = KeepRequest("r_hand", "l_hand")
 def test_hands_that_shall_arrive_farther_apart_than_they_are_held():
     body = keeping(HANDS)
     apart = places(body, body.nominal, l_tool=[0.0, 0.1, 0.0], r_tool=[0.0, 0.0, 0.0])
-    assert never_kept(body, apart) == (
+    assert find_never_kept(body, apart) == (
         "r_tool and l_tool shall arrive 0.69 m apart, and keeping r_hand relative to l_hand holds them 0.59 m apart",
     )
-    assert never_kept(keeping(), apart) == ()
+    assert find_never_kept(keeping(), apart) == ()
 
 
 def test_a_shift_within_the_tolerances_is_no_reason():
     body = keeping(HANDS)
-    assert never_kept(body, places(body, body.nominal, l_tool=[0.0, 0.004, 0.0], r_tool=[0.0] * 3)) == ()
+    assert find_never_kept(body, places(body, body.nominal, l_tool=[0.0, 0.004, 0.0], r_tool=[0.0] * 3)) == ()
     free = keeping(replace(HANDS, free_axis="y"))
-    assert never_kept(free, places(free, free.nominal, l_tool=[0.0, 0.1, 0.0], r_tool=[0.0] * 3)) == ()
+    assert find_never_kept(free, places(free, free.nominal, l_tool=[0.0, 0.1, 0.0], r_tool=[0.0] * 3)) == ()
 
 
 def test_a_link_kept_in_the_world_that_shall_arrive_elsewhere():
     body = keeping(KeepRequest("r_hand"))
     elsewhere = places(body, body.nominal, r_hand=[0.0, 0.0, 0.2])
-    assert never_kept(body, elsewhere) == (
+    assert find_never_kept(body, elsewhere) == (
         "r_hand shall arrive 0.20 m from where keeping r_hand relative to the world holds it",
     )
-    assert never_kept(body, places(body, body.nominal, l_hand=[0.0, 0.0, 0.2])) == ()
+    assert find_never_kept(body, places(body, body.nominal, l_hand=[0.0, 0.0, 0.2])) == ()
 
 
 def test_joint_positions_that_let_go():
     body = keeping(HANDS)
-    (line,) = never_kept(body, Goal.of(body, GoalRequest(posture="stand")).targets(0.0))
+    (line,) = find_never_kept(body, Goal.of(body, GoalRequest(posture="stand")).targets(0.0))
     assert line.startswith("the goal does not keep r_hand relative to l_hand: it is ")
-    assert never_kept(body, Goal.of(body, GoalRequest(posture="reach_ready")).targets(0.0)) == ()
+    assert find_never_kept(body, Goal.of(body, GoalRequest(posture="reach_ready")).targets(0.0)) == ()
     # an elbow alone leaves the other joints to make up for it
-    assert never_kept(body, Goal.of(body, GoalRequest(joints={"l_arm_elx": 1.0})).targets(0.0)) == ()
+    assert find_never_kept(body, Goal.of(body, GoalRequest(joints={"l_arm_elx": 1.0})).targets(0.0)) == ()
 
 
 @pytest.mark.parametrize("free_axis", ["none", "y"])
@@ -73,7 +72,7 @@ def test_joint_positions_that_let_go():
 def test_where_a_configuration_keeps_the_pose_no_reason_is_given(seed, free_axis):
     rng = np.random.default_rng(seed)
     body = keeping(replace(HANDS, free_axis=free_axis))
-    q = projected(body.engine, (body.nominal + 0.3 * rng.normal(size=body.robot.n))[None], body.holds())[0]
-    assert never_kept(body, places(body, q, l_tool=[0.0] * 3, r_hook=[0.0] * 3, l_hand=[0.0] * 3)) == ()
+    q = project_onto_holds(body.engine, (body.nominal + 0.3 * rng.normal(size=body.robot.n))[None], body.holds())[0]
+    assert find_never_kept(body, places(body, q, l_tool=[0.0] * 3, r_hook=[0.0] * 3, l_hand=[0.0] * 3)) == ()
     joints = dict(zip(body.robot.joint_names[6:], q[6:].tolist(), strict=True))
-    assert never_kept(body, Goal.of(body, GoalRequest(joints=joints)).targets(0.0)) == ()
+    assert find_never_kept(body, Goal.of(body, GoalRequest(joints=joints)).targets(0.0)) == ()

@@ -5,8 +5,14 @@ from tiny_robots import atlas, contact_free_state, random_configurations
 
 from costs.kinematics import KinematicsEngine, planted_poses
 from costs.terms import FramePose
-from service.body.holds import PROJECTION_TOLERANCE, largest, least_norm, linearized, projected
-from service.body.keep import kept_poses
+from service.body.holds import (
+    PROJECTION_TOLERANCE,
+    largest_hold_error,
+    least_norm_step,
+    linearize_holds,
+    make_kept_poses,
+    project_onto_holds,
+)
 from service.request.schema import KeepRequest
 
 
@@ -17,14 +23,14 @@ def standing_with_both_hands():
     engine = KinematicsEngine(robot)
     feet = planted_poses(engine, ready, ["l_foot", "r_foot"])
     holds = [lambda where, link=link: FramePose(robot, link, where, feet[link]) for link in feet]
-    (kept,) = kept_poses(robot, ready, [KeepRequest("l_hand", "r_hand", free_axis="y")])
+    (kept,) = make_kept_poses(robot, ready, [KeepRequest("l_hand", "r_hand", free_axis="y")])
     return robot, engine, ready, (*holds, *kept.holds(robot))
 
 
 def test_each_configuration_has_its_own_rows_and_columns():
     robot, engine, ready, holds = standing_with_both_hands()
     q = ready + 0.05 * random_configurations(robot, np.random.default_rng(2), 3)
-    value, jacobian = linearized(engine, q, holds)
+    value, jacobian = linearize_holds(engine, q, holds)
     assert jacobian.shape == (3, 6 + 6 + 3 + 2, robot.n)
     for index in range(3):
         state = contact_free_state(robot)(q[index : index + 1])
@@ -36,18 +42,18 @@ def test_each_configuration_has_its_own_rows_and_columns():
 def test_a_projected_configuration_keeps_the_holds_and_is_near():
     robot, engine, ready, holds = standing_with_both_hands()
     q = ready + 0.05 * random_configurations(robot, np.random.default_rng(3), 4)
-    on_holds = projected(engine, q, holds)
-    assert largest(engine, q, holds).min() > 0.01
-    assert largest(engine, on_holds, holds).max() < PROJECTION_TOLERANCE
+    on_holds = project_onto_holds(engine, q, holds)
+    assert largest_hold_error(engine, q, holds).min() > 0.01
+    assert largest_hold_error(engine, on_holds, holds).max() < PROJECTION_TOLERANCE
     # what separates it from the first one is across the holds, up to their curvature
-    _, jacobian = linearized(engine, on_holds, holds)
+    _, jacobian = linearize_holds(engine, on_holds, holds)
     moved = q - on_holds
-    along = moved - least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, moved))
+    along = moved - least_norm_step(jacobian, np.einsum("skn,sn->sk", jacobian, moved))
     assert np.linalg.norm(along, axis=1).max() < 0.1 * np.linalg.norm(moved, axis=1).min()
 
 
 def test_without_holds_nothing_moves():
     robot, engine, _, _ = standing_with_both_hands()
     q = random_configurations(robot, np.random.default_rng(4), 2)
-    np.testing.assert_array_equal(projected(engine, q, ()), q)
-    np.testing.assert_array_equal(largest(engine, q, ()), np.zeros(2))
+    np.testing.assert_array_equal(project_onto_holds(engine, q, ()), q)
+    np.testing.assert_array_equal(largest_hold_error(engine, q, ()), np.zeros(2))

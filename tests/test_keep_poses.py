@@ -10,7 +10,7 @@ from jacobian import check_jacobian
 from scipy.spatial.transform import Rotation
 from tiny_robots import atlas, contact_free_state, random_configurations
 
-from service.body.keep import KeptPose, kept_poses, relative_pose
+from service.body.holds import KeptPose, make_kept_poses, relative_pose
 from service.errors import RequestError
 from service.request.schema import KeepRequest
 
@@ -19,14 +19,14 @@ READY = "reach_ready"
 
 def _kept(**more: Any) -> KeptPose:
     robot = atlas()
-    (kept,) = kept_poses(robot, robot.postures[READY], [KeepRequest("l_hand", "r_hand", **more)])
+    (kept,) = make_kept_poses(robot, robot.postures[READY], [KeepRequest("l_hand", "r_hand", **more)])
     return kept
 
 
 def _problems(*keep: KeepRequest) -> tuple[str, ...]:
     robot = atlas()
     with pytest.raises(RequestError) as caught:
-        kept_poses(robot, robot.postures[READY], keep)
+        make_kept_poses(robot, robot.postures[READY], keep)
     return caught.value.problems
 
 
@@ -86,7 +86,7 @@ def test_what_no_joint_moves_and_what_is_kept_twice_is_refused() -> None:
 def test_the_constraints_have_true_jacobians_and_vanish_at_the_start(reference: str | None, free_axis: Any) -> None:
     robot = atlas()
     start = robot.postures[READY]
-    (kept,) = kept_poses(robot, start, [KeepRequest("l_hand", reference, free_axis=free_axis)])
+    (kept,) = make_kept_poses(robot, start, [KeepRequest("l_hand", reference, free_axis=free_axis)])
     x = start + 0.1 * random_configurations(robot, np.random.default_rng(5), 3)
     for constraint in kept.constraints(robot, np.arange(3)):
         check_jacobian(constraint.residual, contact_free_state(robot), x)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +16,16 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from costs.stopping import Stopped, stops_when
-from perception import Cloud, make_view
+from perception import Cloud, make_view, sandbox
 from perception.convex.pieces import Pieces
 from perception.errors import MeshError
 from perception.simulate import Pose, Room, Scanner, box, scan, torus
-from perception.solids import decompose, process
+from perception.solids import decompose
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, solid_of
 from perception.solids.decompose import CoacdSettings, Work
-from perception.solids.mesh import Mesh
-from perception.solids.pieces import made_by_coacd, pieces_by_coacd
-from perception.solids.process import Limits, run_coacd
+from perception.solids.pieces import make_coacd_pieces
+from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import surface_of
 from perception.view import View
 
@@ -48,6 +50,11 @@ def view() -> View:
     return make_view(scan(Room(wall_x=1.6, boxes=desk).meshes(), Pose(pitch=0.3), Scanner(n_lines=60, sigma=0.005)))
 
 
+def _pieces_of(view: View) -> Pieces:
+    """Pieces of its obstacles, nothing of them taken from a cache."""
+    return make_coacd_pieces(view.obstacles, view.starts, view.cloud.rays, Work(cache=None))
+
+
 def _depth(points: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:
     """How far outside of all parts each point lies, negative inside."""
     hulls = [ConvexHull(part).equations for part in parts]
@@ -56,8 +63,7 @@ def _depth(points: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def made(view: View) -> Pieces:
-    """Its pieces, nothing of them taken from a cache."""
-    return pieces_by_coacd(view, work=Work(cache=None))
+    return _pieces_of(view)
 
 
 def test_pieces_cover_what_was_seen_and_leave_the_way_of_the_rays(view: View, made: Pieces) -> None:
@@ -85,12 +91,12 @@ def test_the_noise_of_a_wall_is_no_part_of_it() -> None:
     wall = np.column_stack([np.ones(15_000), rng.uniform(-0.5, 0.5, (15_000, 2))])
     points = wall * (1.0 + rng.normal(0.0, 0.01, (15_000, 1)))
     starts = np.zeros((15_000, 3))
-    made = made_by_coacd(points, starts, (starts, points), work=Work(cache=None))
+    made = make_coacd_pieces(points, starts, (starts, points), work=Work(cache=None))
     assert min(piece.shape.vertices[:, 0].min() for piece in made.pieces) > 0.96
 
 
 def test_the_same_scan_gives_the_same_pieces(view: View, made: Pieces) -> None:
-    first, second = made.pieces, pieces_by_coacd(view, work=Work(cache=None)).pieces
+    first, second = made.pieces, _pieces_of(view).pieces
     assert len(first) == len(second)
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.shape.vertices, other.shape.vertices)
@@ -98,7 +104,7 @@ def test_the_same_scan_gives_the_same_pieces(view: View, made: Pieces) -> None:
 
 def test_a_scan_without_obstacles_has_no_pieces(view: View) -> None:
     floor = view.near.points[view.near.points[:, 2] < 0.01]
-    assert pieces_by_coacd(make_view(Cloud(floor, view.cloud.origin))).pieces == ()
+    assert _pieces_of(make_view(Cloud(floor, view.cloud.origin))).pieces == ()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -188,18 +194,18 @@ def _running(pid: int) -> bool:
 
 def test_cancelling_kills_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     pids: list[int] = []
-    popen = process.subprocess.Popen
+    popen = sandbox.subprocess.Popen
 
     def noted(*args: object, **kwargs: object) -> object:
         started = popen(*args, **kwargs)  # type: ignore[call-overload]
         pids.append(started.pid)
         return started
 
-    monkeypatch.setattr(process.subprocess, "Popen", noted)
+    monkeypatch.setattr(sandbox.subprocess, "Popen", noted)
     fine = solid_of(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
     asked = iter([False, False, False])
     with pytest.raises(Stopped), stops_when(lambda: next(asked, True)):
-        run_coacd([fine], CoacdSettings(0.001).options(), Limits(), "ring")
+        run_coacd([fine], CoacdSettings(0.001).options(), COACD_LIMITS, "ring")
     assert len(pids) == 1
     assert not _running(pids[0])
 
@@ -207,15 +213,34 @@ def test_cancelling_kills_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_too_long_and_too_much_memory_are_told() -> None:
     fine = solid_of(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
     with pytest.raises(MeshError, match=r"ring: .* takes longer than 0.2 s; simplify it"):
-        run_coacd([fine], CoacdSettings(0.001).options(), Limits(max_s=0.2), name="ring")
+        run_coacd([fine], CoacdSettings(0.001).options(), replace(COACD_LIMITS, max_wall_s=0.2), name="ring")
     with pytest.raises(MeshError, match="ring: splitting into convex parts needs more than 1 MB; simplify it"):
-        run_coacd([ANGLE], FAST.options(), Limits(max_bytes=2**20), name="ring")
+        run_coacd([ANGLE], FAST.options(), replace(COACD_LIMITS, max_bytes=2**20), name="ring")
+
+
+UNDER_A_LIMIT = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]), int(sys.argv[1])))
+import numpy as np
+from perception.solids.mesh import Mesh
+from perception.solids.process import run_coacd
+mesh = Mesh(np.array(eval(sys.argv[2])), np.array(eval(sys.argv[3])))
+options = {"threshold": 0.02, "real_metric": True, "preprocess_mode": "off", "mcts_iterations": 20}
+print(len(run_coacd([mesh], options)[0]))
+"""
+
+
+def test_a_lower_limit_of_the_system_does_not_keep_coacd_from_working() -> None:
+    mesh = repr(ANGLE.vertices.tolist()), repr(ANGLE.triangles.tolist())
+    command = [sys.executable, "-c", UNDER_A_LIMIT, str(3 * 2**30), *mesh]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert int(done.stdout) >= 2
 
 
 def test_what_crashes_coacd_is_an_error_here() -> None:
     wild = Mesh(ANGLE.vertices, ANGLE.triangles + 10**8)
     with pytest.raises(MeshError, match=r"ring: cannot be split into convex parts \(CoACD ended with"):
-        run_coacd([wild], FAST.options(), Limits(max_s=20.0), name="ring")
+        run_coacd([wild], FAST.options(), replace(COACD_LIMITS, max_wall_s=20.0), name="ring")
 
 
 def test_a_convex_mesh_needs_no_process(monkeypatch: pytest.MonkeyPatch) -> None:

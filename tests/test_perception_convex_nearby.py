@@ -7,9 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from perception.convex.nearby import nearby
-from perception.convex.smooth import smoothed
-from perception.convex.spacing import spacing_of
+from perception.convex.smooth import nearby, smoothed, spacing_of
 
 
 @settings(max_examples=40, deadline=None)

@@ -29,7 +29,7 @@ HALF = (0.0, 0.0, 0.0, 1.0)
 @pytest.fixture(autouse=True)
 def _in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """The process that files are parsed in has tests of its own."""
-    monkeypatch.setattr(reading, "parse_in_worker", parse_file)
+    monkeypatch.setattr(reading, "parse_in_sandbox", parse_file)
 
 
 @pytest.mark.parametrize("is_compressed", [False, True])
@@ -252,7 +252,7 @@ def test_a_message_without_points_is_told_or_merged(tmp_path: Path) -> None:
 def test_a_bag_without_its_metadata_names_the_files_in_it(tmp_path: Path) -> None:
     path = bag(tmp_path, (POINTS, "lidar"))
     (path / "metadata.yaml").unlink()
-    with pytest.raises(CloudError, match=r"is a folder without metadata.yaml; a file in it would do: bag.mcap"):
+    with pytest.raises(CloudError, match=r"is a folder without metadata.yaml; give a file in it: bag.mcap"):
         read_cloud(path)
 
 

@@ -28,7 +28,7 @@ QUARTER = (np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))
 @pytest.fixture(autouse=True)
 def _in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """The process that files are parsed in has tests of its own."""
-    monkeypatch.setattr(reading, "parse_in_worker", parse_file)
+    monkeypatch.setattr(reading, "parse_in_sandbox", parse_file)
 
 
 def npz(folder: Path, points: np.ndarray, origin: np.ndarray = SENSOR, **more: np.ndarray) -> Path:

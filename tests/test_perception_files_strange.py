@@ -142,15 +142,15 @@ def test_tables_of_coordinates_are_read_without_a_word(content: bytes) -> None:
         (
             b"\0\0\x80?",
             "a.bin",
-            "has no header, so nobody can tell what its numbers are; if they are KITTI's x y z and",
+            "has no header that says what its numbers are; if they are KITTI's x y z and",
         ),
         (b"\0\0\x80?", "a.pcd.bin", "has no header"),
-        (b"\xd4\xc3\xb2\xa1", "a.pcap", "holds packets of a sensor, not points; a bag of its driver"),
-        (b"\xd0\xcf\x11\xe0", "a.fls", "is a maker's own kind of file; an export of it as .e57 or .las would do"),
+        (b"\xd4\xc3\xb2\xa1", "a.pcap", "holds packets of a sensor, not points; give a bag of its driver"),
+        (b"\xd0\xcf\x11\xe0", "a.fls", "is a maker's own kind of file; export it as .e57 or .las"),
         (b"\xd0\xcf\x11\xe0", "a.RCP", "is a maker's own kind of file"),
     ],
 )
-def test_what_is_no_cloud_is_told_with_what_would_do(tmp_path: Path, content: bytes, name: str, says: str) -> None:
+def test_what_is_no_cloud_is_told_with_what_is_expected(tmp_path: Path, content: bytes, name: str, says: str) -> None:
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(CloudError) as raised:

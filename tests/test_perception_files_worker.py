@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from cloud_files import las_bytes, write_bag
 from perception import Cloud, CloudError, read_cloud, write_npz, write_pcd
 from perception.files import parse
 from perception.files.parse import parse_file
-from perception.files.worker import Limits, parse_in_worker
+from perception.files.read import PARSER_LIMITS, parse_in_sandbox
 
 POINTS = np.round(np.random.default_rng(0).uniform(-2, 2, (200, 3)), 3)
 
@@ -43,7 +44,7 @@ def impostor(folder: Path, monkeypatch: pytest.MonkeyPatch, code: str) -> Path:
 
 def test_a_scan_comes_back_whole(tmp_path: Path) -> None:
     path = full(tmp_path)
-    here, there = parse_file(path), parse_in_worker(path)
+    here, there = parse_file(path), parse_in_sandbox(path)
     for name in ("points", "misses", "starts", "miss_starts"):
         np.testing.assert_array_equal(getattr(there, name), getattr(here, name))
     assert (there.viewpoint, there.notes) == (here.viewpoint, here.notes)
@@ -52,10 +53,10 @@ def test_a_scan_comes_back_whole(tmp_path: Path) -> None:
 def test_viewpoint_and_notes_come_back(tmp_path: Path) -> None:
     path = tmp_path / "scan.pcd"
     write_pcd(path, POINTS, (1, 2, 3, 1, 0, 0, 0))
-    assert parse_in_worker(path).viewpoint == (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
+    assert parse_in_sandbox(path).viewpoint == (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
     path = tmp_path / "scan.laz"
     path.write_bytes(las_bytes(POINTS, is_compressed=True, withheld=np.arange(200) < 3))
-    assert parse_in_worker(path).notes == ("left out 3 points marked as withheld or noise",)
+    assert parse_in_sandbox(path).notes == ("left out 3 points marked as withheld or noise",)
 
 
 def test_what_is_wrong_with_a_file_comes_back_in_its_words(tmp_path: Path) -> None:
@@ -93,7 +94,7 @@ def test_a_laz_that_announces_billions_of_chunks_is_refused(tmp_path: Path) -> N
     struct.pack_into("<I", content, chunk_table + 4, 2**31)
     path = tmp_path / "scan.laz"
     path.write_bytes(content)
-    with pytest.raises(CloudError, match=r"made its reader stop \(SIGABRT\).* needs more than 1024 MB"):
+    with pytest.raises(CloudError, match="needs more than 1024 MB to read"):
         read_cloud(path)
 
 
@@ -109,20 +110,20 @@ def test_a_bomb_in_a_bag_is_refused(tmp_path: Path, mode: str, says: str) -> Non
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
     folder = tmp_path / "bag"
     write_bag(folder, {"/points": [(POINTS, "lidar")]}, "sqlite3", rosbag2.CompressionMode[mode])
-    assert len(parse_in_worker(folder).points) == 200
+    assert len(parse_in_sandbox(folder).points) == 200
     if mode == "FILE":
         (folder / "bag.db3.zstd").write_bytes(zeros_packed(2**29))
     else:
         with contextlib.closing(sqlite3.connect(folder / "bag.db3")) as database, database:
             database.execute("UPDATE messages SET data = ?", (zeros_packed(2**29),))
     with pytest.raises(CloudError, match=says):
-        parse_in_worker(folder, limits=Limits(max_bytes=384 * 2**20))
+        parse_in_sandbox(folder, limits=replace(PARSER_LIMITS, max_bytes=384 * 2**20))
 
 
 def test_a_reader_that_works_without_end_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = impostor(tmp_path, monkeypatch, "while True: pass")
     with pytest.raises(CloudError, match="took more than 1 s to read; is it damaged, or much larger"):
-        parse_in_worker(path, limits=Limits(max_cpu_s=1))
+        parse_in_sandbox(path, limits=replace(PARSER_LIMITS, max_cpu_s=1))
 
 
 def test_a_reader_that_sleeps_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,7 +139,7 @@ def test_a_reader_that_sleeps_is_killed(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(subprocess, "Popen", Watched)
     with pytest.raises(CloudError, match=r"took more than 0\.5 s to read; is it damaged, or the machine busy"):
-        parse_in_worker(path, limits=Limits(max_wall_s=0.5))
+        parse_in_sandbox(path, limits=replace(PARSER_LIMITS, max_wall_s=0.5))
     assert started[0].returncode == -9
 
 
@@ -166,7 +167,7 @@ def test_many_threads_read_at_once(tmp_path: Path) -> None:
         paths.append(tmp_path / f"{i}.pcd")
         write_pcd(paths[-1], POINTS[i:])
     with ThreadPoolExecutor(3) as pool:
-        scans = list(pool.map(parse_in_worker, paths))
+        scans = list(pool.map(parse_in_sandbox, paths))
     assert [len(scan.points) for scan in scans] == [200, 199, 198, 197, 196, 195]
 
 
@@ -174,7 +175,7 @@ def test_nothing_but_the_readers_is_imported_to_parse(tmp_path: Path, monkeypatc
     seen = tmp_path / "modules.txt"
     code = f"import pathlib, sys\npathlib.Path({str(seen)!r}).write_text(' '.join(sys.modules))"
     with pytest.raises(CloudError, match="is damaged"):
-        parse_in_worker(impostor(tmp_path, monkeypatch, code))
+        parse_in_sandbox(impostor(tmp_path, monkeypatch, code))
     modules = seen.read_text().split()
     assert "perception.files.las" in modules
     assert not {"scipy", "open3d", "jaxtyping", "perception.cloud", "costs", "pye57", "rosbags"} & set(modules)

@@ -20,12 +20,9 @@ from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, solid_of, united
 from perception.solids.decompose import CoacdSettings, Work, convex_parts
 from perception.solids.fit import Pose as FitPose
-from perception.solids.fit import Region, fitted
-from perception.solids.known import KnownMesh, located
-from perception.solids.match import CONFIDENT, MeshMatch, match_mesh
-from perception.solids.mesh import Mesh
+from perception.solids.fit import Region, Surface, fitted
+from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, located, match_mesh
 from perception.solids.read import read_mesh
-from perception.solids.surface import Surface
 from perception.view import View
 
 RING = torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 16, 8)

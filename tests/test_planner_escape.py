@@ -17,13 +17,14 @@ from costs.scene import Scene
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.cli.report import print_figures, print_findings, print_verdict
 from service.errors import RequestError
-from service.planner import plan, shortfalls
+from service.planner import plan
 from service.request.file import parse_request
+from service.result.attempt import list_shortfalls
 from service.result.output import write_result
 from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.setup.prepare import prepare
-from service.start.overlaps import Overlap, overlaps
+from service.start.overlaps import Overlap, find_overlaps
 from service.tasks.escape import DEPTH_ROUNDING, LeavingBody
 from service.verify import Basis, Status, verify
 
@@ -112,7 +113,7 @@ def test_the_depth_falls_to_nothing_within_the_phase_and_every_other_pair_is_cle
     first = result.motion.phases[0]
     found = []
     for s in np.linspace(first.first, result.motion.phases[-1].last, 400):
-        inside = overlaps(result.robot, result.motion.curve(np.array([s]))[0], result.scene, ())
+        inside = find_overlaps(result.robot, result.motion.curve(np.array([s]))[0], result.scene, ())
         assert {(one.link, one.other) for one in inside} <= ({("l2", "block")} if s < first.last else set())
         found += [inside[0].depth if inside else 0.0] if s <= first.last else []
     assert found[0] == pytest.approx(0.01, abs=1e-6)
@@ -138,7 +139,7 @@ def test_without_its_allowance_or_with_a_smaller_one_the_same_motion_is_refuted(
     for allowances in ((), (Allowance(l2, block, 0.009),), (Allowance(l1, block, 0.02),)):
         certificate = verify(replace(result.motion, phases=(replace(first, allowances=allowances), second)))
         assert certificate.status is Status.VIOLATED
-        line = next(line for line in shortfalls(certificate) if line.startswith("l2 penetrates block by "))
+        line = next(line for line in list_shortfalls(certificate) if line.startswith("l2 penetrates block by "))
         assert line.endswith(" s)")
     assert verify(result.motion).status is Status.CERTIFIED
 

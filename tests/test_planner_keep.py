@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from stranger import Stranger
 
 from costs.robot import load_robot
-from service.body.keep import relative_pose
+from service.body.holds import relative_pose
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request

@@ -9,13 +9,11 @@ from tiny_robots import atlas
 
 from costs.kinematics import planted_poses
 from costs.scene import Scene
-from service.body.holds import largest
-from service.body.keep import kept_poses
-from service.body.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight
+from service.body.holds import largest_hold_error, make_kept_poses
+from service.body.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight_path
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
-from service.tasks.goal import Goal
-from service.tasks.lead import led, ways
+from service.tasks.goal import Goal, lead_path, ways
 
 FEET = ("l_foot", "r_foot")
 
@@ -25,7 +23,7 @@ def with_both_hands() -> WholeBody:
     robot = atlas()
     ready = robot.postures["reach_ready"]
     body = WholeBody.standing(robot, Scene(), ready, FEET, Aims())
-    return replace(body, kept=kept_poses(robot, ready, [KeepRequest("r_hand", "l_hand")]))
+    return replace(body, kept=make_kept_poses(robot, ready, [KeepRequest("r_hand", "l_hand")]))
 
 
 def asked(body: WholeBody, **more) -> Goal:
@@ -49,16 +47,16 @@ def test_a_led_start_arrives_and_keeps_what_is_held_all_along(free_axis):
     body = with_both_hands()
     more = {} if free_axis is None else {"quaternion_wxyz": turned(body, -0.3), "free_axis": free_axis}
     goal = asked(body, **more)
-    q = led(goal, 12)
+    q = lead_path(goal, 12)
     np.testing.assert_array_equal(q[0], body.nominal)
-    assert largest(body.engine, q, body.holds()).max() < 1e-4
-    assert largest(body.engine, q[-1:], ways(goal, 1.0)).max() < 1e-4
+    assert largest_hold_error(body.engine, q, body.holds()).max() < 1e-4
+    assert largest_hold_error(body.engine, q[-1:], ways(goal, 1.0)).max() < 1e-4
     assert np.abs(np.diff(q, axis=0)).max() < 0.3
 
 
 def test_half_way_the_hand_is_half_way():
     body = with_both_hands()
-    q = led(asked(body), 11)
+    q = lead_path(asked(body), 11)
     first, middle, last = (planted_poses(body.engine, row, ["l_hand"])["l_hand"][:3, 3] for row in q[[0, 5, 10]])
     np.testing.assert_allclose(middle, 0.5 * (first + last), atol=1e-4)
 
@@ -66,22 +64,22 @@ def test_half_way_the_hand_is_half_way():
 def test_a_goal_out_of_reach_is_led_to_within_the_limits():
     body = with_both_hands()
     far = Goal.of(body, GoalRequest(poses=(PoseGoalRequest("l_hand", (3.0, 0.0, 1.0)),)))
-    q = led(far, 6)
+    q = lead_path(far, 6)
     assert np.isfinite(q).all()
     assert np.all((q >= body.robot.lower) & (q <= body.robot.upper))
 
 
 def test_without_a_link_that_shall_arrive_nothing_is_led():
     body = with_both_hands()
-    assert led(Goal.of(body, GoalRequest(posture="stand")), 5) is None
+    assert lead_path(Goal.of(body, GoalRequest(posture="stand")), 5) is None
 
 
 def test_a_straight_line_is_brought_onto_what_is_held():
     body = with_both_hands()
-    line = straight(body.nominal, led(asked(body), 8)[-1], 8)
+    line = straight_path(body.nominal, lead_path(asked(body), 8)[-1], 8)
     on_holds = body.on_holds(line)
-    assert largest(body.engine, line, body.holds()).max() > 1e-3
-    assert largest(body.engine, on_holds, body.holds()).max() < 1e-8
+    assert largest_hold_error(body.engine, line, body.holds()).max() > 1e-3
+    assert largest_hold_error(body.engine, on_holds, body.holds()).max() < 1e-8
     np.testing.assert_array_equal(on_holds[0], line[0])
 
 

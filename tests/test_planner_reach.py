@@ -11,6 +11,7 @@ from service.body.monitor import Monitor
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import Options, PlanRequest
+from service.result.attempt import Attempt
 from service.result.output import write_result
 from service.result.result import Verdict
 
@@ -135,13 +136,13 @@ def test_a_slot_too_narrow_for_the_hand_names_link_and_board_and_comes_with_the_
 @pytest.fixture
 def late_after_an_attempt(monkeypatch):
     """Time is up as soon as a task's planner has handed over its first plan, whatever the clock says."""
-    begun, begin = [], planner._Attempt.begin
+    begun, begin = [], Attempt.begin
 
     def note(self, task):
         begin(self, task)
         begun.append(task)
 
-    monkeypatch.setattr(planner._Attempt, "begin", note)
+    monkeypatch.setattr(Attempt, "begin", note)
     monkeypatch.setattr(Monitor, "remaining_s", lambda self: -1.0 if begun else 60.0)
 
 

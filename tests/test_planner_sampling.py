@@ -8,7 +8,7 @@ from planar_arm import write_planar_arm
 
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
-from service.body.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
+from service.body.sampling import SamplingProblem, Tree, free_coordinates, resample_path, sample_path
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
@@ -33,7 +33,7 @@ def problem_of(body: WholeBody) -> SamplingProblem:
 def test_a_sampled_path_goes_around_and_keeps_clear_when_sampled_densely(tmp_path):
     body = arm(tmp_path)
     problem = problem_of(body)
-    path = sampled_path(problem, Tree(seed=0, most_checks=3000))
+    path = sample_path(problem, Tree(seed=0, most_checks=3000))
     np.testing.assert_array_equal(path[0], problem.start)
     np.testing.assert_array_equal(path[-1], problem.end)
     checker = body.checker()
@@ -47,7 +47,7 @@ def test_a_sampled_path_goes_around_and_keeps_clear_when_sampled_densely(tmp_pat
 
 def test_equal_seeds_give_equal_paths(tmp_path):
     problem = problem_of(arm(tmp_path))
-    first, second = (sampled_path(problem, Tree(seed=3, most_checks=3000)) for _ in range(2))
+    first, second = (sample_path(problem, Tree(seed=3, most_checks=3000)) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
@@ -56,12 +56,12 @@ def test_a_way_that_is_closed_is_not_found_within_its_checks(tmp_path):
     # the upper link can pass neither the post ahead nor the one behind
     ring = [ConvexPiece(name, 0.1 * CORNERS + [x, 0.0, 0.0]) for name, x in (("ahead", 0.2), ("behind", -0.2))]
     closed = WholeBody.standing(body.robot, Scene(tuple(ring)), body.nominal, (), Aims())
-    assert sampled_path(problem_of(closed), Tree(seed=0, most_checks=1000)) is None
+    assert sample_path(problem_of(closed), Tree(seed=0, most_checks=1000)) is None
 
 
 def test_waypoints_along_a_polyline_hold_its_corners():
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.3], [0.2, 2.0]])
-    waypoints = along(corners, 12)
+    waypoints = resample_path(corners, 12)
     assert len(waypoints) == 12
     for corner in corners:
         assert np.abs(waypoints - corner).max(axis=1).min() < 1e-12

@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from planar_arm import write_planar_arm
 
-from perception import Cloud, write_pcd
+from perception import Cloud, sandbox, write_pcd
 from perception.simulate import torus
-from perception.solids import child, process
+from perception.solids import process
 from service.body.monitor import Monitor
 from service.planner import plan
 from service.request.file import parse_request
@@ -26,17 +27,21 @@ ROBOT = {"robot": {"name": "atlas"}, "goal": {"posture": "stand"}}
 
 @pytest.fixture
 def children(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Process numbers of all that CoACD was asked in."""
+    """Process numbers of all that ran CoACD; files are read in processes too."""
     pids: list[int] = []
-    popen = process.subprocess.Popen
+    popen, run = sandbox.subprocess.Popen, process.run_in_sandbox
 
-    def noted(command: list[str], **kwargs: object) -> object:
-        started = popen(command, **kwargs)  # type: ignore[call-overload]
-        if child.__file__ in command:  # files are read in processes too
-            pids.append(started.pid)
+    def note_pid(*args: object, **kwargs: object) -> object:
+        started = popen(*args, **kwargs)  # type: ignore[call-overload]
+        pids.append(started.pid)
         return started
 
-    monkeypatch.setattr(process.subprocess, "Popen", noted)
+    def run_noted(*args: Any, **kwargs: Any) -> dict[str, Any]:
+        with monkeypatch.context() as patch:
+            patch.setattr(sandbox.subprocess, "Popen", note_pid)
+            return run(*args, **kwargs)
+
+    monkeypatch.setattr(process, "run_in_sandbox", run_noted)
     return pids
 
 

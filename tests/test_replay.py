@@ -19,7 +19,7 @@ from service.request.file import load_request, parse_request
 from service.result.folder import read_result
 from service.result.output import write_result
 from service.result.result import Verdict
-from service.verify.certificate import promises_hash
+from service.verify.hashes import promises_hash
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 CARRY = EXAMPLES / "requests" / "carry.yaml"

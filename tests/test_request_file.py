@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import RequestError
-from service.request.file import load_request, load_start, parse_request, request_hash, to_json, with_cloud
+from service.request.file import load_request, load_start, parse_request, replace_cloud, request_hash, to_json
 from service.request.schema import PlanRequest, PoseRequest
 
 ROOT = Path(__file__).parents[1]
@@ -317,7 +317,7 @@ def test_another_cloud_is_found_from_the_request_folder(tmp_path: Path, monkeypa
     other = tmp_path / "scans"
     other.mkdir()
     monkeypatch.chdir(other)
-    changed = with_cloud(request, Path("scan.pcd"))
+    changed = replace_cloud(request, Path("scan.pcd"))
     assert changed.scene.cloud == "scans/scan.pcd"
     assert changed.resolve("scans/scan.pcd") == other / "scan.pcd"
 

@@ -13,7 +13,7 @@ from service.errors import RequestError
 from service.planner import plan
 from service.request.file import load_request
 from service.result.result import Verdict
-from service.scan.meshes import convex_parts, read_solid
+from service.scan.meshes import read_solid, split_convex
 
 CUBE = [
     (0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
@@ -38,7 +38,7 @@ def _obj(path: Path, cubes: list[list[tuple[float, ...]]]) -> Path:
 
 
 def _parts(path: Path) -> list[np.ndarray]:
-    return convex_parts(read_solid(path, "file"), path.name, "file")
+    return split_convex(read_solid(path, "file"), path.name, "file")
 
 
 def test_a_convex_mesh_is_one_part(tmp_path: Path) -> None:
@@ -143,11 +143,11 @@ def test_a_urdf_is_one_object_of_its_bodies_at_zero(tmp_path: Path) -> None:
     solid = read_solid(_urdf(tmp_path, CART), "file")
     assert not solid.open
     assert solid.notes == ()
-    deck, wheel = convex_parts(solid, "cart", "file")
+    deck, wheel = split_convex(solid, "cart", "file")
     np.testing.assert_allclose([deck.min(axis=0), deck.max(axis=0)], [[0, 0, 0], [0.8, 0.5, 0.02]], atol=1e-12)
     np.testing.assert_allclose([wheel[:, 1].min(), wheel[:, 1].max()], [-0.02, 0.02], atol=1e-12)
     assert (wheel[:, [0, 2]].max(axis=0) >= [0.5, 0.0]).all()
-    (hull,) = convex_parts(solid, "cart", "file", decompose=False)
+    (hull,) = split_convex(solid, "cart", "file", decompose=False)
     np.testing.assert_allclose(hull.max(axis=0), [0.8, 0.5, 0.02], atol=1e-12)
     assert hull[:, 2].min() <= -0.2
 

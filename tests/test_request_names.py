@@ -12,9 +12,9 @@ from tiny_robots import atlas
 from costs.scene import ConvexPiece
 from service.errors import RequestError
 from service.request.file import parse_request
-from service.request.names import TakenNames, check_names, with_free_names
+from service.request.names import TakenNames, check_names, rename_clashing
 from service.setup.prepare import prepare
-from service.setup.surroundings import Surroundings
+from service.setup.world import Surroundings
 
 CORNERS = np.array([[x, y, z] for x in (5.0, 5.1) for y in (0.0, 0.1) for z in (0.5, 0.6)])
 TURN = {"task": {"valve": {"centre": [0.68, 0.12, 1.1], "axis": [-1, 0, 0], "radius": 0.14}}}
@@ -115,7 +115,7 @@ def test_pieces_of_a_scan_get_another_name_where_theirs_is_taken(monkeypatch, tm
     urdf = write_planar_arm(tmp_path, 2, 0.2, 0.04, limit=3.0)
     urdf.write_text(urdf.read_text().replace('"l1"', '"floor"').replace('"l0"', '"wall/0"'))
     seen = tuple(ConvexPiece(name, CORNERS, name.split("/")[0]) for name in ("wall/0", "clutter/0", "floor"))
-    monkeypatch.setattr("service.setup.prepare.surroundings", lambda *given: Surroundings(seen))
+    monkeypatch.setattr("service.setup.prepare.read_surroundings", lambda *given: Surroundings(seen))
     request = {
         "robot": {"urdf": str(urdf)},
         "scene": {"obstacles": [crate("clutter/0")]},
@@ -134,7 +134,7 @@ def test_pieces_of_a_scan_get_another_name_where_theirs_is_taken(monkeypatch, tm
         "scene: what the scan shows as 'floor' is called 'floor-2': it is a link of arm",
     )
     flat = parse_request({**request, "scene": {"floor": -1.0}})
-    monkeypatch.setattr("service.setup.prepare.surroundings", lambda *given: Surroundings(()))
+    monkeypatch.setattr("service.setup.prepare.read_surroundings", lambda *given: Surroundings(()))
     assert [piece.name for piece in prepare(flat).scene.pieces] == ["floor-2"]
 
 
@@ -162,7 +162,7 @@ def test_an_accepted_name_is_nobodys(name, turns):
 @given(st.lists(NAMES, unique=True, max_size=6), st.lists(NAMES, unique=True, max_size=4))
 def test_renamed_pieces_are_nobodys_and_unique(names, others):
     taken = TakenNames.of(atlas(), asked("crate", does=TURN))
-    pieces, notes = with_free_names([ConvexPiece(name, CORNERS) for name in names], taken, others)
+    pieces, notes = rename_clashing([ConvexPiece(name, CORNERS) for name in names], taken, others)
     now = [piece.name for piece in pieces]
     assert len({*now, *others}) == len(now) + len(others)
     assert not any(taken.owner(name) for name in now)

@@ -17,11 +17,11 @@ from service.demands.world import flat_floor
 from service.errors import RequestError
 from service.request.file import parse_request
 from service.result.motion_json import file_positions
-from service.setup.obstacles import obstacles_of
 from service.setup.prepare import PlanSetup, prepare
-from service.start.configuration import start_configuration
-from service.start.overlaps import collisions
-from service.start.standing import sole, standing_problems
+from service.setup.world import build_obstacles
+from service.start.configuration import make_start
+from service.start.overlaps import describe_collisions
+from service.start.standing import find_standing_problems, sole_corners
 
 GOAL = {"posture": "stand"}
 BOX = {"type": "box", "size": [0.3, 0.3, 0.3]}
@@ -69,7 +69,7 @@ def test_a_start_base_is_where_the_pelvis_is(atlas: RobotModel) -> None:
     pose = Rotation.from_euler("z", 0.7) * Rotation.from_euler("y", 0.3) * Rotation.from_euler("x", -0.2)
     base = {"position": [1.0, 2.0, 3.0], "quaternion_wxyz": pose.as_quat(scalar_first=True).tolist()}
     request = parse_request({"robot": {"name": "atlas"}, "goal": GOAL, "start": {"base": base}})
-    q, notes = start_configuration(atlas, request.start)
+    q, notes = make_start(atlas, request.start)
     np.testing.assert_allclose(q[:6], [1.0, 2.0, 3.0, 0.7, 0.3, -0.2], atol=1e-9)
     assert notes == ()
     np.testing.assert_allclose(file_positions(atlas, q[None])[0, 3:7], base["quaternion_wxyz"], atol=1e-9)
@@ -167,7 +167,7 @@ def test_a_start_in_collision_names_pair_and_depth() -> None:
 def test_depth_of_a_start_in_collision_is_the_penetration(atlas: RobotModel) -> None:
     # A floor 50 mm too high: both feet stand 50 mm deep in it.
     q = atlas.postures["stand"]
-    lines = collisions(atlas, q, Scene((flat_floor(0.05, q[:2]),)), ("l_foot", "r_foot"))
+    lines = describe_collisions(atlas, q, Scene((flat_floor(0.05, q[:2]),)), ("l_foot", "r_foot"))
     assert {line.split(" is ")[0] for line in lines} == {"l_foot", "r_foot"}
     assert all("is 50 mm inside floor" in line for line in lines)
 
@@ -180,8 +180,8 @@ def test_crossed_legs_are_in_collision() -> None:
 
 def test_a_centre_of_mass_beyond_the_feet_is_told_in_metres(atlas: RobotModel) -> None:
     q = atlas.postures["stand"]
-    soles = {"l_foot": sole(atlas, q, "l_foot")}
-    (line,) = standing_problems(atlas, q, Scene((flat_floor(0.0, q[:2]),)), soles)
+    soles = {"l_foot": sole_corners(atlas, q, "l_foot")}
+    (line,) = find_standing_problems(atlas, q, Scene((flat_floor(0.0, q[:2]),)), soles)
     inner_edge = float(soles["l_foot"][:, 1].min())
     outside = float(line.split(" m outside")[0].split()[-1])
     assert outside == pytest.approx(inner_edge, abs=0.02)  # the COM is in the middle between the feet
@@ -242,7 +242,7 @@ def test_round_obstacles_are_contained_in_their_pieces() -> None:
             {"name": "pill", "type": "capsule", "radius": 0.1, "height": 1.0},
         ]},
     })  # fmt: skip
-    pieces = {piece.name: ConvexHull(piece.vertices).equations for piece in obstacles_of(request).pieces}
+    pieces = {piece.name: ConvexHull(piece.vertices).equations for piece in build_obstacles(request).pieces}
     directions = rng.normal(size=(500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     ring = directions[:, :2] / np.linalg.norm(directions[:, :2], axis=1, keepdims=True)
@@ -260,7 +260,7 @@ def test_an_obstacle_turns_about_its_own_position() -> None:
     turned = {"position": [5, 0, 1], "quaternion_wxyz": [np.cos(0.25), 0, 0, np.sin(0.25)]}  # 0.5 rad about z
     plank = {"name": "plank", "type": "box", "size": [2.0, 0.2, 0.1], **turned}
     request = parse_request({"robot": {"name": "atlas"}, "goal": GOAL, "scene": {"obstacles": [plank]}})
-    (piece,) = obstacles_of(request).pieces
+    (piece,) = build_obstacles(request).pieces
     corner = [5 + np.cos(0.5) - 0.1 * np.sin(0.5), np.sin(0.5) + 0.1 * np.cos(0.5), 1.05]
     assert np.linalg.norm(piece.vertices - corner, axis=1).min() < 1e-12
 

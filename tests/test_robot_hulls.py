@@ -16,7 +16,7 @@ from costs.primitive import round_shape
 from costs.robot import RobotError, load_robot, shapes
 from costs.robot.hull import hull_vertices
 from costs.robot.outer import outer_hull
-from service.start.exact import penetration
+from service.start.overlaps import penetration_depth
 
 LENGTH = st.floats(1e-3, 2.0)
 RADIUS = st.floats(1e-3, 50.0)
@@ -161,7 +161,7 @@ def test_a_swept_hull_of_many_vertices_is_as_far_as_the_hull_of_both_its_poses(
         points[: len(outer)], points[len(outer) :] = ends
         box = shapes.box(rng.uniform(0.05, 0.5, 3)) + rng.normal(scale=0.8, size=3)
         found, expected = (
-            penetration(hull, static_convex(box)) for hull in (swept, static_convex(np.concatenate(ends)))
+            penetration_depth(hull, static_convex(box)) for hull in (swept, static_convex(np.concatenate(ends)))
         )
         if expected < 0.0:
             assert found == pytest.approx(expected, abs=1e-6)

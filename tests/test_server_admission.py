@@ -5,8 +5,8 @@ from __future__ import annotations
 import grpc
 import pytest
 
-from service.rpc import Refusal
 from service.server.admission import FIRST_GUESS_S, Admission
+from service.trust.rpc import Refusal
 
 
 def _with(workers: int, queue_limit: int, *seconds: float) -> Admission:

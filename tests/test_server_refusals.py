@@ -11,9 +11,9 @@ from google.rpc.status_pb2 import Status
 
 from service.executor.worker import JobControl
 from service.proto.planner.v1 import planner_pb2 as wire
-from service.rpc import MAX_TEXT_BYTES, Refusal, shortened
 from service.server.cloud_problems import Kept, as_sent
 from service.server.refusal import invalid
+from service.trust.rpc import MAX_TEXT_BYTES, Refusal, shorten
 from service.wire.unknown import unknown_fields
 from service.wire.violations import violation
 from service.work.look import verify
@@ -61,8 +61,8 @@ def test_few_problems_are_all_told_in_full() -> None:
 
 
 def test_text_is_cut_between_letters() -> None:
-    assert shortened("a🦾b", 4) == "a"
-    assert shortened("a🦾b", 6) == "a🦾b"
+    assert shorten("a🦾b", 4) == "a"
+    assert shorten("a🦾b", 6) == "a🦾b"
     assert len(invalid(["🦾" * 1000]).text.encode()) <= MAX_TEXT_BYTES
 
 

@@ -19,10 +19,10 @@ from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED
 from service.request.file import parse_request, request_hash
 from service.result.result import Verdict
-from service.rpc import Refusal
 from service.server.admission import Admission
 from service.server.spread import first_certified, with_other_starts
 from service.server.workshop import Piece, Workshop
+from service.trust.rpc import Refusal
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 

@@ -10,10 +10,10 @@ import pytest
 from executor_jobs import nap
 
 from service.executor.local_pool import LocalPool
-from service.rpc import Refusal
 from service.server import workshop
 from service.server.admission import Admission
 from service.server.workshop import Piece, Workshop, outcome
+from service.trust.rpc import Refusal
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from small_robots import CUBE, box
 
 from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
-from service.start.overlaps import overlaps
+from service.start.overlaps import find_overlaps
 from service.start.standing import place_bodies
 from service.verify.ground import GROUND_TOLERANCE_M
 
@@ -42,7 +42,7 @@ def test_overlaps_are_the_pairs_whose_hulls_meet(atlas: RobotModel, seed: int) -
         is_checked = one.joint != other.joint and pair not in atlas.ignored_pairs
         if is_checked and hull_distance(points, others) < 1e-6:
             met.add(pair)
-    found = overlaps(atlas, q, Scene(pieces), FEET)
+    found = find_overlaps(atlas, q, Scene(pieces), FEET)
     assert {(o.link, o.other) if o.kind else (min(o.link, o.other), max(o.link, o.other)) for o in found} == met
     assert met
     depths = [o.depth for o in found]
@@ -56,8 +56,8 @@ def test_a_planted_foot_may_stand_in_the_floor_and_nothing_else_may(atlas: Robot
     def floor(depth: float, kind: str) -> Scene:
         return Scene((ConvexPiece("ground", CUBE * [3.0, 3.0, 0.1] + [0.0, 0.0, lowest + depth - 0.1], kind),))
 
-    assert overlaps(atlas, q, floor(GROUND_TOLERANCE_M - 1e-3, "floor"), FEET) == []
-    assert {o.link for o in overlaps(atlas, q, floor(GROUND_TOLERANCE_M - 1e-3, "floor"), FEET[:1])} == {"r_foot"}
-    assert {o.link for o in overlaps(atlas, q, floor(GROUND_TOLERANCE_M - 1e-3, "table"), FEET)} == set(FEET)
-    (deep, _) = overlaps(atlas, q, floor(GROUND_TOLERANCE_M + 1e-3, "floor"), FEET)
+    assert find_overlaps(atlas, q, floor(GROUND_TOLERANCE_M - 1e-3, "floor"), FEET) == []
+    assert {o.link for o in find_overlaps(atlas, q, floor(GROUND_TOLERANCE_M - 1e-3, "floor"), FEET[:1])} == {"r_foot"}
+    assert {o.link for o in find_overlaps(atlas, q, floor(GROUND_TOLERANCE_M - 1e-3, "table"), FEET)} == set(FEET)
+    (deep, _) = find_overlaps(atlas, q, floor(GROUND_TOLERANCE_M + 1e-3, "floor"), FEET)
     assert deep.depth == pytest.approx(GROUND_TOLERANCE_M + 1e-3, abs=1e-6)

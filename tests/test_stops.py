@@ -18,7 +18,7 @@ from service.executor import JobCancelled
 from service.planner import plan
 from service.request.file import parse_request
 from service.result.result import Verdict
-from service.scan.cloud import CloudAsked
+from service.scan.cloud import CloudInput
 from service.verify import Motion, verify
 from service.work.look import SceneTask, build_scene, detect
 from service.work.plan import PlanAnswer, PlanTask, run_plan
@@ -122,7 +122,7 @@ def test_a_plan_that_is_cancelled_at_any_poll_ends_as_cancelled(request_of_arm: 
 
 def test_jobs_about_clouds_that_are_stopped_were_cancelled(cloud: Cloud, tmp_path: Path) -> None:
     write_npz(tmp_path / "scan.npz", cloud)
-    clouds = CloudAsked((tmp_path / "scan.npz",))
+    clouds = CloudInput((tmp_path / "scan.npz",))
     counted = Asked()
     scene = build_scene(SceneTask(clouds, ("valve",)), StandIn(counted))
     assert isinstance(scene, bytes)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from perception.files.parse import SUFFIXES
+from perception.files.formats import SUFFIXES
 from perception.solids import read as meshes
 from service.request.scene import MESH_SUFFIXES
 from service.store import (

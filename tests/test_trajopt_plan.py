@@ -192,7 +192,7 @@ def test_a_phase_solved_anew_keeps_its_steps_and_its_promises() -> None:
     phase = _phase_of(data)
     denser = np.repeat(phase.q, 2, axis=0)[:-1]
     denser[1::2] = 0.5 * (phase.q[:-1] + phase.q[1:])
-    anew = phase.solved_anew(denser)
+    anew = phase.solve_again(denser)
     assert isinstance(anew, ProgramPhase)
     assert anew.timeline is not None
     assert anew.is_feasible

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.proto.planner.v1 import planner_pb2
-from service.rpc import Refusal
 from service.trust import (
     LOCAL,
     OPEN_TO_ALL,
@@ -30,6 +29,7 @@ from service.trust import (
     make_token,
     peer_key,
 )
+from service.trust.rpc import Refusal
 
 PLAN = "/planner.v1.PlannerService/Plan"
 

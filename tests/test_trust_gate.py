@@ -15,7 +15,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_status import rpc_status
 from small_service import end_of, serving
 
-import service.rpc
+import service.trust.rpc
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
 from service.trust import ClientLimits, Gate, Limits, Role, Tokens, make_token
 
@@ -196,7 +196,7 @@ def test_open_calls_are_limited_and_their_places_are_given_back(known: tuple[dic
 
 
 def test_a_call_that_says_nothing_or_too_little_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(service.rpc, "REQUEST_WAIT_S", 0.1)
+    monkeypatch.setattr(service.trust.rpc, "REQUEST_WAIT_S", 0.1)
 
     async def calls() -> None:
         async with (
@@ -205,13 +205,16 @@ def test_a_call_that_says_nothing_or_too_little_ends(monkeypatch: pytest.MonkeyP
         ):
             method = channel.stream_unary("/planner.v1.PlannerService/ListRobots")
             silent = method()
-            assert await end_of(silent) == (grpc.StatusCode.DEADLINE_EXCEEDED, "no request came in 0.1 s")
+            assert await end_of(silent) == (grpc.StatusCode.DEADLINE_EXCEEDED, "no request arrived within 0.1 s")
             empty = method()
             await empty.done_writing()
-            assert await end_of(empty) == (grpc.StatusCode.INVALID_ARGUMENT, "no request came")
+            assert await end_of(empty) == (grpc.StatusCode.INVALID_ARGUMENT, "no request arrived")
             stalled = planner_pb2_grpc.PlannerServiceStub(channel).UploadCloud()
             await stalled.write(planner_pb2.UploadCloudRequest())
-            assert await end_of(stalled) == (grpc.StatusCode.DEADLINE_EXCEEDED, "nothing more came in 0.1 s")
+            assert await end_of(stalled) == (
+                grpc.StatusCode.DEADLINE_EXCEEDED,
+                "no message arrived within 0.1 s",
+            )
         assert answering.callers == [("UploadCloud", "local")]
 
     _run(calls())

@@ -27,7 +27,7 @@ from service.verify import (
     VerifyError,
     verify,
 )
-from service.verify.bisect import largest
+from service.verify.phase_proof import bound_largest
 
 NAN = float("nan")
 X, Z = np.eye(3)[0], np.eye(3)[2]
@@ -114,7 +114,7 @@ def test_a_bound_that_is_not_a_number_proves_nothing() -> None:
         unknown = np.full(len(first), NAN)
         return unknown, unknown, unknown
 
-    assert not largest(np.array([0.0, 1.0]), nothing, 1.0, 0.1, 2, 1).is_proven
+    assert not bound_largest(np.array([0.0, 1.0]), nothing, 1.0, 0.1, 2, 1).is_proven
 
 
 def test_a_support_polygon_wider_than_the_planted_soles_is_refuted() -> None:

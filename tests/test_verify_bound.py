@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from small_robots import random_curve, random_model
 
 from costs.curve import Curve
-from service.verify.chain import JointTree
-from service.verify.errors import VerifyError
-from service.verify.forward import Forward
-from service.verify.rates import Rates, position_range
+from service.verify.curve_bounds import Rates, position_range
+from service.verify.joint_chain import JointTree
+from service.verify.motion import VerifyError
+from service.verify.prepared_motion import ForwardKinematics
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -54,7 +54,7 @@ def test_no_point_leaves_its_chord_by_more_than_the_bound(seed: int, is_floating
     off = np.linalg.norm(path - (path[0] + along * (path[-1] - path[0])), axis=2).max()
     assert off <= chain.deviation(over)[0] + 1e-12
 
-    middle = Forward(model).at(curve(np.array([ends.mean()])))
+    middle = ForwardKinematics(model).at(curve(np.array([ends.mean()])))
     world = points @ middle.rotation[0, mover].T + middle.translation[0, mover]
     origins = middle.translation[0, chain.joints]
     distance = np.linalg.norm(origins[:, None] - world[None], axis=2).max(axis=1)
@@ -76,7 +76,7 @@ def test_reach_bounds_every_distance_from_a_joint_to_the_body(seed: int, in_join
     chain = _tree(model, curve, is_floating=False).chain(holder, mover, points)
     ends = np.sort(rng.uniform(curve.knots[0], curve.knots[-1], size=2))
     s = np.linspace(ends[0], ends[1], 41)
-    placed = Forward(model).at(curve(s))
+    placed = ForwardKinematics(model).at(curve(s))
     world = np.einsum("sij,cj->sci", placed.rotation[:, mover], points) + placed.translation[:, None, mover]
     distance = np.linalg.norm(placed.translation[:, chain.joints, None] - world[:, None], axis=3).max(axis=2)
     local = chain.local_reach(distance[20][None], Rates(curve, None).over(ends[:1], ends[1:]))[0]

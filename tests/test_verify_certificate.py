@@ -24,8 +24,8 @@ from costs.scene import ConvexPiece, Scene
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.result.motion_json import motion_json
 from service.verify import Certificate, Motion, Phase, PlantedContact, Status, SupportPolygon, VerifyError, verify
-from service.verify.certificate import bodies_hash, link_vertices, scene_hash
-from service.verify.forward import Forward
+from service.verify.hashes import bodies_hash, link_vertices, scene_hash
+from service.verify.prepared_motion import ForwardKinematics
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 FEET = ("l_foot", "r_foot")
@@ -53,7 +53,7 @@ def _wave() -> Motion:
     rows[:, robot.joint_names.index("l_arm_ely")] -= 0.5 * np.sin(np.pi * s)
     rows[:, -1] = 1.5 * s
     curve = Curve(np.arange(4.0), rows, np.gradient(rows, axis=0))
-    placed = Forward(robot.model).at(stand[None])
+    placed = ForwardKinematics(robot.model).at(stand[None])
     contacts, corners = [], []
     for foot in FEET:
         frame = robot.model.frames[robot.model.getFrameId(foot)]
@@ -88,7 +88,7 @@ def _wave() -> Motion:
 
 def _hand_half_way(robot: Any, curve: Curve, joint: int, vertices: np.ndarray) -> np.ndarray:
     """Where the hand is half-way."""
-    placed = Forward(robot.model).at(curve(np.array([1.5])))
+    placed = ForwardKinematics(robot.model).at(curve(np.array([1.5])))
     return np.asarray((vertices @ placed.rotation[0, joint].T + placed.translation[0, joint]).mean(axis=0))
 
 
@@ -196,7 +196,7 @@ def _tampered(result: dict[str, Any], what: str) -> dict[str, Any]:
         for phase in other["phases"]:
             phase["support"]["polygon"] = [[x + 0.2, y] for x, y in phase["support"]["polygon"]]
     elif what == "limit":
-        column = other["curve"]["joint_names"].index("neck_ry")  # what moves only the head is soon looked through
+        column = other["curve"]["joint_names"].index("neck_ry")  # what moves only the head is soon examined through
         for row in other["curve"]["positions"]:
             row[column] -= 2.0
     return other

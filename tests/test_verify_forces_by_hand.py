@@ -14,6 +14,7 @@ from costs.robot.model import LinkBody, RobotModel
 from costs.scene import Scene
 from service.verify import Basis, Check, Motion, Phase, PlantedContact, SupportPolygon, VerifySettings
 from service.verify.dynamics import dynamics_checks, forces, sample_times
+from service.verify.prepared_motion import PreparedMotion
 
 G, MASS, HEIGHT = 9.81, 7.0, 0.05
 OFFSET = np.array([0.3, -0.2, 0.9])  # of the centre of mass at coordinates 0
@@ -48,7 +49,7 @@ def _forces(motion: Motion, times: np.ndarray = TIMES) -> tuple[np.ndarray, np.n
 
 def _checks(motion: Motion) -> dict[str, Check]:
     assert motion.law is not None
-    checks = dynamics_checks(motion, motion.law, motion.phases[0], VerifySettings())
+    checks = dynamics_checks(PreparedMotion(motion), motion.phases[0], VerifySettings())
     return {check.name: check for check in checks}
 
 

@@ -13,6 +13,7 @@ from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.verify import Motion, Phase, SupportPolygon, VerifySettings
 from service.verify.dynamics import dynamics_checks, forces, sample_times
+from service.verify.prepared_motion import PreparedMotion
 
 # Error of the differences [m] (forces of some 1,500 N to 0.02 N, moments to 0.02 Nm).
 TOLERANCE_M = 2e-5
@@ -92,7 +93,7 @@ def test_the_zmp_of_the_certificate_is_that_of_differentiated_momenta(atlas: Rob
     np.testing.assert_allclose(found.zmp(HEIGHT), own, rtol=0.0, atol=TOLERANCE_M)
     spread = np.ptp(own, axis=0)
     assert np.all(spread > 0.02)  # it moves along both axes
-    check = next(dynamics_checks(motion, law, phase, VerifySettings(time_step_s=0.05)))
+    check = next(dynamics_checks(PreparedMotion(motion), phase, VerifySettings(time_step_s=0.05)))
     assert check.value == pytest.approx(float(_inside(own).min()), abs=TOLERANCE_M)
     worst = int(np.argmin(_inside(own)))
     assert check.where is not None

@@ -10,7 +10,7 @@ from told_results import told_results
 
 from service.start.standing import place_bodies
 from service.verify import Basis, Certificate, Status
-from service.verify.convex import convex_of
+from service.verify.solids import convex_of
 
 
 @pytest.fixture(scope="module")

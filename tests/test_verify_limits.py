@@ -16,7 +16,8 @@ from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify import Check, Motion, Phase, PlantedContact, VerifyError, VerifySettings, verify
 from service.verify.limits import _roots, exported_speeds, timed_checks, timed_peaks
-from service.verify.timeline import phases_of, times_of
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.timeline import times_of
 
 # What a certified motion may exceed a speed limit by, relative; besides the last places of the numbers.
 TOLERANCE = VerifySettings().limit_tolerance
@@ -39,7 +40,7 @@ def _law(path: np.ndarray, speed: np.ndarray) -> TimeLaw:
 
 def _checks(motion: Motion) -> dict[str, Check]:
     assert motion.law is not None
-    return {check.name: check for check in timed_checks(motion, motion.law, phases_of(motion), VerifySettings())}
+    return {check.name: check for check in timed_checks(PreparedMotion(motion), VerifySettings())}
 
 
 def _brisk(n_steps: int, lie: float) -> Motion:

@@ -212,8 +212,8 @@ def test_a_joint_that_leaves_its_limits_only_between_the_knots_is_found() -> Non
     curve = Curve(np.array([0.0, 1.0]), np.array([[0.9], [0.9]]), np.array([[1.0], [-1.0]]))
     peak = 0.9 + 0.25
     for limit, expected in ((peak + 1e-6, True), (peak - 1e-6, False)):
-        narrow = replace(robot, lower=np.array([-limit]), upper=np.array([limit]))
-        check = _check(Motion(narrow, Scene(), curve), "limits.position")
+        query = replace(robot, lower=np.array([-limit]), upper=np.array([limit]))
+        check = _check(Motion(query, Scene(), curve), "limits.position")
         assert check.ok is expected
         assert check.value == pytest.approx(peak - limit, abs=1e-9)
 

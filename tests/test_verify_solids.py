@@ -10,14 +10,12 @@ from hypothesis import strategies as st
 from small_robots import CUBE
 
 from costs.robot import LinkBody
-from service.verify.convex import convex_of
-from service.verify.narrow import Narrow
-from service.verify.solid import Solid, supports
+from service.verify.solids import DistanceQuery, Solid, convex_of, supports
 
 
 def _apart(first: np.ndarray, second: np.ndarray, shift: np.ndarray) -> tuple[float, np.ndarray]:
     """coal's signed distance and direction for the first set, shifted, and the second."""
-    distance, direction = Narrow().closest([convex_of(first)], np.eye(3)[None], shift[None], [convex_of(second)])
+    distance, direction = DistanceQuery().closest([convex_of(first)], np.eye(3)[None], shift[None], [convex_of(second)])
     return float(distance[0]), direction[0]
 
 

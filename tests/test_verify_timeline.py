@@ -11,10 +11,10 @@ from small_robots import robot_of
 
 from costs.curve import Curve, TimeLaw
 from costs.scene import Scene
-from service.verify import Motion, Phase, VerifyError
-from service.verify.limits import position_check
-from service.verify.timeline import edges_of, phase_edges, phases_of, time_of, times_of
-from service.verify.track import Track
+from service.verify import Motion, Phase, VerifyError, VerifySettings
+from service.verify.limits import position_checks
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.timeline import edges_within, list_phases, split_at_phases, time_of, times_of
 
 # Up to speed 2 in 1 s, on at 2 for 1 s, down in 1 s, a pause of 3 s, and 1 s at ever greater speed.
 LAW = TimeLaw(
@@ -63,7 +63,7 @@ def test_times_never_run_back_nor_beyond_their_step() -> None:
 
 
 def test_without_phases_the_whole_curve_is_one_that_promises_nothing() -> None:
-    (phase,) = phases_of(_motion([0.5, 1.0, 2.5]))
+    (phase,) = list_phases(_motion([0.5, 1.0, 2.5]))
     assert phase == Phase("motion", 0.5, 2.5)
 
 
@@ -89,31 +89,31 @@ def test_phases_must_cover_the_curve_one_after_another(borders: list[tuple[float
     phases = tuple(Phase(str(k), first, last) for k, (first, last) in enumerate(borders))
     motion = _motion([0.5, 1.0, 2.5], phases)
     if message is None:
-        assert phases_of(motion) == phases
+        assert list_phases(motion) == phases
     else:
         with pytest.raises(VerifyError, match=message):
-            phases_of(motion)
+            list_phases(motion)
 
 
 def test_borders_far_along_the_curve_may_differ_by_what_their_digits_do() -> None:
     phases = (Phase("a", 0.0, 1000.0), Phase("b", 1000.0 + 5e-10, 2000.0 + 1e-9))
-    assert phases_of(_motion([0.0, 2000.0], phases)) == phases
+    assert list_phases(_motion([0.0, 2000.0], phases)) == phases
 
 
 def test_edges_are_knots_and_borders_each_stretch_with_its_phase() -> None:
     phases = (Phase("a", 0.5, 0.8), Phase("b", 0.8, 2.0), Phase("c", 2.0, 2.5))
-    edges, rows = edges_of(_motion([0.5, 1.0, 2.5], phases), phases)
+    edges, rows = split_at_phases(_motion([0.5, 1.0, 2.5], phases), phases)
     np.testing.assert_array_equal(edges, [0.5, 0.8, 1.0, 2.0, 2.5])
     np.testing.assert_array_equal(rows, [0, 1, 1, 2])
-    np.testing.assert_array_equal(phase_edges(edges, phases[1]), [0.8, 1.0, 2.0])
-    np.testing.assert_array_equal(phase_edges(edges, Phase("d", 0.8 + 5e-10, 2.0 - 5e-10)), [0.8, 1.0, 2.0])
-    np.testing.assert_array_equal(phase_edges(edges, Phase("d", 0.8 + 2e-9, 2.0 - 3e-9)), [1.0])
+    np.testing.assert_array_equal(edges_within(edges, phases[1]), [0.8, 1.0, 2.0])
+    np.testing.assert_array_equal(edges_within(edges, Phase("d", 0.8 + 5e-10, 2.0 - 5e-10)), [0.8, 1.0, 2.0])
+    np.testing.assert_array_equal(edges_within(edges, Phase("d", 0.8 + 2e-9, 2.0 - 3e-9)), [1.0])
 
 
 def test_a_phase_far_along_the_curve_has_its_borders_but_for_their_digits() -> None:
     edges = np.array([1000.0, 1500.0, 2000.0])
-    np.testing.assert_array_equal(phase_edges(edges, Phase("d", 1000.0 + 1e-6, 2000.0 - 1e-6)), edges)
-    np.testing.assert_array_equal(phase_edges(edges, Phase("d", 1000.0 + 1e-5, 2000.0 - 1e-5)), edges[1:2])
+    np.testing.assert_array_equal(edges_within(edges, Phase("d", 1000.0 + 1e-6, 2000.0 - 1e-6)), edges)
+    np.testing.assert_array_equal(edges_within(edges, Phase("d", 1000.0 + 1e-5, 2000.0 - 1e-5)), edges[1:2])
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_the_extreme_between_two_knots_is_held_against_both_limits(
     curve = Curve(np.array([0.0, 0.25, 1.25]), motion.curve.positions, motion.curve.tangents)
     curve.positions[0, 1] = 0.0
     robot = replace(motion.robot, lower=np.array([-9.0, lower]), upper=np.array([9.0, upper]))
-    check = position_check(Track(replace(motion, curve=curve, robot=robot)))
+    (check,) = position_checks(PreparedMotion(replace(motion, curve=curve, robot=robot)), VerifySettings())
     assert check.name == "limits.position"
     assert check.value == pytest.approx(excess, abs=1e-12)
     assert check.ok == (excess < 1e-9)

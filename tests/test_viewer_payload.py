@@ -15,10 +15,10 @@ from scipy.spatial import ConvexHull
 from viewer_results import box, make_result
 
 from service.viewer import LinkPlacements, write_viewer
-from service.viewer.frames import kept_samples, packed, quantized
+from service.viewer.frames import kept_samples, pack, quantize
 from service.viewer.html import render_viewer
 from service.viewer.hulls import convex_mesh
-from service.viewer.payload import json_safe, payload_of
+from service.viewer.payload import json_safe, make_payload
 
 
 def unpack(entry):
@@ -83,17 +83,17 @@ def test_few_samples_are_all_kept():
 def test_quantized_points_are_within_half_a_grid_step(seed):
     points = np.random.default_rng(seed).uniform(-3.0, 5.0, (50, 3))
     step = (points.max(axis=0) - points.min(axis=0)) / 65535.0
-    assert np.all(np.abs(unpack(quantized(points)) - points) <= 0.51 * step)
+    assert np.all(np.abs(unpack(quantize(points)) - points) <= 0.51 * step)
 
 
 def test_packed_arrays_read_back():
     values = np.array([[1.5, -2.0], [np.nan, 4.0]])
-    np.testing.assert_array_equal(unpack(packed(values, "f4")), values.astype(np.float32))
+    np.testing.assert_array_equal(unpack(pack(values, "f4")), values.astype(np.float32))
 
 
 def test_payload_places_links_where_the_result_has_them():
     result, placements = make_result(n_samples=601, duration=6.0)
-    payload = payload_of(result, placements)
+    payload = make_payload(result, placements)
     times = unpack(payload["times"])
     samples = np.rint(times / 6.0 * 600).astype(int)
     assert len(samples) < 601
@@ -103,7 +103,7 @@ def test_payload_places_links_where_the_result_has_them():
 
 
 def test_phases_and_supports_speak_in_seconds():
-    payload = payload_of(*make_result())
+    payload = make_payload(*make_result())
     assert [(phase["start"], phase["end"]) for phase in payload["phases"]] == [(0.0, 3.0), (3.0, 6.0)]
     assert payload["support"][0]["end"] == 6.0
 
@@ -122,7 +122,7 @@ def test_a_scene_without_trajectory_keeps_its_pieces():
         "certificate",
     ):
         result[key] = None
-    payload = payload_of(result, LinkPlacements((), np.zeros((0, 0, 7))))
+    payload = make_payload(result, LinkPlacements((), np.zeros((0, 0, 7))))
     assert len(payload["pieces"]) == 3
     assert payload["times"]["shape"] == [0]
 
@@ -130,14 +130,14 @@ def test_a_scene_without_trajectory_keeps_its_pieces():
 def test_placements_must_match_the_trajectory():
     result, _ = make_result(n_samples=61)
     with pytest.raises(ValueError, match="61 samples, placements have 31"):
-        payload_of(result, make_result(n_samples=31)[1])
+        make_payload(result, make_result(n_samples=31)[1])
 
 
 def test_a_body_without_placement_is_refused_by_name():
     result, placements = make_result()
     short = LinkPlacements(placements.links[:-1], placements.poses[:, :-1])
     with pytest.raises(ValueError, match="'r_foot'"):
-        payload_of(result, short)
+        make_payload(result, short)
 
 
 def test_numbers_that_json_lacks_become_null():
@@ -161,7 +161,7 @@ def test_a_hostile_name_cannot_leave_the_data_element():
     evil = "</script><img src=x onerror=alert(1)><!--"
     result["pieces"][1]["name"] = evil
     result["robot"]["name"] = evil
-    page = render_viewer(payload_of(result, placements))
+    page = render_viewer(make_payload(result, placements))
     parser = _Elements()
     parser.feed(page)
     assert "img" not in [tag for tag, _ in parser.tags]
@@ -170,7 +170,7 @@ def test_a_hostile_name_cannot_leave_the_data_element():
 
 
 def test_the_policy_allows_nothing_but_the_two_inlined_sources():
-    page = render_viewer(payload_of(*make_result()))
+    page = render_viewer(make_payload(*make_result()))
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page).group(1)
     directives = dict(part.strip().split(" ", 1) for part in policy.split(";"))
     assert directives["default-src"] == "'none'"

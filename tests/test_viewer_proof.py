@@ -10,7 +10,7 @@ from viewer_results import make_result
 
 from costs.robot import load_robot
 from service.viewer import drawn_frames
-from service.viewer.payload import payload_of
+from service.viewer.payload import make_payload
 from service.viewer.proof import clearance_track
 
 
@@ -57,13 +57,13 @@ def test_the_same_pair_counts_in_a_phase_where_it_may_not_touch():
 
 
 def test_the_clearance_check_points_to_the_place_of_least_clearance():
-    check = payload_of(*proven_result())["checks"][1]
+    check = make_payload(*proven_result())["checks"][1]
     assert check["where"]["names"] == ["l_hand", "crate"]
     assert check["where"]["time_s"] == pytest.approx(3.75, abs=1e-3)
 
 
 def test_payload_carries_the_track_as_time_and_clearance():
-    entry = payload_of(*proven_result())["clearance"]
+    entry = make_payload(*proven_result())["clearance"]
     rows = np.frombuffer(base64.b64decode(entry["data"]), dtype="<f4").reshape(entry["shape"])
     assert rows[-1, 0] == pytest.approx(6.0)
     assert rows[:, 1].min() == pytest.approx(0.025)
@@ -71,12 +71,12 @@ def test_payload_carries_the_track_as_time_and_clearance():
 
 def test_what_was_not_checked_is_carried_but_for_neighbours():
     result, placements = proven_result()
-    assert payload_of(result, placements)["not_checked"] == []
+    assert make_payload(result, placements)["not_checked"] == []
     pairs = [("adjacent", True), ("same joint", False), ("srdf (never)", False), ("derived", False)]
     left_out = [{"pair": ["a", "b"], "reason": reason, "is_neighbour": near} for reason, near in pairs]
     result["coverage"] = {"not_checked": ["torques (no link names a mass)"], "left_out": left_out}
     expected = ["torques (no link names a mass)", "2 pairs of links that are no neighbours"]
-    assert payload_of(result, placements)["not_checked"] == expected
+    assert make_payload(result, placements)["not_checked"] == expected
 
 
 @pytest.mark.parametrize("missing", ["certificate", "curve"])

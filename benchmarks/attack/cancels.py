@@ -28,7 +28,7 @@ from service.executor import JobCancelled, LocalPool
 from service.request.choices import EVERY_KIND, KINDS
 from service.request.file import load_request
 from service.request.schema import PlanRequest
-from service.scan.cloud import CloudAsked
+from service.scan.cloud import CloudInput
 from service.server.serve import PRELOAD
 from service.work.look import SceneTask, build_scene, detect, verify
 from service.work.plan import PlanAnswer, PlanTask, run_plan, warm_up
@@ -124,7 +124,7 @@ def _attacks(
     kinds: tuple[str, ...],
 ) -> Iterator[_Attack]:
     while True:
-        clouds = CloudAsked((scans[int(rng.integers(len(scans)))],))
+        clouds = CloudInput((scans[int(rng.integers(len(scans)))],))
         unknown = str(rng.choice(["free", "occupied"])) if EVERY_KIND in kinds else "free"
         yield _Attack("scene", build_scene, (SceneTask(clouds, (str(rng.choice(KINDS)),), unknown=unknown),))
         yield _Attack("detect", detect, (clouds, str(rng.choice(kinds)), None))

@@ -24,7 +24,7 @@ from benchmarks.attack.outcome import Answer, Attack
 from costs.robot import RobotError, RobotModel, load_robot
 from service.result.motion_json import motion_from_json, motion_json
 from service.verify import Motion, VerifyError, verify
-from service.verify.certificate import link_vertices
+from service.verify.hashes import link_vertices
 
 ROBOT_HERE = "the robot in this folder"
 LONG_BASES = ("valve", "scan")  # slow: the short version has few edits of them

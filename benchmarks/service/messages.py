@@ -23,7 +23,7 @@ from benchmarks.service.servers import Server, started
 from service.client.errors import ANSWER_LOST
 from service.errors import RequestError, UnplannedTaskError
 from service.proto.planner.v1 import planner_pb2 as wire
-from service.request.schema import check_planned
+from service.request.schema import check_task_has_planner
 from service.wire.requests import request_from_message
 from service.wire.unknown import unknown_fields
 
@@ -192,7 +192,7 @@ def _is_plan_invalid(message: wire.PlanRequest) -> bool | None:
     if not message.HasField("request"):
         return True
     try:
-        check_planned(request_from_message(message.request))
+        check_task_has_planner(request_from_message(message.request))
     except UnplannedTaskError:
         return None
     except RequestError:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from costs.stopping import poll
 from perception.cleaning.clean import row_keys
+from perception.convex.hulls import Hull
 
 _END_MARGIN = 0.05
 _MAX_CELLS = 40_000_000
@@ -64,26 +65,24 @@ class FreeSpace:
         _clear_beside(surface, self.lower, self.size, free)
         return FreeSpace(self.lower, self.size, free)
 
-    def count_inside(
-        self, faces: Float[np.ndarray, "F 4"], corners: Float[np.ndarray, "V 3"], margin: float, most: int | None = None
-    ) -> int:
-        """How many free cell centres lie deeper than ``margin`` behind all faces.
+    def count_inside(self, hull: Hull, most: int | None = None, margin: float | None = None) -> int:
+        """Count the free cell centres that lie deeper than ``margin`` in a hull.
 
         Args:
-            faces: half-spaces ``a . x + b <= 0``.
-            corners: of the body.
-            margin: [m].
+            hull: with its faces.
             most: the count may end as soon as it is above this.
+            margin: a quarter of a cell unless given [m].
         """
         poll()
-        cells = self.cells_in(corners.min(axis=0), corners.max(axis=0))
+        margin = 0.25 * self.size if margin is None else margin
+        cells = self.cells_in(hull.lower, hull.upper)
         count = 0
         # A body that holds many free cells shows it in any few of them.
         n_parts = -(-len(cells) // _CHUNK)
         for part in range(n_parts):
             inside = cells[part::n_parts]
-            for first in range(0, len(faces), _FACES):
-                some = faces[first : first + _FACES]
+            for first in range(0, len(hull.faces), _FACES):
+                some = hull.faces[first : first + _FACES]
                 inside = inside[(some[:, :3] @ inside.T <= -margin - some[:, 3:]).all(axis=0)]
             count += len(inside)
             if most is not None and count > most:

@@ -10,19 +10,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece
-from perception.convex.attach import attached
 from perception.convex.clock import Clock
 from perception.convex.coarse import Coarse, Groups, coarsened
-from perception.convex.evidence import evidence_of
 from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.hulls import SKIN, Hull, hull_of, limited, thickened
-from perception.convex.piece import Piece
+from perception.convex.piece import Piece, evidence_of
 from perception.convex.planes import Plane, PlaneSettings, find_planes
-from perception.convex.refine import refined
-from perception.convex.slabs import FRONT, Slab, slabs_of
-from perception.convex.smooth import smoothed
-from perception.convex.spacing import spacing_of
-from perception.convex.split import clusters, merge, split
+from perception.convex.slabs import FRONT, Slab, attached, slabs_of
+from perception.convex.smooth import smoothed, spacing_of
+from perception.convex.split import clusters, merge, refined, split
 
 VOXEL = 0.015
 _CELL = 0.02
@@ -172,13 +168,9 @@ def _skinned(hull: Hull, apart: Float[np.ndarray, "N"], free: FreeSpace) -> Floa
     skin = min(_SKIN_OF_SPACING * float(np.median(apart[hull.members])), _MOST_SKIN)
     if skin > SKIN:
         thick = hull_of(thickened(hull.vertices, skin), hull.members)
-        if _free_cells(thick, free) <= _free_cells(skinned, free):
+        if free.count_inside(thick) <= free.count_inside(skinned):
             skinned = thick
     return limited(skinned.vertices)
-
-
-def _free_cells(hull: Hull, free: FreeSpace) -> int:
-    return free.count_inside(hull.faces, hull.vertices, 0.25 * free.size)
 
 
 def _kind_of(plane: Plane, slab: Slab) -> str:

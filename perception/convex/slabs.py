@@ -1,7 +1,8 @@
-"""Flat regions to convex slabs: the region's outline is cut so that no slab covers an opening a ray went through."""
+"""Flat regions to convex slabs: outlines are cut so that no slab covers an opening, and take in hulls beside them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from costs.stopping import poll
 from perception.convex.freespace import FreeSpace
+from perception.convex.hulls import Hull, hull_of
 from perception.convex.planes import Plane
 
 _CELL = 0.02
@@ -23,6 +25,10 @@ _WORTHWHILE = 0.05
 _NOISE = 0.001
 _MOST_CORNERS = 32
 _BESIDE = 0.06
+# Three times the range noise of a usual lidar.
+_IN_PLANE = 0.03
+_ASIDE = 0.12
+_FEW = 1
 
 
 @dataclass(frozen=True)
@@ -287,3 +293,44 @@ def _coarser(corners: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "M 2"
 
 def _cross(a: Float[np.ndarray, "K 2"], b: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "K"]:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def attached(
+    slabs: Sequence[tuple[Plane, Slab]], hulls: Sequence[Hull], free: FreeSpace
+) -> tuple[list[tuple[Plane, Slab]], list[Hull]]:
+    """The slabs with the hulls that became part of them, and the hulls that did not.
+
+    Where scan lines lie far apart, the ends of a surface are too few points to be found as part of its plane.  A hull
+    joins when it lies in a slab's plane, at most 12 cm beside it, and the slab of both holds no more seen-free space
+    than the slab did; of several slabs the one that grows least takes it.
+
+    Args:
+        slabs: with their planes.
+        hulls: of what no plane explains, without skin.
+        free: what was seen free.
+    """
+    grown, left = list(slabs), []
+    free_before = [_free_cells(slab, free) for _, slab in slabs]
+    lower = np.array([slab.vertices.min(axis=0) for _, slab in slabs]).reshape(-1, 3)
+    upper = np.array([slab.vertices.max(axis=0) for _, slab in slabs]).reshape(-1, 3)
+    for hull in sorted(hulls, key=lambda one: one.volume):
+        options = []
+        is_beside = (hull.lower <= upper + _ASIDE).all(axis=1) & (hull.upper >= lower - _ASIDE).all(axis=1)
+        for i in map(int, np.flatnonzero(is_beside)):
+            plane, slab = grown[i]
+            if np.abs(hull.vertices @ plane.normal - plane.offset).max() > _IN_PLANE:
+                continue
+            joint = joined(plane, slab, hull.vertices @ plane.basis.T)
+            if _free_cells(joint, free) <= free_before[i] + _FEW:
+                options.append((joint.area - slab.area, i, joint))
+        if options:
+            _, i, joint = min(options, key=lambda option: option[:2])
+            grown[i] = grown[i][0], joint
+            lower[i], upper[i] = joint.vertices.min(axis=0), joint.vertices.max(axis=0)
+        else:
+            left.append(hull)
+    return grown, left
+
+
+def _free_cells(slab: Slab, free: FreeSpace) -> int:
+    return free.count_inside(hull_of(slab.vertices, np.zeros(0, dtype=np.int64)).simplified)

@@ -1,16 +1,16 @@
-"""Points moved along their own rays to where the rays beside them ended: range noise averaged out."""
+"""Points of a surface and those beside them: range noise averaged out, and how far apart they lie."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
 from perception.cleaning.beside import STARTS_APART, depth_noise
 from perception.cleaning.clean import row_keys
 from perception.cleaning.neighbours import nearest
-from perception.convex.nearby import nearby
 
 _NEIGHBOURS = 24
 # Neighbours are looked for in a body that is so many times as long along the ray as it is wide.
@@ -20,6 +20,10 @@ _FAR_ASIDE = 0.02
 _AHEAD = 1.5
 _APART = 1e3
 _RIDGE = 0.003
+_FOURTH = 4
+_MOST_OF_RANGE = 0.025
+_MOST_CELLS = 4_000_000
+_MANY = 0.5
 
 
 def smoothed(
@@ -94,3 +98,47 @@ def _beside(
     k = np.arange(1, min(_NEIGHBOURS, len(along)) + 1)
     tree = cKDTree(places, balanced_tree=False, compact_nodes=False)
     return nearest(tree, places[chosen], k, within=0.5 * _APART)[1]
+
+
+def spacing_of(
+    points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"]
+) -> Float[np.ndarray, "C"]:
+    """Distance of each chosen point to its fourth nearest, at most 2.5 % of its range: what is farther is alone [m].
+
+    Args:
+        points: (N, 3) [m].
+        starts: (N, 3) where their rays started [m].
+        chosen: which are asked about.
+    """
+    if len(points) <= _FOURTH:
+        return np.zeros(len(chosen))
+    mine = points[chosen]
+    most = _MOST_OF_RANGE * np.linalg.norm(mine - starts[chosen], axis=1)
+    near = points[nearby(points, chosen, float(most.max(initial=0.0)) + 1e-6)]
+    tree = cKDTree(near, balanced_tree=False, compact_nodes=False)
+    fourth = nearest(tree, mine, [_FOURTH + 1])[0][:, 0]
+    return np.asarray(np.minimum(fourth, most))
+
+
+def nearby(points: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"], reach: float) -> Int[np.ndarray, "K"]:
+    """Indices, ascending, of points among which are all that lie at most ``reach`` [m] from any of the chosen ones.
+
+    All points are told where it would not pay to look closer.
+    """
+    if not len(chosen) or len(chosen) > _MANY * len(points):
+        return np.arange(len(points))
+    lower, upper = points[chosen].min(axis=0), points[chosen].max(axis=0)
+    shape = np.floor((upper - lower) / reach).astype(np.int64) + 5
+    if np.prod(shape.astype(float)) > _MOST_CELLS:
+        return np.arange(len(points))
+    # The outermost cells to each side take in all that lies beyond, and are nobody's neighbours.
+    cells = [
+        (np.floor((column - low) / reach) + 2.0).clip(0, n - 1).astype(np.int64)
+        for column, low, n in zip(points.T, lower, shape, strict=True)
+    ]
+    cell = (cells[0] * shape[1] + cells[1]) * shape[2] + cells[2]
+    picture = np.zeros(shape, dtype=np.uint8)
+    picture.reshape(-1)[cell[chosen]] = 1
+    for axis in range(3):
+        picture = ndimage.maximum_filter1d(picture, 3, axis=axis, mode="constant")
+    return np.flatnonzero(picture.reshape(-1)[cell])

@@ -1,4 +1,4 @@
-"""Points to convex hulls: split while a hull holds space that was seen free, then merge neighbours that need not be."""
+"""Points to convex hulls: split while a hull holds space that was seen free, then merged while they do not."""
 
 from __future__ import annotations
 
@@ -8,17 +8,24 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import sparse
+from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
 from perception.cleaning.neighbours import nearest
-from perception.convex.freespace import FreeSpace
-from perception.convex.hulls import Hull, hull_of, thickened
+from perception.convex.freespace import FreeSpace, carve
+from perception.convex.hulls import SKIN, Hull, hull_of, thickened
+from perception.convex.towards import Sheaf
 
 _SMALLEST = 0.03
 _NEIGHBOURS = 10
 _MOST_FREE_CELLS = 2
 _PROBES = 12
+_CELL = 0.01
+_CLOSE = 2
+_AROUND = 0.03
+_FEW = 3
+# Smaller hulls are as small as noise and skin make them, and so much seen-free space is noise [m^3].
+_LEAST_VOLUME = 5e-5
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,7 @@ class Allowance:
 
 
 _DEFAULT = Allowance()
+_REFINED = Allowance(share=0.03, skin=SKIN)
 
 
 def clusters(
@@ -80,13 +88,13 @@ def is_free_of(hull: Hull, free: FreeSpace, allowed: Allowance = _DEFAULT) -> bo
     if allowed.skin > 0.0:
         hull = hull_of(thickened(hull.vertices, allowed.skin), hull.members)
     most = int(min(allowed.volume, allowed.share * hull.volume) / free.size**3 + 1e-6)
-    return free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, most) <= most
+    return free.count_inside(hull, most) <= most
 
 
 def _may_be_free(hull: Hull, free: FreeSpace, allowed: Allowance) -> bool:
     """What ``is_free_of`` cannot say of a hull of which this is not so; without a skin, which takes longer to make."""
     most = int(allowed.volume / free.size**3 + 1e-6)
-    return free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, most) <= most
+    return free.count_inside(hull, most) <= most
 
 
 def _cut(points: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
@@ -186,3 +194,85 @@ def _is_open_between(one: Hull, other: Hull, free: FreeSpace) -> bool:
         return False
     cells = np.floor((hits - free.lower) / free.size).astype(np.int64)
     return len(np.unique(np.ravel_multi_index(tuple(cells.T), free.free.shape))) > _MOST_FREE_CELLS
+
+
+def refined(
+    hulls: Sequence[Hull],
+    points: Float[np.ndarray, "N 3"],
+    surface: Float[np.ndarray, "M 3"],
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    gap: float,
+) -> list[Hull]:
+    """The hulls, those that with a skin hold seen-free space more than 2 cm from any point split until they do not.
+
+    The points of a single scan line round a corner span no volume, but with a skin their hull is a sheet through the
+    air before them.
+
+    Args:
+        hulls: of some of the points.
+        points: (N, 3) that their members index [m].
+        surface: (M, 3) all points that surfaces stand for [m].
+        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays [m].
+        gap: parts whose boxes are farther apart are not joined again [m].
+    """
+    is_large = [hull_of(thickened(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]
+    passing = _Passing.of(*rays, sum(is_large))
+    done: list[Hull] = []
+    for hull, is_asked in zip(hulls, is_large, strict=True):
+        if not is_asked:
+            done.append(hull)
+            continue
+        lower = _CELL * np.floor((hull.lower - _AROUND) / _CELL)
+        fine = _seen_free(passing, surface, lower, hull.upper + _AROUND)
+        if is_free_of(hull, fine, _REFINED):
+            done.append(hull)
+        else:
+            done += merge(split(points, hull.members, fine, _REFINED), fine, gap, _REFINED)
+    return done
+
+
+def _seen_free(
+    passing: _Passing, surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
+) -> FreeSpace:
+    """Cells in a box that rays passed, more than about 2 cm from any surface."""
+    near = passing.near(lower, upper)
+    inside = surface
+    for axis in range(3):
+        inside = inside[(inside[:, axis] >= lower[axis]) & (inside[:, axis] <= upper[axis])]
+    free = carve(passing.starts[near], passing.ends[near], inside, lower, upper, _CELL)
+    held = np.zeros(free.free.shape, dtype=bool)
+    cells = np.floor((inside - lower) / free.size).astype(int)
+    held[tuple(cells[(cells < held.shape).all(axis=1)].T)] = True
+    return FreeSpace(free.lower, free.size, free.free & ~ndimage.binary_dilation(held, iterations=_CLOSE))
+
+
+@dataclass(frozen=True)
+class _Passing:
+    """Rays, to be asked which pass a place.
+
+    Attributes:
+        starts, ends: (R, 3) [m].
+        sheaf: the same, if all start in one place and many are asked for.
+    """
+
+    starts: Float[np.ndarray, "R 3"]
+    ends: Float[np.ndarray, "R 3"]
+    sheaf: Sheaf | None
+
+    @classmethod
+    def of(cls, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], n_asked: int) -> _Passing:
+        """To be asked so often."""
+        sheaf = Sheaf.of(starts, ends) if starts.ndim == 1 and n_asked > _FEW else None
+        return cls(np.broadcast_to(starts, ends.shape), ends, sheaf)
+
+    def near(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
+        """Rays that pass the ball about a box."""
+        centre, radius = 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
+        asked = slice(None) if self.sheaf is None else self.sheaf.about(centre, radius)
+        starts, along = self.starts[asked], self.ends[asked] - self.starts[asked]
+        length = np.maximum(np.sqrt(np.einsum("ij,ij->i", along, along)), 1e-9)
+        along /= length[:, None]
+        ahead = np.einsum("ij,ij->i", centre - starts, along).clip(0.0, length)
+        apart = starts + ahead[:, None] * along - centre
+        near = np.flatnonzero(np.einsum("ij,ij->i", apart, apart) <= radius**2 + 1e-9)
+        return near if isinstance(asked, slice) else asked[near]

@@ -70,7 +70,7 @@ class Standing:
         hidden = []
         for i, (piece, held) in enumerate(zip(self.pieces, self.held, strict=True)):
             most = max(_grazed(piece, passed), int(_CELLS_OF_POINT * len(held)))
-            if passed.count_inside(piece.hull.faces, piece.hull.vertices, 0.25 * passed.size, most) > most:
+            if passed.count_inside(piece.hull, most) > most:
                 hidden.append(i)
         return hidden
 
@@ -129,9 +129,9 @@ def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> 
         n_cells = hull.volume / free.size**3
         grazed = _grazed(piece, free)
         deep = max(_DEEP_CELLS, int(_DEEP_SHARE * n_cells))
-        count = free.count_inside(hull.faces, hull.vertices, 0.25 * free.size, grazed)
+        count = free.count_inside(hull, grazed)
         # What is deep inside is among what was counted.
-        if count <= grazed and (count <= deep or free.count_inside(hull.faces, hull.vertices, _DEEP, deep) <= deep):
+        if count <= grazed and (count <= deep or free.count_inside(hull, deep, _DEEP) <= deep):
             held = _held(hull, coarse)
             if len(held) or not _is_passed(hull, free, grazed):
                 standing.pieces.append(piece)
@@ -150,7 +150,7 @@ def _is_passed(hull: Hull, free: FreeSpace, grazed: int) -> bool:
     heights = hull.faces[:, :3] @ hull.vertices.T
     thickness = float(np.ptp(heights, axis=1).min())
     margin = 0.25 * free.size * float(np.clip(thickness / free.size - 1.0, 0.0, 1.0))
-    if free.count_inside(hull.faces, hull.vertices, margin, grazed) > grazed:
+    if free.count_inside(hull, grazed, margin) > grazed:
         return True
     return bool(free.contains(_within(hull)).mean() > _FREE_WITHIN)
 

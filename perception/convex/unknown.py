@@ -155,7 +155,7 @@ def _inflated(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hu
     faces = np.column_stack([np.array(normals), -np.array(offsets)])
     corners = HalfspaceIntersection(faces, np.zeros(3)).intersections
     body = hull_of(centre + half * corners, box.members)
-    is_fit = len(body.vertices) <= MAX_VERTICES and seen.count_inside(body.faces, body.vertices, 0.0, 0) == 0
+    is_fit = len(body.vertices) <= MAX_VERTICES and seen.count_inside(body, 0, margin=0.0) == 0
     return body if is_fit else box
 
 

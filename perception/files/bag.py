@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from perception.errors import CloudError
-from perception.files.columns import missing_coordinate, places, scan_of, shown
-from perception.files.scan import Scan
+from perception.files.scan import Scan, missing_coordinate, places, scan_of, shown
 from perception.limits import MAX_POINTS
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ import numpy as np
 
 from perception.errors import CloudError
 from perception.files import lzf
-from perception.files.columns import NO_RETURN, missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
 from perception.files.content import Content
-from perception.files.scan import Scan
+from perception.files.scan import NO_RETURN, Scan, missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
 from perception.files.text import read_rows, with_line_feeds
 from perception.files.thinning import step_of, taken, thinning_note
 from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES

@@ -1,21 +1,182 @@
-"""Units and poses: a file's numbers to metres in the frame that is asked for."""
+"""Scans placed in the world: unit, viewpoint and transform, and what rows show of how a file was made."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from perception.cloud import Cloud, make_cloud
 from perception.errors import CloudError
-from perception.limits import LARGEST_COORDINATE
+from perception.files.scan import Scan
+from perception.limits import LARGEST_COORDINATE, MAX_INVALID_FRACTION
 
+# No ray is that long.
+_MAP_DISTANCE = 1_000.0
+# No coordinate is that large in any unit; drivers write such numbers, or infinity, where there was no return.
+# Rounding that hides what a robot must not touch.
+_COARSE_M = 0.001
+_SAMPLE = 10_000
 METRES_BY_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _RIGID_TOLERANCE = 1e-4
 _LARGEST_ANGLE = 2.0 * np.pi + 1e-3
 
 Pose = Float[np.ndarray, "4 4"] | Sequence[float] | Sequence[Sequence[float]]
+
+
+def place_scan(
+    scan: Scan,
+    name: str,
+    unit: str,
+    transform: Pose | None,
+    apply_viewpoint: bool,
+    sensor: Sequence[float] | None,
+) -> Cloud:
+    """One file's cloud in metres in the frame that is asked for."""
+    scale = metres_per(unit)
+    pose = np.eye(4) if transform is None else rigid_pose(transform)
+    scan = without_empty_rows(scan, name)
+    notes = (*scan.notes, *rounding_note(scan.points, scale))
+    if scan.unit and scan.unit != unit:
+        notes = (f"its header says {scan.unit}, but it was read as {unit}: give the unit {scan.unit}", *notes)
+    viewpoint = np.eye(4)
+    if scan.viewpoint is not None:
+        viewpoint = pose_of_viewpoint(scan.viewpoint)
+        viewpoint[:3, 3] *= scale
+    elif apply_viewpoint:
+        raise CloudError(f"{name}: gives no viewpoint to apply; add one, or leave the points as they are")
+    if transform is None and not apply_viewpoint:
+        notes = (*notes, *_frame_hint(scale * scan.points, viewpoint))
+    pose_world_rows = pose @ viewpoint if apply_viewpoint else pose
+    points = moved(pose_world_rows, scan.points, scale)
+    # Writers that know no sensor leave the identity for a viewpoint.
+    is_told = scan.starts is not None or not np.array_equal(viewpoint, np.eye(4))
+    if is_told and sensor is not None:
+        notes = (*notes, "the file says where its rays started; the sensor's position that is given is not used")
+    if scan.starts is not None:
+        origin = moved(pose_world_rows, scan.starts, scale)
+    elif is_told:
+        origin = moved(pose, viewpoint[:3, 3])
+    else:
+        origin, more = _unknown_sensor(points, pose[:3, 3], sensor)
+        if scan.viewpoint is None or not np.array_equal(origin, pose[:3, 3]):
+            notes = (*notes, *more)
+    return make_cloud(
+        points,
+        origin,
+        notes,
+        name,
+        misses=moved(pose_world_rows, scan.misses, scale),
+        miss_origin=None if scan.miss_starts is None else moved(pose_world_rows, scan.miss_starts, scale),
+    )
+
+
+def _unknown_sensor(
+    points: Float[np.ndarray, "N 3"], zero: Float[np.ndarray, "3"], sensor: Sequence[float] | None
+) -> tuple[Float[np.ndarray, "3"], tuple[str, ...]]:
+    """Where rays are taken to start when the file does not say, and what to tell about it.
+
+    Args:
+        points: in the world [m].
+        zero: the file's zero in the world [m].
+        sensor: what the user says [m].
+    """
+    if sensor is not None:
+        position = np.asarray(sensor, dtype=np.float64)
+        if position.shape != (3,) or not (np.abs(position) <= LARGEST_COORDINATE).all():
+            raise CloudError(
+                f"sensor {list(sensor)} is no position; three numbers, at most {LARGEST_COORDINATE:g} m, are needed"
+            )
+        return position, ()
+    valid = points[np.isfinite(points).all(axis=1)]
+    distance = float(np.linalg.norm(np.median(valid, axis=0) - zero)) if len(valid) else 0.0
+    if distance > _MAP_DISTANCE and np.any(zero):
+        note = (
+            f"the file gives no sensor position, and its zero lies {distance:.0f} m away; "
+            "rays are taken to start at the world's (0, 0, 0), give the sensor's position"
+        )
+        return np.zeros(3), (note,)
+    where = ", ".join(f"{value:g}" for value in np.round(zero, 3) + 0.0)
+    return zero, (f"the file gives no sensor position; rays are taken to start at ({where}), give it if they did not",)
+
+
+def _frame_hint(points: Float[np.ndarray, "N 3"], viewpoint: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:
+    """A hint when the points would lie flatter (a floor shows) if the viewpoint were applied to them."""
+    if np.allclose(viewpoint, np.eye(4), atol=1e-6):
+        return ()
+    sample = points[np.isfinite(points).all(axis=1)][:: max(1, len(points) // 20_000)]
+    if not len(sample):
+        return ()
+    if _flatness(moved(viewpoint, sample)[:, 2]) > 1.5 * _flatness(sample[:, 2]):
+        return ("looks sensor-framed: a floor shows only after the viewpoint is applied to the points; ask for that",)
+    return ()
+
+
+def _flatness(heights: Float[np.ndarray, "N"]) -> float:
+    """Share of points in the fullest 4 cm layer of height."""
+    layers = np.floor((heights - heights.min()) / 0.04)
+    _, counts = np.unique(layers, return_counts=True)
+    return float(counts.max() / len(heights))
+
+
+def without_empty_rows(scan: Scan, name: str) -> Scan:
+    """Rows that cannot be points are NaN afterwards; those that are exactly 0 0 0, a driver's no-return, are dropped.
+
+    A single one may be a point by chance; a scan never meets the same place twice to the last digit.
+
+    Raises:
+        CloudError: all are 0 0 0, or nearly all too large to be places.
+    """
+    points = _bounded(scan.points)
+    n_beyond = int((np.isfinite(scan.points).all(axis=1) & ~np.isfinite(points).all(axis=1)).sum())
+    if n_beyond > MAX_INVALID_FRACTION * len(points):
+        raise CloudError(
+            f"{name}: {n_beyond} of {len(points)} points lie beyond {LARGEST_COORDINATE:g}; are x, y, z other columns, "
+            "or its bytes in another order?"
+        )
+    scan = replace(
+        scan,
+        points=points,
+        misses=_bounded(scan.misses),
+        starts=None if scan.starts is None else _bounded(scan.starts),
+        miss_starts=None if scan.miss_starts is None else _bounded(scan.miss_starts),
+    )
+    zero: Bool[np.ndarray, "N"] = (points == 0.0).all(axis=1)
+    n_zero = int(zero.sum())
+    if n_zero < 2:
+        return scan
+    if n_zero == len(points):
+        raise CloudError(f"{name}: all {n_zero} points are 0 0 0; coordinates are needed")
+    starts = scan.starts if scan.starts is None or scan.starts.ndim == 1 else scan.starts[~zero]
+    note = f"dropped {n_zero} points of {len(points)} that are exactly 0 0 0, as drivers write where nothing came back"
+    return replace(scan, points=points[~zero], starts=starts, notes=(*scan.notes, note))
+
+
+def _bounded(rows: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    return np.where(np.abs(rows) <= LARGEST_COORDINATE, rows, np.nan)
+
+
+def rounding_note(points: Float[np.ndarray, "N 3"], metres: float) -> tuple[str, ...]:
+    """Tell coordinates so far from zero that float32, in which they all are, rounds them coarsely.
+
+    Args:
+        points: as they stand in the file.
+        metres: length of the file's unit [m].
+    """
+    sample = points[:: max(1, len(points) // _SAMPLE)]
+    sample = sample[np.isfinite(sample).all(axis=1)]
+    if not len(sample) or not np.array_equal(sample, sample.astype(np.float32)):
+        return ()
+    step = metres * float(np.spacing(np.abs(sample).max().astype(np.float32)))
+    if step < _COARSE_M:
+        return ()
+    return (
+        f"coordinates this far from zero are rounded to {step:.2g} m in float32, in which the file holds them; "
+        "export it as double, or relative to a near place",
+    )
 
 
 def metres_per(unit: str) -> float:

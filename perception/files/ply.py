@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from perception.errors import CloudError
-from perception.files.columns import missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
 from perception.files.content import Content
-from perception.files.scan import Scan
+from perception.files.scan import Scan, missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
 from perception.files.text import Rows, read_rows, with_line_feeds
 from perception.files.thinning import step_of, taken, thinning_note
 from perception.limits import MAX_FILE_POINTS

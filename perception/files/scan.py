@@ -1,14 +1,25 @@
-"""What a file's reader hands over: rows as they stand in the file, in its unit and frame."""
+"""Scan of a file: the rows as they stand in it, the columns they may have, and quotes of it in errors."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from perception.errors import CloudError
+from perception.limits import LARGEST_COORDINATE
+
 if TYPE_CHECKING:  # the process that parses files is quicker to start without it
-    from jaxtyping import Float
+    from jaxtyping import Float, Shaped
+
+COORDINATES = ("x", "y", "z")
+STARTS = ("vp_x", "vp_y", "vp_z")
+NO_RETURN = "no_return"
+_UNREADABLE = re.compile("\ufffd+")
+_KNOWN = (*COORDINATES, *STARTS, NO_RETURN)
 
 
 @dataclass(frozen=True)
@@ -32,3 +43,78 @@ class Scan:
     miss_starts: Float[np.ndarray, "M 3"] | None = None
     notes: tuple[str, ...] = ()
     unit: str = ""
+
+
+def places(names: Sequence[str]) -> dict[str, int]:
+    """Where the columns we read stand among ``names``, case aside; the first of each name counts."""
+    lowered = [name.lower() for name in names]
+    return {name: lowered.index(name) for name in _KNOWN if name in lowered}
+
+
+def missing_coordinate(found: Mapping[str, int]) -> str:
+    """The first of x, y, z that is not there; empty when all are."""
+    return next((axis for axis in COORDINATES if axis not in found), "")
+
+
+def scan_of(
+    columns: Mapping[str, Shaped[np.ndarray, "N"]], viewpoint: tuple[float, ...] | None, notes: tuple[str, ...] = ()
+) -> Scan:
+    """Rows to a scan.
+
+    Args:
+        columns: x, y, z; ``vp_x``, ``vp_y``, ``vp_z``: where each ray started; ``no_return``: other than 0 where the
+            row is no point but a place up to which the ray met nothing.
+        viewpoint: x y z qw qx qy qz.
+        notes: sentences a user should read.
+    """
+    rows = _stacked(columns, COORDINATES)
+    starts = _stacked(columns, STARTS) if all(name in columns for name in STARTS) else None
+    if NO_RETURN not in columns:
+        return Scan(rows, viewpoint, starts=starts, notes=notes)
+    missed = np.nan_to_num(columns[NO_RETURN].astype(np.float64)) != 0.0
+    return Scan(
+        rows[~missed],
+        viewpoint,
+        rows[missed],
+        None if starts is None else starts[~missed],
+        None if starts is None else starts[missed],
+        notes,
+    )
+
+
+def parse_viewpoint(words: Sequence[str], name: str) -> tuple[float, ...]:
+    """``x y z`` or ``x y z qw qx qy qz`` as seven numbers.
+
+    Raises:
+        CloudError: they are not such numbers.
+    """
+    try:
+        numbers = tuple(float(word) for word in words)
+    except ValueError:
+        numbers = ()
+    if len(numbers) == 3:
+        numbers = (*numbers, 1.0, 0.0, 0.0, 0.0)
+    if len(numbers) != 7 or not np.abs(numbers).max() <= LARGEST_COORDINATE or np.linalg.norm(numbers[3:]) < 1e-6:
+        raise CloudError(
+            f"{name}: viewpoint '{shown(' '.join(words))}' is not x y z, or x y z and a quaternion w x y z"
+        )
+    return numbers
+
+
+def natural(word: str) -> int | None:
+    """A whole number of at least 0 in decimal digits; None when it is none, or beyond all that a file can hold."""
+    return int(word) if word.isdecimal() and word.isascii() and len(word) <= 15 else None
+
+
+def shown(text: str) -> str:
+    """A piece of a file as an error may quote it: short, on one line, printable."""
+    clean = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
+    clean = _UNREADABLE.sub("?", clean)
+    return clean if len(clean) <= 80 else f"{clean[:77]}..."
+
+
+def _stacked(columns: Mapping[str, Shaped[np.ndarray, "N"]], names: Sequence[str]) -> Float[np.ndarray, "N 3"]:
+    rows = np.empty((len(columns[names[0]]), len(names)))
+    for i, name in enumerate(names):
+        rows[:, i] = columns[name]
+    return rows

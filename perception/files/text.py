@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from perception.errors import CloudError
-from perception.files.columns import natural, shown
 from perception.files.content import Content
+from perception.files.scan import natural, shown
 from perception.files.thinning import row_of, step_of, taken, thinning_note
 from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
 

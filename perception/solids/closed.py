@@ -15,7 +15,6 @@ from perception.solids.mesh import Mesh
 MAX_TRIANGLES = 500_000
 _WELD = 1e-6  # of the mesh's size
 _SMALL_HOLE = 0.15  # of the part's size
-_NO_VOLUME = 1e-6  # of the cube of the part's size
 
 
 @dataclass(frozen=True)

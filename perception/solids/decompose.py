@@ -14,12 +14,12 @@ from scipy.spatial import ConvexHull, QhullError
 
 from perception.convex.hulls import MAX_VERTICES, limited
 from perception.errors import MeshError
+from perception.sandbox import ProcessLimits
 from perception.solids.cache import Parts, PartsCache
 from perception.solids.closed import Solid
 from perception.solids.mesh import Mesh
-from perception.solids.process import Limits, run_coacd
-from perception.solids.simplify import simplified
-from perception.solids.voxels import shell_of
+from perception.solids.process import COACD_LIMITS, run_coacd
+from perception.solids.voxels import shell_of, simplified
 
 CONVEX_SHARE = 0.98  # a closed mesh that fills its hull to this share is convex
 ENOUGH_TRIANGLES = 1500  # of a part; more cost time and show nothing at these thresholds
@@ -69,7 +69,7 @@ class Work:
     """
 
     cache: PartsCache | None = field(default_factory=PartsCache.of_user)
-    limits: Limits = field(default_factory=Limits)
+    limits: ProcessLimits = COACD_LIMITS
 
 
 def convex_parts(

@@ -1,4 +1,4 @@
-"""A mesh moved onto points: point-to-plane ICP with Tukey's weights, on the sides that face the sensor."""
+"""Triangles moved onto points: point-to-plane ICP on the sides of a mesh that face the sensor."""
 
 from __future__ import annotations
 
@@ -6,16 +6,48 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from perception.solids.surface import Surface
+from perception.solids.mesh import Mesh
 
 _FACING = 0.05  # cosine
 _FEWEST = 12
 _MOST_TURN = 0.3  # [rad] in one step
 _DAMPING = 1e-3
 _LEAST_SIZE = 1e-3  # of what points are held against [m]
+
+
+class Surface:
+    """Triangles prepared for many questions, in the mesh's own frame."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        # open3d takes 0.7 s to import; only those who match pay for it.
+        import open3d as o3d
+
+        self._tensor = o3d.core.Tensor.from_numpy
+        self._scene = o3d.t.geometry.RaycastingScene()
+        triangles = self._tensor(mesh.triangles.astype(np.uint32))
+        self._scene.add_triangles(self._tensor(mesh.vertices.astype(np.float32)), triangles)
+
+    def nearest(self, points: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
+        """The nearest place on the mesh for each point, and the unit outward normal there."""
+        answer = self._scene.compute_closest_points(self._tensor(points.astype(np.float32)))
+        return _array(answer["points"]), _array(answer["primitive_normals"])
+
+    def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+        """Which points are inside of the mesh, which must be closed; three rays vote where one may hit an edge."""
+        asked = self._tensor(points.astype(np.float32))
+        return np.asarray(_array(self._scene.compute_occupancy(asked, nsamples=3)) > 0.5)
+
+    def hits(self, starts: Float[np.ndarray, "R 3"], direction: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R"]:
+        """Distance to where each ray of unit direction first meets the mesh [m]; infinite where it does not."""
+        rays = np.concatenate([starts, direction], axis=1).astype(np.float32)
+        return _array(self._scene.cast_rays(self._tensor(rays))["t_hit"])
+
+
+def _array(tensor: object) -> np.ndarray:
+    return np.asarray(tensor.numpy(), dtype=np.float64)  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)

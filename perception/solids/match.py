@@ -9,16 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from perception.convex.coarse import coarsened
-from perception.convex.pieces import VOXEL
-from perception.convex.planes import find_planes
 from perception.convex.split import clusters
 from perception.errors import MeshError
-from perception.sightlines import SightIndex, Sightlines, sight_index
+from perception.sightlines import sight_index
 from perception.solids.closed import Solid, solid_of
-from perception.solids.fit import Pose, Region, fitted
+from perception.solids.fit import Pose, Region, Surface, fitted
+from perception.solids.judge import MIN_AGREEING, Judge, find_wide_planes, lie_on_planes, make_judge
 from perception.solids.mesh import Mesh
-from perception.solids.surface import Surface
 from perception.view import View
 
 CONFIDENT = 0.5
@@ -31,9 +28,6 @@ _N_NUDGED = 3
 _NUDGES = (0.04, 0.025, 0.015)  # [m], and five times as many radians
 _NUDGE_POINTS = 1000
 _NUDGE_GATES = np.concatenate([np.linspace(0.05, 0.025, 5), np.full(5, 0.025)])
-_MIN_AGREEING = 30
-_PLANE_BAND = 0.025
-_TOLERANCE = (0.012, 0.03)
 _DIFFERENT_DEG, _DIFFERENT_M = 20.0, 0.05
 
 
@@ -78,6 +72,37 @@ class MeshMatch:
         return explained
 
 
+@dataclass(frozen=True)
+class KnownMesh:
+    """An object of known shape, and what is known of where it stands.
+
+    Attributes:
+        name: what to call it.
+        solid: its shape in its own frame [m].
+        pose_world_mesh: (4, 4), right within 20 degrees and 15 cm unless it ``is_placed``; None: to be found.
+        hint: (3,) a point on or near it, where there is no pose; None: it is looked for everywhere [m].
+        is_placed: whether it stands exactly at its pose, whatever the scan shows.
+    """
+
+    name: str
+    solid: Solid
+    pose_world_mesh: Float[np.ndarray, "4 4"] | None = None
+    hint: Float[np.ndarray, "3"] | None = None
+    is_placed: bool = False
+
+
+def located(known: KnownMesh, view: View) -> MeshMatch:
+    """Where it stands in the scan and how surely; one that is placed stays, and the scan only says how well it agrees.
+
+    Args:
+        known: the object.
+        view: the scan, made ready.
+    """
+    if known.is_placed and known.pose_world_mesh is not None:
+        return judged(known.solid, view, known.pose_world_mesh)
+    return match_mesh(known.solid, view, hint=known.hint, initial=known.pose_world_mesh)
+
+
 def match_mesh(
     mesh: Mesh | Solid,
     view: View,
@@ -101,11 +126,11 @@ def match_mesh(
     solid = mesh if isinstance(mesh, Solid) else solid_of(mesh)
     surface, centre, radius = _asked(solid)
     index = sight_index(view.cloud)
-    candidates: list[tuple[float, Pose, _Judge]] = []
+    candidates: list[tuple[float, Pose, Judge]] = []
     for place in _places(view, radius, centre, hint, initial):
-        judge = _judge(surface, index, view, place, radius)
+        judge = make_judge(surface, index, view, place, radius)
         region = judge.region
-        if len(region.points) < _MIN_AGREEING:
+        if len(region.points) < MIN_AGREEING:
             continue
         starts = _starts(place, centre, radius, region, initial)
         candidates += [(score, pose, judge) for score, pose in _searched(surface, judge, region, starts, radius)]
@@ -128,7 +153,7 @@ def judged(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4 4"]) 
     """
     surface, centre, radius = _asked(solid)
     pose = Pose(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
-    judge = _judge(surface, sight_index(view.cloud), view, pose.of(centre), radius)
+    judge = make_judge(surface, sight_index(view.cloud), view, pose.of(centre), radius)
     found = _match(pose, judge, 0.0, solid)
     return replace(found, residuals={name: value for name, value in found.residuals.items() if name != "rival"})
 
@@ -140,62 +165,8 @@ def _asked(solid: Solid) -> tuple[Surface, Float[np.ndarray, "3"], float]:
     return Surface(whole), 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
 
 
-@dataclass(frozen=True)
-class _Verdict:
-    """What the rays say about a pose, as counts."""
-
-    agreeing: int
-    through: int
-    hidden: int
-    unexplained: int
-    tolerance: float
-    distance: Float[np.ndarray, "K"]
-
-    @property
-    def score(self) -> float:
-        """Rays that end on it, less those that go through it."""
-        n = self.agreeing + self.through
-        return 0.0 if n == 0 else (self.agreeing - 2.0 * self.through - 0.5 * self.unexplained) / np.sqrt(n)
-
-
-@dataclass(frozen=True)
-class _Judge:
-    """The rays and points about a place; ``wide`` are planes (P, 4) that reach farther than the object does."""
-
-    surface: Surface
-    rays: Sightlines
-    region: Region
-    wide: Float[np.ndarray, "P 4"]
-
-    def verdict(self, pose: Pose, most_rays: int, most_points: int) -> _Verdict:
-        """Hold a pose against the rays."""
-        rays = self.rays.thinned(most_rays)
-        hit = self.surface.hits(pose.into_mesh(rays.start), rays.direction @ pose.rotation)
-        met = np.isfinite(hit)
-        beyond = rays.length[met] - hit[met]
-        region = self.region.thinned(most_points)
-        place, _ = self.surface.nearest(pose.into_mesh(region.points))
-        offset = pose.into_mesh(region.points) - place
-        distance = np.linalg.norm(offset, axis=1)
-        close = distance[distance < _TOLERANCE[1]]
-        tolerance = float(np.clip(3.0 * 1.48 * np.median(close), *_TOLERANCE)) if len(close) else _TOLERANCE[0]
-        # Things stand on tables: only what is well before the surface and far from its base is held against it.
-        outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + 0.05)
-        share = len(rays) / max(1, len(region.points))
-        # A ray that ends on a wall says nothing of an object whose side lies in that wall.
-        agreeing = np.flatnonzero(met)[np.abs(beyond) <= tolerance]
-        return _Verdict(
-            int((~_on_planes(rays.ends[agreeing], self.wide)).sum()),
-            int((beyond > tolerance).sum()),
-            int((beyond < -tolerance).sum()),
-            int(share * 0.2 * outside.sum()),
-            tolerance,
-            distance[distance <= tolerance],
-        )
-
-
 def _searched(
-    surface: Surface, judge: _Judge, region: Region, starts: Sequence[Pose], radius: float
+    surface: Surface, judge: Judge, region: Region, starts: Sequence[Pose], radius: float
 ) -> list[tuple[float, Pose]]:
     """Every start brought near by a few steps on few points; the best then fitted on many."""
     few = region.thinned(_COARSE_POINTS)
@@ -211,7 +182,7 @@ def _searched(
     return [_nudged(surface, judge, many, one) for one in scored[:_N_NUDGED]] + scored[_N_NUDGED:]
 
 
-def _nudged(surface: Surface, judge: _Judge, region: Region, found: tuple[float, Pose]) -> tuple[float, Pose]:
+def _nudged(surface: Surface, judge: Judge, region: Region, found: tuple[float, Pose]) -> tuple[float, Pose]:
     """The best of the poses that fits from a little beside it lead to; ICP comes to rest along faces it slides on."""
     few = region.thinned(_NUDGE_POINTS)
     for step in _NUDGES:
@@ -222,37 +193,6 @@ def _nudged(surface: Surface, judge: _Judge, region: Region, found: tuple[float,
         found = max([found, *((judge.verdict(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in poses)],
                     key=lambda one: one[0])  # fmt: skip
     return found[0], fitted(surface, region, found[1], _NUDGE_GATES[-3:])
-
-
-def _judge(surface: Surface, index: SightIndex, view: View, place: Float[np.ndarray, "3"], radius: float) -> _Judge:
-    """The rays about a place, and the points that may be the object's: not those of planes wider than it is."""
-    near = np.flatnonzero(np.linalg.norm(view.obstacles - place, axis=1) <= 3.0 * radius + 0.1)
-    points, starts = view.obstacles[near], view.starts[near]
-    wide = _wide_planes(points, starts, radius, view.seed)
-    kept = (np.linalg.norm(points - place, axis=1) <= 1.6 * radius + 0.05) & ~_on_planes(points, wide)
-    rays = index.passing(place[None], 2.0 * radius + 0.1)
-    return _Judge(surface, rays, Region(points[kept], starts[kept]), wide)
-
-
-def _wide_planes(
-    points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], radius: float, seed: int
-) -> Float[np.ndarray, "P 4"]:
-    """Planes (unit normal, offset) that reach farther than an object of this radius: tables, walls."""
-    if len(points) < _MIN_AGREEING:
-        return np.zeros((0, 4))
-    coarse = coarsened(points, starts, VOXEL)
-    planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(seed), None)
-    reaches = [np.linalg.norm(np.ptp(coarse.points[plane.members] @ plane.basis.T, axis=0)) for plane in planes]
-    wide = [
-        np.append(plane.normal, plane.offset)
-        for plane, reach in zip(planes, reaches, strict=True)
-        if reach > 2.4 * radius
-    ]
-    return np.array(wide).reshape(-1, 4)
-
-
-def _on_planes(points: Float[np.ndarray, "N 3"], planes: Float[np.ndarray, "P 4"]) -> Bool[np.ndarray, "N"]:
-    return np.asarray((np.abs(points @ planes[:, :3].T - planes[:, 3]) <= _PLANE_BAND).any(axis=1))
 
 
 def _places(
@@ -270,7 +210,7 @@ def _places(
     if not len(view.obstacles):
         return []
     # What an object stands on or leans against would join it with all else there.
-    loose = ~_on_planes(view.obstacles, _wide_planes(view.obstacles, view.starts, radius, view.seed))
+    loose = ~lie_on_planes(view.obstacles, find_wide_planes(view.obstacles, view.starts, radius, view.seed))
     points, starts = view.obstacles[loose], view.starts[loose]
     groups = [points[members] for members in clusters(points, starts)] if len(points) else []
     fitting = [group for group in groups if 0.2 * radius < 0.5 * np.linalg.norm(np.ptp(group, axis=0)) < 1.5 * radius]
@@ -292,7 +232,7 @@ def _starts(
         about = given.of(centre)
         return [given.turned(turn, about).shifted(shift) for turn in turns for shift in shifts]
     core = region.points[np.linalg.norm(region.points - place, axis=1) <= radius]
-    middle = np.median(core, axis=0) if len(core) >= _MIN_AGREEING else place
+    middle = np.median(core, axis=0) if len(core) >= MIN_AGREEING else place
     away = middle - region.starts.mean(axis=0)
     # Only the near side is seen: the middle of the object lies behind the middle of its points.
     middle = middle + 0.2 * radius * away / max(float(np.linalg.norm(away)), 1e-9)
@@ -305,7 +245,7 @@ def _is_different(one: Pose, other: Pose, centre: Float[np.ndarray, "3"]) -> boo
     return bool(angle > _DIFFERENT_DEG or np.linalg.norm(one.of(centre) - other.of(centre)) > _DIFFERENT_M)
 
 
-def _match(pose: Pose, judge: _Judge, rival: float, solid: Solid) -> MeshMatch:
+def _match(pose: Pose, judge: Judge, rival: float, solid: Solid) -> MeshMatch:
     verdict = judge.verdict(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
     met = max(1, verdict.agreeing + verdict.through)
     through = verdict.through / met
@@ -321,7 +261,7 @@ def _match(pose: Pose, judge: _Judge, rival: float, solid: Solid) -> MeshMatch:
         "rival": rival,
         "n_points": float(len(verdict.distance)),
     }
-    enough = min(1.0, verdict.agreeing / (2.0 * _MIN_AGREEING))
+    enough = min(1.0, verdict.agreeing / (2.0 * MIN_AGREEING))
     confidence = enough * _falling(through, 0.08, 0.25) * _falling(hidden, 0.4, 0.9) * _falling(unexplained, 0.2, 0.8)
     return MeshMatch(pose.matrix, float(confidence), residuals, solid, verdict.tolerance)
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,11 +11,11 @@ from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece
 from perception.cleaning.neighbours import nearest
+from perception.convex.clock import Clock
 from perception.convex.coarse import coarsened
-from perception.convex.evidence import evidence_of
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import hull_of, limited
-from perception.convex.piece import Piece
+from perception.convex.piece import Piece, evidence_of
 from perception.convex.pieces import Pieces
 from perception.convex.smooth import smoothed
 from perception.convex.split import is_free_of
@@ -24,8 +23,11 @@ from perception.solids.cache import Parts
 from perception.solids.decompose import CoacdSettings, Work, decompose
 from perception.solids.mesh import Mesh
 from perception.solids.voxels import surface_of
-from perception.view import View
 
+_VOXEL = 0.015
+_COACD = CoacdSettings(0.05, iterations=20, nodes=5, depth=1)
+# Parts that hold space seen to be free are split again at half the threshold, so often at most.
+_PASSES = 1
 _FREE_CELL = 0.02
 _MOST_FREE = 0.02  # of a part
 _AROUND = 0.1
@@ -37,61 +39,37 @@ _LINK_PER_RANGE = 0.045
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
 
 
-@dataclass(frozen=True)
-class VoxelSettings:
-    """How a cloud becomes pieces by CoACD.
-
-    Attributes:
-        voxel_m: edge of a cell [m].
-        coacd: of the first pass.
-        passes: parts that hold space seen to be free are split again at half the threshold, so often at most.
-    """
-
-    voxel_m: float = 0.015
-    coacd: CoacdSettings = field(default_factory=lambda: CoacdSettings(0.05, iterations=20, nodes=5, depth=1))
-    passes: int = 1
-
-
-def pieces_by_coacd(view: View, settings: VoxelSettings | None = None, work: Work | None = None) -> Pieces:
-    """Convex pieces ``coacd/0`` ... of a view's obstacles, as ``perception.convex.make_pieces`` gives them.
+def make_coacd_pieces(
+    points: Float[np.ndarray, "N 3"],
+    starts: Float[np.ndarray, "*N 3"],
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    work: Work | None = None,
+) -> Pieces:
+    """Make convex pieces ``coacd/0`` ... of obstacle points, as ``perception.convex.make_pieces`` gives them.
 
     Cells seen to be free are never filled between points, and a part that holds such cells is split again; what CoACD
-    then still bridges is less than its threshold deep, and each piece's evidence tells it.
+    then still bridges is less than its threshold deep, and the evidence of each piece shows it.
 
     Args:
-        view: the scan, made ready.
-        settings: cells, thresholds.
+        points: (N, 3) obstacle points, cleaned [m].
+        starts: (3,) or (N, 3), where their rays started [m].
+        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan [m].
         work: cache, and limits of the CoACD process.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
-        Stopped: it was asked to stop.
+        Stopped: the caller was asked to stop.
     """
-    return made_by_coacd(view.obstacles, view.starts, view.cloud.rays, settings, work)
-
-
-def made_by_coacd(
-    points: Float[np.ndarray, "N 3"],
-    starts: Float[np.ndarray, "*N 3"],
-    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-    settings: VoxelSettings | None = None,
-    work: Work | None = None,
-) -> Pieces:
-    """As ``pieces_by_coacd``, of points [m], where their rays started, and all rays of the scan."""
-    settings, work = settings or VoxelSettings(), work or Work()
-    timings: dict[str, float] = {}
     if not len(points):
-        return Pieces((), timings)
-    clock = time.perf_counter()
-    grid, free = _grid(points, starts, rays, settings.voxel_m)
-    timings["voxels"] = time.perf_counter() - clock
-    clock = time.perf_counter()
-    parts = _split(grid, free, settings, work)
-    timings["coacd"] = time.perf_counter() - clock
-    clock = time.perf_counter()
+        return Pieces((), {})
+    clock = Clock()
+    grid, free = _grid(points, starts, rays)
+    clock.lap("voxels")
+    parts = _split(grid, free, work or Work())
+    clock.lap("coacd")
     pieces = _named(parts, points, free)
-    timings["evidence"] = time.perf_counter() - clock
-    return Pieces(pieces, timings)
+    clock.lap("evidence")
+    return Pieces(pieces, clock.timings)
 
 
 @dataclass(frozen=True)
@@ -126,9 +104,9 @@ def _grid(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-    size: float,
 ) -> tuple[_Grid, FreeSpace]:
     """Cells that hold points or lie between neighbouring ones and were not seen free; and what was seen free."""
+    size = _VOXEL
     points = smoothed(points, np.ones(len(points), dtype=int), starts, np.arange(len(points)))
     coarse = coarsened(points, starts, size)
     lower = _FREE_CELL * np.floor((coarse.points.min(axis=0) - _AROUND) / _FREE_CELL)
@@ -162,22 +140,22 @@ def _between(
     return np.asarray((points[row] + steps * (ends - points[row])).reshape(-1, 3))
 
 
-def _split(grid: _Grid, free: FreeSpace, settings: VoxelSettings, work: Work) -> Parts:
+def _split(grid: _Grid, free: FreeSpace, work: Work) -> Parts:
     """Parts of all groups of cells; those that hold free space are split again at half the threshold."""
     done: list[Float[np.ndarray, "V 3"]] = []
-    coacd, todo = settings.coacd, grid.surfaces()
-    for again in range(settings.passes + 1):
+    coacd, todo = _COACD, grid.surfaces()
+    for again in range(_PASSES + 1):
         hulls = [hull_of(mesh.vertices, np.arange(0)) for mesh in todo]
         whole = [is_free_of(hull, free) for hull in hulls]
         done += [hull.vertices for hull, fits in zip(hulls, whole, strict=True) if fits]
         rest = [mesh for mesh, fits in zip(todo, whole, strict=True) if not fits]
         todo = []
         for part in (part for parts in decompose(rest, coacd, work, "cloud") for part in parts):
-            if again == settings.passes or evidence_of(hull_of(part, np.arange(0)), free).free_share < _MOST_FREE:
+            if again == _PASSES or evidence_of(hull_of(part, np.arange(0)), free).free_share < _MOST_FREE:
                 done.append(part)
             else:
                 todo += grid.within(part).surfaces()
-        coacd = CoacdSettings(0.5 * coacd.threshold_m, coacd.iterations, coacd.nodes, coacd.depth, coacd.seed)
+        coacd = replace(coacd, threshold_m=0.5 * coacd.threshold_m)
     return tuple(done)
 
 

@@ -2,47 +2,23 @@
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from costs.stopping import poll
 from perception.errors import MeshError
-from perception.solids import child
-from perception.solids.cache import Parts
-from perception.solids.mesh import Mesh
+from perception.sandbox import Cause, ProcessLimits, SandboxError, run_in_sandbox
 
-_OUT_OF_MEMORY = (b"MemoryError", b"bad_alloc", b"failed to map segment", b"Cannot allocate memory")
-_LOOK_S = 0.02  # how often a running process is looked after
+if TYPE_CHECKING:  # the process that splits meshes is quicker to start without them
+    from perception.solids.cache import Parts
+    from perception.solids.mesh import Mesh
 
-
-@dataclass(frozen=True)
-class Limits:
-    """What the process may use.
-
-    Attributes:
-        max_bytes: of address space, libraries included.
-        max_s: from start to end [s].
-    """
-
-    max_bytes: int = 4 * 2**30
-    max_s: float = 120.0
+COACD_LIMITS = ProcessLimits(max_bytes=4 * 2**30, max_wall_s=120.0)
 
 
 def run_coacd(
-    meshes: Sequence[Mesh],
-    options: Mapping[str, object],
-    limits: Limits,
-    name: str = "mesh",
+    meshes: Sequence[Mesh], options: Mapping[str, object], limits: ProcessLimits = COACD_LIMITS, name: str = "mesh"
 ) -> list[Parts]:
     """Convex parts of each mesh as CoACD gives them.
 
@@ -50,65 +26,47 @@ def run_coacd(
         meshes: closed, wound outwards, finite.
         options: keyword arguments of ``coacd.run_coacd``.
         limits: of the process.
-        name: what to call the meshes in errors.
+        name: of the meshes in errors.
 
     Raises:
-        MeshError: it crashed, or needs more memory or time than it may.
-        Stopped: it was asked to stop; the process is killed. Asked fifty times a second.
+        MeshError: CoACD crashed, or needs more memory or time than the limits allow.
+        Stopped: the caller was asked to stop; the process is killed.
     """
-    with tempfile.TemporaryDirectory(prefix="scopt-coacd-") as scratch:
-        folder = Path(scratch)
-        _ask(folder, meshes, options, limits)
-        code, said = _run(folder, limits)
-        if code == 0:
-            with np.load(folder / child.ANSWER, allow_pickle=False) as answer:
-                return [_parts(answer[f"parts_{i}"], answer[f"counts_{i}"]) for i in range(len(meshes))]
-    raise MeshError(f"{name}: {_how_it_ended(code, said, limits)}")
+    values: dict[str, Any] = {"n_meshes": len(meshes), "options": dict(options)}
+    values |= {f"vertices_{i}": mesh.vertices for i, mesh in enumerate(meshes)}
+    values |= {f"triangles_{i}": mesh.triangles for i, mesh in enumerate(meshes)}
+    try:
+        result = run_in_sandbox(split_meshes, values, limits, n_threads=None)
+    except SandboxError as error:
+        raise MeshError(f"{name}: {_reason(error)}") from None
+    return [tuple(np.split(result[f"parts_{i}"], np.cumsum(result[f"counts_{i}"])[:-1])) for i in range(len(meshes))]
 
 
-def _ask(folder: Path, meshes: Sequence[Mesh], options: Mapping[str, object], limits: Limits) -> None:
-    task = {"n_meshes": len(meshes), "options": dict(options), "max_bytes": limits.max_bytes, "max_s": limits.max_s}
-    arrays = {f"vertices_{i}": np.ascontiguousarray(mesh.vertices) for i, mesh in enumerate(meshes)}
-    arrays |= {f"triangles_{i}": np.ascontiguousarray(mesh.triangles) for i, mesh in enumerate(meshes)}
-    np.savez(folder / child.QUESTION, allow_pickle=False, task=np.array(json.dumps(task)), **arrays)
+def split_meshes(n_meshes: int, options: dict[str, Any], **arrays: np.ndarray) -> dict[str, np.ndarray]:
+    """Split each mesh in this process.
+
+    Args:
+        n_meshes: number of meshes.
+        options: as for ``run_coacd``.
+        arrays: ``vertices_i`` and ``triangles_i`` of each mesh.
+
+    Returns:
+        For each mesh ``parts_i``, the vertices of all parts, and ``counts_i``, how many each part has.
+    """
+    import coacd
+
+    coacd.set_log_level("off")
+    result = {}
+    for i in range(n_meshes):
+        parts = coacd.run_coacd(coacd.Mesh(arrays[f"vertices_{i}"], arrays[f"triangles_{i}"]), **options)
+        result[f"parts_{i}"] = np.concatenate([np.asarray(part[0], dtype=np.float64) for part in parts])
+        result[f"counts_{i}"] = np.array([len(part[0]) for part in parts])
+    return result
 
 
-def _run(folder: Path, limits: Limits) -> tuple[int, bytes]:
-    """Its exit code, and the end of what it said."""
-    complaints = folder / "stderr"
-    with complaints.open("wb") as said:
-        process = subprocess.Popen(
-            [sys.executable, "-P", child.__file__, str(folder)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=said,
-            start_new_session=True,
-        )
-        end = time.monotonic() + limits.max_s
-        try:
-            while process.poll() is None:
-                poll()
-                if time.monotonic() > end:
-                    return -signal.SIGALRM, b""
-                try:
-                    process.wait(_LOOK_S)
-                except subprocess.TimeoutExpired:
-                    continue
-            return process.returncode, complaints.read_bytes()[-2000:]
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-
-
-def _how_it_ended(code: int, said: bytes, limits: Limits) -> str:
-    if code == -signal.SIGALRM:
-        return f"splitting into convex parts takes longer than {limits.max_s:g} s; simplify it"
-    if any(sign in said for sign in _OUT_OF_MEMORY):
-        return f"splitting into convex parts needs more than {limits.max_bytes // 2**20} MB; simplify it"
-    how = signal.Signals(-code).name if -code in set(signal.Signals) else f"exit {code}"
-    return f"cannot be split into convex parts (CoACD ended with {how}); simplify or repair it"
-
-
-def _parts(vertices: np.ndarray, counts: np.ndarray) -> Parts:
-    return tuple(np.split(vertices, np.cumsum(counts)[:-1]))
+def _reason(error: SandboxError) -> str:
+    if error.cause is Cause.CRASH:
+        return f"cannot be split into convex parts (CoACD ended with {error.ending}); simplify or repair it"
+    if error.cause is Cause.MEMORY:
+        return f"splitting into convex parts needs more than {error.limit}; simplify it"
+    return f"splitting into convex parts takes longer than {error.limit}; simplify it"

@@ -1,12 +1,12 @@
-"""Occupied cells, and closed surfaces around them for CoACD to split."""
+"""Closed surfaces with few triangles for CoACD to split: around occupied cells, and of meshes."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from perception.solids.closed import is_closed
 from perception.solids.mesh import Mesh
-from perception.solids.simplify import simplified
 
 _SIMPLER = 0.1  # share of the triangles that is left of a cell's own where the surface is smooth
 _SIMPLER_SHELL = 0.01  # of a shell's, whose cells follow a surface without noise
@@ -61,3 +61,24 @@ def samples(mesh: Mesh, spacing: float) -> Float[np.ndarray, "N 3"]:
         weights = np.column_stack([1.0 - u - v, u, v])
         clouds.append(np.einsum("kc,fcx->fkx", weights, corners[steps == n]).reshape(-1, 3))
     return np.concatenate(clouds)
+
+
+def simplified(mesh: Mesh, n_triangles: int, stray: float) -> Mesh:
+    """The closed mesh with about ``n_triangles``, or as it is where fewer would not be closed.
+
+    Args:
+        mesh: closed, wound outwards.
+        n_triangles: to come down to where ``stray`` allows it.
+        stray: how far the simpler surface may lie from the mesh, roughly [m].
+    """
+    if len(mesh.triangles) <= max(n_triangles, 12):
+        return mesh
+    # open3d takes 0.7 s to import; small meshes do without.
+    import open3d as o3d
+
+    full = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32))
+    )
+    fewer = full.simplify_quadric_decimation(max(n_triangles, 12), maximum_error=stray**2)
+    simpler = Mesh(np.asarray(fewer.vertices), np.asarray(fewer.triangles).astype(np.int64))
+    return simpler if is_closed(simpler) and simpler.volume > 0.0 else mesh

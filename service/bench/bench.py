@@ -21,6 +21,8 @@ from service.result.result import PlanResult, Verdict
 
 PEER = "scopt"
 ERROR = "ERROR"  # of the planner itself
+FAILURE_COLUMNS = ("not certified", "verdict", "reason")
+COLUMNS = ("scene", "problems", "certified", "CPU median [ms]", "CPU p95 [ms]", "clearance median [mm]", "failures")
 
 
 def run_problem(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
@@ -97,10 +99,6 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 def failures(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Every problem that was not certified: its name, verdict and first reason."""
     return [(row["problem"], row["verdict"], row["reason"]) for row in rows if not row["success_claimed"]]
-
-
-FAILURE_COLUMNS = ("not certified", "verdict", "reason")
-COLUMNS = ("scene", "problems", "certified", "CPU median [ms]", "CPU p95 [ms]", "clearance median [mm]", "failures")
 
 
 def _summary(name: str, rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:

@@ -75,7 +75,7 @@ class Monitor:
         if self.remaining_s() <= 0.0:
             raise Interrupted(Status.TIME_LIMIT)
 
-    def why_stopped(self) -> Status:
+    def stop_reason(self) -> Status:
         """Why a poll ended the plan; whoever surrounds it cancels it, too."""
         is_cancelled = self.should_stop is not None and self.should_stop()
         return Status.CANCELLED if is_cancelled or self.remaining_s() > 0.0 else Status.TIME_LIMIT

@@ -17,7 +17,7 @@ from costs.state import MotionState
 from scopt import Constraint, Cost, Problem, Result, Settings, TrustRegionSQP
 from service.body.holds import Hold
 from service.body.monitor import Monitor
-from service.body.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
+from service.body.sampling import SamplingProblem, Tree, free_coordinates, resample_path, sample_path
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 from service.verify import Motion, Target
 
@@ -67,7 +67,7 @@ class PlannedPhase:
     is_settling: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
 
-    def solved_anew(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
+    def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """The phase from a denser trajectory between the same ends; None if it cannot be solved again."""
         if self.resolve is None:
             return None
@@ -291,7 +291,7 @@ class PhaseSolver:
         problem = self.body.problem(lower, upper, checker, *terms, balanced)
         return self._first_feasible(name, problem, starts)
 
-    def sampled_start(
+    def sample_start(
         self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], n_waypoints: int, tree: Tree
     ) -> Float[np.ndarray, "T n"] | None:
         """A start around the obstacles from a sampling planner; None where base or standing legs must move."""
@@ -300,9 +300,9 @@ class PhaseSolver:
         if not len(free) or np.abs(end - start)[others].max(initial=0.0) > 1e-6:
             return None
         problem = SamplingProblem(self.body, self.body.pose_checker([start, end]), start, end, free)
-        corners = sampled_path(problem, tree, self.monitor.is_over)
+        corners = sample_path(problem, tree, self.monitor.is_over)
         self.monitor.check()
-        return None if corners is None else along(corners, max(n_waypoints, 2 * len(corners)))
+        return None if corners is None else resample_path(corners, max(n_waypoints, 2 * len(corners)))
 
     def with_settings(self, **changes: Any) -> PhaseSolver:
         """The same solver with other settings of the optimiser."""
@@ -348,7 +348,7 @@ class PhaseSolver:
         return best
 
 
-def guesses(body: WholeBody) -> list[tuple[str, Float[np.ndarray, "n"]]]:
+def posture_guesses(body: WholeBody) -> list[tuple[str, Float[np.ndarray, "n"]]]:
     """Configurations worth starting from by name: the nominal one, then the robot's postures where it stands."""
     found = [("nominal", body.nominal.copy())]
     for name, posture in sorted(body.robot.postures.items()):
@@ -370,12 +370,14 @@ def random_guesses(body: WholeBody, count: int, seed: int) -> list[Float[np.ndar
     return list(np.clip(body.nominal + steps, robot.lower, robot.upper))
 
 
-def straight(first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:
+def straight_path(
+    first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
+) -> Float[np.ndarray, "T n"]:
     """Waypoints on the straight line between two configurations."""
     return np.asarray(first + (last - first) * np.linspace(0.0, 1.0, n_waypoints)[:, None])
 
 
-def via(
+def path_via(
     first: Float[np.ndarray, "n"],
     middle: Float[np.ndarray, "n"],
     last: Float[np.ndarray, "n"],
@@ -383,4 +385,6 @@ def via(
 ) -> Float[np.ndarray, "T n"]:
     """Waypoints on two straight lines through a configuration between."""
     half = n_waypoints // 2
-    return np.concatenate([straight(first, middle, half + 1)[:-1], straight(middle, last, n_waypoints - half)])
+    return np.concatenate(
+        [straight_path(first, middle, half + 1)[:-1], straight_path(middle, last, n_waypoints - half)]
+    )

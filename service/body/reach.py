@@ -46,7 +46,9 @@ def _to_root(model: pin.Model, joint: int) -> list[int]:
     return path
 
 
-def beyond_reach(body: WholeBody, frame: str, target: Float[np.ndarray, "3"], tolerance: float = 0.0) -> str | None:
+def find_out_of_reach(
+    body: WholeBody, frame: str, target: Float[np.ndarray, "3"], tolerance: float = 0.0
+) -> str | None:
     """A sentence when no configuration on the planted links brings the frame to the target, else None.
 
     Args:

@@ -19,17 +19,17 @@ from service.body.whole_body import CLEARANCE_TOLERANCE
 EFFORT: dict[str, Any] = {"penalty": 100.0, "max_penalty_raises": 1, "max_iterations": 30}
 
 
-def required(problem: Problem[MotionState]) -> Problem[MotionState]:
+def keep_required(problem: Problem[MotionState]) -> Problem[MotionState]:
     """What must hold alone: no costs, and of the clearance that is aimed at what keeps links apart."""
     least = LEAST_CLEARANCE + CLEARANCE_TOLERANCE
 
     def apart(contacts: Contacts) -> Contacts:
         return replace(contacts, margin=np.minimum(contacts.margin, least))
 
-    return with_contacts(replace(problem, costs=()), apart)
+    return change_contacts(replace(problem, costs=()), apart)
 
 
-def restored(solver: PhaseSolver, step: str, solved: Solved) -> Solved:
+def restore_feasibility(solver: PhaseSolver, step: str, solved: Solved) -> Solved:
     """A feasible solution near the best attempt, or that attempt where there is none within a few steps.
 
     Args:
@@ -37,7 +37,7 @@ def restored(solver: PhaseSolver, step: str, solved: Solved) -> Solved:
         step: its name.
         solved: the best attempt, not feasible.
     """
-    problem = required(solved.problem)
+    problem = keep_required(solved.problem)
     settings = solver.monitor.settings(replace(solver.settings, **EFFORT))
     result = TrustRegionSQP(settings).solve(problem, solved.x, should_stop=solver.monitor.should_stop)
     solver.monitor.note(step, result)
@@ -45,7 +45,7 @@ def restored(solver: PhaseSolver, step: str, solved: Solved) -> Solved:
     return found if found.is_feasible else solved
 
 
-def with_contacts(problem: Problem[MotionState], change: Callable[[Contacts], Contacts]) -> Problem[MotionState]:
+def change_contacts(problem: Problem[MotionState], change: Callable[[Contacts], Contacts]) -> Problem[MotionState]:
     """The problem that sees its contacts changed."""
 
     def state(x: Float[np.ndarray, "T n"]) -> MotionState:

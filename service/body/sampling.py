@@ -81,7 +81,7 @@ class Tree:
     planner: Literal["RRTConnect", "LBKPIECE1"] = "RRTConnect"
 
 
-def sampled_path(
+def sample_path(
     problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool] = lambda: False
 ) -> Float[np.ndarray, "K n"] | None:
     """Corners of a collision-free polyline from start to end, shortened; None if none was found.
@@ -100,7 +100,7 @@ def sampled_path(
     corners = _connected(problem, tree, is_over)
     if corners is None:
         return None
-    corners = _shortened(problem, corners, np.random.default_rng(tree.seed))
+    corners = _shorten(problem, corners, np.random.default_rng(tree.seed))
     q = np.tile(problem.start, (len(corners), 1))
     q[:, problem.free] = corners
     return q
@@ -175,7 +175,7 @@ class _Effort:
         return self._is_stopped or self._n_checks >= self._most_checks
 
 
-def _shortened(
+def _shorten(
     problem: SamplingProblem,
     corners: Float[np.ndarray, "K k"],
     rng: np.random.Generator,
@@ -191,7 +191,7 @@ def _shortened(
     return corners
 
 
-def along(corners: Float[np.ndarray, "K n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:
+def resample_path(corners: Float[np.ndarray, "K n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:
     """Waypoints on a polyline, evenly spread and with every corner among them as far as they suffice."""
     lengths = np.abs(np.diff(corners, axis=0)).max(axis=1)
     ends = np.concatenate([[0.0], np.cumsum(np.maximum(lengths, 1e-9))])

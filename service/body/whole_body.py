@@ -25,10 +25,9 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Sense
-from service.body.holds import DRIFT, Hold, projected
-from service.body.keep import KeptPose
+from service.body.holds import DRIFT, Hold, KeptPose, project_onto_holds
 from service.demands.stance import BALANCE_RESERVE, standing_allowances
-from service.start.standing import sole
+from service.start.standing import sole_corners
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 CLEARANCE_TERMS = ("collision", "self-collision")
@@ -170,7 +169,7 @@ class WholeBody:
 
     def on_holds(self, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
         """The nearest waypoints that keep what stays put; the first is as it is."""
-        return np.concatenate([q[:1], projected(self.engine, q[1:], self.holds())])
+        return np.concatenate([q[:1], project_onto_holds(self.engine, q[1:], self.holds())])
 
     def drift(self) -> float:
         """How far a row of the holds may be off between waypoints [m, rad]."""
@@ -303,4 +302,4 @@ def _sole_of(
     robot: RobotModel, q: Float[np.ndarray, "n"], link: str, pose: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "C 3"]:
     """Corners of a standing link's sole in the link's frame, whose pose is given [m]."""
-    return np.asarray((sole(robot, q, link) - pose[:3, 3]) @ pose[:3, :3])
+    return np.asarray((sole_corners(robot, q, link) - pose[:3, 3]) @ pose[:3, :3])

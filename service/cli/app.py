@@ -40,6 +40,23 @@ def main() -> None:
     app()
 
 
+def _print_version(is_wanted: bool) -> None:
+    if is_wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"scopt {version('scopt')}")
+        raise typer.Exit
+
+
+@app.callback()
+def set_options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Take the options of the program itself."""
+
+
 @app.command("plan", epilog=EXIT_CODE_HELP)
 def plan_command(
     request: Annotated[Path, typer.Argument(help="Request file (YAML or JSON).", metavar="REQUEST")],
@@ -145,7 +162,7 @@ def _plan(
     out, err = consoles()
     with progress(err, "read request") as report, cancellable(err) as should_stop:
         report("read request", 0.0)
-        from service.request.file import load_request, with_cloud
+        from service.request.file import load_request, replace_cloud
 
         if trajopt is None:
             request = load_request(request_file)
@@ -154,7 +171,7 @@ def _plan(
 
             request = load_trajopt_request(request_file, TrajoptFiles(**trajopt))
         if cloud is not None:
-            request = with_cloud(request, cloud)
+            request = replace_cloud(request, cloud)
         from service.planner import plan
         from service.result.folder import check_folder
         from service.result.output import write_result

@@ -1,16 +1,17 @@
-"""A client for the length of a command, whose errors become exit codes."""
+"""Client of one command, whose errors become exit codes."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from grpc import StatusCode
 from rich.console import Console
 
+from service.cli.remote import ServerOptions
 from service.cli.run import EXIT_CODES, EXIT_INTERNAL, INTERNAL_ERROR, EndedError
 from service.client import PlannerClient, PlannerError, Retry
 from service.errors import RequestError
@@ -20,7 +21,7 @@ MAX_TOKEN_BYTES = 10_000
 _INVALID = ("INVALID_REQUEST", EXIT_CODES["INVALID_REQUEST"])
 _INTERNAL = (INTERNAL_ERROR, EXIT_INTERNAL)
 _NOT_ALLOWED = ("NOT_ALLOWED", 77)
-# What a command says, and its exit code, by how the call ended; those of sysexits.h where there are some.
+# Verdict and exit code of a command by the status of its call; exit codes from 64 on are those of sysexits.h.
 ENDINGS: Mapping[StatusCode, tuple[str, int]] = {
     StatusCode.OK: _INTERNAL,
     StatusCode.CANCELLED: ("CANCELLED", EXIT_CODES["CANCELLED"]),
@@ -43,56 +44,45 @@ ENDINGS: Mapping[StatusCode, tuple[str, int]] = {
 
 
 @contextmanager
-def connected(where: Mapping[str, Any], err: Console) -> Iterator[PlannerClient]:
-    """
-    Args:
-        where: target, TLS files, token file, attempts.
-        err: where to say that it is tried again.
+def connect(server: ServerOptions, err: Console) -> Iterator[PlannerClient]:
+    """Yield a client of a server; further attempts are reported on ``err``.
 
     Raises:
-        EndedError: a call came to nothing.
+        EndedError: a call failed.
+        RequestError: an option cannot be used.
     """
-    settings = {name: where[name] for name in ("target", "tls_ca", "tls_cert", "tls_key")}
-    token, source = _token(where["token_file"])
+    token, source = _read_token(server.token_file)
 
-    def again(error: PlannerError, delay_s: float) -> None:
+    def report_retry(error: PlannerError, delay_s: float) -> None:
         line = f"{ENDINGS[error.code][0]}: {error.problems[0]}; trying again in {delay_s:.1f} s"
         err.print(line, style="yellow", markup=False, soft_wrap=True)
 
-    retry = Retry(attempts=where["attempts"])
     try:
-        with _client(settings, token, source, retry=retry, on_retry=again) as client:
+        client = PlannerClient(
+            server.target,
+            tls_ca=server.tls_ca,
+            tls_cert=server.tls_cert,
+            tls_key=server.tls_key,
+            token=token,
+            retry=Retry(attempts=server.attempts),
+            on_retry=report_retry,
+        )
+    except RequestError as error:
+        raise RequestError([re.sub(r"^token(?=: )", lambda _: source, line) for line in error.problems]) from None
+    try:
+        with client:
             yield client
     except PlannerError as error:
         verdict, code = ENDINGS[error.code]
         lines = error.problems
         if error.code is StatusCode.UNAUTHENTICATED:
-            lines = (f"{lines[0]}; {_would_do(token, source)}", *lines[1:])
+            hint = f"the token is from {source}" if token else f"give --token-file FILE or set {TOKEN_VARIABLE}"
+            lines = (f"{lines[0]}; {hint}", *lines[1:])
         raise EndedError(verdict, lines, code) from None
 
 
-def _client(settings: Mapping[str, Any], token: str | None, source: str, **more: Any) -> PlannerClient:
-    """
-    Raises:
-        RequestError: what was given cannot be used; of a token, it says where that came from.
-    """
-    try:
-        return PlannerClient(**settings, token=token, **more)
-    except RequestError as error:
-        of_token = ("token: ", f"{source}: ")
-        raise RequestError(
-            [line.replace(*of_token) if line.startswith("token: ") else line for line in error.problems]
-        ) from None
-
-
-def _would_do(token: str | None, source: str) -> str:
-    if token is None:
-        return f"--token-file FILE or the variable {TOKEN_VARIABLE} would do"
-    return f"the token is that of {source}"
-
-
-def _token(path: Path | None) -> tuple[str | None, str]:
-    """The token, if there is one, and what it comes from."""
+def _read_token(path: Path | None) -> tuple[str | None, str]:
+    """Return the token, or None without one, and the name of its source."""
     if path is None:
         return os.environ.get(TOKEN_VARIABLE) or None, f"the variable {TOKEN_VARIABLE}"
     source = f"--token-file {path}"
@@ -100,9 +90,9 @@ def _token(path: Path | None) -> tuple[str | None, str]:
         with path.open("rb") as file:
             token = file.read(MAX_TOKEN_BYTES).decode().strip()
     except UnicodeDecodeError:
-        raise RequestError(f"{source} is no text") from None
+        raise RequestError(f"{source} is no text file; expected the line that `scopt token` prints on stdout") from None
     except OSError as error:
         raise RequestError(f"{source} cannot be read: {error.strerror}") from None
     if not token:
-        raise RequestError(f"{source} is empty; the line that `scopt token` prints on stdout would do")
+        raise RequestError(f"{source} is empty; expected the line that `scopt token` prints on stdout")
     return token, source

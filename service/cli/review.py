@@ -1,24 +1,25 @@
-"""``scopt review``: a plan, its hashes and its reviews, and one more review."""
+"""``scopt review``: show a plan, its hashes and its reviews, and add a review."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
-from service.cli.connect import connected
+from service.cli.connect import connect
+from service.cli.remote import ServerOptions
 from service.cli.report import print_figures, print_findings, print_table, print_verdict
 from service.cli.run import consoles, print_json
-from service.client.summary import summary_of
+from service.client.answers import summarize
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, Review
 from service.result.folder import ResultFiles
 
+_COLUMNS = ("decision", "reviewer", "time", "comment")
+
 
 def review_plan(
-    where: Mapping[str, Any],
+    server: ServerOptions,
     plan_id: str,
     is_accepted: bool | None,
     comment: str,
@@ -28,19 +29,19 @@ def review_plan(
     """Show a plan and, unless ``is_accepted`` is None, review it.
 
     Args:
-        folder: for the plan's files; None: they are not fetched.
+        folder: folder for the plan's files; None to leave them on the server.
 
     Raises:
-        RequestError: it has not finished.
+        RequestError: the plan has not finished.
         ResultError: the folder holds something other than an earlier result, or cannot be written.
     """
     out, err = consoles()
-    with connected(where, err) as client:
+    with connect(server, err) as client:
         stored = client.get_plan(plan_id, out=folder)
         record, files = stored.record, None if stored.folder is None else ResultFiles(stored.folder)
         if not record.HasField("result"):
             state = PlanState.Name(record.state).removeprefix("PLAN_STATE_").lower()
-            raise RequestError(f"plan {plan_id} is {state}; there is nothing to look at yet")
+            raise RequestError(f"plan {plan_id} is {state}; expected a finished plan")
         if not as_json:
             _show(out, record, files)
         if is_accepted is not None:
@@ -49,7 +50,7 @@ def review_plan(
     if as_json:
         print_json(
             {
-                **summary_of(record.result),
+                **summarize(record.result),
                 "plan_id": record.plan_id,
                 **({} if files is None else {"result": str(files.result), "viewer": str(files.viewer)}),
                 "trajectory_sha256": record.result.trajectory.sha256,
@@ -65,11 +66,8 @@ def review_plan(
     out.print(f"plan {record.plan_id} is {state}", markup=False, soft_wrap=True)
 
 
-_COLUMNS = ("decision", "reviewer", "time", "comment")
-
-
 def _show(out: Console, record: PlanRecord, files: ResultFiles | None) -> None:
-    summary = summary_of(record.result)
+    summary = summarize(record.result)
     print_findings(out, summary)
     print_figures(out, summary)
     out.print(f"trajectory       {record.result.trajectory.sha256 or 'none'}", markup=False, soft_wrap=True)

@@ -120,21 +120,21 @@ def _scene(
     use_all_cores()
     with progress(err, "read cloud") as report, cancellable(err) as should_stop:
         from service.result.scene_output import check_out, write_scene
-        from service.scan.cloud import cloud_asked
-        from service.scan.earlier import read_before
-        from service.scan.known_meshes import mesh_asked
-        from service.scan.make_scene import SceneAsked, on_top_of, see_files
+        from service.scan.cloud import parse_cloud_options
+        from service.scan.earlier import read_earlier_scene
+        from service.scan.known_meshes import parse_mesh_option
+        from service.scan.make_scene import SceneInput, apply_earlier_settings, build_scene
         from service.scan.time_limit import OutOfTimeError
 
-        known = tuple(mesh_asked(text, scale) for text, scale in meshes)
-        asked = SceneAsked(cloud_asked(clouds.asked()), **chosen, meshes=known)
+        known = tuple(parse_mesh_option(text, scale) for text, scale in meshes)
+        asked = SceneInput(parse_cloud_options(clouds.asked()), **chosen, meshes=known)
         check_out(out, [*clouds.inputs, *(one.file for one in known), *([] if update is None else [update])])
         if update is not None:
             said = {name: option for name, option in _OF_BEFORE.items() if name in given}
-            asked = on_top_of(read_before(update), asked, said, "--update")
+            asked = apply_earlier_settings(read_earlier_scene(update), asked, said, "--update")
         try:
             with stops_when(should_stop):
-                seen = see_files(asked, lambda step: report(step, None), time_limit)
+                seen = build_scene(asked, lambda step: report(step, None), time_limit)
         except OutOfTimeError as error:
             raise EndedError("TIME_LIMIT", (str(error),), EXIT_CODES["TIME_LIMIT"]) from None
         report("write pieces", None)
@@ -177,12 +177,12 @@ def _detect(
     screen, err = consoles()
     use_all_cores()
     with progress(err, "read cloud") as report, cancellable(err) as should_stop:
-        from service.scan.cloud import cloud_asked
+        from service.scan.cloud import parse_cloud_options
         from service.scan.detect import detect_file
         from service.scan.time_limit import OutOfTimeError
 
         try:
-            wanted = cloud_asked(clouds.asked())
+            wanted = parse_cloud_options(clouds.asked())
             with stops_when(should_stop):
                 found = detect_file(wanted, kind, hint, lambda step: report(step, None), time_limit)
         except OutOfTimeError as error:

@@ -1,9 +1,8 @@
-"""``scopt top``: what a server is doing, once or as it goes on."""
+"""``scopt top``: the state of a server, once or updated on a terminal."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Group
@@ -11,7 +10,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from service.cli.connect import connected
+from service.cli.connect import connect
+from service.cli.remote import ServerOptions
 from service.cli.run import consoles, print_json
 from service.client import PlannerError
 from service.proto.planner.v1.planner_pb2 import GetStatusResponse
@@ -19,35 +19,35 @@ from service.proto.planner.v1.planner_pb2 import GetStatusResponse
 MIB = 2**20
 
 
-def watch(where: Mapping[str, Any], every_s: float, once: bool, as_json: bool) -> None:
-    """Look at a server until Ctrl-C; once with ``as_json`` or where stdout is no terminal.
+def watch(server: ServerOptions, every_s: float, once: bool, as_json: bool) -> None:
+    """Show a server's state until Ctrl-C; once with ``as_json`` or if stdout is no terminal.
 
     Raises:
-        EndedError: it could not be reached at the first look.
+        EndedError: the server could not be reached the first time.
     """
     out, err = consoles()
-    with connected(where, err) as client:
+    with connect(server, err) as client:
         status = client.status()
         if as_json:
             print_json(status_json(status))
         elif once or not out.is_terminal:
-            out.print(drawn(status, where["target"]))
+            out.print(draw_status(status, server.target))
         else:
             try:
-                with Live(drawn(status, where["target"]), console=out, auto_refresh=False) as live:
+                with Live(draw_status(status, server.target), console=out, auto_refresh=False) as live:
                     while True:
                         time.sleep(every_s)
                         try:
-                            status, away = client.status(), ""
+                            status, problem = client.status(), ""
                         except PlannerError as error:
-                            away = str(error)
-                        live.update(drawn(status, where["target"], away), refresh=True)
+                            problem = str(error)
+                        live.update(draw_status(status, server.target, problem), refresh=True)
             except KeyboardInterrupt:
                 return
 
 
 def status_json(status: GetStatusResponse) -> dict[str, Any]:
-    """A status as JSON data."""
+    """Return a status as JSON data."""
     fields = (
         "version", "uptime_s", "queued", "queue_limit", "worker_restarts", "solve_p50_s", "solve_p99_s", "is_draining",
         "resident_bytes",
@@ -60,18 +60,18 @@ def status_json(status: GetStatusResponse) -> dict[str, Any]:
     }
 
 
-def drawn(status: GetStatusResponse, target: str, away: str = "") -> Group:
-    """A status for the terminal; ``away`` is why it is an old one."""
-    head = Text(f"scopt {status.version} at {target}, up {_span(status.uptime_s)}")
-    if away:
-        head.append(f"   {' '.join(away.split())}", style="bold red")
+def draw_status(status: GetStatusResponse, target: str, problem: str = "") -> Group:
+    """Lay out a status for the terminal; ``problem`` is the error of the last update."""
+    head = Text(f"scopt {status.version} at {target}, up {_describe_span(status.uptime_s)}")
+    if problem:
+        head.append(f"   {' '.join(problem.split())}", style="bold red")
     elif status.is_draining:
         head.append("   draining: no new requests", style="bold yellow")
     lines = [
         f"queue       {status.queued} of {status.queue_limit}",
-        f"solve       {_latency(status)}",
+        f"solve       {_describe_latency(status)}",
         f"memory      {status.resident_bytes / MIB:.0f} MB, {status.worker_restarts} workers restarted",
-        f"verdicts    {', '.join(f'{name} {count}' for name, count in _by_count(status)) or 'none yet'}",
+        f"verdicts    {', '.join(f'{name} {count}' for name, count in _sort_by_count(status)) or 'none yet'}",
     ]
     table = Table(box=None, pad_edge=False)
     for column in ("worker", "state", "work", "done", "MB"):
@@ -82,17 +82,17 @@ def drawn(status: GetStatusResponse, target: str, away: str = "") -> Group:
     return Group(head, *(Text(line) for line in lines), Text(), table)
 
 
-def _latency(status: GetStatusResponse) -> str:
+def _describe_latency(status: GetStatusResponse) -> str:
     if not status.verdicts:
         return "none yet"
     return f"median {status.solve_p50_s:.2f} s, 99 % within {status.solve_p99_s:.2f} s"
 
 
-def _by_count(status: GetStatusResponse) -> list[tuple[str, int]]:
-    return sorted(status.verdicts.items(), key=lambda one: (-one[1], one[0]))
+def _sort_by_count(status: GetStatusResponse) -> list[tuple[str, int]]:
+    return sorted(status.verdicts.items(), key=lambda verdict: (-verdict[1], verdict[0]))
 
 
-def _span(seconds: float) -> str:
+def _describe_span(seconds: float) -> str:
     """``1 d 2 h``, ``3 min 4 s``: the two largest units."""
     whole = int(seconds)
     counts = (("d", whole // 86400), ("h", whole // 3600 % 24), ("min", whole // 60 % 60), ("s", whole % 60))

@@ -1,4 +1,4 @@
-"""Clients of a planning server: one that blocks, one for asyncio; neither imports anything of the server's."""
+"""Clients of a planning server, blocking and for asyncio; they load nothing of the server or the planner."""
 
 from service.client.answers import FinishedPlan, StoredPlan
 from service.client.asynchronous import AsyncPlannerClient

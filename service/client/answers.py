@@ -1,9 +1,11 @@
-"""What the streams of a server come to, event by event."""
+"""Answers of a server: plans and scenes read from streams of events, with hashes computed again."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import grpc
 
@@ -18,20 +20,22 @@ from service.proto.planner.v1.planner_pb2 import (
     PlanRecord,
     PlanResponse,
 )
-from service.proto.planner.v1.result_pb2 import FileChunk, MotionResult, Verdict
+from service.proto.planner.v1.result_pb2 import Certificate, FileChunk, MotionResult, Verdict
+from service.result.folder import FORMAT
 from service.wire.hashes import certificate_sha256, trajectory_sha256
+from service.wire.plain import to_plain
 
 
 @dataclass(frozen=True)
 class FinishedPlan:
-    """A plan with its verdict.
+    """Plan with its verdict.
 
     Attributes:
-        plan_id: the server's, for ``get_plan`` and ``review``.
-        request_id: the client's; asking again with it gives the same plan.
+        plan_id: the server's id, for ``get_plan`` and ``review``.
+        request_id: the client's id; the same id gives the same plan again.
         result: verdict, trajectory, certificate.
-        is_known: whether it was asked for before.
-        folder: with the result's files; None if they were not asked for.
+        is_known: whether it was requested before.
+        folder: folder of the result's files; None if none were requested.
     """
 
     plan_id: str
@@ -43,177 +47,223 @@ class FinishedPlan:
     @property
     def verdict(self) -> str:
         """``CERTIFIED``, ``NOT_FOUND``, ..."""
-        return verdict_of(self.result)
+        return read_verdict(self.result)
 
 
 @dataclass(frozen=True)
 class StoredPlan:
-    """A plan as the server keeps it; ``folder`` has its files, if they were asked for."""
+    """Plan in the server's store; ``folder`` has its files, if they were requested."""
 
     record: PlanRecord
     folder: Path | None = None
 
     @property
     def verdict(self) -> str:
-        """``CERTIFIED``, ``NOT_FOUND``, ...; empty while there is none."""
-        return verdict_of(self.record.result) if self.record.HasField("result") else ""
+        """``CERTIFIED``, ``NOT_FOUND``, ...; empty while the plan runs."""
+        return read_verdict(self.record.result) if self.record.HasField("result") else ""
 
 
-class PlanReader:
-    """Reads ``Plan``: the last attempt's events count.
+class _FolderReader:
+    """Base of the readers whose streams contain files.
 
     Args:
-        files: where files go; None if there is no place for any.
-        folder: where they will be seen.
+        files: writer of the files; None if none are requested.
+        folder: folder that the files will be in.
     """
 
     def __init__(self, files: ReceivedFiles | None = None, folder: Path | None = None) -> None:
         self._files, self._folder = files, folder
+
+    def _restart(self) -> None:
+        if self._files is not None:
+            self._files.restart()
+
+    def _write(self, chunk: FileChunk) -> None:
+        if self._files is not None:
+            self._files.take(chunk)
+
+    def _finish_files(self) -> Path | None:
+        if self._files is None:
+            return None
+        self._files.finish()
+        return self._folder if self._files.any else None
+
+
+class PlanReader(_FolderReader):
+    """Reader of the events of ``Plan``; those of the last attempt count."""
+
+    def __init__(self, files: ReceivedFiles | None = None, folder: Path | None = None) -> None:
+        super().__init__(files, folder)
         self._accepted = PlanAccepted()
         self._finished: PlanFinished | None = None
 
     def take(self, event: PlanResponse) -> None:
-        """The next event.
+        """Read the next event.
 
         Raises:
-            PlannerError: it holds what cannot be.
+            PlannerError: a wrong hash, an unknown verdict, or a wrong file.
         """
         match event.WhichOneof("event"):
             case "accepted":
                 self._accepted, self._finished = event.accepted, None
-                _restart(self._files)
+                self._restart()
             case "finished":
                 check_result(event.finished.result)
                 self._finished = event.finished
             case "file":
-                _write(self._files, event.file)
+                self._write(event.file)
             case _:
                 pass  # queued, progress, or of a later version
 
-    def finished(self) -> FinishedPlan:
-        """What it came to.
+    def finish(self) -> FinishedPlan:
+        """Return the plan.
 
         Raises:
             PlannerError: the stream ended before the plan did.
         """
         if self._finished is None:
             raise _incomplete("a plan")
-        folder = _complete(self._files, self._folder)
+        folder = self._finish_files()
         accepted = self._accepted
         return FinishedPlan(
             self._finished.plan_id, accepted.request_id, self._finished.result, accepted.is_known, folder
         )
 
 
-class StoredReader:
-    """Reads ``GetPlan``; arguments as of ``PlanReader``."""
+class StoredReader(_FolderReader):
+    """Reader of the parts of ``GetPlan``."""
 
     def __init__(self, files: ReceivedFiles | None = None, folder: Path | None = None) -> None:
-        self._files, self._folder = files, folder
+        super().__init__(files, folder)
         self._record: PlanRecord | None = None
 
     def take(self, part: GetPlanResponse) -> None:
-        """The next part.
+        """Read the next part.
 
         Raises:
-            PlannerError: it holds what cannot be.
+            PlannerError: a wrong hash, an unknown verdict, or a wrong file.
         """
         match part.WhichOneof("part"):
             case "record":
                 if part.record.HasField("result"):
                     check_result(part.record.result)
                 self._record = part.record
-                _restart(self._files)
+                self._restart()
             case "file":
-                _write(self._files, part.file)
+                self._write(part.file)
             case _:
-                pass
+                pass  # of a later version
 
-    def finished(self) -> StoredPlan:
-        """The plan.
+    def finish(self) -> StoredPlan:
+        """Return the plan.
 
         Raises:
-            PlannerError: the stream ended before it came.
+            PlannerError: the stream ended before the plan came.
         """
         if self._record is None:
             raise _incomplete("a plan")
-        return StoredPlan(self._record, _complete(self._files, self._folder))
+        return StoredPlan(self._record, self._finish_files())
 
 
 class SceneReader:
-    """Reads ``BuildScene``."""
+    """Reader of the events of ``BuildScene``."""
 
     def __init__(self) -> None:
         self._scene: BuiltScene | None = None
 
     def take(self, event: BuildSceneResponse) -> None:
-        """The next event."""
+        """Read the next event."""
         if event.HasField("scene"):
             self._scene = event.scene
 
-    def finished(self) -> BuiltScene:
-        """The scene.
+    def finish(self) -> BuiltScene:
+        """Return the scene.
 
         Raises:
-            PlannerError: the stream ended before it came.
+            PlannerError: the stream ended before the scene came.
         """
         if self._scene is None:
             raise _incomplete("a scene")
         return self._scene
 
 
-def verdict_of(result: MotionResult) -> str:
-    """The verdict's name as ``result.json`` writes it.
+def read_verdict(result: MotionResult) -> str:
+    """Return the verdict's name as ``result.json`` has it.
 
     Raises:
-        PlannerError: it is none that this version knows.
+        PlannerError: this version does not know the verdict.
     """
     if result.verdict not in Verdict.values() or result.verdict == Verdict.VERDICT_UNSPECIFIED:
-        raise PlannerError(
-            grpc.StatusCode.DATA_LOSS, f"the server told a verdict with the unknown number {result.verdict}"
-        )
+        raise _broken_answer(f"the verdict has the unknown number {result.verdict}")
     return Verdict.Name(result.verdict).removeprefix("VERDICT_")
 
 
 def check_result(result: MotionResult) -> None:
     """
     Raises:
-        PlannerError: its verdict is unknown, or its hashes, which reviews are bound to, are of something else.
+        PlannerError: the verdict is unknown, or a hash, which reviews are bound to, is wrong.
     """
-    verdict_of(result)
-    told, found = result.trajectory.sha256, ""
-    if result.HasField("trajectory"):
-        motion = result.trajectory
-        found = trajectory_sha256(motion.joint_names, motion.times, motion.positions)
-    if told != found:
-        raise PlannerError(
-            grpc.StatusCode.DATA_LOSS, f"the trajectory's hash is {found or 'none'}, not {told or 'none'}"
-        )
-    told, found = result.certificate.sha256, ""
-    if result.HasField("certificate"):
-        found = certificate_sha256(result.certificate.json)
-    if told != found:
-        raise PlannerError(
-            grpc.StatusCode.DATA_LOSS, f"the certificate's hash is {found or 'none'}, not {told or 'none'}"
-        )
+    read_verdict(result)
+    trajectory, certificate = result.trajectory, result.certificate
+    _check_hash(
+        "trajectory",
+        trajectory.sha256,
+        trajectory_sha256(trajectory.joint_names, trajectory.times, trajectory.positions)
+        if result.HasField("trajectory")
+        else "",
+    )
+    _check_hash(
+        "certificate",
+        certificate.sha256,
+        certificate_sha256(certificate.json) if result.HasField("certificate") else "",
+    )
 
 
-def _restart(files: ReceivedFiles | None) -> None:
-    if files is not None:
-        files.restart()
+def summarize(result: MotionResult) -> dict[str, Any]:
+    """Return a result with the keys of ``result.json``; ``service.result.result_json.summary_json`` has the same.
+
+    Raises:
+        PlannerError: the certificate is no JSON.
+    """
+    trajectory = result.trajectory if result.HasField("trajectory") else None
+    return {
+        "format": FORMAT,
+        "request_hash": result.request_sha256,
+        "verdict": read_verdict(result),
+        "explanation": list(result.explanation),
+        "conflict": to_plain(result.conflict) if result.HasField("conflict") else None,
+        "found_from": result.found_from,
+        "notes": list(result.notes),
+        "planning_time_s": result.planning_time_s,
+        "timings": dict(result.timings),
+        **_summarize_certificate(result.certificate),
+        "figures": to_plain(result.figures),
+        "detections": [to_plain(detection) for detection in result.detections],
+        "phases": [
+            {"name": phase.name, "start_s": phase.start_s, "end_s": phase.end_s}
+            for phase in (trajectory.phases if trajectory is not None else ())
+        ],
+        "duration_s": trajectory.times[-1] if trajectory is not None and trajectory.times else None,
+    }
 
 
-def _write(files: ReceivedFiles | None, chunk: FileChunk) -> None:
-    if files is not None:
-        files.take(chunk)
+def _summarize_certificate(certificate: Certificate) -> dict[str, Any]:
+    try:
+        data = json.loads(certificate.json) if certificate.json else {}
+    except (ValueError, RecursionError):
+        raise _broken_answer("the certificate is no JSON") from None
+    figures = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "coverage")
+    return {**{key: data.get(key) for key in figures}, **{key: data.get(key, []) for key in ("checks", "exempt")}}
 
 
-def _complete(files: ReceivedFiles | None, folder: Path | None) -> Path | None:
-    if files is None:
-        return None
-    files.finish()
-    return folder if files.any else None
+def _check_hash(name: str, sent: str, computed: str) -> None:
+    if sent != computed:
+        raise _broken_answer(f"the {name}'s hash is {computed or 'none'}, not {sent or 'none'}")
 
 
-def _incomplete(what: str) -> PlannerError:
-    return PlannerError(grpc.StatusCode.DATA_LOSS, f"the server ended the call without {what}")
+def _incomplete(content: str) -> PlannerError:
+    return _broken_answer(f"the server ended the call without {content}")
+
+
+def _broken_answer(text: str) -> PlannerError:
+    return PlannerError(grpc.StatusCode.DATA_LOSS, text)

@@ -1,40 +1,37 @@
-"""The client for asyncio."""
+"""Asyncio client, which holds every call of the planning service."""
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncGenerator, Callable, Iterable, Sequence
 from contextlib import aclosing
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import grpc
 from google.protobuf.message import Message
 
 from service.client.answers import FinishedPlan, PlanReader, SceneReader, StoredPlan, StoredReader
-from service.client.clouds import CloudParts, cloud_to_send, local_files, with_ids
-from service.client.connection import OPTIONS
-from service.client.errors import planner_error
-from service.client.local import askable
+from service.client.connection import Connection
+from service.client.error_texts import LastStep, UploadNames, explain_unreachable, name_uploaded_file
+from service.client.errors import PlannerError, read_error
+from service.client.local_files import UploadParts, find_local_files, hash_file, replace_by_ids, resolve_paths
 from service.client.messages import (
     Clouds,
     Meshes,
     check_size,
     clouds_message,
     detect_message,
-    local_cloud_files,
-    local_known_files,
+    find_cloud_files,
+    find_known_files,
     plan_message,
     review_message,
     scene_message,
     verify_message,
 )
-from service.client.names import of_upload
-from service.client.received import received_files
-from service.client.retry import Attempts
-from service.client.settings import ClientSettings
-from service.client.steps import LastStep
+from service.client.received import receive_files
+from service.client.retry import Attempts, Retry, check_seconds
+from service.client.transport import AsyncTransport, Transport
 from service.proto.planner.v1.planner_pb2 import (
     BuiltScene,
     CloudsSpec,
@@ -51,26 +48,58 @@ from service.proto.planner.v1.planner_pb2 import (
     RobotInfo,
     VerifyResponse,
 )
-from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request.schema import PlanRequest
 
+SLOWEST_UPLOAD = 1e6  # [bytes/s]
 
-class AsyncPlannerClient(ClientSettings):
-    """Calls a planning server from one event loop; as ``PlannerClient``, whose docstrings say what the methods do.
 
-    Every method raises ``PlannerError`` when the call comes to nothing, and ``RequestError`` for what is wrong before
-    anything is sent. See ``ClientSettings`` for the arguments.
+class AsyncPlannerClient:
+    """Calls a planning server from one asyncio event loop; made inside of a coroutine.
+
+    Every method raises ``PlannerError`` for a failed call, and ``RequestError`` for wrong arguments before anything is
+    sent. Cancelling a task cancels its call on the server.
     """
 
-    def __init__(self, target: str, **settings: Any) -> None:
-        super().__init__(target, **settings)
-        self._channel = (
-            grpc.aio.insecure_channel(target, OPTIONS)
-            if self._credentials is None
-            else grpc.aio.secure_channel(target, self._credentials, OPTIONS)
-        )
-        self._stub = PlannerServiceStub(self._channel)  # type: ignore[no-untyped-call]
+    _transport_type: ClassVar[type[Transport]] = AsyncTransport
+
+    def __init__(
+        self,
+        target: str,
+        *,
+        tls_ca: str | Path | None = None,
+        tls_cert: str | Path | None = None,
+        tls_key: str | Path | None = None,
+        token: str | None = None,
+        timeout_s: float = 30.0,
+        retry: Retry | None = None,
+        on_retry: Callable[[PlannerError, float], None] | None = None,
+    ) -> None:
+        """Open a channel; the server is reached by the first call.
+
+        Args:
+            target: ``HOST:PORT`` or ``unix:PATH``.
+            tls_ca: PEM file of the authority that the server's certificate comes from; the system's authorities by
+                default. Any of the three TLS files turns TLS on.
+            tls_cert: PEM file of the client's certificate, for servers that require one; needs ``tls_key``.
+            tls_key: PEM file of its unencrypted private key.
+            token: bearer token of the client; without TLS it is only sent to this machine.
+            timeout_s: limit [s] of calls that answer at once, and of uploads in addition to their size at 1 MB/s.
+                Planning, scenes, detection and verification have the server's limits or their ``deadline_s``.
+            retry: number of attempts and delays between them; ``Retry()`` by default.
+            on_retry: called with the error and the delay [s] before another attempt.
+
+        Raises:
+            TypeError: an argument is unknown or of a wrong type.
+            RequestError: the values contradict each other, or a file cannot be read.
+        """
+        check_seconds("timeout_s", timeout_s)
+        self._connection = Connection(target, tls_ca, tls_cert, tls_key, token)
+        self._transport = self._transport_type(self._connection)
+        self._timeout_s = timeout_s
+        self._retry = retry or Retry()
+        self._on_retry = on_retry
+        self._upload_names = UploadNames()
 
     async def __aenter__(self) -> Self:
         return self
@@ -81,8 +110,8 @@ class AsyncPlannerClient(ClientSettings):
         await self.close()
 
     async def close(self) -> None:
-        """Hang up; calls under way are cancelled."""
-        await self._channel.close(None)
+        """Close the connection; open calls are cancelled."""
+        await self._transport.close()
 
     async def plan(
         self,
@@ -94,9 +123,21 @@ class AsyncPlannerClient(ClientSettings):
         with_waypoints: bool = False,
         deadline_s: float | None = None,
     ) -> FinishedPlan:
-        """Have a request planned, and wait for the verdict; cancelling the task stops the plan."""
+        """Plan a request and wait for the verdict; an exception or a cancelled task in the meantime stops the plan.
+
+        Args:
+            request: local cloud, mesh and scene files that a ``PlanRequest`` names are uploaded first.
+            request_id: an earlier request's id, to get that plan; by default a new one.
+            out: folder for the result's files, as ``scopt plan`` writes it; by default none are sent.
+            on_progress: called with the acceptance, the place in the queue, every step and every iteration.
+            with_waypoints: whether iterations include their waypoints.
+            deadline_s: time limit [s] of uploads, queue and plan together; None for no limit.
+
+        Raises:
+            ResultError: ``out`` holds something other than an earlier result, or cannot be written.
+        """
         folder = None if out is None else Path(out)
-        with received_files(folder) as files:
+        with receive_files(folder) as files:
             reader = PlanReader(files, folder)
             events = self.plan_events(
                 request,
@@ -110,7 +151,7 @@ class AsyncPlannerClient(ClientSettings):
                     reader.take(event)
                     if on_progress is not None and event.WhichOneof("event") not in ("finished", "file"):
                         on_progress(event)
-            return reader.finished()
+            return reader.finish()
 
     async def plan_events(
         self,
@@ -121,9 +162,9 @@ class AsyncPlannerClient(ClientSettings):
         with_waypoints: bool = False,
         deadline_s: float | None = None,
     ) -> AsyncGenerator[PlanResponse, None]:
-        """All that the server tells of a plan; ``accepted`` comes first, and again when it was tried again.
+        """Yield every event of a plan, ``accepted`` first and again after each retry; closing the iterator stops it.
 
-        Closing the iterator stops the plan.
+        The arguments are those of ``plan``; ``with_files`` asks for the result's files as events.
         """
         attempts = self._attempts(deadline_s)
         if isinstance(request, PlanRequest):
@@ -134,34 +175,39 @@ class AsyncPlannerClient(ClientSettings):
                 yield event
 
     async def with_uploads(self, request: PlanRequest, *, deadline_s: float | None = None) -> PlanRequest:
-        """The request, its clouds and its scene that are files of this machine uploaded and named by their ids.
+        """Upload a request's local clouds, meshes and scene; return the request with their ids.
 
-        Its other paths that start here are told from the root where the server is this machine.
+        Its other relative paths become absolute if the server is this machine.
         """
-        request = askable(request, self._connection.is_this_machine)
+        request = resolve_paths(request, self._connection.is_this_machine)
         attempts = self._attempts(deadline_s)
         ids = {
             name: await self.upload_cloud(path, deadline_s=attempts.timeout_s)
-            for name, path in local_files(request).items()
+            for name, path in find_local_files(request).items()
         }
-        return with_ids(request, ids)
+        return replace_by_ids(request, ids)
 
     async def upload_cloud(self, path: str | Path, *, deadline_s: float | None = None) -> str:
-        """Bring a cloud; returns its id. One that the server has is recognised by its hash and not sent again."""
-        cloud = await asyncio.to_thread(cloud_to_send, path)
-        attempts = self._attempts(self._upload_time_s(cloud) if deadline_s is None else deadline_s)
+        """Upload a cloud, mesh or scene file and return its id; files the server has are not sent again.
+
+        Args:
+            deadline_s: time limit [s]; by default ``timeout_s`` and 1 s per MB.
+        """
+        upload = await self._transport.run(hash_file, path)
+        upload_time_s = self._timeout_s + upload.n_bytes / SLOWEST_UPLOAD
+        attempts = self._attempts(upload_time_s if deadline_s is None else deadline_s)
         while True:
-            parts = CloudParts(cloud)
+            parts = UploadParts(upload)
             try:
-                answer = await self._stub.UploadCloud(parts, **self._call_options(attempts))
+                answer = await self._transport.call("UploadCloud", parts, _time_left_s(attempts))
             except grpc.RpcError as error:
                 if parts.error is not None:
                     raise parts.error from None
-                delay = self._wait_s(attempts, of_upload(planner_error(error), cloud.path))
+                delay_s = self._delay_s(attempts, name_uploaded_file(read_error(error), upload.path))
             else:
-                self._names.remember(answer.cloud_id, cloud.path)
+                self._upload_names.add(answer.cloud_id, upload.path)
                 return str(answer.cloud_id)
-            await asyncio.sleep(delay)
+            await self._transport.sleep(delay_s)
 
     async def build_scene(
         self,
@@ -176,95 +222,125 @@ class AsyncPlannerClient(ClientSettings):
         on_step: Callable[[str], None] | None = None,
         deadline_s: float | None = None,
     ) -> BuiltScene:
-        """Turn clouds into pieces, floor and objects; the options are those of ``scopt scene``.
+        """Turn clouds into pieces, floor and objects, with the options of ``scopt scene``.
 
-        Meshes are known objects; ``update`` is an earlier scene, a file here or its id. Files here are uploaded.
+        Args:
+            clouds: local files, which are uploaded, ids of uploads, or a ``CloudsSpec``.
+            meshes: known objects: local files, which are uploaded, ids, or ``KnownMesh``.
+            update: earlier scene to update: a local file or its id.
+            on_step: called with the name of each step.
+            deadline_s: time limit [s] after the uploads; None for no limit.
         """
-        files = local_known_files(meshes, update)
+        files = find_known_files(meshes, update)
         ids = {name: await self.upload_cloud(path) for name, path in files.items()}
-        given = await self._clouds(clouds)
-        message = scene_message(given, detect, hint, unknown, method, meshes, update, ids)
+        spec = await self._upload_clouds(clouds)
+        message = scene_message(spec, detect, hint, unknown, method, meshes, update, ids)
         reader = SceneReader()
         async with aclosing(self._stream("BuildScene", message, self._attempts(deadline_s))) as events:
             async for event in events:
                 reader.take(event)
                 if on_step is not None and event.step:
                     on_step(event.step)
-        return reader.finished()
+        return reader.finish()
 
     async def get_scene(self, scene_id: str) -> BuiltScene:
-        """A scene that was built before, also before the server was restarted."""
-        stored: GetSceneResponse = await self._ask("GetScene", GetSceneRequest(scene_id=scene_id), self._timeout_s)
-        return stored.scene
+        """Return a scene that was built before, also before the server was restarted."""
+        reply: GetSceneResponse = await self._call("GetScene", GetSceneRequest(scene_id=scene_id), self._timeout_s)
+        return reply.scene
 
     async def detect(
         self, clouds: Clouds, kind: str, *, hint: Sequence[float] | None = None, deadline_s: float | None = None
     ) -> DetectResponse:
-        """Find objects of a kind, best first."""
-        message = detect_message(await self._clouds(clouds), kind, hint)
-        found: DetectResponse = await self._ask("Detect", message, deadline_s)
-        return found
+        """Find objects of a kind, best first; ``hint`` is a position near the object [m] in the world frame."""
+        message = detect_message(await self._upload_clouds(clouds), kind, hint)
+        reply: DetectResponse = await self._call("Detect", message, deadline_s)
+        return reply
 
     async def verify(self, plan: str | Path, *, deadline_s: float | None = None) -> VerifyResponse:
-        """Have a motion checked anew: that of a plan by its id (a text), or of a result folder here (a path)."""
-        checked: VerifyResponse = await self._ask("Verify", verify_message(plan), deadline_s)
-        return checked
+        """Verify a motion again: that of a plan on the server (id as str) or of a local result folder (``Path``)."""
+        reply: VerifyResponse = await self._call("Verify", verify_message(plan), deadline_s)
+        return reply
 
     async def robots(self) -> tuple[RobotInfo, ...]:
-        """The robots that can be named."""
-        return tuple((await self._ask("ListRobots", ListRobotsRequest(), self._timeout_s)).robots)
+        """Return the robots that a request can name."""
+        return tuple((await self._call("ListRobots", ListRobotsRequest(), self._timeout_s)).robots)
 
     async def get_plan(
         self, plan_id: str, *, out: str | Path | None = None, deadline_s: float | None = None
     ) -> StoredPlan:
-        """A plan and its reviews; with ``out``, its files are put into that folder."""
+        """Return a plan and its reviews; with ``out``, write its files into that folder."""
         folder = None if out is None else Path(out)
         message = GetPlanRequest(plan_id=plan_id, with_files=out is not None)
         attempts = self._attempts(self._timeout_s if deadline_s is None else deadline_s)
-        with received_files(folder) as files:
+        with receive_files(folder) as files:
             reader = StoredReader(files, folder)
             async with aclosing(self._stream("GetPlan", message, attempts)) as parts:
                 async for part in parts:
                     reader.take(part)
-            return reader.finished()
+            return reader.finish()
 
     async def review(self, seen: PlanRecord, *, accept: bool, comment: str = "") -> Review:
-        """Accept or reject the very trajectory and certificate that ``get_plan`` has shown."""
+        """Accept or reject exactly the trajectory and certificate of the record that ``get_plan`` returned."""
         message = review_message(seen, accept, comment)
-        review: Review = (await self._ask("ReviewPlan", message, self._timeout_s, is_repeatable=False)).review
+        review: Review = (await self._call("ReviewPlan", message, self._timeout_s, is_repeatable=False)).review
         return review
 
     async def status(self) -> GetStatusResponse:
-        """What the server is doing."""
-        status: GetStatusResponse = await self._ask("GetStatus", GetStatusRequest(), self._timeout_s)
+        """Return the server's workers, queue, verdict counts and latencies."""
+        status: GetStatusResponse = await self._call("GetStatus", GetStatusRequest(), self._timeout_s)
         return status
 
-    async def _clouds(self, clouds: Clouds) -> CloudsSpec:
-        ids = {name: await self.upload_cloud(path) for name, path in local_cloud_files(clouds).items()}
+    async def _upload_clouds(self, clouds: Clouds) -> CloudsSpec:
+        ids = {name: await self.upload_cloud(path) for name, path in find_cloud_files(clouds).items()}
         return clouds_message(clouds, ids)
 
-    async def _ask(self, method: str, message: Message, deadline_s: float | None, is_repeatable: bool = True) -> Any:
+    async def _call(self, method: str, message: Message, deadline_s: float | None, is_repeatable: bool = True) -> Any:
         check_size(message)
         attempts = self._attempts(deadline_s, is_repeatable)
         while True:
             try:
-                return await getattr(self._stub, method)(message, **self._call_options(attempts))
+                return await self._transport.call(method, message, _time_left_s(attempts))
             except grpc.RpcError as error:
-                delay = self._wait_s(attempts, planner_error(error))
-            await asyncio.sleep(delay)
+                delay_s = self._delay_s(attempts, read_error(error))
+            await self._transport.sleep(delay_s)
 
     async def _stream(self, method: str, message: Message, attempts: Attempts) -> AsyncGenerator[Any, None]:
         check_size(message)
         step = LastStep()
         while True:
-            call = getattr(self._stub, method)(message, **self._call_options(attempts))
             try:
-                async for event in call:
-                    step.take(event)
-                    yield event
+                async with aclosing(self._transport.stream(method, message, _time_left_s(attempts))) as events:
+                    async for event in events:
+                        step.take(event)
+                        yield event
                 return
             except grpc.RpcError as error:
-                delay = self._wait_s(attempts, planner_error(error), step)
-            finally:
-                call.cancel()
-            await asyncio.sleep(delay)
+                delay_s = self._delay_s(attempts, read_error(error), step)
+            await self._transport.sleep(delay_s)
+
+    def _attempts(self, deadline_s: float | None, is_repeatable: bool = True) -> Attempts:
+        return Attempts(self._retry, deadline_s, is_repeatable)
+
+    def _delay_s(self, attempts: Attempts, error: PlannerError, step: LastStep | None = None) -> float:
+        """Return the delay before the next attempt.
+
+        Raises:
+            PlannerError: no attempt is left; the text names the user's files and the last step.
+        """
+        error = (step or LastStep()).explain_deadline(self._upload_names.restore(error), attempts.deadline_s)
+        error = explain_unreachable(error, self._connection)
+        delay_s = attempts.delay_s(error)
+        if self._on_retry is not None:
+            self._on_retry(error, delay_s)
+        return delay_s
+
+
+def _time_left_s(attempts: Attempts) -> float | None:
+    """
+    Raises:
+        PlannerError: the deadline has passed.
+    """
+    timeout_s = attempts.timeout_s
+    if timeout_s is not None and timeout_s <= 0.0:
+        raise PlannerError(grpc.StatusCode.DEADLINE_EXCEEDED, "no time is left")
+    return timeout_s

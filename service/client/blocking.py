@@ -1,76 +1,111 @@
-"""The blocking client."""
+"""Blocking client: the asynchronous client's methods over a transport that blocks."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing
+import functools
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
-import grpc
-from google.protobuf.message import Message
+from service.client.asynchronous import AsyncPlannerClient
+from service.client.errors import PlannerError
+from service.client.retry import Retry
+from service.client.transport import BlockingTransport
 
-from service.client.answers import FinishedPlan, PlanReader, SceneReader, StoredPlan, StoredReader
-from service.client.clouds import CloudParts, cloud_to_send, local_files, with_ids
-from service.client.connection import OPTIONS
-from service.client.errors import planner_error
-from service.client.local import askable
-from service.client.messages import (
-    Clouds,
-    Meshes,
-    check_size,
-    clouds_message,
-    detect_message,
-    local_cloud_files,
-    local_known_files,
-    plan_message,
-    review_message,
-    scene_message,
-    verify_message,
-)
-from service.client.names import of_upload
-from service.client.received import received_files
-from service.client.retry import Attempts
-from service.client.settings import ClientSettings
-from service.client.steps import LastStep
-from service.proto.planner.v1.planner_pb2 import (
-    BuiltScene,
-    CloudsSpec,
-    DetectResponse,
-    GetPlanRequest,
-    GetSceneRequest,
-    GetSceneResponse,
-    GetStatusRequest,
-    GetStatusResponse,
-    ListRobotsRequest,
-    PlanRecord,
-    PlanResponse,
-    Review,
-    RobotInfo,
-    VerifyResponse,
-)
-from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
-from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request.schema import PlanRequest
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
-class PlannerClient(ClientSettings):
-    """Calls a planning server and waits for it; usable from several threads.
+class _UnsuspendedClient(AsyncPlannerClient):
+    """Client whose coroutines run to their end at the first step, without an event loop.
 
-    Every method raises ``PlannerError`` when the call comes to nothing, and ``RequestError`` for what is wrong before
-    anything is sent. See ``ClientSettings`` for the arguments.
+    ``grpc.aio`` in a background loop would do worse than a blocking channel: with grpcio 1.76 it logs
+    ``BlockingIOError`` in processes with a second loop (grpc/grpc#42357), and it may lose answers of uploads
+    (``errors.ANSWER_LOST``).
     """
 
-    def __init__(self, target: str, **settings: Any) -> None:
-        super().__init__(target, **settings)
-        self._channel = (
-            grpc.insecure_channel(target, OPTIONS)
-            if self._credentials is None
-            else grpc.secure_channel(target, self._credentials, OPTIONS)
+    _transport_type = BlockingTransport
+
+
+def _run(coroutine: Coroutine[Any, Any, R]) -> R:
+    """Run a coroutine that never suspends."""
+    try:
+        coroutine.send(None)
+    except StopIteration as end:
+        result: R = end.value
+        return result
+    raise RuntimeError("a call of the blocking client suspended")
+
+
+def _block(
+    method: Callable[Concatenate[AsyncPlannerClient, P], Coroutine[Any, Any, R]],
+) -> Callable[Concatenate[PlannerClient, P], R]:
+    """Return the blocking form of a coroutine method, with its signature and docstring."""
+
+    @functools.wraps(method)
+    def call(client: PlannerClient, /, *arguments: P.args, **named: P.kwargs) -> R:
+        return _run(method(client._calls, *arguments, **named))
+
+    return call
+
+
+def _iterate(
+    method: Callable[Concatenate[AsyncPlannerClient, P], AsyncGenerator[R, None]],
+) -> Callable[Concatenate[PlannerClient, P], Generator[R, None, None]]:
+    """Return the blocking form of an asynchronous generator method, with its signature and docstring."""
+
+    @functools.wraps(method)
+    def call(client: PlannerClient, /, *arguments: P.args, **named: P.kwargs) -> Generator[R, None, None]:
+        return _iterate_blocking(method(client._calls, *arguments, **named))
+
+    return call
+
+
+def _iterate_blocking(events: AsyncGenerator[R, None]) -> Generator[R, None, None]:
+    try:
+        while True:
+            try:
+                event = _run(events.__anext__())
+            except StopAsyncIteration:
+                return
+            yield event
+    finally:
+        _run(events.aclose())
+
+
+class PlannerClient:
+    """Calls a planning server and waits for its answers.
+
+    Several threads may use a client at the same time, also where an asyncio event loop runs (Jupyter); it starts no
+    loop and no thread of its own. Every method has the arguments and errors of the method of ``AsyncPlannerClient``
+    with its name. An exception in the meantime, ``KeyboardInterrupt`` included, cancels the call on the server.
+    """
+
+    def __init__(
+        self,
+        target: str,
+        *,
+        tls_ca: str | Path | None = None,
+        tls_cert: str | Path | None = None,
+        tls_key: str | Path | None = None,
+        token: str | None = None,
+        timeout_s: float = 30.0,
+        retry: Retry | None = None,
+        on_retry: Callable[[PlannerError, float], None] | None = None,
+    ) -> None:
+        self._calls = _UnsuspendedClient(
+            target,
+            tls_ca=tls_ca,
+            tls_cert=tls_cert,
+            tls_key=tls_key,
+            token=token,
+            timeout_s=timeout_s,
+            retry=retry,
+            on_retry=on_retry,
         )
-        self._stub = PlannerServiceStub(self._channel)  # type: ignore[no-untyped-call]
+
+    __init__.__doc__ = AsyncPlannerClient.__init__.__doc__
 
     def __enter__(self) -> Self:
         return self
@@ -80,198 +115,16 @@ class PlannerClient(ClientSettings):
     ) -> None:
         self.close()
 
-    def close(self) -> None:
-        """Hang up; calls under way are cancelled."""
-        self._channel.close()
-
-    def plan(
-        self,
-        request: PlanRequest | MotionRequest,
-        *,
-        request_id: str | None = None,
-        out: str | Path | None = None,
-        on_progress: Callable[[PlanResponse], None] | None = None,
-        with_waypoints: bool = False,
-        deadline_s: float | None = None,
-    ) -> FinishedPlan:
-        """Have a request planned, and wait for the verdict; an exception in the meantime stops the plan.
-
-        Args:
-            request: cloud files of this machine that a ``PlanRequest`` names are uploaded first.
-            request_id: one that was used before, to get that plan; by default a new one.
-            out: folder for the result's files, as ``scopt plan`` writes it; None: they are not asked for.
-            on_progress: told that it was accepted, its place in the queue, every step and iteration.
-            with_waypoints: whether iterations tell their waypoints.
-            deadline_s: for all of it.
-
-        Raises:
-            ResultError: ``out`` holds something other than an earlier result, or cannot be written.
-        """
-        folder = None if out is None else Path(out)
-        with received_files(folder) as files:
-            reader = PlanReader(files, folder)
-            events = self.plan_events(
-                request,
-                request_id=request_id,
-                with_files=files is not None,
-                with_waypoints=with_waypoints,
-                deadline_s=deadline_s,
-            )
-            with closing(events):
-                for event in events:
-                    reader.take(event)
-                    if on_progress is not None and event.WhichOneof("event") not in ("finished", "file"):
-                        on_progress(event)
-            return reader.finished()
-
-    def plan_events(
-        self,
-        request: PlanRequest | MotionRequest,
-        *,
-        request_id: str | None = None,
-        with_files: bool = False,
-        with_waypoints: bool = False,
-        deadline_s: float | None = None,
-    ) -> Generator[PlanResponse, None, None]:
-        """All that the server tells of a plan; ``accepted`` comes first, and again when it was tried again.
-
-        Closing the iterator stops the plan.
-        """
-        attempts = self._attempts(deadline_s)
-        if isinstance(request, PlanRequest):
-            request = self.with_uploads(request, deadline_s=attempts.timeout_s)
-        message = plan_message(request, request_id, with_files, with_waypoints)
-        yield from self._stream("Plan", message, attempts)
-
-    def with_uploads(self, request: PlanRequest, *, deadline_s: float | None = None) -> PlanRequest:
-        """The request, its clouds and its scene that are files of this machine uploaded and named by their ids.
-
-        Its other paths that start here are told from the root where the server is this machine.
-        """
-        request = askable(request, self._connection.is_this_machine)
-        attempts = self._attempts(deadline_s)
-        ids = {
-            name: self.upload_cloud(path, deadline_s=attempts.timeout_s) for name, path in local_files(request).items()
-        }
-        return with_ids(request, ids)
-
-    def upload_cloud(self, path: str | Path, *, deadline_s: float | None = None) -> str:
-        """Bring a cloud; returns its id. One that the server has is recognised by its hash and not sent again."""
-        cloud = cloud_to_send(path)
-        attempts = self._attempts(self._upload_time_s(cloud) if deadline_s is None else deadline_s)
-        while True:
-            parts = CloudParts(cloud)
-            try:
-                answer = self._stub.UploadCloud(parts, **self._call_options(attempts))
-            except grpc.RpcError as error:
-                if parts.error is not None:
-                    raise parts.error from None
-                delay = self._wait_s(attempts, of_upload(planner_error(error), cloud.path))
-            else:
-                self._names.remember(answer.cloud_id, cloud.path)
-                return str(answer.cloud_id)
-            time.sleep(delay)
-
-    def build_scene(
-        self,
-        clouds: Clouds,
-        *,
-        detect: Iterable[str] = (),
-        hint: Sequence[float] | None = None,
-        unknown: str | None = None,
-        method: str | None = None,
-        meshes: Meshes = (),
-        update: str | Path | None = None,
-        on_step: Callable[[str], None] | None = None,
-        deadline_s: float | None = None,
-    ) -> BuiltScene:
-        """Turn clouds into pieces, floor and objects; the options are those of ``scopt scene``.
-
-        Meshes are known objects; ``update`` is an earlier scene, a file here or its id. Files here are uploaded.
-        """
-        files = local_known_files(meshes, update)
-        ids = {name: self.upload_cloud(path) for name, path in files.items()}
-        given = self._clouds(clouds)
-        message = scene_message(given, detect, hint, unknown, method, meshes, update, ids)
-        reader = SceneReader()
-        with closing(self._stream("BuildScene", message, self._attempts(deadline_s))) as events:
-            for event in events:
-                reader.take(event)
-                if on_step is not None and event.step:
-                    on_step(event.step)
-        return reader.finished()
-
-    def get_scene(self, scene_id: str) -> BuiltScene:
-        """A scene that was built before, also before the server was restarted."""
-        stored: GetSceneResponse = self._ask("GetScene", GetSceneRequest(scene_id=scene_id), self._timeout_s)
-        return stored.scene
-
-    def detect(
-        self, clouds: Clouds, kind: str, *, hint: Sequence[float] | None = None, deadline_s: float | None = None
-    ) -> DetectResponse:
-        """Find objects of a kind, best first."""
-        message = detect_message(self._clouds(clouds), kind, hint)
-        found: DetectResponse = self._ask("Detect", message, deadline_s)
-        return found
-
-    def verify(self, plan: str | Path, *, deadline_s: float | None = None) -> VerifyResponse:
-        """Have a motion checked anew: that of a plan by its id (a text), or of a result folder here (a path)."""
-        checked: VerifyResponse = self._ask("Verify", verify_message(plan), deadline_s)
-        return checked
-
-    def robots(self) -> tuple[RobotInfo, ...]:
-        """The robots that can be named."""
-        return tuple(self._ask("ListRobots", ListRobotsRequest(), self._timeout_s).robots)
-
-    def get_plan(self, plan_id: str, *, out: str | Path | None = None, deadline_s: float | None = None) -> StoredPlan:
-        """A plan and its reviews; with ``out``, its files are put into that folder."""
-        folder = None if out is None else Path(out)
-        message = GetPlanRequest(plan_id=plan_id, with_files=out is not None)
-        attempts = self._attempts(self._timeout_s if deadline_s is None else deadline_s)
-        with received_files(folder) as files:
-            reader = StoredReader(files, folder)
-            with closing(self._stream("GetPlan", message, attempts)) as parts:
-                for part in parts:
-                    reader.take(part)
-            return reader.finished()
-
-    def review(self, seen: PlanRecord, *, accept: bool, comment: str = "") -> Review:
-        """Accept or reject the very trajectory and certificate that ``get_plan`` has shown."""
-        message = review_message(seen, accept, comment)
-        review: Review = self._ask("ReviewPlan", message, self._timeout_s, is_repeatable=False).review
-        return review
-
-    def status(self) -> GetStatusResponse:
-        """What the server is doing."""
-        status: GetStatusResponse = self._ask("GetStatus", GetStatusRequest(), self._timeout_s)
-        return status
-
-    def _clouds(self, clouds: Clouds) -> CloudsSpec:
-        ids = {name: self.upload_cloud(path) for name, path in local_cloud_files(clouds).items()}
-        return clouds_message(clouds, ids)
-
-    def _ask(self, method: str, message: Message, deadline_s: float | None, is_repeatable: bool = True) -> Any:
-        check_size(message)
-        attempts = self._attempts(deadline_s, is_repeatable)
-        while True:
-            try:
-                return getattr(self._stub, method)(message, **self._call_options(attempts))
-            except grpc.RpcError as error:
-                delay = self._wait_s(attempts, planner_error(error))
-            time.sleep(delay)
-
-    def _stream(self, method: str, message: Message, attempts: Attempts) -> Generator[Any, None, None]:
-        check_size(message)
-        step = LastStep()
-        while True:
-            call = getattr(self._stub, method)(message, **self._call_options(attempts))
-            try:
-                for event in call:
-                    step.take(event)
-                    yield event
-                return
-            except grpc.RpcError as error:
-                delay = self._wait_s(attempts, planner_error(error), step)
-            finally:
-                call.cancel()
-            time.sleep(delay)
+    close = _block(AsyncPlannerClient.close)
+    plan = _block(AsyncPlannerClient.plan)
+    plan_events = _iterate(AsyncPlannerClient.plan_events)
+    with_uploads = _block(AsyncPlannerClient.with_uploads)
+    upload_cloud = _block(AsyncPlannerClient.upload_cloud)
+    build_scene = _block(AsyncPlannerClient.build_scene)
+    get_scene = _block(AsyncPlannerClient.get_scene)
+    detect = _block(AsyncPlannerClient.detect)
+    verify = _block(AsyncPlannerClient.verify)
+    robots = _block(AsyncPlannerClient.robots)
+    get_plan = _block(AsyncPlannerClient.get_plan)
+    review = _block(AsyncPlannerClient.review)
+    status = _block(AsyncPlannerClient.status)

@@ -1,4 +1,4 @@
-"""What is sent, built from what a user has at hand."""
+"""Messages of the calls, built from the arguments of the clients."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from types import MappingProxyType
 
 from google.protobuf.message import Message
 
-from service.client.clouds import is_sent
 from service.client.connection import MAX_SENT_BYTES
-from service.client.local import NOT_UPLOADED, cloud_problem
+from service.client.local_files import NOT_UPLOADED, find_upload_problem, is_uploaded
 from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
@@ -34,10 +33,10 @@ from service.wire.plain import fill
 from service.wire.requests import request_to_message
 
 Clouds = CloudsSpec | str | Path | Sequence[str | Path]
-"""Clouds as the wire says them, or files here and ids of uploaded ones, in the world frame and metres."""
+"""A message, or local files and ids of uploads, in the world frame and metres."""
 
 Meshes = Sequence[KnownMesh | str | Path]
-"""Known objects as the wire says them, or files that are looked for everywhere in metres; those here are uploaded."""
+"""Known objects: messages, or local files and ids of uploads, in metres, to be found anywhere in the clouds."""
 
 
 def plan_message(
@@ -46,7 +45,7 @@ def plan_message(
     with_files: bool,
     with_waypoints: bool,
 ) -> PlanMessage:
-    """A request with an id, which makes it safe to ask again."""
+    """Return the message of a request, with an id under which it can be sent again."""
     return PlanMessage(
         request_id=request_id or str(uuid.uuid4()),
         request=request if isinstance(request, MotionRequest) else request_to_message(request),
@@ -65,68 +64,73 @@ def scene_message(
     update: str | Path | None = None,
     ids: Mapping[str, str] = MappingProxyType({}),
 ) -> BuildSceneRequest:
-    """
+    """Return the message of a scene to build.
+
     Args:
-        ids: of meshes and of the scene to update that were uploaded, by the name they are given.
+        ids: ids of the uploaded meshes and of the uploaded scene to update, by the names of their files.
 
     Raises:
-        RequestError: an option has a value that it cannot have.
+        RequestError: an option has a wrong value.
     """
-    known = [_named(one, ids) for one in meshes]
+    known = [_replace_by_id(mesh, ids) for mesh in meshes]
     before = None if update is None else ids.get(str(update), str(update))
     message = BuildSceneRequest(clouds=clouds, meshes=known, update=before)
-    asked = {"detect": list(detect), "hint": list(hint or ()), "unknown": unknown, "method": method}
-    fill(message, asked)
+    fill(message, {"detect": list(detect), "hint": list(hint or ()), "unknown": unknown, "method": method})
     return message
 
 
 def detect_message(clouds: CloudsSpec, kind: str, hint: Sequence[float] | None) -> DetectRequest:
-    """Objects of a kind in clouds."""
+    """Return the message of a detection."""
     return DetectRequest(clouds=clouds, kind=kind, hint=hint or ())
 
 
-def local_cloud_files(clouds: Clouds) -> dict[str, Path]:
-    """Those that are files here, by the name they are given.
+def find_cloud_files(clouds: Clouds) -> dict[str, Path]:
+    """Return the local cloud files, by their names in ``clouds``.
 
     Raises:
-        RequestError: one starts here and is not here.
+        RequestError: a relative path does not exist, or is a folder.
     """
     if isinstance(clouds, CloudsSpec):
         return {}
-    names = [str(cloud) for cloud in _listed(clouds)]
-    found = [cloud_problem(f"clouds[{index}]", name, Path(name)) for index, name in enumerate(names)]
-    problems = [problem for problem in found if problem]
-    if problems:
-        raise RequestError(problems)
-    return {name: Path(name) for name in names if Path(name).is_file()}
+    return _find_files({f"clouds[{index}]": name for index, name in enumerate(_names(clouds))})
 
 
-def local_known_files(meshes: Meshes, update: str | Path | None) -> dict[str, Path]:
-    """Meshes and the scene to update that are files here, by the name they are given.
+def find_known_files(meshes: Meshes, update: str | Path | None) -> dict[str, Path]:
+    """Return the local files of meshes and of the scene to update, by their names in the arguments.
 
     Raises:
-        RequestError: one starts here and is not here, or cannot be uploaded.
+        RequestError: a relative path does not exist, or cannot be uploaded.
     """
-    named = {f"meshes[{k}].file": _as_mesh(one).file for k, one in enumerate(meshes)}
-    not_sent = {field: name for field, name in named.items() if Path(name).is_file() and not is_sent(name)}
-    sent = {field: name for field, name in named.items() if field not in not_sent}
-    sent |= {} if update is None else {"update": str(update)}
-    problems = [cloud_problem(field, name, Path(name)) for field, name in sent.items()]
-    problems += [f"{field}: {shown(name)}: {NOT_UPLOADED}" for field, name in not_sent.items() if not isabs(name)]
-    told = [problem for problem in problems if problem]
-    if told:
-        raise RequestError(told)
-    return {name: Path(name) for name in sent.values() if Path(name).is_file()}
+    names = {f"meshes[{index}].file": _as_message(mesh).file for index, mesh in enumerate(meshes)}
+    refused = {field: name for field, name in names.items() if Path(name).is_file() and not is_uploaded(name)}
+    uploaded = {field: name for field, name in names.items() if field not in refused}
+    uploaded |= {} if update is None else {"update": str(update)}
+    return _find_files(
+        uploaded, [f"{field}: {shown(name)}: {NOT_UPLOADED}" for field, name in refused.items() if not isabs(name)]
+    )
 
 
-def _as_mesh(mesh: KnownMesh | str | Path) -> KnownMesh:
+def _find_files(names: Mapping[str, str], problems: Sequence[str] = ()) -> dict[str, Path]:
+    """Return the local files among names by field.
+
+    Raises:
+        RequestError: one of them cannot be uploaded, or there are problems already.
+    """
+    found = [find_upload_problem(field, name, Path(name)) for field, name in names.items()]
+    problems = [problem for problem in [*found, *problems] if problem]
+    if problems:
+        raise RequestError(problems)
+    return {name: Path(name) for name in names.values() if Path(name).is_file()}
+
+
+def _as_message(mesh: KnownMesh | str | Path) -> KnownMesh:
     return mesh if isinstance(mesh, KnownMesh) else KnownMesh(file=str(mesh))
 
 
-def _named(mesh: KnownMesh | str | Path, ids: Mapping[str, str]) -> KnownMesh:
-    """The mesh by its id, if it was uploaded, and then with the name of its file."""
+def _replace_by_id(mesh: KnownMesh | str | Path, ids: Mapping[str, str]) -> KnownMesh:
+    """Return the message of a mesh; an uploaded one by its id, named after its file."""
     known = KnownMesh()
-    known.CopyFrom(_as_mesh(mesh))
+    known.CopyFrom(_as_message(mesh))
     if known.file in ids:
         if not known.name:
             known.name = Path(known.file).stem
@@ -135,34 +139,35 @@ def _named(mesh: KnownMesh | str | Path, ids: Mapping[str, str]) -> KnownMesh:
 
 
 def clouds_message(clouds: Clouds, ids: dict[str, str]) -> CloudsSpec:
-    """The clouds, those in ``ids`` named by their id."""
+    """Return the message of clouds, with the ids of uploads in place of their files' names."""
     if isinstance(clouds, CloudsSpec):
         return clouds
-    names = [str(cloud) for cloud in _listed(clouds)]
-    return CloudsSpec(clouds=[CloudFile(file=ids.get(name, name)) for name in names])
+    return CloudsSpec(clouds=[CloudFile(file=ids.get(name, name)) for name in _names(clouds)])
 
 
 def check_size(message: Message) -> None:
     """
     Raises:
-        RequestError: no server takes as much at once.
+        RequestError: the message is larger than any server accepts.
     """
     n_bytes = message.ByteSize()
     if n_bytes <= MAX_SENT_BYTES:
         return
-    words = f"{_mib(n_bytes)} to send; a server takes at most {_mib(MAX_SENT_BYTES)} at once"
+    problem = f"the message has {_mib(n_bytes)}; a server accepts at most {_mib(MAX_SENT_BYTES)}"
     if isinstance(message, VerifyRequest) and message.files:
         largest = max(message.files, key=lambda file: len(file.data))
-        words = f"files: {words}, and {largest.path} alone has {_mib(len(largest.data))}; verify the folder here, or "
-        words += "ask by the plan's id"
-    raise RequestError(words)
+        problem = (
+            f"files: {problem} and {largest.path} alone has {_mib(len(largest.data))}; verify the folder here, or "
+        )
+        problem += "give the plan's id"
+    raise RequestError(problem)
 
 
 def verify_message(plan: str | Path) -> VerifyRequest:
-    """A plan by its id (a text), or a result folder here (a path) with the files that tell its motion.
+    """Return the message for a plan's id (str), or for a local result folder (``Path``) with the files of its motion.
 
     Raises:
-        ResultError: it is no result folder.
+        ResultError: the folder is no result folder.
     """
     if isinstance(plan, str):
         return VerifyRequest(plan_id=plan)
@@ -178,13 +183,13 @@ def verify_message(plan: str | Path) -> VerifyRequest:
 
 
 def review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> ReviewPlanRequest:
-    """A review of the very trajectory and certificate that were seen.
+    """Return the review of exactly the trajectory and certificate of a record.
 
     Raises:
         RequestError: the plan has not finished.
     """
     if seen.state != PlanState.PLAN_STATE_FINISHED:
-        raise RequestError(f"plan {seen.plan_id} is not finished; only a finished plan is reviewed")
+        raise RequestError(f"plan {seen.plan_id} is not finished; expected a finished plan")
     return ReviewPlanRequest(
         plan_id=seen.plan_id,
         decision=Decision.DECISION_ACCEPTED if is_accepted else Decision.DECISION_REJECTED,
@@ -198,5 +203,5 @@ def _mib(n_bytes: int) -> str:
     return f"{n_bytes / 2**20:.1f} MiB"
 
 
-def _listed(clouds: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
-    return (clouds,) if isinstance(clouds, str | Path) else clouds
+def _names(clouds: str | Path | Sequence[str | Path]) -> list[str]:
+    return [str(cloud) for cloud in ((clouds,) if isinstance(clouds, str | Path) else clouds)]

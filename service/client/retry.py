@@ -1,4 +1,4 @@
-"""When a call is tried again: the server is away, or has said when there will be room."""
+"""Further attempts at a call, after a server was unreachable or overloaded."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from service.errors import RequestError
 
 @dataclass(frozen=True)
 class Retry:
-    """How often and how long.
+    """Number of attempts and delays between them.
 
-    A call is tried again when the server cannot be reached, and when it is overloaded and says how long it will be.
+    A call is tried again if the server cannot be reached, or if it is overloaded and names a delay.
 
     Attributes:
-        attempts: at most, the first included; 1 tries nothing again.
-        max_delay_s: a server that asks for a longer one is not asked again.
-        first_delay_s: where the server says nothing; doubled each time.
+        attempts: largest number of attempts, the first included.
+        max_delay_s: longest delay [s]; a server that names a longer one gets no other attempt.
+        first_delay_s: delay [s] if the server names none; doubled each time.
     """
 
     attempts: int = 3
@@ -31,15 +31,15 @@ class Retry:
 
 
 class Attempts:
-    """The attempts at one call, all of which share one deadline.
+    """Attempts at one call, which share one deadline.
 
     Args:
-        retry: how often.
-        deadline_s: for all of them and the waits between; None without one.
-        is_repeatable: whether doing it twice is no different from doing it once.
+        retry: number and delays.
+        deadline_s: time limit [s] of all attempts and delays; None for no limit.
+        is_repeatable: whether the call may be made twice.
 
     Raises:
-        RequestError: the deadline is no time.
+        RequestError: the deadline is negative or not finite.
     """
 
     def __init__(
@@ -49,8 +49,8 @@ class Attempts:
         is_repeatable: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        if deadline_s is not None and not 0.0 <= deadline_s < math.inf:
-            raise RequestError(f"deadline_s: seconds, or None for as long as it takes, would do, got {deadline_s:g}")
+        if deadline_s is not None:
+            check_seconds("deadline_s", deadline_s)
         self._retry = retry
         self._clock = clock
         self.deadline_s = deadline_s
@@ -60,14 +60,14 @@ class Attempts:
 
     @property
     def timeout_s(self) -> float | None:
-        """What is left for the next attempt."""
+        """Time left for the next attempt [s]; None for no limit."""
         return None if self._end is None else max(self._end - self._clock(), 0.0)
 
     def delay_s(self, error: PlannerError) -> float:
-        """How long to wait before the next attempt.
+        """Return the delay before the next attempt.
 
         Raises:
-            PlannerError: the same, when there is no point in another.
+            PlannerError: ``error`` itself, if no attempt is left.
         """
         if error.code is grpc.StatusCode.UNAVAILABLE:
             delay = self._next_delay_s if error.retry_delay_s is None else error.retry_delay_s
@@ -81,3 +81,13 @@ class Attempts:
             raise error
         self._left -= 1
         return delay
+
+
+def check_seconds(field: str, seconds: float) -> None:
+    """
+    Raises:
+        TypeError: ``seconds`` is no number.
+        RequestError: it is negative or not finite.
+    """
+    if not 0.0 <= seconds < math.inf:
+        raise RequestError(f"{field}: {seconds:g} is no duration; expected seconds, 0 or more")

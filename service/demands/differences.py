@@ -14,7 +14,7 @@ from service.demands.demand import Demands
 from service.demands.program import moved_though_fixed
 from service.request.schema import PlanRequest
 from service.verify import Certificate, Motion, Phase
-from service.verify.certificate import bodies_hash, robot_hash, scene_hash
+from service.verify.hashes import bodies_hash, robot_hash, scene_hash
 
 ESCAPE = "escape"
 PACE_TOLERANCE = 0.01  # share of a speed or an acceleration that may be used in addition

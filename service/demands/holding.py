@@ -15,9 +15,9 @@ from service.demands.program import program_targets
 from service.demands.stance import Stance, leaving_allowances, standing_allowances
 from service.demands.turning import Turning
 from service.demands.wheel import robot_with_wheel
-from service.start.overlaps import hull_overlaps
+from service.start.overlaps import find_hull_overlaps
 from service.verify import Motion, Phase, Target
-from service.verify.duties import waived_checks
+from service.verify.coverage.required import waived_checks
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
     is_balanced = demands.program is None or demands.program.is_balanced
     stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced)
     leaves = request.options.escape and demands.program is None
-    inside = hull_overlaps(robot, start, demands.scene, feet) if leaves else []
+    inside = find_hull_overlaps(robot, start, demands.scene, feet) if leaves else []
     targets: tuple[Target, ...] = ()
     lines: tuple[str, ...] = ()
     knots = recorded.curve.knots

@@ -14,7 +14,7 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.support import SupportPolygon as FeetHull
 from service.start.overlaps import Overlap
-from service.start.standing import FEET_GROUP, FLOOR_KIND, sole
+from service.start.standing import FEET_GROUP, FLOOR_KIND, sole_corners
 from service.verify import PlantedContact, SupportPolygon
 from service.verify.ground import STANDING_DEPTH_M
 
@@ -52,7 +52,7 @@ class Stance:
         """
         data = robot.model.createData()
         pin.framesForwardKinematics(robot.model, data, start)
-        soles = {foot: sole(robot, start, foot) for foot in feet}
+        soles = {foot: sole_corners(robot, start, foot) for foot in feet}
         contacts = []
         for foot, corners in soles.items():
             pose = np.array(data.oMf[robot.model.getFrameId(foot)].homogeneous)

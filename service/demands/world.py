@@ -10,7 +10,7 @@ from jaxtyping import Float
 from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError
-from service.request.names import TakenNames, check_given, with_free_names
+from service.request.names import TakenNames, check_scene_file_names, rename_clashing
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
 from service.start.standing import FLOOR_KIND
@@ -36,9 +36,9 @@ def compose_scene(
     taken = TakenNames.of(robot, request)
     renamed: tuple[str, ...] = ()
     if request.scene.file is None:
-        seen, renamed = with_free_names(tuple(seen), taken, {piece.name for piece in obstacles})
+        seen, renamed = rename_clashing(tuple(seen), taken, {piece.name for piece in obstacles})
     else:
-        check_given(seen, taken)
+        check_scene_file_names(seen, taken)
     pieces: list[ConvexPiece] = list(obstacles)
     floor = request.scene.floor
     pieces += [piece for piece in seen if floor is None or piece.kind != FLOOR_KIND]
@@ -47,7 +47,7 @@ def compose_scene(
     if floor is not False:
         height = 0.0 if floor is True else float(floor)
         flat = flat_floor(height, start[:2] if robot.is_floating else np.zeros(2))
-        pieces += with_free_names((flat,), taken)[0]
+        pieces += rename_clashing((flat,), taken)[0]
     try:
         return Scene(tuple(pieces)), renamed
     except ValueError as error:

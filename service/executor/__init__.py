@@ -1,4 +1,4 @@
-"""Runs any top-level function in other processes, stops it when asked, and carries on when one of them dies."""
+"""Executors that run functions in worker processes: jobs can be cancelled, report events and survive dead workers."""
 
 from service.executor.errors import (
     DeadlineExceeded,

@@ -1,4 +1,4 @@
-"""An executor whose running jobs can be stopped and report progress: what all pools have in common."""
+"""The interface of all pools: an executor whose running jobs can be stopped and report progress."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from typing import Any, Protocol, TypeVar
 T = TypeVar("T")
 
 OnEvent = Callable[[Any], object]
-"""Gets what a function reports while it runs; called from a thread of the pool, so it must be quick."""
+"""Called with each event that a function reports, in a thread of the pool, so it must return quickly."""
 
 MAX_ATTEMPTS = 3
 
 
 class Control(Protocol):
-    """What a function gets that has a parameter named ``control``."""
+    """The argument of a function that has a parameter named ``control``."""
 
     def should_stop(self) -> bool:
-        """Whether the job was cancelled or its deadline has passed; cheap, to be asked every iteration.
+        """Return whether the job was cancelled or its deadline has passed; cheap enough for every iteration.
 
-        A function that is told so returns what it has, or raises ``JobCancelled``. Nothing is raised in one that does
-        not look; its worker is killed after ``grace_s``.
+        The function then returns what it has, or raises ``JobCancelled``. No exception is raised in a function that
+        does not call this; its worker is killed after ``grace_s``.
         """
         ...
 
     def report(self, event: Any) -> None:
-        """Hand a small picklable thing to the caller's ``on_event``, in order, before the result."""
+        """Send a small picklable event to the caller's ``on_event``; events arrive in order and before the result."""
         ...
 
     def now(self) -> float:
-        """The time on the caller's clock of ``time.monotonic`` [s].
+        """Return the time on the caller's clock of ``time.monotonic`` [s].
 
-        That of another machine is told with the job, and is behind by as long as the job took to get here.
+        A worker on another machine gets that clock with the job; its time is late by the job's way there.
         """
         ...
 
@@ -44,14 +44,14 @@ class Control(Protocol):
 class Job(Future[T]):
     """A submitted call.
 
-    Done-callbacks run in a thread of the pool, or in the one that cancels a queued job: they must be quick.
+    Done-callbacks run in a thread of the pool, or in the one that cancels a queued job: they must return quickly.
 
     Attributes:
         number: counts the pool's jobs from 1.
         deadline: on the clock of ``time.monotonic`` [s].
-        submitted: when it was, on the same clock [s].
-        started: when it was last begun [s]; None while it never was.
-        attempts: how often it was begun.
+        submitted: when it was submitted, on the same clock [s].
+        started: when it was last started [s]; None before.
+        attempts: how often it was started.
         pid: of the worker that runs it, or ran it last.
     """
 
@@ -66,13 +66,13 @@ class Job(Future[T]):
         self._request_stop = request_stop
 
     def cancel(self) -> bool:
-        """Queued: it never runs (``cancelled()``, ``CancelledError``). Running: it is asked to stop, then killed.
+        """Cancel the job: a queued one never runs, a running one is asked to stop, then killed.
 
-        A running function that stops by itself gives the job its result or exception; one that is killed leaves
-        ``JobCancelled``, which is a ``CancelledError`` too.
+        A job cancelled while queued is ``cancelled()``. A running function that stops by itself gives the job its
+        result or exception; one that is killed gives it ``JobCancelled``, which is a ``CancelledError`` too.
 
         Returns:
-            Whether there was anything left to cancel.
+            False when the job had ended already.
         """
         if super().cancel():
             self._request_stop(self)
@@ -84,7 +84,7 @@ class Job(Future[T]):
 
 
 class WorkerState(enum.Enum):
-    """What a worker is doing."""
+    """State of a worker."""
 
     STARTING = "starting"
     IDLE = "idle"
@@ -94,12 +94,12 @@ class WorkerState(enum.Enum):
 
 @dataclass(frozen=True)
 class WorkerStats:
-    """One worker.
+    """State of one worker.
 
     Attributes:
-        pid: None until it is known.
+        pid: its process id; None until it is known.
         state: what it is doing.
-        jobs_done: how many it has answered.
+        jobs_done: how many jobs it has finished.
         rss_bytes: resident memory, shared pages included; 0 where it is not known.
     """
 
@@ -111,14 +111,14 @@ class WorkerStats:
 
 @dataclass(frozen=True)
 class PoolStats:
-    """A pool as it is now.
+    """State of a pool.
 
     Attributes:
-        workers: one entry each.
+        workers: one entry per worker.
         restarts: how many workers were replaced because they died or were killed.
-        queued: jobs that wait.
-        running: jobs that run.
-        done: jobs that were answered, cancelled ones included.
+        queued: number of jobs that wait for a worker.
+        running: number of jobs that run.
+        done: number of jobs that have ended, cancelled ones included.
     """
 
     workers: tuple[WorkerStats, ...]
@@ -129,12 +129,12 @@ class PoolStats:
 
     @property
     def ready(self) -> int:
-        """Workers that are up: idle or busy."""
+        """Number of workers that are up: idle or busy."""
         return sum(worker.state in (WorkerState.IDLE, WorkerState.BUSY) for worker in self.workers)
 
 
 class CancellableExecutor(Executor):
-    """Runs top-level functions in other processes, first come first served."""
+    """Executor that runs top-level functions in other processes, in order of submission."""
 
     @abstractmethod
     def submit(  # type: ignore[override]  # its own keywords are not the function's
@@ -151,15 +151,15 @@ class CancellableExecutor(Executor):
 
         Args:
             fn: importable from a module by its name.
-            args: picklable, as are ``kwargs`` and what ``fn`` returns.
-            on_event: gets what ``fn`` reports; all over again where a job is begun anew after a worker's death.
-            deadline: on the clock of ``time.monotonic`` [s]. A job that is queued by then fails without running; one
-                that runs is asked to stop and killed as if it were cancelled.
-            max_attempts: how often the job is begun before a worker's death is its answer.
+            args: picklable, as are ``kwargs`` and the result of ``fn``.
+            on_event: called with each event that ``fn`` reports, again from the first when the job is started again.
+            deadline: on the clock of ``time.monotonic`` [s]. A job still queued then fails without running; a
+                running one is asked to stop and killed as if it were cancelled.
+            max_attempts: how often the job is started, if its workers die, before it fails with ``WorkerDied``.
             kwargs: of ``fn``.
 
         Returns:
-            The job, done exactly once: with ``fn``'s result or exception, or with ``JobCancelled``,
+            The job, which ends exactly once: with ``fn``'s result or exception, or with ``JobCancelled``,
             ``DeadlineExceeded``, ``WorkerDied``, ``JobFailed``.
 
         Raises:
@@ -169,24 +169,24 @@ class CancellableExecutor(Executor):
 
     @abstractmethod
     def stats(self) -> PoolStats:
-        """Workers and queue as they are now."""
+        """Return the state of workers and queue."""
 
     @abstractmethod
-    def place(self, job: Job[Any]) -> int | None:
-        """1 for the job that is next, None for one that does not wait."""
+    def queue_position(self, job: Job[Any]) -> int | None:
+        """Return 1 for the job that is next, None for a job that is not queued."""
 
     @abstractmethod
     def wait_ready(self, timeout: float | None = None) -> bool:
-        """Wait until all workers are up; whether they are."""
+        """Wait until all workers are up; return whether they are."""
 
     @abstractmethod
     def resize(self, workers: int) -> None:
-        """Have that many workers from now on; one too many ends after its job."""
+        """Change the number of workers; a surplus one ends after its job."""
 
     @abstractmethod
     def drain(self, timeout_s: float) -> bool:
-        """Take no more jobs, wait for those that are there, cancel what is left after ``timeout_s``.
+        """Take no more jobs, wait for the accepted ones, and cancel those left after ``timeout_s``.
 
         Returns:
-            Whether all ended by themselves.
+            Whether all ended without being cancelled here.
         """

@@ -1,4 +1,4 @@
-"""What only the kernel can promise: that processes end with the one they belong to, and whose child an orphan is."""
+"""Calls to the Linux kernel that bound, name and watch processes, and tie their lifetimes together."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _NICENESS = 5  # a third of the share of a process that has none
 
 
 def die_with_parent(parent: int) -> None:
-    """Be killed when the thread that started this process ends; at once where ``parent`` [pid] is gone already."""
+    """Have this process killed when the thread that started it ends; exit now if ``parent`` [pid] is gone already."""
     _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
 
 
 def outlive_parent() -> None:
-    """No longer be killed when the parent ends."""
+    """Undo ``die_with_parent``."""
     _prctl(_PR_SET_PDEATHSIG, 0)
 
 
@@ -33,29 +33,29 @@ def adopt_orphans() -> None:
 
 
 def name_process(name: str) -> None:
-    """What ``top`` and ``ps -o comm`` call this process; at most 15 bytes."""
+    """Set the name that ``top`` and ``ps -o comm`` show for this process; at most 15 bytes."""
     _prctl(_PR_SET_NAME, ctypes.c_char_p(name.encode()))
 
 
-def leave_interrupts_to_the_server() -> None:
-    """Ctrl-C and a service manager's SIGTERM reach the whole group; only the server decides what ends."""
+def ignore_interrupts() -> None:
+    """Ignore Ctrl-C and SIGTERM, which reach the whole process group; the server alone decides what ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
-def be_first_out_of_memory() -> None:
-    """Short of memory, the kernel takes this process before the server."""
+def raise_oom_score() -> None:
+    """Have the kernel kill this process before the server when memory runs out."""
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("500")
 
 
-def let_others_go_first() -> None:
-    """Where processors are short, the kernel serves the server and its clients before this process."""
+def lower_priority() -> None:
+    """Have the kernel serve the server and its clients before this process when processors are busy."""
     os.nice(_NICENESS)
 
 
 def limit_memory(max_bytes: int | None) -> None:
-    """Bound the address space [bytes], for good; a crash writes no core file, which would take longer than the job."""
+    """Bound the address space [bytes] for good, and disable core files, whose writing takes longer than a job."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if max_bytes is not None:
         _, hardest = resource.getrlimit(resource.RLIMIT_AS)
@@ -64,29 +64,33 @@ def limit_memory(max_bytes: int | None) -> None:
 
 
 def address_space_bytes() -> int:
-    """Address space that this process has taken, used or not."""
-    return int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    """Return the size of this process's address space, used or not."""
+    return _read_statm("self", 0)
+
+
+def rss_bytes(pid: int) -> int:
+    """Return the resident memory of a process, shared pages included; 0 when it has ended."""
+    try:
+        return _read_statm(pid, 1)
+    except (OSError, IndexError):
+        return 0
 
 
 def count_threads() -> int:
-    """Threads of this process, native ones included."""
+    """Count the threads of this process, native ones included."""
     return len(os.listdir("/proc/self/task"))
 
 
 def children() -> set[int]:
-    """Process ids of this process's children; none where the kernel keeps no such list."""
+    """Return the process ids of this process's children; empty where the kernel keeps no such list."""
     try:
         return {int(pid) for pid in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()}
     except OSError:
         return set()
 
 
-def rss_bytes(pid: int) -> int:
-    """Resident memory of a process, shared pages included; 0 when it is gone."""
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, IndexError):
-        return 0
+def _read_statm(pid: int | str, field: int) -> int:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[field]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _prctl(option: int, argument: int | ctypes.c_char_p) -> None:

@@ -1,14 +1,12 @@
-"""What pools share: the caller's side, which takes jobs and asks a supervisor to look after them."""
+"""The caller's side that all pools have in common: accepts jobs and passes requests to the supervisor thread."""
 
 from __future__ import annotations
 
 import pickle
 import threading
-from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
-from service.executor.backlog import Backlog, Task
 from service.executor.errors import PoolClosed
 from service.executor.interface import (
     MAX_ATTEMPTS,
@@ -19,51 +17,21 @@ from service.executor.interface import (
     WorkerState,
     WorkerStats,
 )
+from service.executor.job_queue import JobQueue, JobRecord
+from service.executor.supervisor import Supervisor
 
 T = TypeVar("T")
 
 
-class Supervision(Protocol):
-    """A thread that has workers answer a backlog's tasks; what other threads may ask of it.
-
-    Attributes:
-        target: how many workers there shall be.
-        restarts: how many died or were killed.
-    """
-
-    target: int
-    restarts: int
-
-    def wake(self) -> bool:
-        """Have the thread look after everything now; False when it has ended."""
-        ...
-
-    def cancel(self, task: Task) -> None:
-        """Have a job stopped that runs, or was begun and waits."""
-        ...
-
-    def close(self, wait: bool) -> None:
-        """End once all jobs are answered."""
-        ...
-
-    def wait_ready(self, timeout: float | None) -> bool:
-        """Wait until all workers are up."""
-        ...
-
-
 class Pool(CancellableExecutor):
-    """Jobs in a backlog that a supervisor looks after."""
+    """An executor whose jobs are queued and run by a supervisor's workers."""
 
-    def __init__(self, backlog: Backlog, supervisor: Supervision) -> None:
-        self._backlog = backlog
+    def __init__(self, queue: JobQueue, supervisor: Supervisor[Any]) -> None:
+        self._queue = queue
         self._supervisor = supervisor
         self._lock = threading.Lock()
         self._is_closed = False
-        self._submitted = 0
-
-    @abstractmethod
-    def _workers(self) -> tuple[WorkerStats, ...]:
-        """The workers as they are now."""
+        self._n_submitted = 0
 
     def submit(  # type: ignore[override]
         self,
@@ -75,29 +43,29 @@ class Pool(CancellableExecutor):
         max_attempts: int = MAX_ATTEMPTS,
         **kwargs: Any,
     ) -> Job[T]:
-        payload = pickled_call(fn, args, kwargs)
+        payload = _pickle_call(fn, args, kwargs)
         with self._lock:
             if self._is_closed:
                 raise PoolClosed("the pool is closed and takes no more jobs")
-            self._submitted += 1
-            job: Job[T] = Job(self._submitted, deadline, self._request_stop)
-            self._backlog.put(Task(job, payload, on_event, max_attempts))
+            self._n_submitted += 1
+            job: Job[T] = Job(self._n_submitted, deadline, self._request_stop)
+            self._queue.put(JobRecord(job, payload, on_event, max_attempts))
         if not self._supervisor.wake():
-            raise PoolClosed("the pool failed; its log says why")
+            raise PoolClosed("the pool failed; see its log")
         return job
 
     def stats(self) -> PoolStats:
-        workers = self._workers()
+        workers = tuple(WorkerStats(w.pid, w.state, w.jobs_done, w.rss_bytes) for w in self._supervisor.workers)
         return PoolStats(
             workers=workers,
             restarts=self._supervisor.restarts,
-            queued=self._backlog.queued,
+            queued=self._queue.n_queued,
             running=sum(worker.state is WorkerState.BUSY for worker in workers),
-            done=self._backlog.done,
+            done=self._queue.n_done,
         )
 
-    def place(self, job: Job[Any]) -> int | None:
-        return self._backlog.place(job)
+    def queue_position(self, job: Job[Any]) -> int | None:
+        return self._queue.position(job)
 
     def wait_ready(self, timeout: float | None = None) -> bool:
         return self._supervisor.wait_ready(timeout)
@@ -108,46 +76,46 @@ class Pool(CancellableExecutor):
         self._supervisor.wake()
 
     def drain(self, timeout_s: float) -> bool:
-        self._refuse_more()
-        ended_by_themselves = self._backlog.wait_empty(timeout_s)
-        if not ended_by_themselves:
-            for task in reversed(self._backlog.all_open()):  # else what waits would begin
-                task.job.cancel()
-            self._backlog.wait_empty(None)
-        return ended_by_themselves
+        self._refuse_jobs()
+        all_ended = self._queue.wait_empty(timeout_s)
+        if not all_ended:
+            for record in reversed(self._queue.list_open()):  # else queued jobs would start
+                record.job.cancel()
+            self._queue.wait_empty(None)
+        return all_ended
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Take no more jobs and end the workers once those that are there are answered.
+        """Take no more jobs, and end the workers once all jobs have ended.
 
         Args:
-            wait: until that is so.
-            cancel_futures: cancel the jobs that wait; those that run go on.
+            wait: return only then.
+            cancel_futures: cancel the queued jobs; running ones go on.
         """
-        self._refuse_more()
+        self._refuse_jobs()
         if cancel_futures:
-            for task in self._backlog.all_queued():
-                task.job.cancel()
+            for record in self._queue.list_queued():
+                record.job.cancel()
         self._supervisor.close(wait)
 
-    def _refuse_more(self) -> None:
+    def _refuse_jobs(self) -> None:
         with self._lock:
             self._is_closed = True
 
     def _request_stop(self, job: Job[Any]) -> None:
-        task = self._backlog.find(job.number)
-        if task is None:
+        record = self._queue.find(job.number)
+        if record is None:
             return
-        if job.cancelled():  # it never began
-            if self._backlog.withdraw(task):  # else the supervisor has it in hand
-                job.set_running_or_notify_cancel()  # those who wait for several jobs look for this
-                self._backlog.answered(task)
+        if job.cancelled():  # it never started
+            if self._queue.withdraw(record):  # else the supervisor is taking it
+                job.set_running_or_notify_cancel()  # `concurrent.futures.wait` looks for this
+                self._queue.close(record)
             self._supervisor.wake()
         else:
-            self._supervisor.cancel(task)
+            self._supervisor.cancel(record)
 
 
-def pickled_call(fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> bytes:
-    """A call as bytes.
+def _pickle_call(fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> bytes:
+    """Pickle a call.
 
     Raises:
         TypeError: it cannot be pickled.
@@ -161,7 +129,8 @@ def pickled_call(fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str
 
 
 def check_callable(fn: Callable[..., Any] | None) -> None:
-    """
+    """Refuse a function that workers cannot import.
+
     Raises:
         TypeError: it is of the main script, which workers do not import.
     """
@@ -171,9 +140,10 @@ def check_callable(fn: Callable[..., Any] | None) -> None:
 
 
 def check_workers(workers: int) -> None:
-    """
+    """Refuse a pool without workers.
+
     Raises:
-        ValueError: there would be none.
+        ValueError: ``workers`` is less than 1.
     """
     if workers < 1:
         raise ValueError(f"workers must be at least 1; got {workers}")

@@ -1,4 +1,4 @@
-"""What a worker process does: become ready, then one call after the other until the pool is gone."""
+"""The worker process's side of a pool: prepares itself, then runs one call after the other until the pool ends."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
 
+from service.executor import linux
 from service.executor.errors import JobFailed
-from service.executor.frames import Channel, Kind
-from service.executor.linux import be_first_out_of_memory, let_others_go_first, limit_memory
+from service.executor.messages import BlockingChannel, Kind
 
 
 @dataclass(frozen=True)
 class WorkerSetup:
-    """What a worker needs to become ready.
+    """Settings that a worker needs before its first job.
 
     Attributes:
         preload: modules to import that the process it was forked from does not have.
@@ -39,87 +39,91 @@ class WorkerSetup:
     warm_up: Callable[[], object] | None
     max_bytes: int | None
 
-
-def make_cell() -> tuple[int, ctypes.c_uint64]:
-    """A new cancel cell, holding the number of the job to stop, and its file descriptor."""
-    fd = os.memfd_create("cancel-cell")
-    os.ftruncate(fd, ctypes.sizeof(ctypes.c_uint64))
-    return fd, open_cell(fd)
-
-
-def open_cell(fd: int) -> ctypes.c_uint64:
-    """The cancel cell behind a file descriptor, shared with whoever has it."""
-    return ctypes.c_uint64.from_buffer(mmap.mmap(fd, ctypes.sizeof(ctypes.c_uint64)))
+    def apply(self, taken_bytes: int = 0) -> None:
+        """Bound this process's memory to ``max_bytes`` beyond ``taken_bytes``, import the modules, warm up."""
+        linux.limit_memory(None if self.max_bytes is None else taken_bytes + self.max_bytes)
+        for name in self.preload:
+            importlib.import_module(name)
+        if self.warm_up is not None:
+            self.warm_up()
 
 
-class Cell(Protocol):
-    """Holds the number of the job to stop."""
+class CancelFlag(Protocol):
+    """Holds the number of the job that shall stop; 0 while there is none."""
 
     value: int
 
 
+def create_cancel_flag() -> tuple[int, ctypes.c_uint64]:
+    """Create a cancel flag in shared memory; return its file descriptor and the flag."""
+    fd = os.memfd_create("cancel-flag")
+    os.ftruncate(fd, ctypes.sizeof(ctypes.c_uint64))
+    return fd, open_cancel_flag(fd)
+
+
+def open_cancel_flag(fd: int) -> ctypes.c_uint64:
+    """Map the cancel flag behind a file descriptor, which all processes that have the descriptor share."""
+    return ctypes.c_uint64.from_buffer(mmap.mmap(fd, ctypes.sizeof(ctypes.c_uint64)))
+
+
 class JobControl:
-    """``Control`` of one job."""
+    """The ``Control`` that a function gets in a worker."""
 
     def __init__(
         self,
         job: int,
-        cell: Cell | ctypes.c_uint64,
+        cancel_flag: CancelFlag | ctypes.c_uint64,
         send: Callable[[Kind, int, bytes], None],
-        caller_is_ahead_s: float = 0.0,
+        clock_offset_s: float = 0.0,
     ) -> None:
         self._job = job
-        self._cell = cell
+        self._cancel_flag = cancel_flag
         self._send = send
-        self._caller_is_ahead_s = caller_is_ahead_s  # 0 on one machine: its processes share the clock
+        self._clock_offset_s = clock_offset_s  # 0 on one machine, whose processes share the clock
 
     def should_stop(self) -> bool:
-        """Whether the pool wants the job to end."""
-        return self._cell.value == self._job
+        """Whether the pool wants the job to stop."""
+        return self._cancel_flag.value == self._job
 
     def report(self, event: Any) -> None:
         """Send an event."""
         self._send(Kind.EVENT, self._job, pickle.dumps(event, pickle.HIGHEST_PROTOCOL))
 
     def now(self) -> float:
-        """The caller's time."""
-        return time.monotonic() + self._caller_is_ahead_s
+        """Return the time on the caller's clock."""
+        return time.monotonic() + self._clock_offset_s
 
 
 class Worker:
-    """One worker."""
+    """Runs the calls that arrive on a socket and sends back their events and results."""
 
-    def __init__(self, sock: socket.socket, cell: ctypes.c_uint64) -> None:
-        self._channel = Channel(sock)
-        self._cell = cell
+    def __init__(self, sock: socket.socket, cancel_flag: ctypes.c_uint64) -> None:
+        self._channel = BlockingChannel(sock)
+        self._cancel_flag = cancel_flag
         self._sending = threading.Lock()  # a function may report from threads of its own
 
-    def work(self) -> None:
-        """Serve until the pool is gone."""
-        faulthandler.enable()  # a crash tells where, on standard error
-        be_first_out_of_memory()
-        let_others_go_first()
-        self._send(Kind.BORN, 0, str(os.getpid()).encode())
+    def run(self) -> None:
+        """Run calls until the pool closes the socket."""
+        faulthandler.enable()  # a crash prints its stack on standard error
+        linux.raise_oom_score()
+        linux.lower_priority()
+        self._send(Kind.STARTED, 0, str(os.getpid()).encode())
         setup = self._channel.receive()
-        if setup is None or not self._become_ready(setup.payload):
+        if setup is None or not self._set_up(setup.payload):
             return
-        while (frame := self._channel.receive()) is not None:
-            control = JobControl(frame.job, self._cell, self._send)
-            kind, answer = run_call(frame.payload, control)
-            self._send(kind, frame.job, answer)
+        while (message := self._channel.receive()) is not None:
+            control = JobControl(message.job, self._cancel_flag, self._send)
+            kind, payload = run_call(message.payload, control)
+            self._send(kind, message.job, payload)
 
-    def _become_ready(self, payload: bytes) -> bool:
+    def _set_up(self, payload: bytes) -> bool:
         try:
             setup: WorkerSetup = pickle.loads(payload)
-            limit_memory(setup.max_bytes)
-            for name in setup.preload:
-                importlib.import_module(name)
-            if setup.warm_up is not None:
-                setup.warm_up()
+            setup.apply()
             gc.collect()
-            gc.freeze()  # what every job needs is no garbage: a full collection of it would take as long as a job
+            gc.freeze()  # what every job needs is no garbage: a full collection of it takes as long as a job
         except BaseException:
-            self._send(Kind.UNREADY, 0, traceback.format_exc().encode())
+            self._send(Kind.START_FAILED, 0, traceback.format_exc().encode())
             return False
         self._send(Kind.READY, 0, b"")
         return True
@@ -130,40 +134,41 @@ class Worker:
 
 
 def run_call(payload: bytes | bytearray, control: JobControl) -> tuple[Kind, bytes]:
-    """Run a pickled call; ``RETURNED`` and its pickled result, or ``RAISED`` and its exception as ``carried``."""
+    """Run a pickled call; return ``RETURNED`` and its pickled result, or ``RAISED`` and its pickled exception."""
     try:
         fn, args, kwargs = pickle.loads(payload)
         del payload
         if _takes_control(fn):
             kwargs["control"] = control
-        return Kind.RETURNED, _pickled(fn(*args, **kwargs))
+        return Kind.RETURNED, _pickle_result(fn(*args, **kwargs))
     except BaseException as error:
-        return Kind.RAISED, carried(error)
+        return Kind.RAISED, pickle_exception(error)
     finally:
-        _flush()
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
 
 
-def carried(error: BaseException) -> bytes:
-    """An exception as a pickle of (exception, None where it cannot be carried; what it says; its traceback)."""
+def pickle_exception(error: BaseException) -> bytes:
+    """Pickle (exception, or None where it cannot be pickled; its summary line; its traceback)."""
     trace = "".join(traceback.format_exception(error))
-    said = "".join(traceback.format_exception_only(error)).strip()
+    summary = "".join(traceback.format_exception_only(error)).strip()
     if isinstance(error, Exception):
         try:
-            payload = pickle.dumps((error.with_traceback(None), said, trace))
-            pickle.loads(payload)  # many an exception with arguments of its own can be written but not read
+            payload = pickle.dumps((error.with_traceback(None), summary, trace))
+            pickle.loads(payload)  # an exception whose constructor takes other arguments can be written but not read
         except Exception:
             pass
         else:
             return payload
-    return pickle.dumps((None, said, trace))
+    return pickle.dumps((None, summary, trace))
 
 
-def _pickled(result: object) -> bytes:
+def _pickle_result(result: object) -> bytes:
     try:
         return pickle.dumps(result, pickle.HIGHEST_PROTOCOL)
     except Exception as error:
         kind = type(result).__qualname__
-        raise JobFailed(f"returned what cannot be carried between processes, a {kind}: {error}") from error
+        raise JobFailed(f"returned what cannot be pickled, a {kind}: {error}") from error
 
 
 @lru_cache(maxsize=256)
@@ -172,8 +177,3 @@ def _takes_control(fn: Callable[..., object]) -> bool:
         return "control" in inspect.signature(fn).parameters
     except (TypeError, ValueError):  # builtins without a signature
         return False
-
-
-def _flush() -> None:
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()

@@ -80,7 +80,7 @@ class Conflict:
         if self.n_attempts > 1:
             both = "both" if self.n_attempts == 2 else f"all {self.n_attempts}"
             tried = f"{both} attempts failed; at the end of the best"
-        stance = f", standing on {listed(self.standing_on)}" if self.standing_on else ""
+        stance = f", standing on {join_names(self.standing_on)}" if self.standing_on else ""
         stand = (
             f"{len(self.demands)} demands stand against each other"
             if len(self.demands) > 1
@@ -142,6 +142,6 @@ class Conflict:
         return f"Which of them to give up was not found out within {spent}."
 
 
-def listed(words: tuple[str, ...] | list[str]) -> str:
+def join_names(words: tuple[str, ...] | list[str]) -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

@@ -13,9 +13,9 @@ from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
 from scopt import AffineRows, Constraint, Problem
 from scopt.multipliers import Multipliers
-from service.body.restore import with_contacts
+from service.body.restore import change_contacts
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
-from service.explain.conflict import Demand, DemandKind, listed
+from service.explain.conflict import Demand, DemandKind, join_names
 
 MOST_NAMED = 3  # links or joints that are named of one demand
 NOTABLE = 0.02  # share of the largest multiplier from which a demand or a row counts
@@ -57,7 +57,7 @@ class Group:
         return self.demand.kind, self.demand.name
 
 
-def groups(place: Place) -> list[Group]:
+def group_demands(place: Place) -> list[Group]:
     """All demands with a notable multiplier, the most loaded first.
 
     Planted links are where the robot stands: they are taken as given and are no demand.
@@ -170,13 +170,13 @@ def _clearance(place: Place, kind: DemandKind, name: str, load: Float[np.ndarray
     told = _links(place.body.robot, contacts, worst)
     others = [link for link in links if link not in told]
     if others and kind is DemandKind.OBSTACLE:
-        text += f" ({listed(others)} {'meets' if len(others) == 1 else 'meet'} it too)"
+        text += f" ({join_names(others)} {'meets' if len(others) == 1 else 'meet'} it too)"
 
     def others_only(met: Contacts) -> Contacts:
         return met.where(np.array([asked != (kind, name) for asked in _asked(place.body, met)], dtype=bool))
 
     def give_up(problem: Problem[MotionState]) -> Problem[MotionState]:
-        return with_contacts(problem, others_only)
+        return change_contacts(problem, others_only)
 
     is_short = bool(short[worst] > CLEARANCE_TOLERANCE)
     ends = (int(contacts.first[worst]), int(contacts.second[worst]))
@@ -240,7 +240,9 @@ def _limits(place: Place) -> list[Group]:
         limit = float(getattr(robot, side)[index])
         clauses.append(f"{robot.joint_names[index]} is at its {side} limit of {limit:.3f} {_unit(robot, index)}")
     more = len(at_limit) - len(clauses)
-    text = listed(clauses + ([f"{more} more {'joint is' if more == 1 else 'joints are'} at a limit"] if more else []))
+    text = join_names(
+        clauses + ([f"{more} more {'joint is' if more == 1 else 'joints are'} at a limit"] if more else [])
+    )
 
     def give_up(problem: Problem[MotionState]) -> Problem[MotionState]:
         lower, upper = problem.lower.copy(), problem.upper.copy()

@@ -12,13 +12,13 @@ from jaxtyping import Float
 
 from costs.kinematics import frame_of
 from costs.robot import RobotModel
-from service.body.keep import KeptPose, relative_pose
+from service.body.holds import KeptPose, relative_pose
 from service.body.reach import chain_length
 from service.body.whole_body import WholeBody
 from service.verify import JointTarget, PoseTarget, Target
 
 
-def never_kept(body: WholeBody, targets: Sequence[Target]) -> tuple[str, ...]:
+def find_never_kept(body: WholeBody, targets: Sequence[Target]) -> tuple[str, ...]:
     """Sentences, one for each reason why no motion that keeps what it shall ends as promised."""
     poses = [target for target in targets if isinstance(target, PoseTarget)]
     joints = {target.joint: target for target in targets if isinstance(target, JointTarget)}

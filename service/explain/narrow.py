@@ -17,11 +17,11 @@ from jaxtyping import Float
 from costs.state import MotionState
 from scopt import Problem, Settings, SolverError, Status, TrustRegionSQP
 from scopt.multipliers import multipliers
-from service.body.phases import Solved, straight
-from service.body.restore import EFFORT, required
+from service.body.phases import Solved, straight_path
+from service.body.restore import EFFORT, keep_required
 from service.body.whole_body import WholeBody
 from service.explain.conflict import Conflict, DemandKind, Search
-from service.explain.groups import Group, Place, groups
+from service.explain.groups import Group, Place, group_demands
 
 MOST_DEMANDS = 12  # the most loaded ones are looked at
 TRIAL_STEPS = 16  # to do without a demand: what helps takes some ten steps
@@ -96,7 +96,7 @@ def explain(
     brief = replace(settings, **EFFORT)
     began = time.perf_counter()
     run = _Run(brief, solved.body, should_stop, began + time_limit_s)
-    problem = required(solved.problem)
+    problem = keep_required(solved.problem)
     least = run.solve(problem, solved.x)
     run.settings = replace(brief, max_iterations=TRIAL_STEPS)
     x = solved.x if least is None else run.last
@@ -119,7 +119,7 @@ def _ranked(body: WholeBody, problem: Problem[MotionState], x: Float[np.ndarray,
         found = multipliers(problem, x, penalty=1.0, radius=NEAR)
     except SolverError:
         return []
-    return groups(Place(body, problem, x, problem.state(x), found))[:MOST_DEMANDS]
+    return group_demands(Place(body, problem, x, problem.state(x), found))[:MOST_DEMANDS]
 
 
 def _reduced(
@@ -164,7 +164,7 @@ def _decided(group: Group, is_decisive: bool) -> Group:
 
 def _plain(body: WholeBody, problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
     """Where nothing pulls: the nominal posture, or the straight line between the ends of a trajectory."""
-    line = body.nominal[None] if len(x) == 1 else straight(x[0], x[-1], len(x))
+    line = body.nominal[None] if len(x) == 1 else straight_path(x[0], x[-1], len(x))
     return np.asarray(np.clip(line, problem.lower, problem.upper))
 
 

@@ -15,7 +15,7 @@ from service.body.whole_body import WholeBody
 from service.motion.spline import Path, Spline, make_spline
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Motion, Phase, PlantedContact, SupportPolygon
-from service.verify.duties import waived_checks
+from service.verify.coverage.required import waived_checks
 from service.verify.timeline import times_of
 
 SAMPLE_PERIOD_S = 0.01

@@ -13,7 +13,7 @@ from service.body.phases import TaskPlan
 from service.verify import Basis, Certificate, Motion
 
 
-def repaired(plan: TaskPlan, motion: Motion, certificate: Certificate, monitor: Monitor) -> TaskPlan | None:
+def repair_plan(plan: TaskPlan, motion: Motion, certificate: Certificate, monitor: Monitor) -> TaskPlan | None:
     """The plan with denser waypoints where checks fail; None when no failing phase can be solved again.
 
     Args:
@@ -36,14 +36,14 @@ def repaired(plan: TaskPlan, motion: Motion, certificate: Certificate, monitor: 
         if not inside:
             continue
         with monitor.step(f"repair {phase.name}", 0.9):
-            anew = phase.solved_anew(_denser(motion, promise.first, promise.last, inside))
+            anew = phase.solve_again(_add_waypoints(motion, promise.first, promise.last, inside))
         if anew is not None:
             phases[index] = anew
             is_changed = True
     return replace(plan, phases=tuple(phases)) if is_changed else None
 
 
-def _denser(motion: Motion, first: float, last: float, places: Sequence[float]) -> Float[np.ndarray, "T n"]:
+def _add_waypoints(motion: Motion, first: float, last: float, places: Sequence[float]) -> Float[np.ndarray, "T n"]:
     """The phase's waypoints on the curve, and one more in the middle of every interval that holds a place."""
     knots = motion.curve.knots
     knots = knots[(knots >= first) & (knots <= last)]

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
 from costs.stopping import poll
-from service.body.holds import DRIFT, Hold, largest, least_norm, linearized, projected
+from service.body.holds import DRIFT, Hold, largest_hold_error, least_norm_step, linearize_holds, project_onto_holds
 
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
 SMALLEST_RATE = 1e-12  # tangents this close to their limits keep them
@@ -75,15 +75,15 @@ def make_spline(
         if index:
             q[0] = refined[-1].q[-1]
         is_original = np.ones(len(q), dtype=bool)
-        q[1:] = projected(engine, q[1:], path.holds)
+        q[1:] = project_onto_holds(engine, q[1:], path.holds)
         for _ in range(MAX_INSERTIONS):
             s = _parameter(q, speed)
             v = _tangents(engine, q, s, path.holds, lower, upper)
             middle = Curve(s, q, v)(0.5 * (s[1:] + s[:-1]))
-            drifting = np.flatnonzero(largest(engine, middle, path.holds) > path.drift)
+            drifting = np.flatnonzero(largest_hold_error(engine, middle, path.holds) > path.drift)
             if not len(drifting):
                 break
-            inserted = projected(engine, middle[drifting], path.holds)
+            inserted = project_onto_holds(engine, middle[drifting], path.holds)
             q = np.insert(q, drifting + 1, inserted, axis=0)
             is_original = np.insert(is_original, drifting + 1, False)
         s = _parameter(q, speed)
@@ -174,17 +174,17 @@ def _along_holds(
     """
     if not holds or not len(q):
         return v
-    _, jacobian = linearized(engine, q, holds)
+    _, jacobian = linearize_holds(engine, q, holds)
     at_limit = np.zeros(v.shape, dtype=bool)
     for _ in range(LIMIT_ROUNDS):
         free = np.where(at_limit[:, None, :], 0.0, jacobian)
-        v = v - least_norm(free, np.einsum("skn,sn->sk", jacobian, v))
+        v = v - least_norm_step(free, np.einsum("skn,sn->sk", jacobian, v))
         beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
         if not beyond.any():
             return v
         at_limit |= beyond
         v = np.clip(v, least, most)
-    v = v - least_norm(jacobian, np.einsum("skn,sn->sk", jacobian, v))
+    v = v - least_norm_step(jacobian, np.einsum("skn,sn->sk", jacobian, v))
     beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
     share = np.where(beyond, np.where(v > 0.0, most, least) / np.where(beyond, v, 1.0), 1.0)
     return np.asarray(v * share.min(axis=1, keepdims=True))

@@ -17,12 +17,11 @@ from jaxtyping import Bool, Float
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.stopping import poll
-from service.motion.timing_rows import Cells, force_rows, motion_rows
-from service.motion.topp import Limits, fastest_speed
+from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
 from service.verify.dynamics import forces, sample_times
 from service.verify.limits import timed_peaks
 from service.verify.motion import Motion, Phase, SupportPolygon
-from service.verify.promises import outside_polygon
+from service.verify.stance_checks import outside_polygon
 
 # A motionless stretch has no limit of its own: no knot interval is passed faster than this [s].
 _SHORTEST_KNOT_TIME = 0.01

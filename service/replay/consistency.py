@@ -15,15 +15,15 @@ from costs.robot import RobotModel
 from service.errors import shown
 from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
 from service.verify import Certificate, Motion, Status
-from service.verify.certificate import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
-from service.verify.promises import outside_polygon
+from service.verify.hashes import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
+from service.verify.stance_checks import outside_polygon
 
 TOLERANCE = 1e-6  # of numbers written twice [m, rad, s]
 CLAIM_TOLERANCE = 1e-4  # of a clearance or balance margin proven on another machine [m]
 CHANGED = "the result was changed after it was written"
 
 
-def contradictions(
+def find_contradictions(
     data: Mapping[str, Any], motion: Motion, robot: RobotModel, certificate: Certificate, table: Path | None
 ) -> tuple[str, ...]:
     """One sentence for everything in a result that does not fit the rest of it.

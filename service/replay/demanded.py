@@ -15,14 +15,13 @@ from costs.scene import ConvexPiece, Scene
 from service.demands import Demands, ProgramDemand, compose_scene, has_scan, planted_feet, recorded_obstacles
 from service.demands.wheel import Wheel, wheel_of
 from service.errors import RequestError
-from service.request.file import with_clouds
+from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
-from service.setup.obstacles import obstacles_of
-from service.setup.prepare import load_requested_robot, start_of
-from service.setup.surroundings import Surroundings, surroundings
-from service.start.attached import robot_with_attached
-from service.start.standing import floor_at_soles, sole
+from service.setup.prepare import load_requested_robot, resolve_start
+from service.setup.world import Surroundings, build_obstacles, read_surroundings
+from service.start.attached import attach_bodies
+from service.start.standing import move_floor_to_soles, sole_corners
 
 if TYPE_CHECKING:
     from perception import ValveDetection
@@ -67,7 +66,7 @@ class Record:
     valves: tuple[ValveDetection, ...] = ()
 
 
-def demands_of(
+def rebuild_demands(
     request: PlanRequest, record: Record, given: Path | None, clouds: Sequence[Path]
 ) -> tuple[Demands, Grounds]:
     """What a request demands, and what that rests on.
@@ -83,7 +82,7 @@ def demands_of(
     """
     whose = "the request in this folder" if given is None else given.name
     robot, robot_from = _robot(request, record, given is not None, whose)
-    start, _, program = start_of(robot, request)
+    start, _, program = resolve_start(robot, request)
     feet = planted_feet(robot, request.options.feet) if program is None else program.planted
     is_read = bool(clouds) or (given is not None and request.scene.file is not None)
     about, scene_from = Surroundings(_seen(request, record.scene), record.valves), whose
@@ -125,7 +124,7 @@ def _robot(request: PlanRequest, record: Record, is_given: bool, whose: str) -> 
     """The robot made anew, and where it came from; its files are read again only with a request that the user gives."""
     wanted = request.robot
     if is_given or (wanted.urdf is None and wanted.name in bundled_robots()):
-        return robot_with_attached(load_requested_robot(request), request), whose
+        return attach_bodies(load_requested_robot(request), request), whose
     missing = [one.name for one in request.attached if one.name not in {body.link for body in record.robot.bodies}]
     if missing:
         raise RequestError(f"attached: the robot in this folder does not carry {', '.join(missing)}")
@@ -148,11 +147,11 @@ def _look_again(
     feet: Sequence[str],
     clouds: Sequence[Path],
 ) -> Surroundings:
-    soles = {foot: sole(robot, start, foot) for foot in feet}
+    soles = {foot: sole_corners(robot, start, foot) for foot in feet}
     if clouds:
-        request = with_clouds(request, clouds)
-    about = surroundings(request, robot, start, soles, None)
-    return replace(about, pieces=floor_at_soles(about.pieces, soles)[0])
+        request = replace_clouds(request, clouds)
+    about = read_surroundings(request, robot, start, soles, None)
+    return replace(about, pieces=move_floor_to_soles(about.pieces, soles)[0])
 
 
 def _obstacles(
@@ -162,9 +161,9 @@ def _obstacles(
     is_mesh = [isinstance(one, MeshRequest) for one in request.scene.obstacles]
     is_whole = is_given and all(one.name in about.matches for one in request.scene.obstacles if _needs_match(one))
     if is_whole or not any(is_mesh):
-        return obstacles_of(request, about.matches).pieces, False
+        return build_obstacles(request, about.matches).pieces, False
     plain = tuple(one for one, mesh in zip(request.scene.obstacles, is_mesh, strict=True) if not mesh)
-    shapes = obstacles_of(replace(request, scene=replace(request.scene, obstacles=plain))).pieces
+    shapes = build_obstacles(replace(request, scene=replace(request.scene, obstacles=plain))).pieces
     return (*shapes, *recorded_obstacles(request, recorded)), True
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from costs.robot import RobotError, RobotModel, load_robot
 from service.demands import Demands, Held, hold_to_request, pace_differences, turned_differences
 from service.errors import RequestError, ResultError, shown
-from service.replay.consistency import CHANGED, contradictions
-from service.replay.demanded import Grounds, Record, demands_of
+from service.replay.consistency import CHANGED, find_contradictions
+from service.replay.demanded import Grounds, Record, rebuild_demands
 from service.request.file import load_request, parse_request
 from service.request.schema import PlanRequest
 from service.result.folder import TRAJECTORY_NAME, read_result, result_path
@@ -66,7 +66,7 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
             if demands.request.task is not None and demands.request.task.valve is not None:
                 found += tuple(turned_differences(demands.request.task.valve, data["figures"]))
         if data.get("certificate") is not None:
-            found += contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
+            found += find_contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
     if certificate.status is Status.CERTIFIED and is_claimed and found:
         why = CHANGED if request is None else OTHER
         raise ResultError("\n".join(f"{folder}: {line}; {why}" for line in found))
@@ -90,7 +90,7 @@ def _demands(
     with _readable(folder):
         record = replace(record, valves=_recorded_valves(data))
     try:
-        return demands_of(request, record, given, clouds)
+        return rebuild_demands(request, record, given, clouds)
     except RequestError as error:
         if given is not None or clouds:
             raise

@@ -28,6 +28,7 @@ Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 _MapCoordinate = Annotated[Number, Field(ge=-MAP_M, le=MAP_M)]
 MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
+SECTION = ConfigDict(extra="forbid", frozen=True)
 
 
 def at_most(most: int) -> BeforeValidator:
@@ -127,8 +128,6 @@ Message = Annotated[int | Literal["all"], BeforeValidator(_number_or_all)]
 Label = Annotated[Name, AfterValidator(_single_line)]
 FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
 
-SECTION = ConfigDict(extra="forbid", frozen=True)
-
 
 class Section:
     """Refuses keys that are not fields, naming the ones that may have been meant."""
@@ -148,12 +147,12 @@ class Section:
         return data
 
 
-def repeated(names: Iterable[str]) -> list[str]:
+def find_repeated(names: Iterable[str]) -> list[str]:
     """Those that stand there more than once, sorted."""
     return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
-def exactly_one(section: object, names: tuple[str, ...]) -> None:
+def require_exactly_one(section: object, names: tuple[str, ...]) -> None:
     given = [name for name in names if getattr(section, name)]
     if len(given) != 1:
         raise PydanticCustomError(

@@ -144,13 +144,13 @@ def parse_known(data: object) -> KnownRequest:
     return _validated(data, _KNOWN_ADAPTER)
 
 
-def with_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:
+def replace_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:
     """The request with another cloud file, given relative to the working directory."""
     path = os.path.relpath(cloud.absolute(), request.folder.absolute())
     return dataclasses.replace(request, scene=dataclasses.replace(request.scene, cloud=path))
 
 
-def with_clouds(request: PlanRequest, clouds: Sequence[Path]) -> PlanRequest:
+def replace_clouds(request: PlanRequest, clouds: Sequence[Path]) -> PlanRequest:
     """The request with its own cloud files, or its scene's file, at other places relative to the working directory.
 
     Raises:

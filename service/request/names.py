@@ -79,7 +79,7 @@ def check_names(request: PlanRequest, robot: RobotModel, taken: TakenNames) -> N
         raise RequestError(problems)
 
 
-def check_given(pieces: Sequence[ConvexPiece], taken: TakenNames) -> None:
+def check_scene_file_names(pieces: Sequence[ConvexPiece], taken: TakenNames) -> None:
     """Refuse pieces of a scene's file that have another's name.
 
     Raises:
@@ -90,7 +90,7 @@ def check_given(pieces: Sequence[ConvexPiece], taken: TakenNames) -> None:
         raise RequestError(problems)
 
 
-def with_free_names(
+def rename_clashing(
     pieces: Sequence[ConvexPiece], taken: TakenNames, others: Collection[str] = ()
 ) -> tuple[tuple[ConvexPiece, ...], tuple[str, ...]]:
     """Pieces that nobody has named yet, with a number behind each name that is another's, and a note about each.

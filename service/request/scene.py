@@ -25,7 +25,7 @@ from service.request.fields import (
     Size,
     Sizes,
     at_most,
-    repeated,
+    find_repeated,
 )
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
@@ -174,7 +174,7 @@ class SceneRequest(Section):
         return (CloudFileRequest(self.cloud),) if isinstance(self.cloud, str) else self.cloud
 
     def __post_init__(self) -> None:
-        twice = repeated(obstacle.name for obstacle in self.obstacles)
+        twice = find_repeated(obstacle.name for obstacle in self.obstacles)
         if twice:
             raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})
         if self.file is not None and self.cloud is not None:

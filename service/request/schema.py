@@ -29,10 +29,12 @@ from service.request.fields import (
     Quaternion,
     Section,
     at_most,
-    exactly_one,
-    repeated,
+    find_repeated,
+    require_exactly_one,
 )
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
+
+UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
 
 
 @dataclass(config=SECTION)
@@ -51,7 +53,7 @@ class RobotRequest(Section):
     tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
 
     def __post_init__(self) -> None:
-        exactly_one(self, ("name", "urdf"))
+        require_exactly_one(self, ("name", "urdf"))
         if self.name is not None and (self.srdf or self.package_dirs):
             raise PydanticCustomError("robot", "srdf and package_dirs belong to a robot given by urdf, not by name")
         if self.urdf is not None and self.tool_distance_m is not None:
@@ -86,7 +88,7 @@ class StartRequest(Section):
                 "joint_names has {names} entries and positions has {positions}; they must be as many",
                 {"names": len(self.joint_names), "positions": len(self.positions)},
             )
-        twice = repeated((*self.joint_names, *self.joints))
+        twice = find_repeated((*self.joint_names, *self.joints))
         if twice:
             raise PydanticCustomError("start", "joint {name} is given twice", {"name": shown(twice[0])})
 
@@ -121,8 +123,8 @@ class GoalRequest(Section):
     posture: Label | None = None
 
     def __post_init__(self) -> None:
-        exactly_one(self, ("joints", "poses", "posture"))
-        twice = repeated(pose.link for pose in self.poses)
+        require_exactly_one(self, ("joints", "poses", "posture"))
+        twice = find_repeated(pose.link for pose in self.poses)
         if twice:
             words = "link {link} has two poses; one for each link would do"
             raise PydanticCustomError("goal", words, {"link": shown(twice[0])})
@@ -193,7 +195,7 @@ class TaskRequest(Section):
     trajopt: PlainData | None = None
 
     def __post_init__(self) -> None:
-        exactly_one(self, ("valve", "door", "egress", "trajopt"))
+        require_exactly_one(self, ("valve", "door", "egress", "trajopt"))
 
 
 @dataclass(config=SECTION)
@@ -308,7 +310,7 @@ class PlanRequest(Section):
     folder: Annotated[Path, Field(exclude=True)] = field(default=Path(), compare=False)
 
     def __post_init__(self) -> None:
-        exactly_one(self, ("goal", "task"))
+        require_exactly_one(self, ("goal", "task"))
         if self.task is not None and self.keep:
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
 
@@ -317,10 +319,7 @@ class PlanRequest(Section):
         return self.folder / path
 
 
-UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
-
-
-def check_planned(request: PlanRequest) -> None:
+def check_task_has_planner(request: PlanRequest) -> None:
     """
     Raises:
         UnplannedTaskError: the task is one that nothing here can plan yet.

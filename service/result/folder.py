@@ -69,7 +69,7 @@ def check_folder(folder: Path) -> None:
 
 
 @contextmanager
-def replaced(folder: Path) -> Iterator[Path]:
+def replace_folder(folder: Path) -> Iterator[Path]:
     """A fresh folder beside ``folder`` that takes its place when the body succeeds, and vanishes when it does not.
 
     One that nothing was put into takes no place either.

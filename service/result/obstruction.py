@@ -19,10 +19,10 @@ from service.demands.goals import rotation_of
 from service.result.motion_json import file_positions
 from service.result.phase_json import targets_json
 from service.setup.prepare import PlanSetup
-from service.start.overlaps import overlaps
+from service.start.overlaps import find_overlaps
 from service.tasks.goal import Goal
 from service.verify import CircleTarget, JointTarget, PoseTarget, Target
-from service.verify.convex import convex_of
+from service.verify.solids import convex_of
 
 FREE = np.full(3, np.inf)
 
@@ -42,7 +42,7 @@ class _End:
     poses: tuple[tuple[str, Float[np.ndarray, "4 4"], bool], ...] = ()
 
 
-def obstruction_of(setup: PlanSetup) -> dict[str, Any] | None:
+def describe_obstruction(setup: PlanSetup) -> dict[str, Any] | None:
     """What a result without a motion shows of its goal; None where the request names no end.
 
     Keys: ``targets`` as in a result's phases; ``configuration``, a row of the trajectory's columns, or null;
@@ -57,7 +57,7 @@ def obstruction_of(setup: PlanSetup) -> dict[str, Any] | None:
     found: list[dict[str, Any]] = []
     if end.q is not None:
         placed |= planted_poses(KinematicsEngine(robot), end.q, sorted({body.link for body in robot.bodies}))
-        inside = overlaps(robot, end.q, setup.scene, planted)
+        inside = find_overlaps(robot, end.q, setup.scene, planted)
         found += [{"link": one.link, "other": one.other, "depth_m": one.depth} for one in inside]
     for frame, pose, is_turned in end.poses:
         carried = _carried(robot, frame, pose)
@@ -96,7 +96,7 @@ def _end_of_program(setup: PlanSetup) -> _End:
     if program is None:
         return _End()
     fixed = [q for step, q in sorted(program.fixed.items()) if step]
-    hit = [q for q in fixed if overlaps(setup.robot, q, setup.scene, tuple(setup.soles))]
+    hit = [q for q in fixed if find_overlaps(setup.robot, q, setup.scene, tuple(setup.soles))]
     poses = [
         (term.frame, np.array(term.xyz), _rotation(term.wxyz) if all(term.rot_coeffs) else None)
         for term in program.problem.terms

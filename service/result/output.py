@@ -21,7 +21,7 @@ from service.result.folder import (
     VIEWER_NAME,
     ResultFiles,
     check_folder,
-    replaced,
+    replace_folder,
 )
 from service.result.motion_json import samples_of
 from service.result.result import PlanResult
@@ -39,7 +39,7 @@ def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
     check_folder(folder)
     data = to_result_json(result)
     try:
-        with replaced(folder) as fresh:
+        with replace_folder(folder) as fresh:
             (fresh / RESULT_NAME).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
             _write_trajectory(data["trajectory"], fresh / TRAJECTORY_NAME)
             _write_robot(result.robot, fresh / ROBOT_NAME)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from service.errors import RequestError, ResultError, shown
 
 if TYPE_CHECKING:
-    from service.scan.make_scene import SceneSeen
+    from service.scan.make_scene import BuiltScene
 
 _SCRATCH = ".scopt-"
 
@@ -56,7 +56,7 @@ def _try_folder(path: Path) -> None:
         pass
 
 
-def write_scene(seen: SceneSeen, path: Path) -> Path:
+def write_scene(seen: BuiltScene, path: Path) -> Path:
     """Write the scene as JSON, and beside it the page that shows it; each as a whole or not at all.
 
     Args:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from costs.curve import TimeLaw
 from service.verify import Motion, Phase, SupportPolygon, VerifySettings
 from service.verify.dynamics import forces, sample_times
-from service.verify.promises import outside_polygon
+from service.verify.stance_checks import outside_polygon
 from service.verify.timeline import times_of
 
 _SAME_S = 1e-9  # times that differ by less are one

@@ -15,8 +15,8 @@ from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, View, read
 from service.errors import RequestError, would_do
 from service.request.file import load_start, parse_robot, parse_start
 from service.request.schema import RobotRequest, StartRequest
-from service.start.configuration import start_configuration
-from service.start.standing import FEET_GROUP, place_bodies, sole
+from service.start.configuration import make_start
+from service.start.standing import FEET_GROUP, place_bodies, sole_corners
 
 OnStep = Callable[[str], None]
 
@@ -24,7 +24,7 @@ _BETWEEN_NUMBERS = str.maketrans(dict.fromkeys(",;()[]", " "))
 
 
 @dataclass(frozen=True)
-class CloudAsked:
+class CloudInput:
     """Cloud files and how they are to be read.
 
     Attributes:
@@ -76,7 +76,7 @@ class CloudRead:
     soles: Sequence[np.ndarray]
 
 
-def cloud_asked(options: Mapping[str, Any]) -> CloudAsked:
+def parse_cloud_options(options: Mapping[str, Any]) -> CloudInput:
     """What was asked on a command line.
 
     There ``sensor``, ``message`` and ``robot`` are texts, the last a bundled robot's name or a URDF, and ``posture`` is
@@ -93,7 +93,7 @@ def cloud_asked(options: Mapping[str, Any]) -> CloudAsked:
         raise RequestError(f"--top: {given['top_m']:g} m is not above --bottom {given['bottom_m']:g} m; more would do")
     sensor, posture, message = given.pop("sensor"), given.pop("posture"), given.pop("message")
     robot = given.pop("robot")
-    return CloudAsked(
+    return CloudInput(
         **given,
         sensor=None if sensor is None else point(sensor, "--sensor"),
         robot=None if robot is None else _robot(robot),
@@ -102,7 +102,7 @@ def cloud_asked(options: Mapping[str, Any]) -> CloudAsked:
     )
 
 
-def read_asked(asked: CloudAsked, on_step: OnStep) -> CloudRead:
+def read_input(asked: CloudInput, on_step: OnStep) -> CloudRead:
     """Read the files and place the robot.
 
     Raises:
@@ -183,7 +183,7 @@ def _message(text: str) -> int | Literal["all"]:
         raise RequestError(f"--message: a whole number, -1 for the last, or all would do, got '{text}'") from None
 
 
-def _poses(asked: CloudAsked) -> list[np.ndarray | None]:
+def _poses(asked: CloudInput) -> list[np.ndarray | None]:
     n_files, n_given = len(asked.files), len(asked.transforms)
     if n_given not in (0, 1, n_files):
         raise RequestError(
@@ -228,6 +228,6 @@ def _robot_in_the_way(asked: RobotRequest, start: StartRequest | None) -> tuple[
             robot = load_robot(urdf=Path(asked.urdf), srdf=srdf, package_dirs=folders, root=asked.root)
     except RobotError as error:
         raise RequestError(f"--robot: {error}") from None
-    q, _ = start_configuration(robot, start or StartRequest())
+    q, _ = make_start(robot, start or StartRequest())
     feet = robot.link_groups.get(FEET_GROUP, ()) if robot.is_floating else ()
-    return [vertices for _, vertices in place_bodies(robot, q)], [sole(robot, q, foot) for foot in feet]
+    return [vertices for _, vertices in place_bodies(robot, q)], [sole_corners(robot, q, foot) for foot in feet]

@@ -16,8 +16,8 @@ from perception import Detection, PerceptionError, View, detect_each, make_view
 from service.errors import RequestError, would_do
 from service.json_data import plain
 from service.request.choices import EVERY_KIND, KINDS
-from service.scan.cloud import CloudAsked, OnStep, read_asked, view_figures
-from service.scan.time_limit import OutOfTimeError, TimeOver, at_most
+from service.scan.cloud import CloudInput, OnStep, read_input, view_figures
+from service.scan.time_limit import OutOfTimeError, TimeOver, limit_time
 
 _LOG = logging.getLogger(__name__)
 
@@ -27,7 +27,7 @@ _SHOWN_KINDS = 12
 
 
 def detect_file(
-    asked: CloudAsked,
+    asked: CloudInput,
     kind: str,
     hint: tuple[float, float, float] | None,
     on_step: OnStep,
@@ -47,16 +47,16 @@ def detect_file(
         OutOfTimeError: the time was over before the first kind was looked for.
     """
     started = time.perf_counter()
-    kinds = checked_kinds((kind,), "KIND")
+    kinds = check_kinds((kind,), "KIND")
     check_hint(hint)
     looked = None
     try:
-        with at_most(time_limit_s):
-            read = read_asked(asked, on_step)
+        with limit_time(time_limit_s):
+            read = read_input(asked, on_step)
             on_step("clean")
             view = make_view(read.cloud, reach=asked.reach, robot_hulls=read.hulls, soles=read.soles, seed=asked.seed)
             looked = Search()
-            look_for(kinds, view, hint, on_step, looked)
+            search_objects(kinds, view, hint, on_step, looked)
     except PerceptionError as error:
         raise RequestError(f"{asked.named}: {error}") from None
     except TimeOver:
@@ -108,7 +108,7 @@ class Search:
         _LOG.debug("the detector of %s failed", kind, exc_info=error)
 
 
-def look_for(
+def search_objects(
     kinds: Sequence[str],
     view: View,
     hint: tuple[float, float, float] | None,
@@ -126,7 +126,7 @@ def look_for(
         search.kinds.append(kind)
 
 
-def checked_kinds(kinds: Sequence[str], option: str) -> tuple[str, ...]:
+def check_kinds(kinds: Sequence[str], option: str) -> tuple[str, ...]:
     """The kinds, ``all`` spelled out, each once.
 
     Raises:

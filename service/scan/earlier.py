@@ -16,10 +16,10 @@ from costs.scene import ConvexPiece, Scene
 from perception import Earlier, Evidence, Perceived, Piece, Reach
 from perception.convex.hulls import hull_of
 from perception.solids.closed import Solid
-from perception.solids.known import KnownMesh
+from perception.solids.match import KnownMesh
 from service.errors import RequestError, shown
 from service.request.choices import Method, Unknown
-from service.scan.known_meshes import KIND, MeshPlaced, Placing, doubt
+from service.scan.known_meshes import KIND, PlacedMesh, Placing, explain_low_confidence
 from service.scan.meshes import hull_mesh
 from service.scan.scene_file import Number, scene_data
 
@@ -77,7 +77,7 @@ _READER = TypeAdapter(_File)
 
 
 @dataclass(frozen=True)
-class SceneBefore:
+class EarlierScene:
     """A scene as its file tells it.
 
     Attributes:
@@ -109,14 +109,15 @@ class SceneBefore:
         parts = [piece.vertices for piece in self._parts(mesh)]
         return KnownMesh(mesh.name, Solid(tuple(hull_mesh(part) for part in parts), (), ()), np.eye(4), None, True)
 
-    def placed(self, mesh: _Mesh, seen: Perceived) -> MeshPlaced:
+    def placed(self, mesh: _Mesh, seen: Perceived) -> PlacedMesh:
         """What became of a mesh: it stays, unless it was found by a scan and most rays now go through it."""
         known, match = self.known(mesh), seen.matches[mesh.name]
         pose = None if mesh.pose_world_mesh is None else np.array(mesh.pose_world_mesh)
         if mesh.placing == "found" and match.residuals["seen_through"] > _GONE:
-            note = f"{mesh.name} is gone: {doubt(match)}; {_OPTION} with --mesh '{mesh.file}' looks for it again"
-            return MeshPlaced(known, mesh.file, "gone", match, pose, (), (note,))
-        return MeshPlaced(known, mesh.file, mesh.placing, match, pose, self._parts(mesh), ())
+            reason = explain_low_confidence(match)
+            note = f"{mesh.name} is gone: {reason}; {_OPTION} with --mesh '{mesh.file}' looks for it again"
+            return PlacedMesh(known, mesh.file, "gone", match, pose, (), (note,))
+        return PlacedMesh(known, mesh.file, mesh.placing, match, pose, self._parts(mesh), ())
 
     def _parts(self, mesh: _Mesh) -> tuple[ConvexPiece, ...]:
         return tuple(piece for piece in self.scene.pieces if piece.name in mesh.pieces)
@@ -135,7 +136,7 @@ class SceneBefore:
         }
 
 
-def read_before(path: Path) -> SceneBefore:
+def read_earlier_scene(path: Path) -> EarlierScene:
     """Read a scene that ``scopt scene`` wrote.
 
     Raises:
@@ -154,7 +155,7 @@ def read_before(path: Path) -> SceneBefore:
         raise RequestError(f"{_OPTION}: {path}: {error}; make it anew with 'scopt scene'") from None
 
 
-def _before(path: Path, file: _File) -> SceneBefore:
+def _before(path: Path, file: _File) -> EarlierScene:
     shapes = {one.name: ConvexPiece(one.name, np.array(one.vertices), one.kind) for one in file.pieces}
     scene = Scene(tuple(ConvexPiece(one.name, np.array(one.vertices), one.kind) for one in file.pieces))
     pieces = tuple(_piece(shapes[one.name], one.seen) for one in file.pieces if one.seen is not None)
@@ -163,7 +164,7 @@ def _before(path: Path, file: _File) -> SceneBefore:
     for mesh in meshes:
         if not standing.issuperset(mesh.pieces):
             raise ValueError(f"meshes: {shown(mesh.name)} names pieces that are not there")
-    return SceneBefore(path, file.settings, scene, pieces, meshes)
+    return EarlierScene(path, file.settings, scene, pieces, meshes)
 
 
 def _piece(shape: ConvexPiece, seen: _Seen) -> Piece:

@@ -16,13 +16,12 @@ from costs.scene import ConvexPiece
 from perception import CONFIDENT, PerceptionError, rigid_pose
 from perception.perceive import FRINGE
 from perception.solids.closed import Solid
-from perception.solids.known import KnownMesh
-from perception.solids.match import MeshMatch
+from perception.solids.match import KnownMesh, MeshMatch
 from service.errors import RequestError
 from service.json_data import plain
 from service.request.scene import KnownMeshRequest
 from service.scan.cloud import numbers
-from service.scan.meshes import FORMATS, convex_parts, read_solid
+from service.scan.meshes import FORMATS, read_solid, split_convex
 from service.trust.folders import UPLOADED
 
 KIND = "object"
@@ -46,7 +45,7 @@ Placing = Literal["given", "found", "not found", "gone"]
 
 
 @dataclass(frozen=True)
-class MeshAsked:
+class MeshInput:
     """A mesh file, and what is known of where the mesh stands.
 
     Attributes:
@@ -74,7 +73,7 @@ class MeshAsked:
 
 
 @dataclass(frozen=True)
-class MeshPlaced:
+class PlacedMesh:
     """What became of a known mesh.
 
     Attributes:
@@ -119,7 +118,7 @@ class MeshPlaced:
         }
 
 
-def mesh_asked(text: str, scale: float = 1.0) -> MeshAsked:
+def parse_mesh_option(text: str, scale: float = 1.0) -> MeshInput:
     """What one ``--mesh`` asks: a file, where it stands (``at``), or about where to look for it (``near``).
 
     Raises:
@@ -136,7 +135,7 @@ def mesh_asked(text: str, scale: float = 1.0) -> MeshAsked:
         known = ", ".join(FORMATS)
         raise RequestError(f"{_OPTION}: {file}: format '{file.suffix}' is not read; {known} would do")
     if not how:
-        return MeshAsked(file, scale)
+        return MeshInput(file, scale)
     values = numbers(words, f"{_OPTION}: {file} {how}")
     if len(values) not in _AFTER:
         forms = ", ".join(f"'{form}'" for form in _AFTER.values())
@@ -146,15 +145,15 @@ def mesh_asked(text: str, scale: float = 1.0) -> MeshAsked:
     except PerceptionError as error:
         raise RequestError(f"{_OPTION}: {file} {how}: {str(error).replace('transform', 'pose', 1)}") from None
     if how == "near" and len(values) == 3:
-        return MeshAsked(file, scale, hint=pose[:3, 3])
-    return MeshAsked(file, scale, pose, is_placed=how == "at")
+        return MeshInput(file, scale, hint=pose[:3, 3])
+    return MeshInput(file, scale, pose, is_placed=how == "at")
 
 
-def mesh_requested(request: KnownMeshRequest, file: Path) -> MeshAsked:
+def mesh_from_request(request: KnownMeshRequest, file: Path) -> MeshInput:
     """What a request says of a mesh whose file is kept here."""
     place, turn = request.position, request.quaternion_wxyz
     name = request.name or (UPLOAD_NAME if request.file.startswith(UPLOADED) else "")
-    asked = MeshAsked(file, request.scale, is_placed=request.is_placed, name=name, called=request.file)
+    asked = MeshInput(file, request.scale, is_placed=request.is_placed, name=name, called=request.file)
     if place is None:
         return asked
     if turn is None and not request.is_placed:
@@ -162,7 +161,7 @@ def mesh_requested(request: KnownMeshRequest, file: Path) -> MeshAsked:
     return replace(asked, pose_world_mesh=rigid_pose((*place, *(turn or (1.0, 0.0, 0.0, 0.0)))))
 
 
-def known_of(asked: Sequence[MeshAsked], taken: Collection[str] = ()) -> tuple[KnownMesh, ...]:
+def load_known_meshes(asked: Sequence[MeshInput], taken: Collection[str] = ()) -> tuple[KnownMesh, ...]:
     """The meshes read, each named as its file, numbered where that name is taken.
 
     Raises:
@@ -175,7 +174,7 @@ def known_of(asked: Sequence[MeshAsked], taken: Collection[str] = ()) -> tuple[K
     )
 
 
-def _solid(asked: MeshAsked) -> Solid:
+def _solid(asked: MeshInput) -> Solid:
     solid = read_solid(asked.file, _OPTION, asked.scale)
     vertices = np.concatenate([mesh.vertices for mesh in (*solid.closed, *solid.open)])
     span = float(np.ptp(vertices, axis=0).max())
@@ -197,39 +196,40 @@ def _names(stems: Sequence[str], taken: set[str]) -> Iterator[str]:
         yield name
 
 
-def placed(
-    known: Sequence[KnownMesh], asked: Sequence[MeshAsked], matches: Mapping[str, MeshMatch]
-) -> list[MeshPlaced]:
+def place_meshes(
+    known: Sequence[KnownMesh], asked: Sequence[MeshInput], matches: Mapping[str, MeshMatch]
+) -> list[PlacedMesh]:
     """What became of each; those that stand in the scene are split into convex parts.
 
     Raises:
         RequestError: CoACD crashed or needs too much.
     """
-    return [_placed(one, mesh.words, matches[one.name]) for one, mesh in zip(known, asked, strict=True)]
+    return [_place_mesh(one, mesh.words, matches[one.name]) for one, mesh in zip(known, asked, strict=True)]
 
 
-def _placed(known: KnownMesh, file: str, match: MeshMatch) -> MeshPlaced:
+def _place_mesh(known: KnownMesh, file: str, match: MeshMatch) -> PlacedMesh:
     notes = list(known.solid.notes)
     is_sure = match.confidence >= CONFIDENT
+    reason = explain_low_confidence(match)
     if known.is_placed and not is_sure:
-        notes.append(f"{known.name} stands where it was placed, but the scan does not show it there: {doubt(match)}")
+        notes.append(f"{known.name} stands where it was placed, but the scan does not show it there: {reason}")
     if not known.is_placed and not is_sure:
         notes.append(
-            f"{known.name} is not in the scene, since the scan does not show it: {doubt(match)}; "
+            f"{known.name} is not in the scene, since the scan does not show it: {reason}; "
             f"if it is there, {_OPTION} '{file} near X Y Z' or '{file} at POSE' may help"
         )
         pose = match.pose_world_mesh if match.residuals["n_points"] else None
-        return MeshPlaced(known, file, "not found", match, pose, (), tuple(notes))
+        return PlacedMesh(known, file, "not found", match, pose, (), tuple(notes))
     pose = match.pose_world_mesh
-    parts = convex_parts(known.solid, Path(file).name, _OPTION)
+    parts = split_convex(known.solid, Path(file).name, _OPTION)
     pieces = tuple(
         ConvexPiece(f"{known.name}/{number}", part @ pose[:3, :3].T + pose[:3, 3], KIND)
         for number, part in enumerate(parts, start=1)
     )
-    return MeshPlaced(known, file, "given" if known.is_placed else "found", match, pose, pieces, tuple(notes))
+    return PlacedMesh(known, file, "given" if known.is_placed else "found", match, pose, pieces, tuple(notes))
 
 
-def doubt(match: MeshMatch) -> str:
+def explain_low_confidence(match: MeshMatch) -> str:
     """Why a mesh's confidence is low, in words."""
     told = match.residuals
     shares = {

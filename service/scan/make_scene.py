@@ -11,20 +11,20 @@ import numpy as np
 from jaxtyping import Int
 
 from perception import Detection, FloorPlane, Perceived, PerceptionError, Piece, perceive, update
-from perception.solids.known import KnownMesh
+from perception.solids.match import KnownMesh
 from service.errors import RequestError
 from service.json_data import piece_json, plain
 from service.request.choices import Method, Unknown
-from service.scan.cloud import CloudAsked, CloudRead, OnStep, read_asked, view_figures
-from service.scan.detect import Search, check_hint, checked_kinds, hint_notes, hit_json, look_for
-from service.scan.earlier import SceneBefore, SceneSettings
-from service.scan.known_meshes import MeshAsked, MeshPlaced, known_of, placed
+from service.scan.cloud import CloudInput, CloudRead, OnStep, read_input, view_figures
+from service.scan.detect import Search, check_hint, check_kinds, hint_notes, hit_json, search_objects
+from service.scan.earlier import EarlierScene, SceneSettings
+from service.scan.known_meshes import MeshInput, PlacedMesh, load_known_meshes, place_meshes
 from service.scan.scene_file import FORMAT
-from service.scan.time_limit import OutOfTimeError, TimeOver, at_most
+from service.scan.time_limit import OutOfTimeError, TimeOver, limit_time
 
 
 @dataclass(frozen=True)
-class SceneAsked:
+class SceneInput:
     """What to make of the clouds.
 
     Attributes:
@@ -38,13 +38,13 @@ class SceneAsked:
             same reach, seed, ``unknown`` and ``method``.
     """
 
-    clouds: CloudAsked
+    clouds: CloudInput
     kinds: tuple[str, ...] = ()
     hint: tuple[float, float, float] | None = None
     unknown: Unknown = "free"
     method: Method = "planes"
-    meshes: tuple[MeshAsked, ...] = ()
-    before: SceneBefore | None = None
+    meshes: tuple[MeshInput, ...] = ()
+    before: EarlierScene | None = None
 
     @property
     def settings(self) -> SceneSettings:
@@ -54,7 +54,7 @@ class SceneAsked:
 
 
 @dataclass(frozen=True)
-class SceneSeen:
+class BuiltScene:
     """A scan's world: ``data`` is what the file holds, the rest what the page is made from.
 
     ``mesh_points`` are indices of the obstacle points of known meshes, by the name of a piece of the mesh.
@@ -66,7 +66,7 @@ class SceneSeen:
     mesh_points: Mapping[str, Int[np.ndarray, "K"]]
 
 
-def on_top_of(before: SceneBefore, asked: SceneAsked, said: Mapping[str, str], option: str) -> SceneAsked:
+def apply_earlier_settings(before: EarlierScene, asked: SceneInput, said: Mapping[str, str], option: str) -> SceneInput:
     """What was asked, with the settings of the scene before.
 
     Args:
@@ -88,7 +88,7 @@ def on_top_of(before: SceneBefore, asked: SceneAsked, said: Mapping[str, str], o
     return replace(asked, clouds=clouds, unknown=of.unknown, method=of.method, before=before)
 
 
-def see_files(asked: SceneAsked, on_step: OnStep, time_limit_s: float | None = None) -> SceneSeen:
+def build_scene(asked: SceneInput, on_step: OnStep, time_limit_s: float | None = None) -> BuiltScene:
     """Pieces, floor, objects and figures of cloud files.
 
     Args:
@@ -101,20 +101,20 @@ def see_files(asked: SceneAsked, on_step: OnStep, time_limit_s: float | None = N
         OutOfTimeError: the time was over before the pieces were made.
     """
     started = time.perf_counter()
-    kinds = checked_kinds(asked.kinds, "--detect")
+    kinds = check_kinds(asked.kinds, "--detect")
     check_hint(asked.hint)
     search = None
     try:
-        with at_most(time_limit_s):
-            known = known_of(asked.meshes)
-            read = read_asked(asked.clouds, on_step)
+        with limit_time(time_limit_s):
+            known = load_known_meshes(asked.meshes)
+            read = read_input(asked.clouds, on_step)
             on_step("find pieces" if asked.before is None else "update pieces")
             seen = _seen(asked, read, known)
             if known:
                 on_step("split meshes")
-            meshes = placed(known, asked.meshes, seen.matches)
+            meshes = place_meshes(known, asked.meshes, seen.matches)
             search = Search()
-            look_for(kinds, seen.view, asked.hint, on_step, search)
+            search_objects(kinds, seen.view, asked.hint, on_step, search)
     except PerceptionError as error:
         raise RequestError(f"{asked.clouds.named}: {error}") from None
     except TimeOver:
@@ -151,10 +151,10 @@ def see_files(asked: SceneAsked, on_step: OnStep, time_limit_s: float | None = N
         "bottom_m": asked.clouds.bottom_m,
         "time_s": round(time.perf_counter() - started, 3),
     }
-    return SceneSeen(data, seen, tuple(search.hits), mesh_points)
+    return BuiltScene(data, seen, tuple(search.hits), mesh_points)
 
 
-def _seen(asked: SceneAsked, read: CloudRead, known: tuple[KnownMesh, ...]) -> Perceived:
+def _seen(asked: SceneInput, read: CloudRead, known: tuple[KnownMesh, ...]) -> Perceived:
     """What the scan shows, by itself or held against the scene before."""
     before = asked.before
     if before is not None:
@@ -172,17 +172,17 @@ def _seen(asked: SceneAsked, read: CloudRead, known: tuple[KnownMesh, ...]) -> P
     )
 
 
-def _pieces(asked: SceneAsked, seen: Perceived, meshes: Sequence[MeshPlaced]) -> dict[str, Any]:
+def _pieces(asked: SceneInput, seen: Perceived, meshes: Sequence[PlacedMesh]) -> dict[str, Any]:
     """The pieces, each with what the scan says of it, and how they differ from those of the scene before."""
     pieces = [*seen.scene.pieces, *(piece for mesh in meshes for piece in mesh.pieces)]
-    facts = {piece.name: {"seen": seen_of(piece)} for piece in seen.pieces}
+    facts = {piece.name: {"seen": piece_evidence(piece)} for piece in seen.pieces}
     told: dict[str, Any] = {"pieces": [{**piece_json(piece), **facts.get(piece.name, {})} for piece in pieces]}
     if asked.before is not None:
         told["update"] = {"previous": str(asked.before.path), **asked.before.changes(pieces)}
     return told
 
 
-def seen_of(piece: Piece) -> dict[str, object]:
+def piece_evidence(piece: Piece) -> dict[str, object]:
     """What a scan says of a piece: how many points it stands for, what the rays about it saw, the plane it is on."""
     told = {key: value for key, value in piece.summary().items() if key not in ("name", "kind")}
     return {**told, "plane": plain(piece.plane)}

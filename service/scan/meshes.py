@@ -47,7 +47,7 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
         raise RequestError(f"{field}: {error}") from None
 
 
-def convex_parts(
+def split_convex(
     solid: Solid,
     name: str,
     field: str,

@@ -57,7 +57,7 @@ _READER = TypeAdapter(_File)
 
 
 @dataclass(frozen=True)
-class SceneGiven:
+class SceneFile:
     """What a scene's file says.
 
     Attributes:
@@ -110,7 +110,7 @@ def scene_data(path: Path, field: str, scan_goes: str = "") -> Mapping[str, Any]
     return dict(data)
 
 
-def read_scene(path: Path, field: str) -> SceneGiven:
+def read_scene(path: Path, field: str) -> SceneFile:
     """Read a scene's file.
 
     Args:
@@ -132,7 +132,7 @@ def read_scene(path: Path, field: str) -> SceneGiven:
         raise RequestError(f"{field}: {path}: {where}: {first['msg']}") from None
     except ValueError as error:
         raise RequestError(f"{field}: {path}: pieces: {error}") from None
-    return SceneGiven(pieces, tuple(file.detections))
+    return SceneFile(pieces, tuple(file.detections))
 
 
 def _check_solid(pieces: Sequence[ConvexPiece]) -> None:
@@ -155,11 +155,11 @@ def _is_wheel(hit: _Hit) -> bool:
 def _valve(hit: _Hit) -> ValveDetection:
     pose, rim = np.array(hit.pose_world_object), hit.sizes["rim_radius"]
     tube = hit.sizes.get("tube_radius", 0.1 * rim)
-    wheel = wheel_of_circle(pose[:3, 3], pose[:3, 2], rim, tube)
+    wheel = wheel_from_circle(pose[:3, 3], pose[:3, 2], rim, tube)
     return replace(wheel, outer_radius=hit.sizes.get("outer_radius", rim + tube), confidence=hit.confidence)
 
 
-def wheel_of_circle(
+def wheel_from_circle(
     centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], rim_radius: float, tube_radius: float
 ) -> ValveDetection:
     """A valve known by its rim alone; nothing is known of its spokes.

@@ -11,7 +11,7 @@ from service.errors import ServiceError
 
 
 class TimeOver(Exception):  # noqa: N818 - how a command ends early, not an error
-    """The time is over; raised by ``at_most`` once the work in its body has stopped."""
+    """The time is over; raised by ``limit_time`` once the work in its body has stopped."""
 
 
 class OutOfTimeError(ServiceError):
@@ -19,7 +19,7 @@ class OutOfTimeError(ServiceError):
 
 
 @contextmanager
-def at_most(seconds: float | None) -> Iterator[None]:
+def limit_time(seconds: float | None) -> Iterator[None]:
     """Stop the body at its next poll once so much time has gone; None: as long as it takes.
 
     Raises:

@@ -9,8 +9,8 @@ from statistics import fmean
 
 import grpc
 
-from service.rpc import Refusal
 from service.server.refusal import overloaded
+from service.trust.rpc import Refusal
 
 REMEMBERED = 256  # durations by kind of work
 FIRST_GUESS_S = 1.0  # of a kind that has never run

@@ -10,7 +10,7 @@ from pathlib import Path
 from service.errors import RequestError
 from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request.scene import MeshRequest, SceneRequest
-from service.request.schema import PlanRequest, check_planned
+from service.request.schema import PlanRequest, check_task_has_planner
 from service.server.refusal import invalid, refusal_of
 from service.server.robots import RobotFolder
 from service.server.settings import ServerSettings
@@ -48,7 +48,7 @@ class Door:
         """
         try:
             request = request_from_message(message)
-            check_planned(request)
+            check_task_has_planner(request)
         except RequestError as error:
             raise refusal_of(error, WITHIN) from None
         problems = [f"{field}: {words}" for field, words in self.folders.problems(request)]

@@ -9,9 +9,9 @@ from pathlib import Path
 import grpc
 import structlog
 
-from service.rpc import Refusal
 from service.server.health import Health
 from service.store import CloudStore, DiskError, Store
+from service.trust.rpc import Refusal
 
 _LOG = structlog.get_logger("scopt.server")
 LOOK_EVERY_S = 0.5

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from service.errors import RequestError
-from service.rpc import Refusal
-from service.seen.incidents import incident
 from service.server.disk import NO_ROOM
 from service.server.refusal import OF_STORE, refusal_of
 from service.store import DiskError, StoreError
+from service.telemetry.logs import log_incident
+from service.trust.rpc import Refusal
 
 
 def refusal_for(error: Exception) -> Refusal:
@@ -18,4 +18,4 @@ def refusal_for(error: Exception) -> Refusal:
         return refusal_of(error)
     if isinstance(error, DiskError):  # whose text speaks of this disk; the log has it
         return NO_ROOM
-    return incident(error)
+    return log_incident(error)

@@ -9,7 +9,7 @@ from typing import Any
 
 import grpc
 
-from service.rpc import Context, Interceptor, Refusal, refuse
+from service.trust.rpc import Context, Interceptor, Refusal, refuse
 
 STOPPING = Refusal(grpc.StatusCode.UNAVAILABLE, "the server is stopping; try another one, or later")
 GOING_DOWN = Refusal(grpc.StatusCode.UNAVAILABLE, "the server is going down now; try another one, or later")
@@ -29,7 +29,7 @@ class Farewell(Interceptor):
             task.cancel()
 
     @asynccontextmanager
-    async def through(self, method: str, context: Context) -> AsyncIterator[None]:
+    async def wrap_call(self, method: str, context: Context) -> AsyncIterator[None]:
         task = asyncio.current_task()
         if self._over.is_set() or task is None:
             await refuse(context, GOING_DOWN)

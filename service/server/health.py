@@ -9,7 +9,7 @@ import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from service.errors import shown
-from service.rpc import Context
+from service.trust.rpc import Context
 
 _Status = health_pb2.HealthCheckResponse
 

@@ -17,8 +17,6 @@ from service.executor import WorkerState
 from service.executor.linux import rss_bytes
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.result_pb2 import FileChunk
-from service.rpc import Context, Refusal, deadline_of
-from service.seen import bind
 from service.server.archive import chunks, files_of
 from service.server.perceiving import accepted
 from service.server.planning import stored_result
@@ -29,7 +27,9 @@ from service.server.settings import ServerSettings
 from service.server.workshop import Workshop
 from service.store import Decision, PlanRecord, PlanState, Review, Store
 from service.store.reviews import MAX_COMMENT_CHARACTERS
+from service.telemetry import bind
 from service.trust import Role, current_caller
+from service.trust.rpc import Context, Refusal, deadline_of
 from service.wire.results import checks_to_messages, verdict_number
 from service.work.look import describe_robots, verify
 

@@ -12,9 +12,9 @@ import platformdirs
 
 from service.errors import RequestError, would_do
 from service.executor import CancellableExecutor
-from service.seen import SentSpans, set_up_logs
 from service.server.serve import PRELOAD, Port, serve
 from service.server.settings import BUDGETS_S, KINDS, ServerSettings
+from service.telemetry import SentSpans, set_up_logs
 from service.trust import ClientLimits, Limits, TlsFiles, Tokens, listen_problems
 from service.work.plan import warm_up
 

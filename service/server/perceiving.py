@@ -23,8 +23,7 @@ from service.proto.planner.v1.planner_pb2 import (
 from service.request.file import parse_scene, parse_start
 from service.request.scene import SceneRequest
 from service.request.schema import RobotRequest
-from service.rpc import Context, deadline_of
-from service.scan.cloud import CloudAsked
+from service.scan.cloud import CloudInput
 from service.server.asked import uploaded
 from service.server.cloud_problems import Kept, as_sent, robot_problems, start_problems
 from service.server.disk import Disk
@@ -35,6 +34,7 @@ from service.server.settings import SMALL_BYTES, ServerSettings
 from service.server.workshop import Workshop, outcome
 from service.store import CloudStore, Store
 from service.trust import AllowedFolders, current_caller
+from service.trust.rpc import Context, deadline_of
 from service.wire.perceived import detections_to_messages, scene_to_message
 from service.wire.plain import to_plain
 from service.wire.violations import violation
@@ -181,11 +181,11 @@ class Perceiving:
         return scene
 
     @contextmanager
-    def _placed(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudAsked]:
+    def _placed(self, given: CloudsSpec, scene: SceneRequest) -> Iterator[CloudInput]:
         """The clouds where they are kept, which they are while the body runs."""
         named = scene.cloud_files
         with self._clouds.using(uploaded(one.file for one in named)) as files:
-            yield CloudAsked(
+            yield CloudInput(
                 files=tuple(Path(files.get(one.file, one.file)) for one in named),
                 unit=scene.unit,
                 transforms=tuple(_numbers(one.position, one.quaternion_wxyz) for one in named),
@@ -201,7 +201,7 @@ class Perceiving:
                 seed=given.seed,
             )
 
-    def _seen(self, answer: T | Refused, clouds: CloudAsked, scene: SceneRequest, more: Sequence[Kept] = ()) -> T:
+    def _seen(self, answer: T | Refused, clouds: CloudInput, scene: SceneRequest, more: Sequence[Kept] = ()) -> T:
         """A worker's answer about clouds.
 
         Raises:
@@ -234,8 +234,8 @@ async def _aside(message: M, check: Callable[[M], T]) -> T:
 def _heights(given: CloudsSpec) -> tuple[float, float]:
     """Between which points are kept [m]."""
     return (
-        given.bottom_m if given.HasField("bottom_m") else CloudAsked.bottom_m,
-        given.top_m if given.HasField("top_m") else CloudAsked.top_m,
+        given.bottom_m if given.HasField("bottom_m") else CloudInput.bottom_m,
+        given.top_m if given.HasField("top_m") else CloudInput.top_m,
     )
 
 

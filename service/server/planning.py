@@ -17,8 +17,6 @@ from service.proto.planner.v1.result_pb2 import MotionResult
 from service.request.file import request_hash
 from service.request.schema import PlanRequest as Request
 from service.result.result import Verdict
-from service.rpc import Context, Refusal, deadline_of
-from service.seen import bind
 from service.server.archive import chunks
 from service.server.asked import WITHIN, Door, kind_of, named_files
 from service.server.disk import Disk
@@ -29,7 +27,9 @@ from service.server.settings import SMALL_BYTES
 from service.server.spread import first_certified, with_other_starts
 from service.server.workshop import Piece, Workshop, outcome
 from service.store import PlanRecord, PlanState, Store
+from service.telemetry import bind
 from service.trust import current_caller
+from service.trust.rpc import Context, Refusal, deadline_of
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 _LOG = structlog.get_logger("scopt.server")

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 import grpc
 
 from service.errors import RequestError, UnplannedTaskError
-from service.rpc import Refusal
 from service.store import (
     NotStoredError,
     ReviewRefusedError,
@@ -16,6 +15,7 @@ from service.store import (
     TooLargeError,
     UploadRefusedError,
 )
+from service.trust.rpc import Refusal
 from service.wire.violations import bad_request
 
 OF_STORE: dict[type[StoreError], grpc.StatusCode] = {

@@ -11,10 +11,10 @@ from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 
 from service.proto.planner.v1 import planner_pb2
-from service.rpc import Context, refuse
 from service.server.failures import refusal_for
 from service.server.refusal import invalid
 from service.server.settings import SMALL_BYTES
+from service.trust.rpc import Context, refuse
 from service.wire.entries import crowding
 from service.wire.unknown import unknown_fields
 

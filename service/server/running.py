@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from service.proto.planner.v1.planner_pb2 import PlanFinished, PlanProgress, PlanQueued, PlanResponse
-from service.rpc import Refusal
 from service.server.workshop import Piece, Workshop
+from service.trust.rpc import Refusal
 
 
 class RunningPlan:

@@ -19,7 +19,6 @@ from grpc_reflection.v1alpha import reflection
 
 from service.errors import ServiceError
 from service.executor import CancellableExecutor
-from service.seen import Metrics, MetricsServer, Spans, Watcher
 from service.server.admission import Admission
 from service.server.asked import Door
 from service.server.disk import Disk
@@ -35,6 +34,7 @@ from service.server.settings import MOST_STREAMS, ServerSettings
 from service.server.uploading import Uploading
 from service.server.workshop import Workshop
 from service.store import CloudStore, Store
+from service.telemetry import Metrics, MetricsServer, Spans, TelemetryInterceptor
 from service.trust import UNIX, Certificates, Gate, TlsFiles, Tokens, TrustError, allowed_folders, listen_problems
 from service.trust import Limits as ClientLimiter
 
@@ -158,11 +158,11 @@ async def running(settings: ServerSettings, port: Port, executor: CancellableExe
             _LOG.warning("own robots in place of those that come with scopt", names=list(robots.replaced))
         planning = Planning(Door(settings, folders, clouds, store.scenes, robots), workshop, store, disk, count)
         perceiving = Perceiving(settings, folders, workshop, store, clouds, disk, robots)
-        uploading = Uploading(clouds, disk, limiter, metrics.uploaded)
+        uploading = Uploading(clouds, disk, limiter, metrics.upload_finished)
         keeping = Keeping(settings, workshop, store, planning.running, robots, verdicts)
         server = grpc.aio.server(
             interceptors=[
-                Watcher(metrics, port.spans),
+                TelemetryInterceptor(metrics, port.spans),
                 farewell,
                 Gate(port.tokens, limiter, _asks_for_certificates(port.tls)),
             ],

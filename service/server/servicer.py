@@ -6,11 +6,11 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
 from service.proto.planner.v1 import planner_pb2 as wire
-from service.rpc import Context
 from service.server.keeping import Keeping
 from service.server.perceiving import Perceiving
 from service.server.planning import Planning
 from service.server.uploading import Uploading
+from service.trust.rpc import Context
 
 
 @dataclass(frozen=True)

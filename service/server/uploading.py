@@ -8,13 +8,13 @@ from collections.abc import AsyncIterator, Callable
 
 from service.errors import shown
 from service.proto.planner.v1.planner_pb2 import UploadCloudRequest, UploadCloudResponse
-from service.rpc import Context
 from service.server.disk import Disk
 from service.server.refusal import invalid, overloaded
 from service.store import UPLOAD_SUFFIXES, CloudStore, TooLargeError, UploadRefusedError
 from service.trust import Limits as ClientLimiter
 from service.trust import current_caller
 from service.trust.folders import UPLOADED
+from service.trust.rpc import Context
 
 SHA256 = re.compile(r"[0-9a-f]{64}")
 

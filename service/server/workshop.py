@@ -12,9 +12,9 @@ from typing import Any, Generic, TypeVar
 import grpc
 
 from service.executor import CancellableExecutor, DeadlineExceeded, ExecutorError, Job, PoolClosed, WorkerDied
-from service.rpc import Refusal
 from service.server.admission import Admission
 from service.server.farewell import STOPPING
+from service.trust.rpc import Refusal
 
 T = TypeVar("T")
 OVERTIME_S = 5.0  # beyond its budget, before a worker that does not stop by itself is killed
@@ -133,7 +133,7 @@ class Workshop:
 
     def place(self, piece: Piece[Any]) -> int | None:
         """1 for what is next; None for what does not wait."""
-        return self.executor.place(piece.job)
+        return self.executor.queue_position(piece.job)
 
     def kind_at(self, pid: int | None) -> str:
         """What a worker is at."""
@@ -221,7 +221,7 @@ async def outcome(piece: Piece[T]) -> T:
     except WorkerDied as error:
         raise Refusal(
             grpc.StatusCode.INTERNAL,
-            f"{error.attempts} workers ended while they were at it (the last: {error.how}); it is not tried again",
+            f"{error.attempts} workers ended while they were at it (the last: {error.cause}); it is not tried again",
         ) from None
     except ExecutorError as error:
         raise Refusal(grpc.StatusCode.INTERNAL, str(error)) from None

@@ -15,25 +15,24 @@ from jaxtyping import Float
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
-from service.body.keep import KeptPose, kept_poses
+from service.body.holds import KeptPose, make_kept_poses
 from service.demands import compose_scene
 from service.errors import RequestError, would_do
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
-from service.setup.obstacles import obstacles_of
-from service.setup.surroundings import NOTHING, Surroundings, surroundings
-from service.setup.units import far_obstacles, unit_problems
-from service.start.attached import robot_with_attached
-from service.start.configuration import beyond_limits, start_configuration, unknown_joints
-from service.start.overlaps import Overlap, hull_overlaps, no_way_out, overlaps_and_unresolved
+from service.setup.units import find_unit_problems, note_far_obstacles
+from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
+from service.start.attached import attach_bodies
+from service.start.configuration import find_limit_violations, find_unknown_joints, make_start
+from service.start.overlaps import Overlap, describe_dead_end, find_hull_overlaps, find_overlaps_and_unresolved
 from service.start.standing import (
     FEET_GROUP,
     FLOOR_KIND,
     check_masses,
-    floor_at_soles,
-    ground_problems,
-    sole,
-    standing_problems,
+    find_ground_problems,
+    find_standing_problems,
+    move_floor_to_soles,
+    sole_corners,
 )
 
 if TYPE_CHECKING:
@@ -109,7 +108,7 @@ def prepare(
     say("load robot")
     if robot is None:
         robot = _timed(timings, "load_robot", lambda: load_requested_robot(request))
-    robot = robot_with_attached(robot, request)
+    robot = attach_bodies(robot, request)
     check_masses(robot)
     return _prepare(request, robot, say, timings, should_stop, see)
 
@@ -123,26 +122,26 @@ def _prepare(
     see: Callable[..., Perceived] | None,
 ) -> PlanSetup:
     check_names(request, robot, TakenNames.of(robot, request))
-    start, notes, program = start_of(robot, request)
+    start, notes, program = resolve_start(robot, request)
     _check_goal(robot, request)
-    problems = unit_problems(request, robot, start)
+    problems = find_unit_problems(request, robot, start)
     if problems:
         raise RequestError(problems)
-    notes += far_obstacles(request, robot, start)
+    notes += note_far_obstacles(request, robot, start)
     kept = _kept(robot, start, request)
     soles = _soles(robot, start, request, program)
     say("perceive scene")
     try:
         with stops_when(should_stop):
             poll()
-            about = _timed(timings, "perceive", lambda: surroundings(request, robot, start, soles, see))
-            obstacles = _timed(timings, "build_scene", lambda: obstacles_of(request, about.matches))
+            about = _timed(timings, "perceive", lambda: read_surroundings(request, robot, start, soles, see))
+            obstacles = _timed(timings, "build_scene", lambda: build_obstacles(request, about.matches))
     except Stopped:
         empty = Scene(())
         return PlanSetup(
             request, robot, start, empty, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
         )
-    pieces, shifted = floor_at_soles(about.pieces, soles)
+    pieces, shifted = move_floor_to_soles(about.pieces, soles)
     scene, renamed = compose_scene(request, robot, start, pieces, obstacles.pieces)
     say("check start")
     check = partial(_check_start, robot, start, scene, soles, request, program)
@@ -155,13 +154,15 @@ def _prepare(
     )
 
 
-def start_of(robot: RobotModel, request: PlanRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
+def resolve_start(
+    robot: RobotModel, request: PlanRequest
+) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
     """Start configuration, notes about it, and the problem file that may say more of it."""
     if request.task is None or request.task.trajopt is None:
-        return *start_configuration(robot, request.start), None
+        return *make_start(robot, request.start), None
     from service.trajopt import requested_program, requested_start  # takes a while, and few requests need it
 
-    start, notes = start_configuration(robot, requested_start(request, robot))
+    start, notes = make_start(robot, requested_start(request, robot))
     program = requested_program(request, robot, start)
     return (start if program is None else program.start), notes, program
 
@@ -205,9 +206,9 @@ def _check_goal(robot: RobotModel, request: PlanRequest) -> None:
     goal = request.goal
     if goal is None:
         return
-    problems = unknown_joints(robot, goal.joints, "goal.joints")
+    problems = find_unknown_joints(robot, goal.joints, "goal.joints")
     if not problems:
-        problems = beyond_limits(robot, goal.joints, "goal.joints")
+        problems = find_limit_violations(robot, goal.joints, "goal.joints")
     if goal.posture is not None and goal.posture not in robot.postures:
         known = would_do(goal.posture, robot.postures) or "no postures; give goal.joints"
         problems.append(f"unknown posture {goal.posture!r} in goal.posture; {robot.name} has {known}")
@@ -225,7 +226,7 @@ def _kept(robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanRequest
             problems += _unknown_links(robot, (keep.relative_to,), f"keep[{index}].relative_to")
     if problems:
         raise RequestError(problems)
-    return kept_poses(robot, start, request.keep)
+    return make_kept_poses(robot, start, request.keep)
 
 
 def _unknown_links(robot: RobotModel, links: tuple[str, ...], field: str) -> list[str]:
@@ -241,7 +242,7 @@ def _soles(
     robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanRequest, program: Program | None
 ) -> dict[str, np.ndarray]:
     if program is not None:
-        return {foot: sole(robot, start, foot) for foot in program.planted}
+        return {foot: sole_corners(robot, start, foot) for foot in program.planted}
     feet = request.options.feet
     if not robot.is_floating:
         if feet:
@@ -261,7 +262,7 @@ def _soles(
     ]
     if problems:
         raise RequestError(problems)
-    return {foot: sole(robot, start, foot) for foot in feet}
+    return {foot: sole_corners(robot, start, foot) for foot in feet}
 
 
 def _check_start(
@@ -280,14 +281,14 @@ def _check_start(
     problems = []
     is_balanced = program is None or program.is_balanced
     feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
-    grounded = dict(ground_problems(scene.pieces, feet)) if robot.is_floating else {}
+    grounded = dict(find_ground_problems(scene.pieces, feet)) if robot.is_floating else {}
     # A sole in the floor is told once, as a floor too high.
     inside, near = (
         [one for one in pairs if one.kind != FLOOR_KIND or one.link not in grounded]
-        for pairs in overlaps_and_unresolved(robot, start, scene, tuple(soles))
+        for pairs in find_overlaps_and_unresolved(robot, start, scene, tuple(soles))
     )
     may_leave = program is None and request.options.escape
-    obstacles = [no_way_out(one, tuple(soles)) for one in inside]
+    obstacles = [describe_dead_end(one, tuple(soles)) for one in inside]
     if not may_leave:
         problems = [f"start is in collision: {one}" for one in inside]
         if inside and program is None and not any(obstacles):
@@ -300,13 +301,13 @@ def _check_start(
     if soles and not is_balanced:
         problems += [f"start is not on the ground: {line}" for line in grounded.values()]
     elif soles:
-        problems += [f"start is out of balance: {line}" for line in standing_problems(robot, start, scene, soles)]
+        problems += [f"start is out of balance: {line}" for line in find_standing_problems(robot, start, scene, soles)]
     if problems:
         raise RequestError(problems)
-    if any(no_way_out(one, tuple(soles)) for one in near):
+    if any(describe_dead_end(one, tuple(soles)) for one in near):
         may_leave = False
     return (
-        tuple(hull_overlaps(robot, start, scene, tuple(soles))) if may_leave else (),
+        tuple(find_hull_overlaps(robot, start, scene, tuple(soles))) if may_leave else (),
         tuple(f"start is in collision: {one}" for one in inside),
         tuple(f"the start is too near to plan from: {one.nearness}" for one in near),
     )

@@ -44,7 +44,7 @@ class _Box:
         return float(np.linalg.norm(np.maximum(np.maximum(self.low - other.high, other.low - self.high), 0.0)))
 
 
-def unit_problems(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
+def find_unit_problems(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
     """One line for each length of a request that only another unit, or another frame, explains.
 
     Args:
@@ -71,7 +71,7 @@ def unit_problems(request: PlanRequest, robot: RobotModel, start: Float[np.ndarr
     return tuple(dict.fromkeys(problems))
 
 
-def far_obstacles(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
+def note_far_obstacles(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
     """A note about obstacles that are too far away to have a bearing on the motion; none where all are near."""
     here = _robot_box(robot, start)
     gaps = [(here.gap(_extent(one)), one.name) for one in request.scene.obstacles]

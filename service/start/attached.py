@@ -14,21 +14,21 @@ from service.errors import RequestError, would_do
 from service.request.schema import AttachedBox, AttachedRequest, AttachedSphere, KeepRequest, PlanRequest
 
 
-def robot_with_attached(robot: RobotModel, request: PlanRequest) -> RobotModel:
+def attach_bodies(robot: RobotModel, request: PlanRequest) -> RobotModel:
     """The robot with what it carries.
 
     Raises:
         RequestError: one line per problem: a name in use, an unknown link, a link that holds without being kept.
     """
     attached = request.attached
-    problems = [line for index in range(len(attached)) for line in _unusable(robot, attached, index)]
+    problems = [line for index in range(len(attached)) for line in _find_unusable(robot, attached, index)]
     if problems:
         raise RequestError(problems)
     try:
         carrying = with_attached(robot, [_body(one) for one in attached])
     except RobotError as error:
         raise RequestError(f"attached: {error}") from None
-    problems = [line for k, one in enumerate(attached) for line in _loose(carrying, request.keep, one, k)]
+    problems = [line for k, one in enumerate(attached) for line in _find_loose(carrying, request.keep, one, k)]
     if problems:
         raise RequestError(problems)
     return carrying
@@ -48,7 +48,7 @@ def _body(one: AttachedRequest) -> AttachedBody:
     return AttachedBody(one.name, one.link, pose, one.type, size, one.mass_kg, one.touches)
 
 
-def _unusable(robot: RobotModel, attached: Sequence[AttachedRequest], index: int) -> Iterator[str]:
+def _find_unusable(robot: RobotModel, attached: Sequence[AttachedRequest], index: int) -> Iterator[str]:
     """Names in use, and links that the robot does not have."""
     one, field, names = attached[index], f"attached[{index}]", [other.name for other in attached]
     frames = sorted({frame.name for frame in robot.model.frames} - {"universe"})
@@ -62,7 +62,7 @@ def _unusable(robot: RobotModel, attached: Sequence[AttachedRequest], index: int
                 yield f"unknown link {link!r} in {field}.{key}; {robot.name} has {would_do(link, frames)}"
 
 
-def _loose(robot: RobotModel, keep: Sequence[KeepRequest], one: AttachedRequest, index: int) -> Iterator[str]:
+def _find_loose(robot: RobotModel, keep: Sequence[KeepRequest], one: AttachedRequest, index: int) -> Iterator[str]:
     """Links that hold the body and may move against it: nothing would be known of how deep they are in it."""
     kept = [
         {_joint(robot, other.link), _joint(robot, other.relative_to)} for other in keep if other.free_axis == "none"

@@ -18,7 +18,7 @@ STANDING_POSTURE = "stand"
 LARGEST_PITCH_DEG = 85.0
 
 
-def start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
+def make_start(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
     """Configuration of a start request, and notes about what was assumed or snapped.
 
     Raises:
@@ -26,7 +26,7 @@ def start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[n
     """
     q, notes = _posture(robot, start)
     given = start.positions_by_joint
-    problems = unknown_joints(robot, given, "start.joints")
+    problems = find_unknown_joints(robot, given, "start.joints")
     if problems:
         raise RequestError(problems)
     for name, position in given.items():
@@ -36,10 +36,10 @@ def start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[n
             raise RequestError("start.base: this robot's base is fixed; leave it out, or give robot.root: floating")
         q[:3] = start.base.position
         q[3:6] = _yaw_pitch_roll(start.base.quaternion_wxyz)
-    return _snapped(robot, q, notes)
+    return _snap_to_limits(robot, q, notes)
 
 
-def unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence[str], field: str) -> list[str]:
+def find_unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence[str], field: str) -> list[str]:
     """One line for each name that is no joint of the robot."""
     joints = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
     return [
@@ -49,7 +49,9 @@ def unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence[str]
     ]
 
 
-def beyond_limits(robot: RobotModel, positions: Mapping[str, float], field: str, tolerance: float = 0.0) -> list[str]:
+def find_limit_violations(
+    robot: RobotModel, positions: Mapping[str, float], field: str, tolerance: float = 0.0
+) -> list[str]:
     """One line for each joint position that is beyond the joint's limits by more than ``tolerance``."""
     problems = []
     for name, position in positions.items():
@@ -91,10 +93,12 @@ def _yaw_pitch_roll(quaternion_wxyz: tuple[float, float, float, float]) -> Float
     return np.asarray(rotation.as_euler("ZYX"))
 
 
-def _snapped(
+def _snap_to_limits(
     robot: RobotModel, q: Float[np.ndarray, "n"], notes: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
-    problems = beyond_limits(robot, dict(zip(robot.joint_names, q, strict=True)), "start.joints", SNAP_TOLERANCE)
+    problems = find_limit_violations(
+        robot, dict(zip(robot.joint_names, q, strict=True)), "start.joints", SNAP_TOLERANCE
+    )
     if problems:
         raise RequestError(problems)
     inside = np.clip(q, robot.lower, robot.upper)

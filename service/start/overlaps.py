@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import coal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
 from costs.allowance import BodyRef
+from costs.primitive import Primitive
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
-from service.start.exact import EXACT_ROUNDING_M, ExactShape
 from service.start.standing import FLOOR_KIND
 from service.verify.ground import GROUND_TOLERANCE_M
+from service.verify.solids import convex_of
 
 TOUCH_M = 1e-6
+EXACT_ROUNDING_M = 1e-5
+"""More than coal's distances between round shapes are off [m]."""
 
 
 @dataclass(frozen=True)
@@ -65,33 +69,37 @@ class Overlap:
         return f"{self.link} is {_length(self.depth)} {self.where}"
 
 
-def collisions(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[str]:
+def describe_collisions(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+) -> list[str]:
     """One line for each pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
-    return [str(overlap) for overlap in overlaps(robot, q, scene, planted)]
+    return [str(overlap) for overlap in find_overlaps(robot, q, scene, planted)]
 
 
-def overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
+def find_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
     """Every pair that is in collision at ``q`` by its shapes, the deepest first; planted feet may touch the floor."""
-    return overlaps_and_unresolved(robot, q, scene, planted)[0]
+    return find_overlaps_and_unresolved(robot, q, scene, planted)[0]
 
 
-def overlaps_and_unresolved(
+def find_overlaps_and_unresolved(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> tuple[list[Overlap], list[Overlap]]:
     """Pairs in collision by their shapes, and pairs of which only the hulls overlap; the deepest first."""
-    found = _hull_overlaps(robot, q, scene, planted)
-    inside = _deepest([one for one, is_inside in found if is_inside])
+    found = _find_hull_overlaps(robot, q, scene, planted)
+    inside = _keep_deepest([one for one, is_inside in found if is_inside])
     met = {frozenset(one.pair) for one in inside}
-    return inside, _deepest([one for one, _ in found if frozenset(one.pair) not in met])
+    return inside, _keep_deepest([one for one, _ in found if frozenset(one.pair) not in met])
 
 
-def hull_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
+def find_hull_overlaps(
+    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+) -> list[Overlap]:
     """Every pair whose hulls overlap at ``q``, with the hulls' depths, the deepest first."""
-    found = _hull_overlaps(robot, q, scene, planted)
-    return _deepest([replace(one, depth=one.hull_depth) for one, _ in found])
+    found = _find_hull_overlaps(robot, q, scene, planted)
+    return _keep_deepest([replace(one, depth=one.hull_depth) for one, _ in found])
 
 
-def _hull_overlaps(
+def _find_hull_overlaps(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> list[tuple[Overlap, bool]]:
     """Bodies and what their hulls are deeper in than they may be, and whether that is so by their shapes too."""
@@ -102,7 +110,7 @@ def _hull_overlaps(
     poses = [data.oMi[one.joint].homogeneous if isinstance(one, LinkBody) else here for one in things]
     vertices = [one.vertices @ pose[:3, :3].T + pose[:3, 3] for one, pose in zip(things, poses, strict=True)]
     found: list[tuple[Overlap, bool]] = []
-    for k, j in _whose_boxes_meet(vertices, len(robot.bodies)):
+    for k, j in _find_box_pairs(vertices, len(robot.bodies)):
         body, other = robot.bodies[k], things[j]
         allowed = _allowed_depth(robot, body, other, planted)
         if not np.isfinite(allowed):
@@ -119,7 +127,7 @@ def _hull_overlaps(
     return found
 
 
-def _deepest(found: Sequence[Overlap]) -> list[Overlap]:
+def _keep_deepest(found: Sequence[Overlap]) -> list[Overlap]:
     """Of each pair the bodies that are deepest, the deepest pair first."""
     deepest: dict[frozenset[BodyRef], Overlap] = {}
     for overlap in sorted(found, key=lambda one: (-one.depth, -one.hull_depth)):
@@ -136,7 +144,7 @@ def _length(metres: float) -> str:
     return f"{1e3 * metres:.1f} mm" if metres < 9.95e-3 else f"{1e3 * metres:.0f} mm"
 
 
-def no_way_out(overlap: Overlap, planted: Sequence[str]) -> str:
+def describe_dead_end(overlap: Overlap, planted: Sequence[str]) -> str:
     """Why an overlap cannot be left; empty when it can."""
     names = [overlap.link, overlap.other] if overlap.kind is None else [overlap.link]
     if all(name in planted for name in names):
@@ -144,7 +152,7 @@ def no_way_out(overlap: Overlap, planted: Sequence[str]) -> str:
     return ""
 
 
-def _whose_boxes_meet(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
+def _find_box_pairs(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
     """Bodies (the first sets) with a later set whose bounding box meets theirs."""
     low, high = (np.array([end(points, axis=0) for points in vertices]).reshape(-1, 3) for end in (np.min, np.max))
     meets = np.all((low[:n_bodies, None] <= high) & (low <= high[:n_bodies, None]), axis=2)
@@ -159,3 +167,70 @@ def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPi
     if body.link in robot.fixed_links:
         return np.inf
     return GROUND_TOLERANCE_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M
+
+
+@dataclass(frozen=True)
+class ExactShape:
+    """A shape for coal, in the frame of what it belongs to.
+
+    Attributes:
+        geometry: the shape.
+        pose: (4, 4) of the shape in the frame of the body's joint, or in the world for a piece.
+        is_round: whether it differs from the hull that stands for it in planning.
+    """
+
+    geometry: coal.CollisionGeometry
+    pose: Float[np.ndarray, "4 4"]
+    is_round: bool
+
+    @staticmethod
+    def of(thing: LinkBody | ConvexPiece) -> ExactShape:
+        """The shape that was given for a body or a piece."""
+        if thing.exact is None:
+            return ExactShape.of_hull(thing)
+        return ExactShape(_geometry(thing.exact), thing.exact.pose, True)
+
+    @staticmethod
+    def of_hull(thing: LinkBody | ConvexPiece) -> ExactShape:
+        """The hull that stands for a body or a piece in planning and in the certificate."""
+        return ExactShape(convex_of(thing.vertices), np.eye(4), False)
+
+    def depth_in(
+        self, other: ExactShape, pose: Float[np.ndarray, "4 4"] | None = None, pose_other: np.ndarray | None = None
+    ) -> float:
+        """How far one of the two would have to be moved to be free of the other, negative when apart [m].
+
+        The poses place the frames of what the shapes belong to in the world; without one, a frame is the world's.
+        """
+        return penetration_depth(self.geometry, other.geometry, _at(pose, self.pose), _at(pose_other, other.pose))
+
+
+def penetration_depth(
+    first: coal.CollisionGeometry,
+    second: coal.CollisionGeometry,
+    pose_first: coal.Transform3s | None = None,
+    pose_second: coal.Transform3s | None = None,
+) -> float:
+    """How far one of two shapes would have to be moved to be free of the other, negative when apart [m].
+
+    The poses place them in the world; without one a shape is there already.
+    """
+    result, here = coal.DistanceResult(), coal.Transform3s()
+    poses = (pose_first or here, pose_second or here)
+    return -float(coal.distance(first, poses[0], second, poses[1], coal.DistanceRequest(), result))
+
+
+def _geometry(exact: Primitive) -> coal.CollisionGeometry:
+    match exact.kind:
+        case "sphere":
+            # coal.Sphere takes a shortcut to a cylinder's distance that is metres off where its centre is inside.
+            return coal.Capsule(exact.radius, 0.0)
+        case "cylinder":
+            return coal.Cylinder(exact.radius, exact.length)
+        case "capsule":
+            return coal.Capsule(exact.radius, exact.length)
+
+
+def _at(pose: Float[np.ndarray, "4 4"] | None, pose_inside: Float[np.ndarray, "4 4"]) -> coal.Transform3s:
+    placed = pose_inside if pose is None else pose @ pose_inside
+    return coal.Transform3s(placed[:3, :3], placed[:3, 3])

@@ -19,19 +19,22 @@ FEET_GROUP = "feet"
 
 
 SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
+FLOOR_KIND = "floor"
+LARGEST_SHIFT_M = 0.03  # of a scanned floor: its height is that uncertain
+LEAST_MASS_KG = 1e-3
 
 
-def sole(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
+def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
     """Corners of a foot's sole in the world [m]: the link's vertices within 2 mm of its lowest one at ``q``."""
     vertices = np.vstack([v for body, v in place_bodies(robot, q) if body.link == link])
     return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
 
 
-def standing_problems(
+def find_standing_problems(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> list[str]:
     """One line for each planted foot that stands on nothing, and one when the centre of mass is outside the soles."""
-    problems = [line for _, line in ground_problems(scene.pieces, soles)]
+    problems = [line for _, line in find_ground_problems(scene.pieces, soles)]
     weightless = _weightless_links(robot)
     if weightless:
         return [*problems, f"{', '.join(weightless)} of {robot.name} have shapes and no mass; balance needs all masses"]
@@ -54,13 +57,7 @@ def _weightless_links(robot: RobotModel) -> list[str]:
     return [link for joint, link in sorted(found.items()) if joint and not robot.model.inertias[joint].mass > 0.0]
 
 
-FLOOR_KIND = "floor"
-
-
-LARGEST_SHIFT_M = 0.03  # of a scanned floor: its height is that uncertain
-
-
-def floor_at_soles(
+def move_floor_to_soles(
     seen: Sequence[ConvexPiece], soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> tuple[tuple[ConvexPiece, ...], tuple[str, ...]]:
     """What a scan showed, its floor moved up or down to planted soles where it is near them, and a note about that.
@@ -88,7 +85,7 @@ def floor_at_soles(
     return moved, (note,)
 
 
-def ground_problems(
+def find_ground_problems(
     pieces: Sequence[ConvexPiece], soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> Iterator[tuple[str, str]]:
     """Each planted link that stands on nothing, with a line that says so."""
@@ -104,9 +101,6 @@ def ground_problems(
                 f"the floor is {1e3 * abs(worst):.1f} mm {side} the sole of {link}; at most "
                 f"{1e3 * GROUND_TOLERANCE_M:.0f} mm would do: move start.base, or leave it out",
             )
-
-
-LEAST_MASS_KG = 1e-3
 
 
 def check_masses(robot: RobotModel) -> None:

@@ -13,8 +13,8 @@ from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem
-from service.body.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, straight
-from service.body.restore import restored
+from service.body.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPlan, straight_path
+from service.body.restore import restore_feasibility
 from service.body.sampling import free_coordinates
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.demands.stance import DEPTH_ROUNDING, leaving_allowances
@@ -112,7 +112,7 @@ def escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
         free = _free(leaving)
         out = free
         if free.is_feasible:
-            line = straight(body.nominal, free.x[0], WAYPOINTS - 1)
+            line = straight_path(body.nominal, free.x[0], WAYPOINTS - 1)
             out = _out(leaving, np.concatenate([line, line[-1:]]))
     phase = PlannedPhase(
         STEP,
@@ -147,4 +147,4 @@ def _out(leaving: PhaseSolver, q: Float[np.ndarray, "T n"], is_end_fixed: bool =
     fixed = {0: q[0], last: q[-1]} if is_end_fixed else {0: q[0]}
     balanced = [last] if needs_settling(leaving.body) else None
     out = leaving.trajectory(STEP, [q], fixed, balanced=balanced)
-    return out if out.is_feasible else restored(leaving, STEP, out)
+    return out if out.is_feasible else restore_feasibility(leaving, STEP, out)

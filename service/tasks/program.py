@@ -17,15 +17,15 @@ from service.body.phases import (
     Solved,
     Stuck,
     TaskPlan,
-    guesses,
-    straight,
-    via,
+    path_via,
+    posture_guesses,
+    straight_path,
 )
-from service.body.reach import beyond_reach
-from service.body.sampling import SamplingProblem, Tree, along, free_coordinates, sampled_path
+from service.body.reach import find_out_of_reach
+from service.body.sampling import SamplingProblem, Tree, free_coordinates, resample_path, sample_path
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.errors import RequestError
-from service.start.overlaps import collisions, overlaps_and_unresolved
+from service.start.overlaps import describe_collisions, find_overlaps_and_unresolved
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.trajopt.fields import did_you_mean
 from service.trajopt.problem import CollisionTerm, PoseTerm
@@ -113,12 +113,12 @@ def _impossible(program: Program, body: WholeBody) -> tuple[str, ...]:
         f"waypoint {step}, which is fixed, is in collision: {line}"
         for step, q in sorted(program.fixed.items())
         if step  # the start was looked at before
-        for line in collisions(body.robot, q, body.scene, planted)
+        for line in describe_collisions(body.robot, q, body.scene, planted)
     ]
     for term in program.problem.terms:
         is_plain = isinstance(term, PoseTerm) and term.reference is None and not any(term.offset_xyz)
         if isinstance(term, PoseTerm) and not term.is_cost and is_plain and all(term.pos_coeffs):
-            reason = beyond_reach(body, term.frame, np.array(term.xyz), program.problem.opt.tolerance)
+            reason = find_out_of_reach(body, term.frame, np.array(term.xyz), program.problem.opt.tolerance)
             lines += [] if reason is None else [f"{term.path}: {reason}"]
     return tuple(lines)
 
@@ -130,7 +130,7 @@ def _unresolved(program: Program, body: WholeBody) -> tuple[str, ...]:
         f"waypoint {step}, which is fixed, is too near to plan through: {overlap.nearness}"
         for step, q in sorted(program.fixed.items())
         if step
-        for overlap in overlaps_and_unresolved(body.robot, q, body.scene, planted)[1]
+        for overlap in find_overlaps_and_unresolved(body.robot, q, body.scene, planted)[1]
     )
 
 
@@ -151,11 +151,11 @@ class _Search:
             return
         start, count = program.init[0], program.n_steps
         yield from self._around(start, end, TREES[0])
-        if np.abs(straight(start, end, count) - program.init).max() > 1e-6:
-            yield "straight line", self.solve(straight(start, end, count))
+        if np.abs(straight_path(start, end, count) - program.init).max() > 1e-6:
+            yield "straight line", self.solve(straight_path(start, end, count))
         yield from self._around(start, end, TREES[1])
-        for name, posture in guesses(self.solver.body)[1:]:
-            yield f"via posture '{name}'", self.solve(via(start, self._moved(posture), end, count))
+        for name, posture in posture_guesses(self.solver.body)[1:]:
+            yield f"via posture '{name}'", self.solve(path_via(start, self._moved(posture), end, count))
         for tree in TREES[2:]:
             yield from self._around(start, end, tree)
 
@@ -200,7 +200,7 @@ class _Search:
         lower, upper = solver.body.bounds(1, {})
         builder.bound(lower, upper)
         fixed = {i: float(lower[0, i]) for i in np.flatnonzero(lower[0] == upper[0]).tolist()}
-        for guess in (program.init[last], *(self._moved(posture) for _, posture in guesses(solver.body))):
+        for guess in (program.init[last], *(self._moved(posture) for _, posture in posture_guesses(solver.body))):
             with solver.monitor.step("goal pose", 0.1):
                 solved = solver.pose("goal pose", [guess], constraints, fixed=fixed)
             if solved.is_feasible:
@@ -224,11 +224,11 @@ class _Search:
             return
         with solver.monitor.step("sampling", 0.5):
             problem = SamplingProblem(body, body.pose_checker([start, end]), start, end, free)
-            corners = sampled_path(problem, replace(tree, seed=tree.seed + solver.seed), solver.monitor.is_over)
+            corners = sample_path(problem, replace(tree, seed=tree.seed + solver.seed), solver.monitor.is_over)
             solver.monitor.check()
         if corners is None:
             return
-        path = along(corners, self.program.n_steps)
+        path = resample_path(corners, self.program.n_steps)
         solved = self.solve(path)
         if not solved.is_feasible:
             as_it_is = replace(self, solver=solver.with_settings(max_iterations=0)).solve(path)
@@ -249,7 +249,7 @@ class ProgramPhase(PlannedPhase):
             return self
         return replace(self, at_waypoints=partial(self.search.promises.at_waypoints, self.timeline))
 
-    def solved_anew(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
+    def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """The program solved on from a denser trajectory."""
         if self.search is None or self.timeline is None:
             return None

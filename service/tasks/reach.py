@@ -17,16 +17,15 @@ from service.body.phases import (
     Solved,
     Stuck,
     TaskPlan,
-    guesses,
+    path_via,
+    posture_guesses,
     random_guesses,
-    straight,
-    via,
+    straight_path,
 )
-from service.body.restore import restored
+from service.body.restore import restore_feasibility
 from service.body.sampling import Tree
 from service.request.schema import GoalRequest
-from service.tasks.goal import Goal
-from service.tasks.lead import led
+from service.tasks.goal import Goal, lead_path
 
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most [rad, m]
@@ -103,21 +102,21 @@ class _Search:
             yield from self._to_random_postures()
             return
         count = self._count(end)
-        quick = self._solve(straight(start, end, count), **QUICK)
+        quick = self._solve(straight_path(start, end, count), **QUICK)
         yield "straight line", quick
         yield from self._around(end, TREES[0])
         if self.solver.body.kept:
-            line = self.solver.body.on_holds(straight(start, end, count))
+            line = self.solver.body.on_holds(straight_path(start, end, count))
             yield "straight line along what is kept", self._solve(line, **LED)
         yield from self._led()
         for other, shortfall in ends:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
-                yield name, self._solve(straight(start, other, self._count(other)), **QUICK)
+                yield name, self._solve(straight_path(start, other, self._count(other)), **QUICK)
         yield from self._around(end, TREES[1])
         yield from self._around(end, TREES[2])
-        for name, posture in guesses(self.solver.body)[1:]:
-            yield f"via posture '{name}'", self._solve(via(start, posture, end, count), **QUICK)
+        for name, posture in posture_guesses(self.solver.body)[1:]:
+            yield f"via posture '{name}'", self._solve(path_via(start, posture, end, count), **QUICK)
         yield from self._to_random_postures()
         if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
@@ -127,7 +126,7 @@ class _Search:
     def _restored(self, solved: Solved) -> Solved:
         """Once more from where a solve has failed, for nothing but what must hold."""
         with self.solver.monitor.step("reach", 0.4):
-            return restored(self.solver, "reach", solved)
+            return restore_feasibility(self.solver, "reach", solved)
 
     def plan(self, name: str, solved: Solved) -> TaskPlan:
         """A solution as a task's plan."""
@@ -154,7 +153,7 @@ class _Search:
             return
         found: list[np.ndarray] = []
         worst: Solved | None = None
-        for _, guess in guesses(body):
+        for _, guess in posture_guesses(body):
             solved = self._at_goal(guess)
             if not solved.is_feasible:
                 worst = solved if worst is None or solved.shortfall < worst.shortfall else worst
@@ -163,7 +162,7 @@ class _Search:
                 yield solved.x[0], None
         if not found and worst is not None:
             with self.solver.monitor.step("goal pose", 0.1):
-                last = restored(self.solver, "goal pose", worst)
+                last = restore_feasibility(self.solver, "goal pose", worst)
             yield last.x[0], None if last.is_feasible else last
 
     def _at_goal(self, guess: Float[np.ndarray, "n"]) -> Solved:
@@ -181,12 +180,12 @@ class _Search:
             solved = self._at_goal(guess)
             if solved.is_feasible:
                 end = solved.x[0]
-                line = straight(body.nominal, end, self._count(end))
+                line = straight_path(body.nominal, end, self._count(end))
                 yield "straight line to a random posture at the goal", self._solve(line, **RANDOM)
 
     def _led(self) -> Iterator[tuple[str, Solved]]:
         """From the straight ways of the links that shall arrive."""
-        q = led(self.goal, LEAST_WAYPOINTS if self.n_waypoints is None else self.n_waypoints)
+        q = lead_path(self.goal, LEAST_WAYPOINTS if self.n_waypoints is None else self.n_waypoints)
         if q is not None:
             yield "straight way of what shall arrive", self._solve(q, **LED)
 
@@ -194,7 +193,7 @@ class _Search:
         """From the path of a sampling planner: optimised, and as it is where that fails."""
         with self.solver.monitor.step("sampling", 0.5):
             seeded = replace(tree, seed=tree.seed + self.solver.seed)
-            path = self.solver.sampled_start(self.solver.body.nominal, end, self._count(end), seeded)
+            path = self.solver.sample_start(self.solver.body.nominal, end, self._count(end), seeded)
         if path is None:
             return
         name = f"path of {tree.planner}, tree {tree.seed + 1}"

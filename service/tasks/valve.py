@@ -29,15 +29,15 @@ from service.body.phases import (
     Stuck,
     Targets,
     TaskPlan,
-    guesses,
-    straight,
-    via,
+    path_via,
+    posture_guesses,
+    straight_path,
 )
 from service.body.whole_body import LIMIT_RESERVE, WholeBody
 from service.demands.wheel import HAND_AXIS, Hand, Wheel, hook_allowances, stroke_targets
 from service.errors import RequestError
 from service.request.names import VALVE_LINK
-from service.tasks.wheel import tool_positions, turned_angle, with_wheel, wrist_of
+from service.tasks.wheel import add_wheel, tool_positions, turned_angle, wrist_of
 from service.verify import Motion, Target
 
 Mode = Literal["hook", "grasp"]
@@ -169,7 +169,7 @@ class ValveTurn:
             reserve = max(WRIST_RESERVE, LIMIT_RESERVE)
             lower, upper = self.robot.lower[column] + reserve, self.robot.upper[column] - reserve
             fixed[column] = float(lower if rises else upper)
-        candidates = [at, *(guess for _, guess in guesses(self.body)[1:])]
+        candidates = [at, *(guess for _, guess in posture_guesses(self.body)[1:])]
         on_rim = Constraint(
             "tool on the rim",
             FramePose(self.robot, self.hand.tool, [0], self._rim_target(), TOOL_POSITION, VALVE_LINK),
@@ -255,10 +255,10 @@ class ValveTurn:
 
     def _reach(self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"]) -> Solved:
         count = self.reach_waypoints
-        starts = [straight(start, end, count)]
-        for _, guess in guesses(self.body)[1:]:
+        starts = [straight_path(start, end, count)]
+        for _, guess in posture_guesses(self.body)[1:]:
             guess[-1] = start[-1]
-            starts.append(via(start, guess, end, count))
+            starts.append(path_via(start, guess, end, count))
         return self.solver.trajectory("reach", starts, {0: start, count - 1: end}, bounds=_wheel_still(start[-1]))
 
     def _reach_again(self, q: Float[np.ndarray, "T n"]) -> Solved:
@@ -327,7 +327,7 @@ def plan_turn(
     wheel_body = BodyRef("mechanism", VALVE_LINK)
     solver = replace(
         solver,
-        body=with_wheel(solver.body, wheel),
+        body=add_wheel(solver.body, wheel),
         overrides=tuple((BodyRef.of_link(hand.hook), wheel_body, HOOK_MARGIN) for hand in hands),
     )
     touching = _touching_at_start(solver.body)

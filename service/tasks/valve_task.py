@@ -9,12 +9,12 @@ import numpy as np
 from costs.kinematics import planted_poses
 from perception import ValveDetection, has_clear_spokes
 from service.body.phases import PhaseSolver, TaskPlan
-from service.body.reach import beyond_reach
+from service.body.reach import find_out_of_reach
 from service.body.whole_body import WholeBody
 from service.demands.wheel import HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, wheel_of
 from service.errors import RequestError
 from service.request.schema import ValveRequest
-from service.scan.scene_file import wheel_of_circle
+from service.scan.scene_file import wheel_from_circle
 from service.setup.prepare import PlanSetup
 from service.tasks.stance import stance_advice
 from service.tasks.valve import plan_turn
@@ -30,7 +30,7 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
         return TaskPlan(solver.body, (), (found,))
     hands = _hands(solver.body, request, found)
     farthest = found.rim_radius + RIM_TOLERANCE
-    reasons = [beyond_reach(solver.body, hand.tool, found.centre, farthest) for hand in hands]
+    reasons = [find_out_of_reach(solver.body, hand.tool, found.centre, farthest) for hand in hands]
     if all(reasons):
         return TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)
     wheel = _wheel(solver.body, found, hands[0])
@@ -58,7 +58,7 @@ def given_valve(request: ValveRequest) -> ValveDetection | None:
         return None
     if request.centre is None or request.axis is None or request.radius is None:
         raise RequestError("task.valve: centre, axis and radius come together; give all three or none")
-    return wheel_of_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
+    return wheel_from_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
 
 
 def _valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:

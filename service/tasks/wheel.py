@@ -22,7 +22,7 @@ def wrist_of(hand: Hand, robot: RobotModel) -> tuple[int, float]:
     return column, float(np.sign(turns @ axis))
 
 
-def with_wheel(body: WholeBody, wheel: Wheel) -> WholeBody:
+def add_wheel(body: WholeBody, wheel: Wheel) -> WholeBody:
     """The body of a robot whose last coordinate is the wheel's angle."""
     return body.with_robot(robot_with_wheel(body.robot, wheel), np.append(body.nominal, 0.0))
 

@@ -30,7 +30,7 @@ from costs.terms import (
 )
 from scopt import Constraint, Cost, Penalty, Residual, Sense
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
-from service.start.standing import sole
+from service.start.standing import sole_corners
 from service.trajopt.demanded import pose_matrix
 from service.trajopt.problem import (
     CartVelTerm,
@@ -148,7 +148,7 @@ class Builder:
                     clearance = PairClearance(self.robot, self._asked(term, is_cost=False), self._poses(term))
                     yield Constraint(term.title, clearance, tolerance=DISTANCE_TOLERANCE, scale=scale, unit="m")
             case ZmpTerm():
-                soles = [sole(self.robot, self.program.start, link) for link in term.links]
+                soles = [sole_corners(self.robot, self.program.start, link) for link in term.links]
                 row = [int(self.timeline.rows[term.step])]
                 inside = CentreOfMassInPolygon(SupportPolygon.of_soles(soles), row)
                 yield Constraint(term.title, inside, tolerance=tolerance, unit="m")
@@ -182,7 +182,7 @@ class Builder:
         pose = self.body.engine(start[None])
         body = next(body for body in self.robot.bodies if body.link == term.link)
         rotation, position = pose.rotation[0, body.joint], pose.position[0, body.joint]
-        for k, corner in enumerate((sole(self.robot, start, term.link) - position) @ rotation):
+        for k, corner in enumerate((sole_corners(self.robot, start, term.link) - position) @ rotation):
             above = PointHalfSpace(
                 self.robot,
                 term.link,

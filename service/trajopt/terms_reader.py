@@ -28,6 +28,7 @@ QUATERNION_NORM_TOLERANCE = 1e-3
 # NONE, DISCRETE, LVS_DISCRETE, CONTINUOUS, LVS_CONTINUOUS (0 to 4).  From 2 on, both look between the waypoints.
 LAST_EVALUATOR, FIRST_SWEPT_EVALUATOR = 4, 2
 QUATERNION_GAIN = 0.5  # the vector part of a quaternion is half of a small turn's angle
+CONSTRAINTS_ONLY = {"joint", "joint_vel_limits", "zmp", "foot_height"}
 
 
 @dataclass(frozen=True)
@@ -340,7 +341,6 @@ READERS: Mapping[str, Reader] = {
     "zmp": _zmp,
     "foot_height": _foot_height,
 }
-CONSTRAINTS_ONLY = {"joint", "joint_vel_limits", "zmp", "foot_height"}
 NOT_PLANNED: Mapping[str, str] = {
     "total_time": "the motion is timed afterwards, as fast as the robot's limits and its balance allow",
     "static_torque": "joint torques are checked along the timed motion instead",

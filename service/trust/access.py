@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import grpc
 
-from service.rpc import Refusal
 from service.trust.identity import LOCAL, ROLE_NEEDED, Identity
+from service.trust.rpc import Refusal
 from service.trust.tokens import Tokens
 
 _SCHEME = "bearer"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 
-from service.rpc import Context, Interceptor, Refusal, refuse
 from service.trust.access import authenticate, authorize
 from service.trust.identity import _CALLER, LOCAL, OPEN_TO_ALL, Caller
 from service.trust.limits import Limits, peer_key
+from service.trust.rpc import Context, Interceptor, Refusal, refuse
 from service.trust.tokens import Tokens
 
 
@@ -29,7 +29,7 @@ class Gate(Interceptor):
         self._asks_for_certificates = asks_for_certificates
 
     @asynccontextmanager
-    async def through(self, method: str, context: Context) -> AsyncIterator[None]:
+    async def wrap_call(self, method: str, context: Context) -> AsyncIterator[None]:
         try:
             caller = self._caller(method, context)
         except Refusal as refusal:

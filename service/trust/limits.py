@@ -12,7 +12,7 @@ from urllib.parse import unquote
 
 import grpc
 
-from service.rpc import Refusal
+from service.trust.rpc import Refusal
 
 _PEER = re.compile(r"ipv[46]:(?P<host>.*):\d+")
 

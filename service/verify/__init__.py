@@ -1,7 +1,18 @@
-"""The independent verifier: a motion goes in, a certificate comes out."""
+"""The independent verifier: a motion goes in, a certificate comes out.
+
+Read in this order:
+
+- ``motion``: the input, a motion with what its phases promise; ``validation`` rejects a malformed one
+- ``verifier``: the sequence of checks, and how to add one
+- ``limits``, ``stance_checks``, ``target_checks``, ``ground``, ``dynamics``: the checks
+- ``clearance``: the checks of all pairs that may meet
+- ``coverage``: what was checked, what was left out, and which checks a motion requires
+- ``certificate``: the output as data; ``hashes`` ties it to its robot, scene and promises
+- ``prepared_motion``, ``curve_bounds``, ``joint_chain``, ``frame_paths``, ``phase_proof``, ``solids``, ``timeline``:
+  shared by the proofs
+"""
 
 from service.verify.certificate import Basis, Certificate, Check, Exempt, Status, Stretches, Where
-from service.verify.errors import VerifyError
 from service.verify.motion import (
     AxisTarget,
     CircleTarget,
@@ -13,8 +24,9 @@ from service.verify.motion import (
     RelativePoseTarget,
     SupportPolygon,
     Target,
+    VerifyError,
+    VerifySettings,
 )
-from service.verify.settings import VerifySettings
 from service.verify.verifier import verify
 
 __all__ = [

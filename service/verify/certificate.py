@@ -1,28 +1,19 @@
-"""The certificate: what was checked, how it came out, and the data with which a stranger can replay the proof."""
+"""The certificate as data: checks, clearance proof, gaps, coverage, and its JSON."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Any
 
-import numpy as np
 import orjson
-from jaxtyping import Float
 
-from costs.allowance import Allowance, BodyRef
-from costs.robot.model import RobotModel
-from costs.scene import Scene
-from service.verify.coverage import Coverage
-from service.verify.errors import VerifyError
-from service.verify.gaps import Gaps
-from service.verify.motion import Phase, PlantedContact, SupportPolygon, Target
+from service.verify.motion import VerifyError
 
 FORMAT = "scopt-certificate/1"
-HASH_OFFSET = 0.381966  # of a micrometre
 
 
 class Status(Enum):
@@ -110,13 +101,146 @@ class Stretches:
 
 
 @dataclass(frozen=True)
+class Gaps:
+    """Stretches without a proof.
+
+    On the path from ``first`` to ``last`` nobody has shown that the pair keeps clear, or within its allowed depth: the
+    stretch resisted, or a pose of the pair's phase refuted it and the rest of that phase was left.
+
+    Attributes:
+        pairs: (mover, holder) names.
+        pair, first, last: one entry per row: index of the pair, path parameters.
+        lower: what is proven of the clearance there all the same [m]; NaN where nothing is.
+    """
+
+    pairs: tuple[tuple[str, str], ...] = ()
+    pair: tuple[int, ...] = ()
+    first: tuple[float, ...] = ()
+    last: tuple[float, ...] = ()
+    lower: tuple[float, ...] = ()
+
+
+# A link without a shape may reach this far out of the shapes next to it: a camera, a coupling [m].
+SMALL_M = 0.05
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A pair of links with shapes that is not checked.
+
+    Attributes:
+        pair: their names, sorted.
+        reason: ``same joint``, ``adjacent`` (joint neighbours), ``srdf (what it says)``, ``derived``, ``kept`` (their
+            relative pose is held all along), ``around a joint`` (one link apart, and overlapping in nearly all poses of
+            the joints between), or ``given``.
+        is_neighbour: whether its links are joint neighbours, or around a joint, so that an overlap tells nothing.
+        deepest_m: how deep one was seen to be in the other; 0 where they were proven to keep apart on the whole curve
+            (``s`` is None), or not proven and seen apart; NaN for joint neighbours and links of one joint.
+        s, time_s: where it is deepest, or not proven; None elsewhere.
+    """
+
+    pair: tuple[str, str]
+    reason: str
+    is_neighbour: bool
+    deepest_m: float
+    s: float | None = None
+    time_s: float | None = None
+
+    @property
+    def is_told_as_neighbour(self) -> bool:
+        """Whether nobody expects such a pair to be checked."""
+        return self.is_neighbour or self.reason == "same joint"
+
+
+@dataclass(frozen=True)
+class Shapeless:
+    """A link without a collision shape, or with one far smaller than the link.
+
+    Attributes:
+        link: its name.
+        place: ``between`` links with shapes, at an ``end``, or at the ``root``.
+        reach_m: the longest side of what is known of it (the line to its joints, its drawn shapes, its mass as an even
+            box), or how far that reaches out of the shapes of the links next to it at the motion's first pose if that
+            is less; 0 for a mere frame, NaN where its size is unknown.
+    """
+
+    link: str
+    place: str
+    reach_m: float
+
+    @property
+    def is_small(self) -> bool:
+        """Whether what no shape covers is no larger than a camera or a coupling."""
+        return self.reach_m <= SMALL_M
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What was checked, and what was not.
+
+    Attributes:
+        links_with_shape, links_without_shape: names of the robot's links.
+        shapeless: where each link without a shape sits, and how far it reaches out of the shapes next to it.
+        n_link_pairs: pairs of links checked against each other.
+        n_piece_pairs: pairs of a link and a piece of the scene that were checked.
+        left_out: pairs of links with shapes that were not checked.
+        joints_without_torque_limit: joints whose torque is held against nothing.
+        not_checked: what was not checked because the request does not ask for it or the robot's file does not allow it.
+    """
+
+    links_with_shape: tuple[str, ...] = ()
+    links_without_shape: tuple[str, ...] = ()
+    shapeless: tuple[Shapeless, ...] = ()
+    n_link_pairs: int = 0
+    n_piece_pairs: int = 0
+    left_out: tuple[LeftOut, ...] = ()
+    joints_without_torque_limit: tuple[str, ...] = ()
+    not_checked: tuple[str, ...] = ()
+
+    def sentences(self) -> Iterator[str]:
+        """What was not checked, for people."""
+        if self.not_checked:
+            yield f"not checked: {', '.join(self.not_checked)}"
+        if self.left_out:
+            kinds = Counter("neighbours" if one.is_told_as_neighbour else one.reason for one in self.left_out)
+            told = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
+            yield f"{len(self.left_out)} pairs of links are not checked against each other: {told}"
+        if self.links_without_shape:
+            yield f"{len(self.links_without_shape)} links have no shape: {', '.join(self.links_without_shape)}"
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Coverage:
+        """Read what the certificate's JSON holds."""
+        return Coverage(
+            tuple(data["links_with_shape"]),
+            tuple(data["links_without_shape"]),
+            tuple(Shapeless(one["link"], one["place"], _number(one["reach_m"])) for one in data["shapeless"]),
+            data["n_link_pairs"],
+            data["n_piece_pairs"],
+            tuple(
+                LeftOut(
+                    (one["pair"][0], one["pair"][1]),
+                    one["reason"],
+                    one["is_neighbour"],
+                    _number(one["deepest_m"]),
+                    one["s"],
+                    one["time_s"],
+                )
+                for one in data["left_out"]
+            ),
+            tuple(data["joints_without_torque_limit"]),
+            tuple(data["not_checked"]),
+        )
+
+
+@dataclass(frozen=True)
 class Certificate:
     """The outcome of a verification, as data.
 
     Attributes:
         status: certified only if every check holds and every check that can be proven is.
         checks: all claims.
-        min_clearance_m: proven lower bound for pairs that may not touch, up to the horizon looked at; NaN if none.
+        min_clearance_m: proven lower bound for pairs that may not touch, up to the horizon examined; NaN if none.
         min_clearance_pair: the pair that has it, or None when all are beyond the horizon.
         min_balance_margin_m: proven lower bound of the centre of mass's distance inside its polygon; NaN if unchecked.
         exempt: pairs allowed to touch that came near enough to matter.
@@ -191,75 +315,6 @@ class Certificate:
             gaps=_gaps(data.get("gaps") or {}),
             coverage=Coverage.from_dict(data["coverage"]) if "coverage" in data else Coverage(),
         )
-
-
-def scene_hash(scene: Scene) -> str:
-    """``sha256:`` of the pieces in order of name: name, then the vertices in whole micrometres."""
-    return _hash((piece.name, piece.vertices) for piece in sorted(scene.pieces, key=lambda piece: piece.name))
-
-
-def bodies_hash(robot: RobotModel) -> str:
-    """``sha256:`` of the bodies (vertices in the link frame, in whole micrometres) and of the ignored link pairs."""
-    bodies = [(body.name, link_vertices(robot, body.link, body.vertices)) for body in robot.bodies]
-    pairs = [(f"{a}|{b}", np.empty((0, 3))) for a, b in sorted(robot.ignored_pairs)]
-    return _hash(sorted(bodies, key=lambda body: body[0]) + pairs)
-
-
-def robot_hash(robot: RobotModel) -> str:
-    """``sha256:`` of the URDF text."""
-    return "sha256:" + hashlib.sha256(robot.source.urdf.encode()).hexdigest()
-
-
-def promises_hash(phases: Iterable[Phase]) -> str:
-    """``sha256:`` of everything the phases promise (docs/result-format.md says how it is made)."""
-    digest = hashlib.sha256()
-    for phase in phases:
-        _add(digest, "phase", phase.name, np.array([phase.first, phase.last]))
-        for allowance in phase.allowances:
-            _add(digest, "allowance", *_parts(allowance))
-        for contact in phase.contacts:
-            _add(digest, "contact", *_parts(contact))
-        if phase.support is not None:
-            _add(digest, "support", *_parts(phase.support))
-        for target in phase.targets:
-            _add(digest, type(target).__name__, *_parts(target))
-    return "sha256:" + digest.hexdigest()
-
-
-def link_vertices(robot: RobotModel, link: str, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-    """A body's vertices, given in the frame of its joint, in the frame of its link [m]."""
-    if not robot.model.existFrame(link):
-        return vertices
-    placement = robot.model.frames[robot.model.getFrameId(link)].placement
-    return np.asarray((vertices - placement.translation) @ placement.rotation)
-
-
-def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
-    digest = hashlib.sha256()
-    for name, vertices in named:
-        digest.update(name.encode() + b"\0" + len(vertices).to_bytes(8, "little"))
-        digest.update(np.rint(vertices * 1e6).astype("<i8").tobytes())
-    return "sha256:" + digest.hexdigest()
-
-
-def _parts(promise: Allowance | BodyRef | PlantedContact | SupportPolygon | Target) -> Iterator[str | np.ndarray]:
-    """The fields of a promise in their order: texts, references to bodies, numbers; none where it is None."""
-    for item in fields(promise):
-        value = getattr(promise, item.name)
-        if isinstance(value, BodyRef):
-            yield from _parts(value)
-        else:
-            yield value if isinstance(value, str) else np.empty(0) if value is None else np.asarray(value, dtype=float)
-
-
-def _add(digest: hashlib._Hash, *parts: str | np.ndarray) -> None:
-    for part in parts:
-        if isinstance(part, str):
-            digest.update(b"t" + part.encode() + b"\0")
-            continue
-        # Steps of a micrometre whose borders lie where written decimals do not; what is infinite counts as -1.
-        steps = np.floor(np.where(np.isinf(part), -1.0, part).ravel() * 1e6 + HASH_OFFSET)
-        digest.update(b"n" + steps.size.to_bytes(8, "little") + steps.astype("<i8").tobytes())
 
 
 def _number(value: float | None) -> float:

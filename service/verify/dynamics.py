@@ -12,10 +12,10 @@ from jaxtyping import Float
 from costs.curve import TimeLaw
 from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
-from service.verify.motion import Motion, Phase
-from service.verify.paths import mechanism_joints
-from service.verify.promises import in_or_out, outside_polygon
-from service.verify.settings import VerifySettings
+from service.verify.frame_paths import mechanism_joints
+from service.verify.motion import Motion, Phase, VerifySettings
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.stance_checks import describe_inside, outside_polygon
 from service.verify.timeline import times_of
 
 # A moment of 1 Nm counts as much as a force of 1 / 0.1 N when the ground's wrench is shared between the feet.
@@ -107,26 +107,29 @@ def _ground_torques(
     return torque
 
 
-def dynamics_checks(motion: Motion, law: TimeLaw, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
-    """ZMP inside the support polygon and torques within limits, at samples."""
+def dynamics_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+    """Check that the ZMP is inside the support polygon and torques are within limits, at samples."""
+    motion, law = prepared.motion, prepared.motion.law
+    if law is None:
+        return
     times = sample_times(motion, law, phase.first, phase.last, settings.time_step_s)
-    found = forces(motion, law, phase, times)
+    dynamics = forces(motion, law, phase, times)
     if phase.support is not None:
-        zmp = found.zmp(phase.support.height)
+        zmp = dynamics.zmp(phase.support.height)
         outside = np.nan_to_num(outside_polygon(phase.support.polygon, zmp), nan=np.inf)
         worst = int(outside.argmax())
         value = -float(outside[worst])
         point = (float(zmp[worst, 0]), float(zmp[worst, 1]), phase.support.height)
-        where = Where(float(found.path[worst]), float(times[worst]), point)
+        where = Where(float(dynamics.path[worst]), float(times[worst]), point)
         verb = "stays" if value >= 0.0 else "is"
-        text = f"the ZMP {verb} {in_or_out(value)} the feet during {phase.name} ({len(times)} samples)"
+        text = f"the ZMP {verb} {describe_inside(value)} the feet during {phase.name} ({len(times)} samples)"
         yield Check(f"zmp.{phase.name}", value >= 0.0, value, 0.0, "m", text, where, Basis.SAMPLES)
     limited = np.flatnonzero(np.isfinite(motion.robot.effort) & (motion.robot.effort > 0.0))
     if len(limited):
-        ratio = np.abs(found.torque[:, limited]) / motion.robot.effort[limited]
+        ratio = np.abs(dynamics.torque[:, limited]) / motion.robot.effort[limited]
         row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
         value, name = float(ratio[row, column]), motion.robot.joint_names[limited[column]]
-        where = Where(float(found.path[row]), float(times[row]), None, (name,))
+        where = Where(float(dynamics.path[row]), float(times[row]), None, (name,))
         text = f"{name} needs {100.0 * value:.0f} % of its torque during {phase.name} ({len(times)} samples)"
         yield Check(f"torque.{phase.name}", value <= 1.0, value, 1.0, "1", text, where, Basis.SAMPLES)
 

@@ -13,9 +13,9 @@ from scipy.spatial import ConvexHull, QhullError
 from costs.robot.model import RobotModel
 from costs.scene import ConvexPiece
 from service.verify.certificate import Basis, Check, Where
-from service.verify.errors import VerifyError
-from service.verify.motion import Motion, Phase, PlantedContact
-from service.verify.solid import Solid
+from service.verify.motion import Motion, Phase, PlantedContact, VerifyError, VerifySettings
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.solids import Solid
 from service.verify.timeline import time_of
 
 # Farthest that a supporting surface may be from a planted sole, above or below [m].
@@ -26,15 +26,16 @@ _TOUCH_M = 1e-9
 _FEET_GROUP = "feet"
 
 
-def ground_checks(motion: Motion, phase: Phase) -> Iterator[Check]:
-    """One check for each link that stands in a phase: every corner of its sole is on a surface, and is its own."""
+def ground_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+    """Check each link that stands in a phase: every corner of its sole is on a surface and on the link's shapes."""
+    motion = prepared.motion
     for contact in standing_contacts(motion, phase):
         pose = contact.pose_world_link
         corners = contact.sole @ pose[:3, :3].T + pose[:3, 3]
         gaps = ground_gaps(corners, motion.scene.pieces)
         worst = int(np.abs(gaps).argmax())
         value = float(abs(gaps[worst]))
-        text = f"{told_gap(float(gaps[worst]), contact.link)} during {phase.name}"
+        text = f"{describe_gap(float(gaps[worst]), contact.link)} during {phase.name}"
         off = outside_link(motion.robot, contact)
         if off > GROUND_TOLERANCE_M:
             value, text = off, f"a corner of the sole of {contact.link} is {1e3 * off:.1f} mm off the link's shapes"
@@ -55,7 +56,7 @@ def standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...
     return tuple(contact for contact in phase.contacts if phase.support is not None or contact.link in feet)
 
 
-def told_gap(gap: float, link: str) -> str:
+def describe_gap(gap: float, link: str) -> str:
     """``floor is 12.0 mm below the sole of l_foot``."""
     if not np.isfinite(gap):
         return f"nothing is below a corner of the sole of {link}"

@@ -11,16 +11,11 @@ from jaxtyping import Float
 
 from costs.curve import Curve, TimeLaw
 from service.verify.certificate import Basis, Check, Where
-from service.verify.errors import VerifyError
-from service.verify.motion import Motion, Phase
-from service.verify.settings import VerifySettings
+from service.verify.motion import Motion, Phase, VerifySettings
+from service.verify.prepared_motion import PreparedMotion
 from service.verify.timeline import time_of, times_of
-from service.verify.track import Track
+from service.verify.validation import check_law
 
-# A step of the time law may be this much longer or shorter than its speeds and times come to, relative to its length.
-_STEP_TOLERANCE = 1e-6
-# How far the law's ends may lie from the curve's, relative to the curve's length.
-_END_TOLERANCE = 1e-9
 # Errors of the rounded numbers that a difference of two samples is made of, in units of their last place.
 _ROUNDINGS = 16.0
 
@@ -83,7 +78,7 @@ def exported_speeds(curve: Curve, law: TimeLaw, s: Float[np.ndarray, "M"]) -> Fl
     q, times = curve(s), times_of(law, s)
     length, duration = np.abs(np.diff(q, axis=0)), np.diff(times)[:, None]
     last_place = np.finfo(float).eps * np.maximum(np.abs(q[1:]), np.abs(q[:-1]))
-    # Samples and times are as exact as the largest number that they were made of.
+    # PoseSamples and times are as exact as the largest number that they were made of.
     slope = np.maximum(np.abs(curve(s[1:], 1)), np.abs(curve(s[:-1], 1)))
     last_place = last_place + slope * np.spacing(np.abs(s).max())
     length = np.maximum(length - _ROUNDINGS * last_place, 0.0)
@@ -93,9 +88,9 @@ def exported_speeds(curve: Curve, law: TimeLaw, s: Float[np.ndarray, "M"]) -> Fl
     return np.asarray(speeds)
 
 
-def position_check(track: Track) -> Check:
-    """Whether the cubic stays within the joint position limits, exactly."""
-    motion, robot, (low, high) = track.motion, track.motion.robot, track.range
+def position_checks(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:
+    """Check that the cubic stays within the joint position limits, exactly."""
+    motion, robot, (low, high) = prepared.motion, prepared.motion.robot, prepared.range
     excess = np.maximum(robot.lower - low, high - robot.upper)
     piece, column = np.unravel_index(int(np.argmax(excess)), excess.shape)
     value = float(excess[piece, column])
@@ -105,19 +100,21 @@ def position_check(track: Track) -> Check:
     text = (
         f"{name} comes nearest to its limits: {-value:.4f} rad left" if is_ok else f"{name} exceeds by {value:.4f} rad"
     )
-    return Check("limits.position", is_ok, value, 0.0, "rad", text, _at(motion, s, (name,)), Basis.PROOF)
+    yield Check("limits.position", is_ok, value, 0.0, "rad", text, _at(motion, s, (name,)), Basis.PROOF)
 
 
-def timed_checks(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...], settings: VerifySettings) -> Iterator[Check]:
-    """Speed and acceleration limits, on the curve and between the samples, and rest at ends and contact changes."""
+def timed_checks(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:
+    """Check speed and acceleration limits, on the curve and between samples, and rest at ends and contact changes."""
+    motion, robot, law = prepared.motion, prepared.motion.robot, prepared.motion.law
+    if law is None:
+        return
     peaks = timed_peaks(motion.curve, law)
-    robot = motion.robot
     yield _limit_check(motion, "speed", peaks.speed / robot.velocity, peaks.s, settings)
     yield _limit_check(motion, "acceleration", peaks.acceleration / robot.acceleration, peaks.s, settings)
     if motion.samples is not None:
         ratio = exported_speeds(motion.curve, law, motion.samples) / robot.velocity
         yield _limit_check(motion, "exported", ratio, motion.samples, settings)
-    yield _rest_check(motion, law, phases)
+    yield _rest_check(motion, law, prepared.phases)
 
 
 def _limit_check(
@@ -132,7 +129,7 @@ def _limit_check(
 
 
 def _rest_check(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...]) -> Check:
-    """The robot must stand still at both ends and where the set of planted links changes."""
+    """Check that the robot stands still at both ends and where the set of planted links changes."""
     ends = [float(motion.curve.knots[0]), float(motion.curve.knots[-1])]
     changes = [
         after.first
@@ -169,26 +166,3 @@ def _roots(b0: np.ndarray, b1: np.ndarray, b2: np.ndarray) -> tuple[np.ndarray, 
     far = np.divide(lean, b2, out=np.zeros_like(b0), where=np.abs(b2) > 1e-300)
     near = np.divide(b0, lean, out=np.zeros_like(b0), where=np.abs(lean) > 1e-300)
     return far, near
-
-
-def check_law(curve: Curve, law: TimeLaw) -> None:
-    """
-    Raises:
-        VerifyError: the law runs back, does not run along the whole curve, or contradicts itself.
-    """
-    if not len(law.times) == len(law.path) == len(law.speed) >= 2:
-        counts = f"{len(law.times)}, {len(law.path)} and {len(law.speed)}"
-        raise VerifyError(f"the time law needs as many times, path parameters and speeds, at least 2, got {counts}")
-    if not np.all(np.diff(law.times) > 0.0) or not np.all(np.diff(law.path) >= 0.0) or not np.all(law.speed >= 0.0):
-        raise VerifyError("the time law needs increasing times, a path that does not run back and speeds >= 0")
-    scale = float(curve.knots[-1] - curve.knots[0])
-    if not max(abs(law.path[0] - curve.knots[0]), abs(law.path[-1] - curve.knots[-1])) <= _END_TOLERANCE * scale:
-        raise VerifyError(f"the time law runs from {law.path[0]} to {law.path[-1]}, not along the whole curve")
-    # Relative to the step: errors that are small beside the whole curve would add up over many steps.
-    error = np.abs(law.shares - 1.0)
-    step = int(np.argmax(error))
-    if not error[step] <= _STEP_TOLERANCE:
-        raise VerifyError(
-            f"the time law's path does not follow from its speeds and times: step {step} (at {law.times[step]} s) is "
-            f"{law.shares[step]:.9g} times as long as they come to, expected 1 within {_STEP_TOLERANCE:g}"
-        )

@@ -1,4 +1,4 @@
-"""What is put before the verifier: robot, scene, curve, time law, and what each phase promises."""
+"""Input of the verifier: a motion with what its phases promise, and the settings of the proofs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,37 @@ from costs.allowance import Allowance
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.scene import Scene
+
+
+class VerifyError(ValueError):
+    """A motion that cannot be checked as it was handed over; the message names the field and the value."""
+
+
+@dataclass(frozen=True)
+class VerifySettings:
+    """Settings of a verification; none of them can make a false claim pass.
+
+    Attributes:
+        max_halvings: how often an interval between two knots may be halved before it counts as unproven.
+        max_sharpenings: how often a proven interval may be halved only to know the smallest margin more closely.
+        max_intervals: how many narrow-phase intervals may be examined in all.
+        clearance_horizon_m: clearances are reported up to this distance.
+        resolution_m: the smallest clearance is reported to within this.
+        contact_tolerance_m: a sampled pose refutes the motion when it penetrates deeper than allowed by this.
+        rounding: error of a coordinate as written to the result file [rad, m].
+        time_step_s: forces and ZMP are sampled at least this often.
+        limit_tolerance: relative excess over a speed or acceleration limit that still counts as within it.
+    """
+
+    max_halvings: int = 12
+    max_sharpenings: int = 4
+    max_intervals: int = 60_000
+    clearance_horizon_m: float = 0.1
+    resolution_m: float = 1e-3
+    contact_tolerance_m: float = 1e-6
+    rounding: float = 1e-8
+    time_step_s: float = 0.01
+    limit_tolerance: float = 1e-6
 
 
 @dataclass(frozen=True)
@@ -150,7 +181,7 @@ Target = PoseTarget | CircleTarget | AxisTarget | RelativePoseTarget | JointTarg
 
 @dataclass(frozen=True)
 class Phase:
-    """A named stretch of the curve and what holds along it.
+    """A named interval of the curve and what holds along it.
 
     Attributes:
         name: as the user sees it.

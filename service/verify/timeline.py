@@ -1,4 +1,4 @@
-"""From path parameter to time, and to the edges at which stretches of the curve begin and end."""
+"""From path parameter to time, and to the edges at which intervals of the curve begin and end."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.curve import TimeLaw
-from service.verify.errors import VerifyError
-from service.verify.motion import Motion, Phase
+from service.verify.motion import Motion, Phase, VerifyError
 
 
 def time_of(law: TimeLaw | None, s: float) -> float | None:
@@ -26,7 +25,7 @@ def times_of(law: TimeLaw, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
     return np.asarray(law.times[i] + np.minimum(step, duration))
 
 
-def phases_of(motion: Motion) -> tuple[Phase, ...]:
+def list_phases(motion: Motion) -> tuple[Phase, ...]:
     """The phases, or one that promises nothing; refused unless they cover the curve one after another.
 
     Raises:
@@ -45,8 +44,8 @@ def phases_of(motion: Motion) -> tuple[Phase, ...]:
     return motion.phases
 
 
-def edges_of(motion: Motion, phases: tuple[Phase, ...]) -> tuple[Float[np.ndarray, "E"], Int[np.ndarray, "E-1"]]:
-    """Knots and phase boundaries in order, and the phase of each stretch between two of them."""
+def split_at_phases(motion: Motion, phases: tuple[Phase, ...]) -> tuple[Float[np.ndarray, "E"], Int[np.ndarray, "E-1"]]:
+    """Knots and phase boundaries in order, and the phase of each interval between two of them."""
     start, end = motion.curve.knots[0], motion.curve.knots[-1]
     inner = [boundary for phase in phases for boundary in (phase.first, phase.last) if start < boundary < end]
     edges = np.unique(np.concatenate([motion.curve.knots, inner]))
@@ -55,7 +54,7 @@ def edges_of(motion: Motion, phases: tuple[Phase, ...]) -> tuple[Float[np.ndarra
     return edges, np.clip(np.searchsorted(lasts, middle), 0, len(phases) - 1)
 
 
-def phase_edges(edges: Float[np.ndarray, "E"], phase: Phase) -> Float[np.ndarray, "F"]:
+def edges_within(edges: Float[np.ndarray, "E"], phase: Phase) -> Float[np.ndarray, "F"]:
     """The edges within a phase, its ends included."""
     tolerance = 1e-9 * max(1.0, abs(phase.last))
     return np.asarray(edges[(edges >= phase.first - tolerance) & (edges <= phase.last + tolerance)])

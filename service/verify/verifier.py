@@ -1,33 +1,35 @@
-"""The verifier: a motion goes in, a certificate comes out."""
+"""The verifier: checks of a motion in sequence, and the certificate made of them.
+
+How to add a check: write a generator of :class:`Check` with the signature of :data:`MotionCheck` or :data:`PhaseCheck`
+and append it to ``MOTION_CHECKS`` or ``PHASE_CHECKS`` below.  If no motion may be certified without it, add its name to
+``coverage.required.list_required_checks``; if it can be waived, ``Motion.waived`` names the group.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 from costs.stopping import never, stops_when
-from service.verify.admission import admit
-from service.verify.certificate import (
-    Basis,
-    Certificate,
-    Check,
-    Status,
-    bodies_hash,
-    promises_hash,
-    robot_hash,
-    scene_hash,
-)
-from service.verify.clearance import clearance_of
-from service.verify.coverage import Coverage
-from service.verify.covering import cover
-from service.verify.duties import own_joints
+from service.verify.certificate import Basis, Certificate, Check, Coverage, Status
+from service.verify.clearance.checks import prove_clearance
+from service.verify.coverage.checks import check_coverage
+from service.verify.coverage.required import own_joints
 from service.verify.dynamics import dynamics_checks
 from service.verify.ground import ground_checks
-from service.verify.limits import check_law, position_check, timed_checks
-from service.verify.motion import Motion, Phase
-from service.verify.promises import PhaseChecks
-from service.verify.settings import VerifySettings
-from service.verify.timeline import edges_of, phases_of
-from service.verify.track import Track
+from service.verify.hashes import bodies_hash, promises_hash, robot_hash, scene_hash
+from service.verify.limits import position_checks, timed_checks
+from service.verify.motion import Motion, Phase, VerifySettings
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.stance_checks import stance_checks
+from service.verify.target_checks import target_checks
+from service.verify.validation import validate_motion
+
+MotionCheck = Callable[[PreparedMotion, VerifySettings], Iterable[Check]]
+PhaseCheck = Callable[[PreparedMotion, Phase, VerifySettings], Iterable[Check]]
+
+# Checks of the whole motion, then of each phase, in the certificate's order; clearance and coverage follow.
+MOTION_CHECKS: tuple[MotionCheck, ...] = (position_checks, timed_checks)
+PHASE_CHECKS: tuple[PhaseCheck, ...] = (stance_checks, target_checks, ground_checks, dynamics_checks)
 
 
 def verify(
@@ -41,34 +43,23 @@ def verify(
     Args:
         motion: the motion.
         settings: of the proofs.
-        should_stop: asked at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
+        should_stop: called at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
 
     Raises:
         VerifyError: when the motion is malformed (phases that leave a gap, an unknown frame, an inconsistent law).
-        Stopped: it was asked to stop; there is no certificate.
+        Stopped: ``should_stop`` returned True; there is no certificate.
     """
     with stops_when(should_stop):
         return _verify(motion, settings or VerifySettings())
 
 
 def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
-    admit(motion)
-    if motion.law is not None:
-        check_law(motion.curve, motion.law)
-    phases = phases_of(motion)
-    track = Track(motion)
-    checks = [position_check(track)]
-    if motion.law is not None:
-        checks += timed_checks(motion, motion.law, phases, settings)
-    promises = PhaseChecks(track, edges_of(motion, phases)[0], settings)
-    for phase in phases:
-        checks += promises.run(phase)
-        checks += ground_checks(motion, phase)
-        if motion.law is not None:
-            checks += dynamics_checks(motion, motion.law, phase, settings)
-    clearance = clearance_of(track, phases, settings)
+    validate_motion(motion)
+    prepared = PreparedMotion(motion)
+    checks = list(_run_checks(prepared, settings))
+    clearance = prove_clearance(prepared, settings)
     checks += clearance.checks
-    coverage, against = cover(track, clearance.couples, phases, checks, settings)
+    coverage, against = check_coverage(prepared, clearance.table, checks, settings)
     checks += against
     balance = [check.value for check in checks if check.name.startswith("balance.")]
     return Certificate(
@@ -82,11 +73,19 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
         scene_hash(motion.scene),
         bodies_hash(motion.robot),
         robot_hash(motion.robot),
-        promises_hash(phases),
-        _notes(motion, phases, coverage),
+        promises_hash(prepared.phases),
+        _notes(prepared, coverage),
         gaps=clearance.gaps,
         coverage=coverage,
     )
+
+
+def _run_checks(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:
+    for motion_check in MOTION_CHECKS:
+        yield from motion_check(prepared, settings)
+    for phase in prepared.phases:
+        for phase_check in PHASE_CHECKS:
+            yield from phase_check(prepared, phase, settings)
 
 
 def _status(checks: list[Check]) -> Status:
@@ -96,16 +95,16 @@ def _status(checks: list[Check]) -> Status:
     return Status.CERTIFIED if is_proven else Status.FEASIBLE_AT_SAMPLES
 
 
-def _notes(motion: Motion, phases: tuple[Phase, ...], coverage: Coverage) -> tuple[str, ...]:
-    notes = ["ZMP and joint torques are checked at samples of the timed curve, not proven between them"]
-    if motion.law is None:
-        notes = []
+def _notes(prepared: PreparedMotion, coverage: Coverage) -> tuple[str, ...]:
+    motion, notes = prepared.motion, list[str]()
+    if motion.law is not None:
+        notes.append("ZMP and joint torques are checked at samples of the timed curve, not proven between them")
     if motion.samples is None:
         notes.append("the curve itself is certified; no exported samples were given")
     unlimited, n_joints = coverage.joints_without_torque_limit, len(own_joints(motion))
     if motion.law is not None and 0 < len(unlimited) < n_joints:
         notes.append(f"torque not checked for {', '.join(unlimited)}: their limit is 0 or missing")
     if motion.robot.is_floating:
-        given = [phase.name for phase in phases if phase.support is not None and not phase.contacts]
+        given = [phase.name for phase in prepared.phases if phase.support is not None and not phase.contacts]
         notes += [f"the support polygon was taken as given in {', '.join(given)}"] if given else []
     return (*notes, *coverage.sentences())

@@ -20,18 +20,18 @@ def kept_samples(times: Float[np.ndarray, "S"], always: Iterable[int], rate_hz: 
     return np.unique(np.concatenate([regular, np.asarray([0, len(times) - 1, *forced], dtype=int)]))
 
 
-def packed(values: Shaped[np.ndarray, "..."], dtype: str) -> dict[str, Any]:
+def pack(values: Shaped[np.ndarray, "..."], dtype: str) -> dict[str, Any]:
     """A typed array as the page reads it: numpy type code, shape, little-endian bytes in base64."""
     array = np.ascontiguousarray(values, dtype=np.dtype(dtype).newbyteorder("<"))
     return {"dtype": dtype, "shape": list(array.shape), "data": base64.b64encode(array.tobytes()).decode("ascii")}
 
 
-def quantized(values: Float[np.ndarray, "... 3"]) -> dict[str, Any]:
+def quantize(values: Float[np.ndarray, "... 3"]) -> dict[str, Any]:
     """Points on a 16-bit grid over their bounding box (5 m: steps of 0.08 mm), with the box [m]."""
     if values.size == 0:
-        return {**packed(values, "u2"), "lower": [0.0, 0.0, 0.0], "upper": [1.0, 1.0, 1.0]}
+        return {**pack(values, "u2"), "lower": [0.0, 0.0, 0.0], "upper": [1.0, 1.0, 1.0]}
     flat = values.reshape(-1, values.shape[-1])
     lower, upper = flat.min(axis=0), flat.max(axis=0)
     span = np.where(upper > lower, upper - lower, 1.0)
     grid = np.round((values - lower) / span * 65535.0)
-    return {**packed(grid, "u2"), "lower": lower.tolist(), "upper": (lower + span).tolist()}
+    return {**pack(grid, "u2"), "lower": lower.tolist(), "upper": (lower + span).tolist()}

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from service.viewer.files import replace_file
-from service.viewer.payload import json_safe, payload_of
+from service.viewer.payload import json_safe, make_payload
 from service.viewer.placements import LinkPlacements
 
 DIST = Path(__file__).parent / "page" / "dist"
@@ -27,9 +27,9 @@ def write_viewer(result: Mapping[str, Any], placements: LinkPlacements, path: Pa
         path: file to write; it is replaced in one step.
 
     Raises:
-        ValueError: see ``payload_of``.
+        ValueError: see ``make_payload``.
     """
-    replace_file(path, render_viewer(payload_of(result, placements)).encode("utf-8"))
+    replace_file(path, render_viewer(make_payload(result, placements)).encode("utf-8"))
 
 
 def render_viewer(payload: Mapping[str, Any]) -> str:

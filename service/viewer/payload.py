@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from service.viewer.frames import kept_samples, packed, quantized
+from service.viewer.frames import kept_samples, pack, quantize
 from service.viewer.hulls import convex_mesh
 from service.viewer.placements import LinkPlacements
 from service.viewer.proof import ClearanceTrack, clearance_track
@@ -17,7 +17,7 @@ from service.viewer.proof import ClearanceTrack, clearance_track
 MAX_CLOUD_POINTS = 60_000
 
 
-def payload_of(result: Mapping[str, Any], placements: LinkPlacements) -> dict[str, Any]:
+def make_payload(result: Mapping[str, Any], placements: LinkPlacements) -> dict[str, Any]:
     """Everything the page draws, JSON-ready.
 
     Args:
@@ -40,22 +40,22 @@ def payload_of(result: Mapping[str, Any], placements: LinkPlacements) -> dict[st
     return {
         **_summary(result),
         "checks": _placed_checks(result, proof),
-        "clearance": packed(_track_rows(proof), "f4"),
+        "clearance": pack(_track_rows(proof), "f4"),
         "gaps": [] if proof is None else [{"names": list(g.pair), "start": g.start, "end": g.end} for g in proof.gaps],
         "obstruction": result.get("obstruction"),
         "shapeless": _shapeless(result, placements),
-        "times": packed(times[kept], "f4"),
+        "times": pack(times[kept], "f4"),
         "links": list(placements.links),
-        "positions": quantized(poses[..., :3]),
-        "rotations": packed(np.round(poses[..., 3:] * 32767.0), "i2"),
+        "positions": quantize(poses[..., :3]),
+        "rotations": pack(np.round(poses[..., 3:] * 32767.0), "i2"),
         "bodies": [{"name": b["name"], "link": b["link"], "hull": hull_of(b)} for b in _list(result, "bodies")],
         "pieces": [_named_hull(piece) for piece in _list(result, "pieces")],
         "movables": [_movable(movable, len(times), kept) for movable in _list(result, "movables")],
         "waypoints": np.searchsorted(kept, [i for i in waypoints if 0 <= i < len(times)]).tolist(),
         "phases": [_timed(phase, times) for phase in phases],
         "support": [_support(polygon, times) for polygon in _list(result, "support_polygons")],
-        "com": packed(_rows(result, "com", len(times), 3)[kept], "f4"),
-        "cloud": quantized(_cloud(result)),
+        "com": pack(_rows(result, "com", len(times), 3)[kept], "f4"),
+        "cloud": quantize(_cloud(result)),
     }
 
 
@@ -75,10 +75,10 @@ def hull_of(body: Mapping[str, Any]) -> dict[str, Any]:
     """The packed hull of anything with ``vertices``."""
     mesh = convex_mesh(np.asarray(body["vertices"], dtype=float))
     return {
-        "vertices": packed(mesh.vertices, "f4"),
-        "triangles": packed(mesh.triangles, "u2"),
-        "edges": packed(mesh.edges, "u2"),
-        "bends": packed(np.round(mesh.bends / np.pi * 255.0), "u1"),
+        "vertices": pack(mesh.vertices, "f4"),
+        "triangles": pack(mesh.triangles, "u2"),
+        "edges": pack(mesh.edges, "u2"),
+        "bends": pack(np.round(mesh.bends / np.pi * 255.0), "u1"),
     }
 
 
@@ -181,7 +181,7 @@ def _movable(movable: Mapping[str, Any], n_samples: int, kept: Int[np.ndarray, "
         "origin": list(movable["origin"]),
         "axis": list(movable["axis"]),
         "bodies": [_named_hull(body) for body in movable["bodies"]],
-        "angles": packed(angles[kept], "f4"),
+        "angles": pack(angles[kept], "f4"),
     }
 
 
@@ -198,7 +198,7 @@ def _support(entry: Mapping[str, Any], times: Float[np.ndarray, "S"]) -> dict[st
     """A support polygon with its ZMP as rows of time, x and y; NaN where nothing presses on the ground."""
     zmp = entry.get("zmp") or {"times": [], "points": []}
     rows = [[time, *(point or (np.nan, np.nan))] for time, point in zip(zmp["times"], zmp["points"], strict=True)]
-    return {**_timed(entry, times), "zmp": packed(np.array(rows).reshape(-1, 3), "f8")}
+    return {**_timed(entry, times), "zmp": pack(np.array(rows).reshape(-1, 3), "f8")}
 
 
 def _rows(result: Mapping[str, Any], key: str, n_samples: int, width: int) -> Float[np.ndarray, "S w"]:

@@ -9,12 +9,12 @@ from jaxtyping import Bool, Float, Int
 
 from perception import Perceived, on_floors
 from perception.convex.freespace import carve
-from service.viewer.frames import packed, quantized
+from service.viewer.frames import pack, quantize
 from service.viewer.html import render_page
 from service.viewer.payload import hull_of
 
 if TYPE_CHECKING:
-    from service.scan.make_scene import SceneSeen
+    from service.scan.make_scene import BuiltScene
 
 MAX_POINTS = 80_000
 MAX_CELLS = 1_500_000
@@ -24,12 +24,12 @@ _CELL = 0.05
 _AROUND = 0.15
 
 
-def render_scene(seen: SceneSeen, title: str) -> str:
+def render_scene(seen: BuiltScene, title: str) -> str:
     """The page of a scan: one file that asks the network for nothing."""
     return render_page(payload_of(seen, title), title, "scene")
 
 
-def payload_of(seen: SceneSeen, title: str) -> dict[str, Any]:
+def payload_of(seen: BuiltScene, title: str) -> dict[str, Any]:
     """Everything the page draws, JSON-ready.
 
     Args:
@@ -55,18 +55,18 @@ def payload_of(seen: SceneSeen, title: str) -> dict[str, Any]:
             for one in scene["pieces"]
         ],
         "detections": [
-            {**entry, "points": quantized(_some(np.asarray(hit.points, dtype=float), MAX_DETECTION_POINTS))}
+            {**entry, "points": quantize(_some(np.asarray(hit.points, dtype=float), MAX_DETECTION_POINTS))}
             for entry, hit in zip(scene["detections"], seen.hits, strict=True)
         ],
         "meshes": scene["meshes"],
-        "cloud": quantized(points),
-        "owner": packed(owner, "u2"),
+        "cloud": quantize(points),
+        "owner": pack(owner, "u2"),
         "sensors": _places(perceived).tolist(),
         "space": _space(perceived),
     }
 
 
-def _owned_points(seen: SceneSeen) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
+def _owned_points(seen: BuiltScene) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
     """Points in reach, thinned, and what each belongs to: number of its piece, the floor, nobody, or left out."""
     view = seen.perceived.view
     number = {piece["name"]: i for i, piece in enumerate(seen.data["pieces"])}
@@ -120,4 +120,4 @@ def _space(perceived: Perceived) -> dict[str, Any]:
 
 
 def _bits(cells: Bool[np.ndarray, "X Y Z"]) -> dict[str, Any]:
-    return packed(np.packbits(cells.ravel(), bitorder="little"), "u1")
+    return pack(np.packbits(cells.ravel(), bitorder="little"), "u1")

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from google.rpc.error_details_pb2 import BadRequest
 
-from service.rpc import shortened
+from service.trust.rpc import shorten
 
 # They travel in a header, together with the status: a call whose headers exceed 8 KiB ends in something else.
 MAX_BYTES, MAX_PROBLEM_BYTES, MAX_FIELD_BYTES = 2000, 400, 200
@@ -41,7 +41,7 @@ def violation(problem: str, within: str = "") -> BadRequest.FieldViolation:
     """The field a problem speaks of (the whole request where it names none), and the problem."""
     field = ".".join(part for part in (within, _field(problem)) if part)
     return BadRequest.FieldViolation(
-        field=shortened(field, MAX_FIELD_BYTES), description=shortened(problem, MAX_PROBLEM_BYTES)
+        field=shorten(field, MAX_FIELD_BYTES), description=shorten(problem, MAX_PROBLEM_BYTES)
     )
 
 

@@ -14,7 +14,7 @@ from service.errors import RequestError, ResultError, shown
 from service.executor import Control
 from service.request.scene import KnownMeshRequest
 from service.request.schema import GoalRequest, PlanRequest, RobotRequest
-from service.scan.cloud import CloudAsked
+from service.scan.cloud import CloudInput
 from service.work.plan import Refused, warm_robots
 from service.work.stopping import stops_with
 
@@ -36,7 +36,7 @@ class SceneTask:
         said: settings that have to be those of the earlier scene, and what they are called.
     """
 
-    clouds: CloudAsked
+    clouds: CloudInput
     kinds: tuple[str, ...] = ()
     hint: tuple[float, float, float] | None = None
     unknown: str = "free"
@@ -48,24 +48,24 @@ class SceneTask:
 
 def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
     """The scene's file (docs/scene-format.md); what it reports are the names of steps."""
-    from service.scan.earlier import read_before
-    from service.scan.known_meshes import mesh_requested
-    from service.scan.make_scene import SceneAsked, on_top_of, see_files
+    from service.scan.earlier import read_earlier_scene
+    from service.scan.known_meshes import mesh_from_request
+    from service.scan.make_scene import SceneInput, apply_earlier_settings, build_scene
 
-    meshes = tuple(mesh_requested(one, path) for one, path in task.meshes)
-    asked = SceneAsked(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
+    meshes = tuple(mesh_from_request(one, path) for one, path in task.meshes)
+    asked = SceneInput(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
     try:
         with stops_with(control):
             if task.update is not None:
-                before = replace(read_before(task.update[0]), path=Path(task.update[1]))
-                asked = on_top_of(before, asked, task.said, "update")
-            return json.dumps(see_files(asked, control.report).data, allow_nan=False).encode()
+                before = replace(read_earlier_scene(task.update[0]), path=Path(task.update[1]))
+                asked = apply_earlier_settings(before, asked, task.said, "update")
+            return json.dumps(build_scene(asked, control.report).data, allow_nan=False).encode()
     except RequestError as error:
         return Refused(error.problems)
 
 
 def detect(
-    clouds: CloudAsked, kind: str, hint: tuple[float, float, float] | None, control: Control
+    clouds: CloudInput, kind: str, hint: tuple[float, float, float] | None, control: Control
 ) -> Mapping[str, Any] | Refused:
     """What ``scopt detect`` prints."""
     from service.scan.detect import detect_file

@@ -1,4 +1,4 @@
-"""Functions that workers run in the tests of executors: short, light, some of them deadly."""
+"""Functions that workers run in the tests of executors; some of them kill their worker."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WARMED_UP: list[str] = []
 
 
 class Stubborn(Exception):  # noqa: N818
-    """Can be pickled, but not read back."""
+    """An exception that can be pickled but not unpickled."""
 
     def __init__(self, left: int, right: int) -> None:
         super().__init__(f"{left} and {right}")
@@ -54,16 +54,16 @@ def nap(seconds: float) -> float:
     return seconds
 
 
-def leave_mark(folder: Path, name: str) -> str:
-    """Append a line to a file: it tells how often and in which order this was run."""
+def append_mark(folder: Path, name: str) -> str:
+    """Append a line to a file, which shows how often and in which order this was run."""
     with (folder / "marks").open("a") as marks:
         marks.write(f"{name}\n")
     return name
 
 
-def leave_mark_late(folder: Path, name: str, seconds: float) -> str:
+def append_mark_late(folder: Path, name: str, seconds: float) -> str:
     time.sleep(seconds)
-    return leave_mark(folder, name)
+    return append_mark(folder, name)
 
 
 def wait_for_file(path: Path) -> bool:
@@ -78,14 +78,14 @@ def count_up(count: int, control: Control) -> str:
     return "counted"
 
 
-def until_stopped(control: Control) -> str:
+def run_until_stopped(control: Control) -> str:
     control.report(os.getpid())
     while not control.should_stop():
         time.sleep(0.001)
     return "the best so far"
 
 
-def until_stopped_then(seconds: float, control: Control) -> str:
+def stop_late(seconds: float, control: Control) -> str:
     control.report("running")
     while not control.should_stop():
         time.sleep(0.0005)
@@ -93,7 +93,7 @@ def until_stopped_then(seconds: float, control: Control) -> str:
     return "stopped"
 
 
-def never_asks(control: Control) -> None:
+def never_poll(control: Control) -> None:
     control.report(os.getpid())
     while True:
         time.sleep(0.01)
@@ -103,7 +103,7 @@ def raise_when_stopped(control: Control) -> None:
     control.report(os.getpid())
     while not control.should_stop():
         time.sleep(0.001)
-    raise JobCancelled("as asked")
+    raise JobCancelled("stopped")
 
 
 def raise_cancelled() -> None:
@@ -111,25 +111,25 @@ def raise_cancelled() -> None:
 
 
 def signal_handlers() -> list[str]:
-    """Signals that run Python code of ours."""
-    return [one.name for one in signal.valid_signals() if callable(signal.getsignal(one))]
+    """Return the signals that have a Python handler."""
+    return [number.name for number in signal.valid_signals() if callable(signal.getsignal(number))]
 
 
-def report_for_ever(size: int, control: Control) -> None:
-    """Never ask, and be in the middle of an event most of the time."""
+def report_and_never_poll(size: int, control: Control) -> None:
+    """Report without pause and never poll."""
     while True:
         control.report(bytes(size))
 
 
 def stuck_in_native_code(control: Control) -> None:
-    """Hold the interpreter's lock in a call that does not come back."""
+    """Hold the interpreter's lock in a call that does not return."""
     control.report(os.getpid())
     ctypes.PyDLL(None).sleep(60)
 
 
 def kill_own_worker(folder: Path, times: int) -> int:
-    """Die of SIGKILL that many times, then say how often this was run."""
-    leave_mark(folder, "run")
+    """Kill the worker at the first ``times`` runs, then return how often this was run."""
+    append_mark(folder, "run")
     runs = len((folder / "marks").read_text().split())
     if runs <= times:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -141,7 +141,7 @@ def crash() -> None:
     ctypes.string_at(0)
 
 
-def leave_without_a_word(code: int) -> None:
+def exit_silently(code: int) -> None:
     os._exit(code)
 
 
@@ -177,27 +177,27 @@ def say(text: str) -> None:
     print(text)
 
 
-def signal_own_group_with(number: int) -> str:
-    """What Ctrl-C does to this process, which alone gets it here."""
+def signal_itself(number: int) -> str:
+    """Send this process a signal, as Ctrl-C does to its group."""
     os.kill(os.getpid(), number)
     time.sleep(0.05)
     return "still here"
 
 
 def start_child(control: Control) -> None:
-    """Start a process in a session of its own, as readers of strangers' files are, and wait for it."""
+    """Start a process in a session of its own, as file readers are, and wait for it."""
     child = subprocess.Popen(["sleep", "60"], start_new_session=True)
     control.report((os.getpid(), child.pid))
     child.wait()
 
 
-def talk_nonsense() -> None:
+def send_nonsense() -> None:
     for fd in _sockets():
         os.write(fd, b"\xff" * 64)
     time.sleep(30)
 
 
-def talk_nonsense_later(payload: bytes) -> None:
+def send_nonsense_later(payload: bytes) -> None:
     """Return, and write to the pool a little later."""
 
     def talk() -> None:
@@ -208,8 +208,8 @@ def talk_nonsense_later(payload: bytes) -> None:
     threading.Thread(target=talk, daemon=True).start()
 
 
-def answer_and_die(n_events: int, control: Control) -> str:
-    """Report a lot, return, and die a moment later."""
+def return_and_die(n_events: int, control: Control) -> str:
+    """Report events, return, and kill the worker a moment later."""
 
     def die() -> None:
         time.sleep(0.05)
@@ -221,13 +221,13 @@ def answer_and_die(n_events: int, control: Control) -> str:
     return "done"
 
 
-def report_without_end(control: Control) -> str:
+def report_until_stopped(control: Control) -> str:
     while not control.should_stop():
-        control.report("and another thing")
-    return "silent at last"
+        control.report(bytes(2000))
+    return "stopped"
 
 
-def hang_up() -> None:
+def close_sockets() -> None:
     for fd in _sockets():
         os.close(fd)
     time.sleep(30)
@@ -246,11 +246,11 @@ def was_warmed_up() -> list[str]:
     return WARMED_UP
 
 
-def warm_up_badly() -> None:
+def fail_to_warm_up() -> None:
     raise OSError("no robot there")
 
 
-def warm_up_for_ever() -> None:
+def warm_up_without_end() -> None:
     time.sleep(60)
 
 

@@ -1,4 +1,4 @@
-"""What tests of executors wait for, and how they look at processes."""
+"""Waiting for conditions and events, and looking at processes, in the tests of executors."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 
-def until(is_so: Callable[[], Any], timeout_s: float = 10.0) -> bool:
-    """Wait until something is so; whether it came to be."""
+def until(condition: Callable[[], Any], timeout_s: float = 10.0) -> bool:
+    """Wait until a condition holds; return whether it did in time."""
     end = time.monotonic() + timeout_s
-    while not is_so():
+    while not condition():
         if time.monotonic() > end:
             return False
         time.sleep(0.002)
@@ -19,7 +19,7 @@ def until(is_so: Callable[[], Any], timeout_s: float = 10.0) -> bool:
 
 
 def is_running(pid: int) -> bool:
-    """Whether a process is there and no zombie."""
+    """Return whether a process exists and is no zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in ("Z", "X")
     except OSError:
@@ -31,7 +31,7 @@ def parent_of(pid: int) -> int:
 
 
 class Events:
-    """Collects what a job reports."""
+    """A job's events, in order of arrival."""
 
     def __init__(self) -> None:
         self.seen: list[Any] = []
@@ -40,6 +40,6 @@ class Events:
         self.seen.append(event)
 
     def first(self) -> Any:
-        """The first one, as soon as it is there."""
+        """Wait for the first event and return it."""
         assert until(lambda: self.seen), "nothing was reported"
         return self.seen[0]

@@ -1,0 +1,126 @@
+"""The best plan found so far: complete enough at any time to be returned."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from service.body.monitor import Monitor
+from service.body.phases import TaskPlan
+from service.explain.conflict import Conflict
+from service.result.result import PlanResult, Verdict
+from service.setup.prepare import PlanSetup
+from service.verify import Basis, Certificate, Motion, Status
+
+_RANK = {Status.VIOLATED: 0, Status.FEASIBLE_AT_SAMPLES: 1, Status.CERTIFIED: 2}
+_VERDICT_OF_STATUS = {
+    Status.CERTIFIED: Verdict.CERTIFIED,
+    Status.FEASIBLE_AT_SAMPLES: Verdict.FEASIBLE_AT_SAMPLES,
+    Status.VIOLATED: Verdict.NOT_FOUND,
+}
+
+
+@dataclass
+class Attempt:
+    """The best attempt at a request so far.
+
+    Attributes:
+        verdict, explanation: as they would be returned now.
+        task: the plan of the task that the verdict is about.
+        motion, certificate: the best verified motion.
+        conflict: constraints that exclude each other where the search got stuck.
+        unverified: the newest plan with a motion that has no certificate yet.
+    """
+
+    verdict: Verdict = Verdict.NOT_FOUND
+    explanation: tuple[str, ...] = ()
+    task: TaskPlan | None = None
+    motion: Motion | None = None
+    certificate: Certificate | None = None
+    conflict: Conflict | None = None
+    unverified: tuple[TaskPlan, Motion] | None = None
+
+    def begin(self, task: TaskPlan) -> None:
+        """Start with another plan of the task; it is the one to return until a motion is verified."""
+        if self.certificate is None:
+            self.task, self.explanation = task, task.reasons
+            self.verdict = Verdict.INFEASIBLE if task.is_impossible else Verdict.NOT_FOUND
+
+    def keep_better(self, task: TaskPlan, motion: Motion, certificate: Certificate) -> None:
+        """Keep a verified motion unless an earlier one has the better certificate."""
+        if self.certificate is not None and _RANK[certificate.status] <= _RANK[self.certificate.status]:
+            return
+        self.task, self.motion, self.certificate = task, motion, certificate
+        if task.is_feasible:
+            self.verdict = _VERDICT_OF_STATUS[certificate.status]
+            self.explanation = list_shortfalls(certificate)
+
+    def is_final(self, task: TaskPlan) -> bool:
+        """Return whether no plan after ``task`` would get a better certificate."""
+        if self.verdict is Verdict.CERTIFIED:
+            return True
+        return task.is_feasible and self.certificate is not None and self.certificate.fails_by_description()
+
+    def interrupt(self, verdict: Verdict, reason: str) -> None:
+        """End with TIME_LIMIT or CANCELLED; what was known about the task stays in the explanation."""
+        known = () if self.task is None else self.task.reasons
+        self.verdict, self.explanation = verdict, (reason, *known)
+
+    def take_unverified(self, make_motion: Callable[[TaskPlan], Motion]) -> None:
+        """Fill in the best motion that has no certificate, where there is no verified one."""
+        if self.motion is None and self.unverified is not None:
+            self.task, self.motion = self.unverified
+        if self.motion is None and self.task is not None and self.task.phases:
+            self.motion = make_motion(self.task)
+
+    def explain(self, conflict: Conflict) -> None:
+        """Replace the explanation by the conflict that was found."""
+        self.conflict = conflict
+        self.explanation = (*conflict.sentences(), *(() if self.task is None else self.task.obstacle))
+
+    def to_result(self, setup: PlanSetup, monitor: Monitor) -> PlanResult:
+        """Return the attempt as the plan's result."""
+        task = self.task
+        return PlanResult(
+            request=setup.request,
+            verdict=self.verdict,
+            robot=setup.robot,
+            scene=setup.scene if task is None else task.body.scene,
+            start=setup.start,
+            motion=self.motion,
+            certificate=self.certificate,
+            explanation=self.explanation,
+            conflict=self.conflict,
+            found_from="" if task is None else task.found_from,
+            notes=(*setup.notes, *(() if task is None else task.notes)),
+            planning_time_s=time.perf_counter() - monitor.started,
+            timings=monitor.timings,
+            figures={} if task is None or self.motion is None else task.measure(self.motion),
+            detections=_list_detections(setup),
+            obstruction=self._describe_goal(setup),
+            cloud=setup.surroundings.points,
+        )
+
+    def _describe_goal(self, setup: PlanSetup) -> dict[str, Any] | None:
+        """Return the goal to draw where there is no motion, unless time was up."""
+        if self.motion is not None or self.verdict not in (Verdict.INFEASIBLE, Verdict.NOT_FOUND):
+            return None
+        from service.result.obstruction import describe_obstruction  # few results need it
+
+        return describe_obstruction(setup)
+
+
+def list_shortfalls(certificate: Certificate) -> tuple[str, ...]:
+    """Return failed checks or, if there are none, unproven ones, each with the time at which it was seen."""
+    checks = certificate.failed() or tuple(c for c in certificate.checks if c.basis is Basis.UNPROVEN)
+    times = (None if check.where is None else check.where.time_s for check in checks)
+    return tuple(
+        check.text if time_s is None else f"{check.text} (at {time_s:.2f} s)"
+        for check, time_s in zip(checks, times, strict=True)
+    )
+
+
+def _list_detections(setup: PlanSetup) -> tuple[Mapping[str, Any], ...]:
+    return tuple({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves)

@@ -1,0 +1,230 @@
+"""Checks of the clearance along the motion, the columns of its proof, its gaps, and overlaps at the start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from service.verify.certificate import Basis, Check, Exempt, Gaps, Stretches, Where
+from service.verify.clearance.pairs import PairTable, collect_pairs
+from service.verify.clearance.search import ClearanceBounds, Examination, examine_pairs
+from service.verify.motion import Phase, VerifySettings
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.solids import DistanceQuery
+from service.verify.timeline import time_of
+
+FLOOR_KIND = "floor"
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Clearance of all pairs along the motion.
+
+    Attributes:
+        checks: one per refuted and per unproven pair, or the summary when there is none; and overlaps at the start.
+        smallest: proven lower bound for pairs that may not touch, up to the horizon [m]; NaN without pairs.
+        pair: the pair that has it, or None when all are beyond the horizon.
+        exempt: pairs allowed to touch that came near enough to matter.
+        stretches: the proof.
+        gaps: intervals on which it leaves a pair open.
+        table: the pairs of bodies that were examined.
+    """
+
+    checks: tuple[Check, ...]
+    smallest: float
+    pair: tuple[str, str] | None
+    exempt: tuple[Exempt, ...]
+    stretches: Stretches
+    gaps: Gaps
+    table: PairTable
+
+
+def prove_clearance(prepared: PreparedMotion, settings: VerifySettings) -> Clearance:
+    """Prove or refute that every pair keeps clear, or within its allowed depth, along the whole motion."""
+    table = collect_pairs(prepared.motion, prepared.tree)
+    examined = examine_pairs(prepared, table, prepared.edges, prepared.edge_phase, settings)
+    lowest = _lowest_floors(examined)
+    smallest, pair = _min_clearance(examined, lowest, settings)
+    checks = [*_refuted_checks(prepared, examined), *_unproven_checks(prepared, examined)]
+    if not checks:
+        checks = [_summary_check(prepared, examined, smallest, pair)]
+    checks += start_checks(prepared, examined.table, settings)
+    return Clearance(
+        tuple(checks),
+        smallest,
+        pair,
+        _list_exempt(examined, prepared.phases),
+        _proof_columns(examined, lowest),
+        list_gaps(examined),
+        examined.table,
+    )
+
+
+def _lowest_floors(examined: Examination) -> Float[np.ndarray, "E-1"]:
+    """Smallest floor on each interval of the broad phase, of the pairs that the search did not examine there [m]."""
+    table, left = examined.table, examined.proof.examined
+    unseen = np.where(np.isnan(table.allowed[:, examined.phase_rows].T), examined.floors, np.inf)
+    unseen[np.searchsorted(examined.edges, left.first), left.pair] = np.inf
+    return np.asarray(unseen.min(axis=1, initial=np.inf))
+
+
+def _min_clearance(
+    examined: Examination, lowest: Float[np.ndarray, "I"], settings: VerifySettings
+) -> tuple[float, tuple[str, str] | None]:
+    """Smallest proven clearance of pairs that may not touch; the horizon and None when none is nearer."""
+    table, proof = examined.table, examined.proof
+    if len(table.mover) == 0:
+        return float("nan"), None
+    # An unproven interval counts with its lower bound, a collision with its depth.
+    nearest: list[tuple[float, int]] = [(float(lowest.min(initial=settings.clearance_horizon_m)), -1)]
+    for bounds in (proof.proven, proof.unproven):
+        lower = np.where(np.isnan(table.allowed[bounds.pair, bounds.phase]), bounds.lower, np.inf)
+        if len(lower):
+            nearest.append((float(lower.min()), int(bounds.pair[lower.argmin()])))
+    nearest += [(sample.distance, sample.pair) for sample in proof.refuted.values() if np.isnan(sample.allowed)]
+    distance, best = min(nearest)
+    return distance, None if best < 0 else table.names(best)
+
+
+def _refuted_checks(prepared: PreparedMotion, examined: Examination) -> Iterator[Check]:
+    """One failed check per refuted pair and phase, the deepest first."""
+    for sample in sorted(examined.proof.refuted.values(), key=lambda sample: sample.distance):
+        names = examined.table.names(sample.pair)
+        limit = 0.0 if np.isnan(sample.allowed) else -sample.allowed
+        text = f"{names[0]} penetrates {names[1]} by {-1e3 * sample.distance:.1f} mm"
+        x, y, z = (float(value) for value in sample.position)
+        where = Where(sample.s, time_of(prepared.motion.law, sample.s), (x, y, z), names)
+        yield Check("clearance", False, sample.distance, limit, "m", text, where, Basis.SAMPLES)
+
+
+def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterator[Check]:
+    """One unproven check per pair that is open and not refuted, the nearest first."""
+    table, unproven = examined.table, examined.proof.unproven
+    reported = {pair for pair, _ in examined.proof.refuted}
+    lowers = unproven.lower
+    for row in np.argsort(lowers, kind="stable").tolist():
+        pair = int(unproven.pair[row])
+        if pair in reported:
+            continue
+        reported.add(pair)
+        names = table.names(pair)
+        lower, middle = float(lowers[row]), float(0.5 * (unproven.first[row] + unproven.last[row]))
+        limit = -float(np.nan_to_num(table.allowed[pair, unproven.phase[row]]))
+        text = f"clearance of {names[0]} and {names[1]} not shown: {1e3 * lower:.3f} mm at least"
+        where = Where(middle, time_of(prepared.motion.law, middle), None, names)
+        yield Check("clearance", True, lower, limit, "m", text, where, Basis.UNPROVEN)
+
+
+def _summary_check(
+    prepared: PreparedMotion, examined: Examination, smallest: float, names: tuple[str, str] | None
+) -> Check:
+    """The check of a motion whose pairs are all proven."""
+    text = "no pair is checked" if np.isnan(smallest) else f"clearance is at least {1e3 * smallest:.1f} mm"
+    text += f" ({names[0]} and {names[1]})" if names else ""
+    is_touching = any(
+        distance < 0.0 and not _rests_on_floor(prepared, examined.table, pair, prepared.phases[phase])
+        for (pair, phase), distance in examined.proof.deepest.items()
+    )
+    text += ", pairs that may touch aside" if is_touching else ""
+    return Check("clearance", True, smallest, 0.0, "m", text, None, Basis.PROOF)
+
+
+def start_checks(prepared: PreparedMotion, table: PairTable, settings: VerifySettings) -> Iterator[Check]:
+    """Check each pair that overlaps at the first pose and that the first phase allows to touch.
+
+    Planted links that rest on the floor are not listed.
+    """
+    s, phase = float(prepared.motion.curve.knots[0]), prepared.phases[0]
+    placed, row = prepared.at(np.array([s]))
+    query = DistanceQuery()
+    for pair in np.flatnonzero(~np.isnan(table.allowed[:, 0])).tolist():
+        if _rests_on_floor(prepared, table, pair, phase):
+            continue
+        mover, holder = table.solids[table.mover[pair]], table.solids[table.holder[pair]]
+        distances, _ = query.closest([mover.convex], *placed.relative(holder.joint, mover.joint, row), [holder.convex])
+        distance = float(distances[0])
+        if distance >= -settings.contact_tolerance_m:
+            continue
+        allowed = float(table.allowed[pair, 0])
+        names = table.names(pair)
+        text = (
+            f"starts in collision: {names[0]} is {-1e3 * distance:.1f} mm inside {names[1]}, "
+            f"which '{phase.name}' allows down to {1e3 * allowed:.1f} mm"
+        )
+        is_ok = distance >= -allowed - settings.contact_tolerance_m
+        where = Where(s, time_of(prepared.motion.law, s), None, names)
+        yield Check(f"start.{names[0]}.{names[1]}", is_ok, distance, -allowed, "m", text, where, Basis.SAMPLES)
+
+
+def _rests_on_floor(prepared: PreparedMotion, table: PairTable, pair: int, phase: Phase) -> bool:
+    """Whether a pair is a planted link and a floor."""
+    mover, piece = table.mover[pair], int(table.holder[pair]) - table.n_bodies
+    planted = {contact.link for contact in phase.contacts}
+    is_floor = piece >= 0 and prepared.motion.scene.pieces[piece].kind == FLOOR_KIND
+    return is_floor and table.solids[mover].link in planted
+
+
+def _list_exempt(examined: Examination, phases: tuple[Phase, ...]) -> tuple[Exempt, ...]:
+    """Pairs allowed to touch that the search examined, per phase."""
+    table, proof = examined.table, examined.proof
+    proven, lowest = proof.proven, dict[tuple[int, int], float]()
+    lowers = proven.lower
+    for row in np.flatnonzero(~np.isnan(table.allowed[proven.pair, proven.phase])).tolist():
+        key = int(proven.phase[row]), int(proven.pair[row])
+        lowest[key] = min(lowest.get(key, np.inf), float(lowers[row]))
+    exempt = []
+    for (phase, pair), lower in sorted(lowest.items()):
+        depth = max(0.0, -proof.deepest.get((pair, phase), 0.0))
+        allowed = float(table.allowed[pair, phase])
+        exempt.append(Exempt(table.names(pair), phases[phase].name, allowed, depth, max(0.0, -lower)))
+    return tuple(exempt)
+
+
+def _proof_columns(examined: Examination, lowest: Float[np.ndarray, "E-1"]) -> Stretches:
+    """The proof as columns; distances rounded down and bounds up to 1e-7 m."""
+    proven = examined.proof.proven
+    used, pair = np.unique(proven.pair, return_inverse=True)
+    return Stretches(
+        tuple(examined.table.names(int(index)) for index in used),
+        tuple(examined.edges.tolist()),
+        tuple((np.floor(lowest * 1e7) / 1e7).tolist()),
+        tuple(pair.tolist()),
+        tuple(proven.first.tolist()),
+        tuple(proven.last.tolist()),
+        tuple(np.round(np.floor(proven.distance * 1e7) / 1e7, 7).tolist()),
+        tuple(np.round(np.ceil(proven.bound * 1e7) / 1e7, 7).tolist()),
+    )
+
+
+def list_gaps(examined: Examination) -> Gaps:
+    """Intervals without a proof as columns, neighbouring ones of a pair as one row."""
+    rows = list(_join_neighbours(ClearanceBounds.join([examined.proof.unproven, examined.proof.abandoned])))
+    used = sorted({pair for pair, *_ in rows})
+    index = {pair: number for number, pair in enumerate(used)}
+    return Gaps(
+        tuple(examined.table.names(pair) for pair in used),
+        tuple(index[pair] for pair, *_ in rows),
+        tuple(first for _, first, _, _ in rows),
+        tuple(last for _, _, last, _ in rows),
+        tuple(np.floor(lower * 1e7) / 1e7 if np.isfinite(lower) else float("nan") for *_, lower in rows),
+    )
+
+
+def _join_neighbours(bounds: ClearanceBounds) -> Iterator[tuple[int, float, float, float]]:
+    """Yield pair, first, last and lower bound of the intervals, in order; those that touch are one."""
+    order = np.lexsort([bounds.first, bounds.pair])
+    current: tuple[int, float, float, float] | None = None
+    for row in order.tolist():
+        pair, lower = int(bounds.pair[row]), float(bounds.lower[row])
+        first, last = float(bounds.first[row]), float(bounds.last[row])
+        if current is not None and current[0] == pair and first <= current[2]:
+            current = pair, current[1], max(current[2], last), min(current[3], lower)
+            continue
+        if current is not None:
+            yield current
+        current = pair, first, last, lower
+    if current is not None:
+        yield current

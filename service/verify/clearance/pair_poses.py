@@ -1,0 +1,196 @@
+"""A look at many pairs on their intervals at once: relative poses, how far movers leave their chords, separations.
+
+For every unit vector ``n`` from set A to set B, ``min_B n.y - max_A n.x`` is a lower bound of their signed distance
+(penetration counts negative).  GJK/EPA finds the best ``n`` for a pose; evaluated on all vertices at both ends of the
+interval it bounds the distance of the swept hull, however well the direction was chosen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.stopping import poll
+from service.verify.clearance.pairs import PairIntervals, PairTable
+from service.verify.curve_bounds import RateBounds
+from service.verify.joint_chain import Chain
+from service.verify.motion import VerifySettings
+from service.verify.prepared_motion import Placements, PreparedMotion
+from service.verify.solids import DistanceQuery, supports
+
+# Far above the rounding errors of placements and distances at the scale of a room, far below anything that matters [m].
+ROUNDING_M = 1e-9
+
+FIRST, LAST, MIDDLE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class PairPoses:
+    """Pairs on intervals with the mover's poses in the holder's frame at the intervals' ends and middles.
+
+    Attributes:
+        table: all pairs.
+        intervals: what is examined.
+        allowed: (E,) greatest penetration allowed [m]; NaN where the pair may not touch.
+        mover, holder: (E,) indices of their solids.
+        s: (E, 3) path parameters of first, last and middle pose.
+        rotation, translation: (E, 3, ...) the mover's joint in the frame of the holder's joint.
+        holder_rotation, holder_translation: (E, 3, ...) the holder's joint in the world.
+        bound: (E,) how far the mover may leave its chords [m].
+    """
+
+    table: PairTable
+    intervals: PairIntervals
+    allowed: Float[np.ndarray, "E"]
+    mover: Int[np.ndarray, "E"]
+    holder: Int[np.ndarray, "E"]
+    s: Float[np.ndarray, "E 3"]
+    rotation: Float[np.ndarray, "E 3 3 3"]
+    translation: Float[np.ndarray, "E 3 3"]
+    holder_rotation: Float[np.ndarray, "E 3 3 3"]
+    holder_translation: Float[np.ndarray, "E 3 3"]
+    bound: Float[np.ndarray, "E"]
+
+    @staticmethod
+    def at(prepared: PreparedMotion, table: PairTable, intervals: PairIntervals, settings: VerifySettings) -> PairPoses:
+        """Poses and bounds of these intervals."""
+        # Many pairs share an interval.
+        poll()
+        ends, where = np.unique(intervals.first + 1j * intervals.last, return_inverse=True)
+        first, last = ends.real, ends.imag
+        s = np.stack([first, last, 0.5 * (first + last)], axis=1)
+        placed, poses = prepared.at(s.ravel())
+        pose, over = poses.reshape(s.shape)[where], prepared.over(first, last).take(where)
+        mover, holder = table.mover[intervals.pair], table.holder[intervals.pair]
+        held, moved = table.joint[holder][:, None], table.joint[mover][:, None]
+        holder_rotation, holder_translation = placed.rotation[pose, held], placed.translation[pose, held]
+        back = np.swapaxes(holder_rotation, -1, -2)
+        offset = placed.translation[pose, moved] - holder_translation
+        chains = table.chains.take(table.chain[intervals.pair])
+        return PairPoses(
+            table,
+            intervals,
+            table.allowed[intervals.pair, intervals.phase],
+            mover,
+            holder,
+            s[where],
+            back @ placed.rotation[pose, moved],
+            (back @ offset[..., None])[..., 0],
+            holder_rotation,
+            holder_translation,
+            bound_chord_deviation(table, mover, chains, over, placed, pose[:, MIDDLE], settings),
+        )
+
+    def key(self, row: int) -> tuple[int, int]:
+        """Pair and phase of a row."""
+        return int(self.intervals.pair[row]), int(self.intervals.phase[row])
+
+    def separation(self, rows: Int[np.ndarray, "R"], direction: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R"]:
+        """Lower bound of the signed distance between the hull of the mover's two end poses and the holder [m].
+
+        ``direction`` are unit vectors from mover to holder in the holder's frame; those that are not finite give -inf.
+        """
+        poll()
+        turned = direction[:, None, None, :] @ self.rotation[rows, :MIDDLE]
+        mover, n = self.mover[rows], len(rows)
+        which = np.concatenate([mover, mover, self.holder[rows]])
+        reach = supports(
+            self.table.solids, which, np.concatenate([turned[:, FIRST, 0], turned[:, LAST, 0], -direction])
+        ).reshape(3, n)
+        shift = (self.translation[rows, :MIDDLE] @ direction[..., None])[..., 0].T
+        separation = -reach[2] - (reach[:2] + shift).max(axis=0)
+        return np.where(np.isnan(separation), -np.inf, separation)
+
+    def closest(
+        self, rows: Int[np.ndarray, "R"], columns: Int[np.ndarray, "R"], query: DistanceQuery
+    ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R 3"]]:
+        """Signed distances [m] and directions from mover to holder of these rows at one of their poses each."""
+        solids = self.table.solids
+        return query.closest(
+            [solids[k].convex for k in self.mover[rows].tolist()],
+            self.rotation[rows, columns],
+            self.translation[rows, columns],
+            [solids[k].convex for k in self.holder[rows].tolist()],
+        )
+
+    def touching(self, row: int, column: int, query: DistanceQuery) -> Float[np.ndarray, "3"]:
+        """The holder's point nearest to the mover at an interval's end or middle, in the world [m]."""
+        mover, holder = self.table.solids[self.mover[row]], self.table.solids[self.holder[row]]
+        point = query.nearest_point(
+            mover.convex, self.rotation[row, column], self.translation[row, column], holder.convex
+        )
+        return np.asarray(self.holder_rotation[row, column] @ point + self.holder_translation[row, column])
+
+
+def bound_chord_deviation(
+    table: PairTable,
+    mover: Int[np.ndarray, "E"],
+    chains: Chain,
+    over: RateBounds,
+    placed: Placements,
+    middle: Int[np.ndarray, "E"],
+    settings: VerifySettings,
+) -> Float[np.ndarray, "E"]:
+    """How far a mover may leave its chords, the exported samples' line and rounding included, per interval [m].
+
+    ``chains`` and ``over`` have a row for each, ``middle`` are the rows of ``placed`` that hold the intervals' middles.
+    """
+    poll()
+    joint = table.joint[mover]
+    world = (placed.rotation[middle, joint] @ table.centre[mover][..., None])[..., 0]
+    world += placed.translation[middle, joint]
+    gap = placed.translation[middle[:, None], chains.joints] - world[:, None]
+    distance = np.sqrt(np.einsum("emk,emk->em", gap, gap)) + table.radius[mover][:, None]
+    deviation = chains.deviation(over, chains.local_reach(distance, over))
+    return np.asarray(deviation + chains.sampling_slack(over, settings.rounding) + ROUNDING_M)
+
+
+@dataclass(frozen=True)
+class PairSample:
+    """A pair at one pose: signed distance [m] and the holder's closest point in the world."""
+
+    pair: int
+    s: float
+    distance: float
+    allowed: float
+    position: Float[np.ndarray, "3"]
+
+
+class PoseSamples:
+    """Signed distances at poses, from coal, and what is extreme among them.
+
+    Attributes:
+        nearest: smallest distance of a pair that may not touch, or the horizon [m].
+        deepest: by pair and phase, the smallest distance of a pair allowed to touch [m].
+        refuted: by pair and phase, the deepest pose that penetrates deeper than allowed.
+    """
+
+    def __init__(self, horizon: float, tolerance: float) -> None:
+        """``horizon`` bounds what is of interest, ``tolerance`` is the excess that refutes [m]."""
+        self.nearest = horizon
+        self.deepest: dict[tuple[int, int], float] = {}
+        self.refuted: dict[tuple[int, int], PairSample] = {}
+        self._tolerance = tolerance
+        self._query = DistanceQuery()
+
+    def measure(
+        self, look: PairPoses, rows: Int[np.ndarray, "R"], columns: Int[np.ndarray, "R"]
+    ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R 3"]]:
+        """Distances and directions of these rows at one of their poses each."""
+        distance, direction = look.closest(rows, columns, self._query)
+        allowed = look.allowed[rows]
+        may_touch = ~np.isnan(allowed)
+        self.nearest = min(self.nearest, float(distance[~may_touch].min(initial=np.inf)))
+        for k in np.flatnonzero(may_touch).tolist():
+            key = look.key(int(rows[k]))
+            self.deepest[key] = min(self.deepest.get(key, np.inf), float(distance[k]))
+        for k in np.flatnonzero(distance < -np.nan_to_num(allowed) - self._tolerance).tolist():
+            row, column = int(rows[k]), int(columns[k])
+            key = look.key(row)
+            if key not in self.refuted or distance[k] < self.refuted[key].distance:
+                point = look.touching(row, column, self._query)
+                s = float(look.s[row, column])
+                self.refuted[key] = PairSample(key[0], s, float(distance[k]), float(allowed[k]), point)
+        return distance, direction

@@ -1,0 +1,209 @@
+"""Pairs of solids whose clearance is checked, and the intervals on which it is still open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from costs.allowance import Allowance, BodyIndex
+from service.verify.joint_chain import Chain, JointTree
+from service.verify.motion import Motion
+from service.verify.solids import Solid
+
+
+@dataclass(frozen=True)
+class PairTable:
+    """All checked pairs; the mover is swept in the frame of the holder.
+
+    Attributes:
+        solids: bodies, then pieces.
+        n_bodies: how many of them are bodies.
+        mover, holder: (C,) indices into ``solids``.
+        allowed: (C, phases) greatest penetration allowed [m]; NaN where the pair may not touch.
+        world: per body, the joints that move it in the world.
+        chain: (C,) row of ``chains`` of the pairs for which it was asked, else -1.
+        chains: row by row, the joints that move a mover in its holder's frame.
+    """
+
+    solids: tuple[Solid, ...]
+    n_bodies: int
+    mover: Int[np.ndarray, "C"]
+    holder: Int[np.ndarray, "C"]
+    allowed: Float[np.ndarray, "C F"]
+    world: tuple[Chain, ...]
+    chain: Int[np.ndarray, "C"]
+    chains: Chain
+
+    def names(self, pair: int) -> tuple[str, str]:
+        """Names of mover and holder."""
+        return self.solids[self.mover[pair]].name, self.solids[self.holder[pair]].name
+
+    @cached_property
+    def joint(self) -> Int[np.ndarray, "S"]:
+        """Joint of every solid."""
+        return np.array([solid.joint for solid in self.solids], dtype=int)
+
+    @cached_property
+    def centre(self) -> Float[np.ndarray, "B 3"]:
+        """Centre of every body's sphere, in the frame of its joint [m]."""
+        return np.array([solid.sphere[0] for solid in self.solids[: self.n_bodies]]).reshape(-1, 3)
+
+    @cached_property
+    def radius(self) -> Float[np.ndarray, "B"]:
+        """Radius of every body's sphere [m]."""
+        return np.array([solid.sphere[1] for solid in self.solids[: self.n_bodies]])
+
+    def with_chains(self, tree: JointTree, near: Int[np.ndarray, "K"]) -> PairTable:
+        """The pairs with the chains of those that come near each other, each swept in the frame that bounds it better.
+
+        Args:
+            tree: the robot's joints.
+            near: (K,) pairs whose chain is wanted.
+        """
+        chains, known = list(self.world), dict[tuple[int, int], int]()
+
+        def row_of(frame: int, mover: int) -> int:
+            """One chain for all pairs of a mover and a frame."""
+            if frame == 0:
+                return mover
+            if (frame, mover) not in known:
+                known[frame, mover] = len(chains)
+                chains.append(tree.chain(frame, self.solids[mover].joint, self.solids[mover].vertices))
+            return known[frame, mover]
+
+        mover, holder = self.mover.copy(), self.holder.copy()
+        rows = np.where(holder >= self.n_bodies, mover, -1)
+        for c in near[holder[near] < self.n_bodies].tolist():
+            one, other = int(mover[c]), int(holder[c])
+            forward, backward = row_of(int(self.joint[other]), one), row_of(int(self.joint[one]), other)
+            rows[c] = forward
+            if chains[backward].weight < chains[forward].weight:
+                mover[c], holder[c], rows[c] = other, one, backward
+        return replace(self, mover=mover, holder=holder, chain=rows, chains=Chain.stack(chains))
+
+
+def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
+    """Every pair whose two members can move against each other, less the ignored ones.
+
+    The links of ``motion.mechanism_links`` are checked against the robot's links only, those that stand still included.
+    """
+    bodies = [Solid.of_body(body) for body in motion.robot.bodies]
+    pieces = [Solid.of_piece(piece) for piece in motion.scene.pieces]
+    solids = (*bodies, *pieces)
+    joint = np.array([solid.joint for solid in bodies], dtype=int)
+    is_mechanism = np.array([solid.link in motion.mechanism_links for solid in bodies], dtype=bool)
+    moving = np.flatnonzero((joint > 0) & ~is_mechanism)
+    i, j = np.triu_indices(len(bodies), 1)
+    apart = ~_are_ignored(bodies, motion.robot.ignored_pairs)[i, j] & (joint[i] != joint[j])
+    apart &= ~(is_mechanism[i] & is_mechanism[j])
+    mover = np.concatenate([np.repeat(moving, len(pieces)), i[apart]])
+    holder = np.concatenate([np.tile(np.arange(len(bodies), len(solids)), len(moving)), j[apart]])
+    index = BodyIndex(motion.robot.bodies, motion.mechanism_links, motion.scene.pieces)
+    phases = [_allowed(phase.allowances, index)[mover, holder] for phase in motion.phases]
+    allowed = np.stack(phases, axis=1) if phases else np.full((len(mover), 1), np.nan)
+    world = tuple(tree.chain(0, solid.joint, solid.vertices) for solid in bodies)
+    return PairTable(solids, len(bodies), mover, holder, allowed, world, np.full(len(mover), -1), Chain.stack(()))
+
+
+def _are_ignored(bodies: Sequence[Solid], pairs: frozenset[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:
+    """Bodies of one link, and of two links that are not checked against each other."""
+    links = {link: row for row, link in enumerate(dict.fromkeys(solid.link for solid in bodies))}
+    ignored = np.eye(len(links), dtype=bool)
+    # Names out of order name no pair: so it stands in RobotModel, and so a stranger reads them.
+    rows = [(links[a], links[b]) for a, b in pairs if a < b and a in links and b in links]
+    if rows:
+        a, b = np.array(rows).T
+        ignored[a, b] = ignored[b, a] = True
+    link = np.array([links[solid.link] for solid in bodies], dtype=int)
+    return np.asarray(ignored[np.ix_(link, link)])
+
+
+def _allowed(allowances: Sequence[Allowance], index: BodyIndex) -> Float[np.ndarray, "B B+P"]:
+    """Greatest allowed depth per body and other body or piece [m], NaN without an allowance."""
+    depth = np.full(index.shape, np.nan)
+    for allowance in sorted(allowances, key=lambda one: one.depth):  # the deepest of a pair's counts
+        index.fill(depth, allowance.first, allowance.second, allowance.depth)
+    return depth
+
+
+@dataclass(frozen=True)
+class PairIntervals:
+    """Pairs on intervals, with what is known of them from before.
+
+    Attributes:
+        pair: (E,) pair.
+        first, last: (E,) path parameters.
+        phase: (E,) index of the phase.
+        floor: (E,) a lower bound of the pair's clearance [m] (-inf: none).
+        halved: (E,) how often an interval of the broad phase was halved to this one.
+        hint: (E, 3) a unit direction from mover to holder worth trying, in the holder's frame; NaN: none.
+        ends: (E, 2) sampled distance at both ends [m] (inf: not sampled).
+    """
+
+    pair: Int[np.ndarray, "E"]
+    first: Float[np.ndarray, "E"]
+    last: Float[np.ndarray, "E"]
+    phase: Int[np.ndarray, "E"]
+    floor: Float[np.ndarray, "E"]
+    halved: Int[np.ndarray, "E"]
+    hint: Float[np.ndarray, "E 3"]
+    ends: Float[np.ndarray, "E 2"]
+
+    @staticmethod
+    def unknown(
+        pair: Int[np.ndarray, "E"],
+        first: Float[np.ndarray, "E"],
+        last: Float[np.ndarray, "E"],
+        phase: Int[np.ndarray, "E"],
+        floor: Float[np.ndarray, "E"],
+    ) -> PairIntervals:
+        """PairIntervals that nobody has examined yet."""
+        n = len(pair)
+        hint, ends = np.full((n, 3), np.nan), np.full((n, 2), np.inf)
+        return PairIntervals(pair, first, last, phase, floor, np.zeros(n, dtype=int), hint, ends)
+
+    def __len__(self) -> int:
+        return len(self.pair)
+
+    def take(self, rows: np.ndarray | slice) -> PairIntervals:
+        """These rows only."""
+        return PairIntervals(*(column[rows] for column in self._columns))
+
+    @staticmethod
+    def join(parts: Sequence[PairIntervals]) -> PairIntervals:
+        """All parts one after another; at least one."""
+        if len(parts) == 1:
+            return parts[0]
+        return PairIntervals(
+            *(np.concatenate(column) for column in zip(*(part._columns for part in parts), strict=True))
+        )
+
+    def halves(self, hint: Float[np.ndarray, "E 3"], middle: Float[np.ndarray, "E"]) -> PairIntervals:
+        """Both halves of every interval.
+
+        Args:
+            hint: (E, 3) the direction that did best.
+            middle: (E,) sampled distance at the intervals' middles [m] (inf: not sampled).
+        """
+        half = 0.5 * (self.first + self.last)
+        ends = np.empty((2, len(self), 2))
+        ends[0, :, 0], ends[1, :, 1] = self.ends.T
+        ends[0, :, 1] = ends[1, :, 0] = middle
+        return PairIntervals(
+            np.concatenate([self.pair, self.pair]),
+            np.concatenate([self.first, half]),
+            np.concatenate([half, self.last]),
+            np.concatenate([self.phase, self.phase]),
+            np.full(2 * len(self), -np.inf),
+            np.concatenate([self.halved, self.halved]) + 1,
+            np.concatenate([hint, hint]),
+            ends.reshape(-1, 2),
+        )
+
+    @property
+    def _columns(self) -> tuple[np.ndarray, ...]:
+        return self.pair, self.first, self.last, self.phase, self.floor, self.halved, self.hint, self.ends

@@ -1,0 +1,78 @@
+"""Coverage of a verification, and unproven checks for what was left unchecked and rules out a certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from service.verify.certificate import SMALL_M, Basis, Check, Coverage, Shapeless
+from service.verify.clearance.pairs import PairTable
+from service.verify.coverage.left_out import find_left_out_pairs, overlap_checks
+from service.verify.coverage.link_tree import LinkTree
+from service.verify.coverage.required import joints_without_torque_limit, list_required_checks, missing_checks
+from service.verify.coverage.shapeless import find_shapeless_links
+from service.verify.motion import VerifySettings
+from service.verify.prepared_motion import PreparedMotion
+
+
+def check_coverage(
+    prepared: PreparedMotion, table: PairTable, checks: Sequence[Check], settings: VerifySettings
+) -> tuple[Coverage, tuple[Check, ...]]:
+    """Return what was checked, and an unproven check for everything that rules out a certificate.
+
+    Args:
+        prepared: the motion.
+        table: pairs of bodies whose clearance was examined.
+        checks: that were made.
+        settings: of the proofs that pairs left out keep apart.
+    """
+    motion = prepared.motion
+    tree = LinkTree(motion.robot)
+    required = list_required_checks(motion, prepared.phases)
+    left_out = find_left_out_pairs(prepared, tree, settings)
+    shapeless = find_shapeless_links(prepared, tree)
+    own = [link for link in tree.joint if link not in motion.mechanism_links]
+    n_link_pairs, n_piece_pairs = _count_pairs(table)
+    starts_inside = sum(check.name.startswith("start.") for check in checks)
+    waived = (*required.waived, *([f"{starts_inside} pairs that overlap at the start"] if starts_inside else []))
+    coverage = Coverage(
+        tuple(link for link in own if link in tree.shaped),
+        tuple(item.link for item in shapeless if item.link not in tree.shaped),
+        shapeless,
+        n_link_pairs,
+        n_piece_pairs,
+        left_out,
+        joints_without_torque_limit(motion),
+        waived,
+    )
+    against = [*missing_checks(required, checks), *overlap_checks(left_out)]
+    against += [_size_check(item, item.link in tree.shaped) for item in shapeless if not item.is_small]
+    if n_link_pairs + n_piece_pairs == 0:
+        against.append(_no_pair_check(coverage))
+    return coverage, tuple(against)
+
+
+def _count_pairs(table: PairTable) -> tuple[int, int]:
+    """Count the pairs of links, and of a link and a piece, of which some bodies were checked."""
+    solids, links, pieces = table.solids, set(), set()
+    for mover, holder in np.stack([table.mover, table.holder], axis=1).tolist():
+        if holder < table.n_bodies:
+            links.add(frozenset((solids[mover].link, solids[holder].link)))
+        else:
+            pieces.add((solids[mover].link, holder))
+    return len(links), len(pieces)
+
+
+def _no_pair_check(coverage: Coverage) -> Check:
+    n_shapes = len(coverage.links_with_shape)
+    text = f"no pair was checked: {n_shapes} links with a shape, {len(coverage.left_out)} pairs left out, no piece"
+    return Check("coverage.pairs", True, 0.0, 1.0, "pairs", text, None, Basis.UNPROVEN)
+
+
+def _size_check(item: Shapeless, has_token: bool) -> Check:
+    where = {"between": "between links with shapes", "end": "at an end", "root": "at the root"}[item.place]
+    size = "is of unknown size" if np.isnan(item.reach_m) else f"{1e3 * item.reach_m:.0f} mm of it are in no shape"
+    lack = "a collision shape far smaller than the link" if has_token else "no collision shape"
+    text = f"{item.link} ({where}) has {lack} and {size}; at most {1e3 * SMALL_M:.0f} mm go unchecked"
+    return Check(f"coverage.shape.{item.link}", True, item.reach_m, SMALL_M, "m", text, None, Basis.UNPROVEN)

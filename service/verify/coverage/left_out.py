@@ -1,0 +1,222 @@
+"""Pairs of links that are not checked against each other: why, and whether they overlap in the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot.model import LinkBody, RobotModel
+from costs.scene import Scene
+from service.verify.certificate import Basis, Check, LeftOut, Where
+from service.verify.clearance.pairs import collect_pairs
+from service.verify.clearance.search import examine_pairs
+from service.verify.coverage.link_tree import LinkTree
+from service.verify.motion import Motion, RelativePoseTarget, VerifySettings
+from service.verify.prepared_motion import ForwardKinematics, Placements, PreparedMotion
+from service.verify.solids import DistanceQuery, Solid
+from service.verify.timeline import time_of
+
+_SAMPLES = 32  # a first look; what is not seen to overlap there is proven apart, or told
+# Two links with one between them that overlap in this share of the poses of the joints between them hardly have a pose
+# in which they do not: that is how their shapes are, and says nothing of the motion.
+_ALWAYS_SHARE, _POSES = 0.9, 300
+# A part of a link fixed to the world that was this far from a joint neighbour is no part of the joint [m].
+_APART_M = 0.05
+# What was found of a robot's pairs, by the first body of the pair: it takes longer than many a proof.
+_AROUND: WeakKeyDictionary[LinkBody, dict[tuple[str, bytes, bytes], bool]] = WeakKeyDictionary()
+
+
+def find_left_out_pairs(prepared: PreparedMotion, tree: LinkTree, settings: VerifySettings) -> tuple[LeftOut, ...]:
+    """Every pair of the robot's own links with shapes that is not checked."""
+    motion = prepared.motion
+    own = sorted(tree.shaped - motion.mechanism_links)
+    # Names out of order name no pair: so it stands in RobotModel, and so the pairs to be checked are chosen.
+    ignored = {pair for pair in motion.robot.ignored_pairs if pair[0] < pair[1]}
+    found, rest = [], []
+    for pair in combinations(own, 2):
+        if tree.joint[pair[0]] == tree.joint[pair[1]]:
+            found.append(LeftOut(pair, "same joint", is_neighbour=False, deepest_m=float("nan")))
+        elif pair in ignored and tree.are_neighbours(*pair):
+            found.append(_neighbours(prepared, tree, pair))
+        elif pair in ignored:
+            rest.append(pair)
+    kept = _kept_joints(prepared)
+    not_apart = _not_apart(prepared, rest, settings)
+    for pair in rest:
+        if pair not in not_apart:
+            found.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
+            continue
+        depth, s = not_apart[pair]
+        is_kept = frozenset(tree.joint[link] for link in pair) in kept
+        is_around = not is_kept and _is_around_a_joint(motion, tree, pair)
+        reason = "kept" if is_kept else "around a joint" if is_around else _reason(motion, pair)
+        found.append(LeftOut(pair, reason, is_around, depth, s, time_of(motion.law, s)))
+    return tuple(sorted(found, key=lambda item: item.pair))
+
+
+def _neighbours(prepared: PreparedMotion, tree: LinkTree, pair: tuple[str, str]) -> LeftOut:
+    """Joint neighbours, unless one is fixed to the world and a part of it that was apart from the other is met."""
+    if any(tree.joint[link] == 0 for link in pair):
+        s = _sample_places(prepared)
+        placed, rows = prepared.at(s)
+        for depth in _depths(prepared.motion.robot.bodies, placed, rows, pair):
+            worst = int(depth.argmax())
+            if depth.min() < -_APART_M and depth[worst] > 0.0:
+                deepest, place = float(depth[worst]), float(s[worst])
+                time_s = time_of(prepared.motion.law, place)
+                return LeftOut(pair, "adjacent", is_neighbour=False, deepest_m=deepest, s=place, time_s=time_s)
+    return LeftOut(pair, "adjacent", is_neighbour=True, deepest_m=float("nan"))
+
+
+def overlap_checks(left_out: Sequence[LeftOut]) -> Iterator[Check]:
+    """One unproven check for each pair that is not checked although its links meet in the motion."""
+    for item in sorted(left_out, key=lambda item: -np.nan_to_num(item.deepest_m)):
+        if item.is_neighbour or item.reason == "kept" or item.s is None:
+            continue
+        a, b = item.pair
+        how = f"is {1e3 * item.deepest_m:.1f} mm inside" if item.deepest_m > 0.0 else "may touch"
+        why = f"({item.reason}) and whose links are no joint neighbours"
+        if item.reason == "adjacent":
+            why = "as joint neighbours, although that part of a link fixed to the world was apart before"
+        text = f"{a} {how} {b}, a pair that is left out {why}"
+        where = Where(item.s, item.time_s, None, item.pair)
+        yield Check(f"coverage.overlap.{a}.{b}", True, -item.deepest_m, 0.0, "m", text, where, Basis.UNPROVEN)
+
+
+def _reason(motion: Motion, pair: tuple[str, str]) -> str:
+    told = motion.robot.ignored_reasons.get(pair, "given")
+    # Neighbours and links of one joint were told apart above.
+    return told if told.startswith("srdf") or told == "derived" else "given"
+
+
+def _kept_joints(prepared: PreparedMotion) -> set[frozenset[int]]:
+    """Return pairs of joints whose relative pose is held, by a check, in every phase."""
+    model = prepared.motion.robot.model
+
+    def joint(frame: str | None) -> int:
+        return int(model.frames[model.getFrameId(frame)].parentJoint) if frame and model.existFrame(frame) else 0
+
+    held = [
+        {
+            frozenset((joint(target.frame), joint(target.reference)))
+            for target in phase.targets
+            if isinstance(target, RelativePoseTarget) and target.free_axis is None and target.reference is not None
+        }
+        for phase in prepared.phases
+    ]
+    return set.intersection(*held) if held else set()
+
+
+def _not_apart(
+    prepared: PreparedMotion, pairs: Sequence[tuple[str, str]], settings: VerifySettings
+) -> Mapping[tuple[str, str], tuple[float, float]]:
+    """Pairs that are not shown to keep apart on the whole curve: how deep they were seen to be [m], and where."""
+    found = _seen_overlapping(prepared, pairs)
+    pairs = [pair for pair in pairs if pair not in found]
+    if not pairs:
+        return found
+    motion = prepared.motion
+    links = sorted({body.link for body in motion.robot.bodies})
+    others = frozenset(combinations(links, 2)) - frozenset(pairs)
+    alone = replace(motion, robot=replace(motion.robot, ignored_pairs=others), scene=Scene(()), phases=())
+    settings = replace(settings, max_sharpenings=0, clearance_horizon_m=settings.resolution_m)
+    knots = motion.curve.knots
+    phase = np.zeros(len(knots) - 1, dtype=int)
+    examined = examine_pairs(prepared, collect_pairs(alone, prepared.tree), knots, phase, settings)
+    table, proof = examined.table, examined.proof
+
+    def links_of(pair: int) -> tuple[str, str]:
+        a, b = (table.solids[side[pair]].link for side in (table.mover, table.holder))
+        return (a, b) if a < b else (b, a)
+
+    for row in range(len(proof.unproven.pair)):
+        pair = links_of(int(proof.unproven.pair[row]))
+        found.setdefault(pair, (0.0, float(proof.unproven.first[row])))
+    for sample in proof.refuted.values():
+        pair = links_of(sample.pair)
+        found[pair] = max(found.get(pair, (0.0, 0.0)), (-sample.distance, sample.s))
+    return found
+
+
+def _sample_places(prepared: PreparedMotion) -> Float[np.ndarray, "S"]:
+    """Path parameters at which left out pairs are examined: all knots, and more between."""
+    knots = prepared.motion.curve.knots
+    return np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], _SAMPLES)]))
+
+
+def _seen_overlapping(
+    prepared: PreparedMotion, pairs: Sequence[tuple[str, str]]
+) -> dict[tuple[str, str], tuple[float, float]]:
+    """Pairs that overlap at some sample of the motion: how deep at most [m], and where."""
+    found: dict[tuple[str, str], tuple[float, float]] = {}
+    s = _sample_places(prepared)
+    for pair in pairs:
+        placed, rows = prepared.at(s)
+        depth = _overlap(prepared.motion.robot.bodies, placed, rows, pair)
+        worst = int(depth.argmax())
+        if depth[worst] > 0.0:
+            found[pair] = float(depth[worst]), float(s[worst])
+    return found
+
+
+def _overlap(
+    bodies: Sequence[LinkBody], placed: Placements, rows: np.ndarray, pair: tuple[str, str]
+) -> Float[np.ndarray, "S"]:
+    """How deep the pair's links are in each other at each pose [m]; negative infinity where their spheres part."""
+    depths = list(_depths(bodies, placed, rows, pair))
+    return np.asarray(np.max(depths, axis=0))
+
+
+def _depths(
+    bodies: Sequence[LinkBody], placed: Placements, rows: np.ndarray, pair: tuple[str, str]
+) -> Iterator[Float[np.ndarray, "S"]]:
+    """The same for each pair of their bodies."""
+    query = DistanceQuery()
+    for one in (Solid.of_body(body) for body in bodies if body.link == pair[0]):
+        for other in (Solid.of_body(body) for body in bodies if body.link == pair[1]):
+            depth = np.full(len(rows), -np.inf)
+            between = _centre(placed, rows, one) - _centre(placed, rows, other)
+            near = np.flatnonzero(np.linalg.norm(between, axis=1) < one.sphere[1] + other.sphere[1])
+            if len(near):
+                rotation, translation = placed.relative(other.joint, one.joint, rows[near])
+                solids = [one.convex] * len(near), [other.convex] * len(near)
+                distance, _ = query.closest(solids[0], rotation, translation, solids[1])
+                depth[near] = -distance
+            yield depth
+
+
+def _centre(placed: Placements, rows: np.ndarray, solid: Solid) -> Float[np.ndarray, "S 3"]:
+    """Centre of a solid's sphere in the world at each pose [m]."""
+    return np.asarray(placed.rotation[rows, solid.joint] @ solid.sphere[0] + placed.translation[rows, solid.joint])
+
+
+def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) -> bool:
+    """Whether one link lies between the two, a neighbour of both, and they overlap however the joints between stand."""
+    between = [c for c in tree.shaped - set(pair) if all(tree.are_neighbours(c, one) for one in pair)]
+    if not between:
+        return False
+    robot = motion.robot
+    first = next(body for body in robot.bodies if body.link == pair[0])
+    known = _AROUND.setdefault(first, {})
+    key = (pair[1], robot.lower.tobytes(), robot.upper.tobytes())
+    if key not in known:
+        known[key] = _share_of_overlaps(robot, tree, pair) >= _ALWAYS_SHARE
+    return known[key]
+
+
+def _share_of_overlaps(robot: RobotModel, tree: LinkTree, pair: tuple[str, str]) -> float:
+    """In which share of random poses of the joints between two links they overlap."""
+    q = np.zeros((_POSES, robot.n))
+    rng = np.random.default_rng(0)
+    for joint in tree.path(*pair):
+        first, size = int(robot.model.joints[joint].idx_q), int(robot.model.joints[joint].nq)
+        low = np.nan_to_num(robot.lower[first : first + size], neginf=-np.pi)
+        high = np.nan_to_num(robot.upper[first : first + size], posinf=np.pi)
+        q[:, first : first + size] = rng.uniform(low, high, (_POSES, size))
+    depth = _overlap(robot.bodies, ForwardKinematics(robot.model).at(q), np.arange(_POSES), pair)
+    return float(np.mean(depth > 0.0))

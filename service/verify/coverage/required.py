@@ -1,0 +1,118 @@
+"""Which checks a motion needs, so that none is missing in silence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot.model import BASE_NAMES
+from service.verify.certificate import Basis, Check
+from service.verify.ground import standing_contacts
+from service.verify.motion import Motion, Phase
+
+TIMING, BALANCE = "timing", "balance"
+INERTIA_ROUNDING = 0.05  # by which a principal moment may exceed the sum of the others in a robot's file
+
+
+def waived_checks(*, is_timed: bool, is_balanced: bool) -> frozenset[str]:
+    """What a motion need not be checked for: ``timing`` of an untimed one, ``balance`` where none is asked for."""
+    return frozenset(([] if is_timed else [TIMING]) + ([] if is_balanced else [BALANCE]))
+
+
+@dataclass(frozen=True)
+class RequiredChecks:
+    """The checks of a motion.
+
+    Attributes:
+        names: of the checks without which there is no certificate.
+        waived: sentences about checks that are not made because the request does not ask for them, or because the
+            robot's description does not give what they need.
+    """
+
+    names: tuple[str, ...]
+    waived: tuple[str, ...]
+
+
+def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChecks:
+    """The checks that a motion needs, phase by phase."""
+    names, waived = ["limits.position", "clearance"], []
+    if motion.law is not None:
+        names += ["limits.speed", "limits.acceleration", "limits.rest"]
+    elif _is_waived(motion, TIMING):
+        waived.append("speeds, accelerations and forces (the motion is untimed)")
+    else:
+        names.append("limits.speed")
+    unlimited = joints_without_torque_limit(motion)
+    is_limited = len(unlimited) < len(own_joints(motion)) and _has_mass(motion)
+    if motion.law is not None and not is_limited:
+        waived.append("torques (no joint names a limit)" if _has_mass(motion) else "torques (no link names a mass)")
+    if motion.law is not None and is_limited:
+        waived += _doubtful_weights(motion)
+    for phase in phases:
+        names += [f"torque.{phase.name}"] if motion.law is not None and is_limited else []
+        if not motion.robot.is_floating:
+            continue
+        names += [f"planted.{phase.name}.{contact.link}" for contact in phase.contacts]
+        names += [f"ground.{phase.name}.{contact.link}" for contact in standing_contacts(motion, phase)]
+        if phase.support is None and _is_waived(motion, BALANCE):
+            waived.append(f"balance in '{phase.name}'")
+            continue
+        names += [f"balance.{phase.name}", *([f"zmp.{phase.name}"] if motion.law is not None else [])]
+        names += [f"planted.{phase.name}"] if motion.waived is not None and not phase.contacts else []
+    return RequiredChecks(tuple(names), tuple(waived))
+
+
+def _is_waived(motion: Motion, what: str) -> bool:
+    return motion.waived is None or what in motion.waived
+
+
+def own_joints(motion: Motion) -> tuple[int, ...]:
+    """Coordinates of the robot's own joints: neither the base's nor a mechanism's."""
+    model, robot = motion.robot.model, motion.robot
+    moved = {body.joint for body in robot.bodies if body.link in motion.mechanism_links}
+    columns = {int(model.joints[joint].idx_q) for joint in moved}
+    return tuple(k for k in range(len(BASE_NAMES) if robot.is_floating else 0, robot.n) if k not in columns)
+
+
+def joints_without_torque_limit(motion: Motion) -> tuple[str, ...]:
+    """The robot's own joints whose torque is held against nothing; a limit of 0 means that it is not known."""
+    effort = motion.robot.effort
+    return tuple(motion.robot.joint_names[k] for k in own_joints(motion) if not 0.0 < effort[k] < np.inf)
+
+
+def _has_mass(motion: Motion) -> bool:
+    return any(float(inertia.mass) > 0.0 for inertia in motion.robot.model.inertias[1:])
+
+
+def _doubtful_weights(motion: Motion) -> Iterator[str]:
+    """What the torques do not know of links whose mass is missing, or whose inertia no body has."""
+    inertias = motion.robot.model.inertias
+    links: dict[int, list[str]] = {}
+    for body in motion.robot.bodies:
+        if body.joint > 0 and body.link not in motion.mechanism_links and body.link not in links.get(body.joint, ()):
+            links.setdefault(body.joint, []).append(body.link)
+    light = [name for joint, names in links.items() if not inertias[joint].mass > 0.0 for name in names]
+    if light:
+        yield f"the weight of {', '.join(light)} (no mass)"
+    odd = [name for joint, names in links.items() if not _is_possible(inertias[joint].inertia) for name in names]
+    if odd:
+        yield f"the inertia of {', '.join(odd)} (no body has it)"
+
+
+def _is_possible(inertia: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether no principal moment exceeds the sum of the two others by more than rounding in a file."""
+    moments = np.linalg.eigvalsh(np.asarray(inertia))
+    return bool(moments[2] <= (1.0 + INERTIA_ROUNDING) * (moments[0] + moments[1]) + 1e-9)
+
+
+def missing_checks(required: RequiredChecks, checks: Sequence[Check]) -> Iterator[Check]:
+    """One unproven check for each that the motion needs and that was not made."""
+    made = {check.name for check in checks}
+    for name in required.names:
+        if name not in made:
+            text = f"check {name} is missing: nothing says whether the motion would pass it"
+            nan = float("nan")
+            yield Check(f"coverage.missing.{name}", True, nan, nan, "1", text, None, Basis.UNPROVEN)

@@ -1,0 +1,168 @@
+"""Links without a collision shape, or with a token of one: where they sit, and how far they reach out of all shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from service.verify.certificate import Shapeless
+from service.verify.coverage.link_tree import LinkTree
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.solids import Solid
+
+_STEP_M = 0.02
+_TOKEN_SHARE = 0.2  # of the longest side of what is drawn; shapes that are meant well cover most of it
+# A link lighter than this is a frame with a mass for the simulator's sake; its inertia tells no size [kg].
+_LEAST_MASS_KG = 0.01
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+
+
+def find_shapeless_links(prepared: PreparedMotion, tree: LinkTree) -> tuple[Shapeless, ...]:
+    """Every link of the robot (of no mechanism) that has no collision shape, or one far smaller than the link."""
+    elements = _elements(prepared.motion.robot.source.urdf)
+    return tuple(
+        Shapeless(link, _place(tree, link), _reach(prepared, tree, link, elements.get(link)))
+        for link in tree.joint
+        if link not in prepared.motion.mechanism_links
+        and (link not in tree.shaped or _has_token(prepared, link, elements.get(link)))
+    )
+
+
+def _has_token(prepared: PreparedMotion, link: str, element: ElementTree.Element | None) -> bool:
+    """Whether a link's shapes are so much smaller than what is drawn of it that they stand for nothing.
+
+    A mesh read in millimetres, or boxes of a centimetre inside a forearm, would let it go through walls.
+    """
+    if element is None:
+        return False
+    try:
+        known = list(_drawn(element))
+    except ValueError:  # what is only drawn was checked by nobody
+        return False
+    shapes = [body.vertices for body in prepared.motion.robot.bodies if body.link == link]
+    is_token = bool(known) and _side(shapes) < _TOKEN_SHARE * max(_side([points]) for points in known)
+    return is_token or _mesh_share(element) < _TOKEN_SHARE
+
+
+def _mesh_share(element: ElementTree.Element) -> float:
+    """How large a mesh is as a shape, as a share of how large the same mesh is drawn; 1 where none is both."""
+    drawn = {mesh.get("filename"): _scale_of(mesh) for mesh in element.findall("visual/geometry/mesh")}
+    meshes = element.findall("collision/geometry/mesh")
+    return min((_scale_of(mesh) / drawn.get(mesh.get("filename"), _scale_of(mesh)) for mesh in meshes), default=1.0)
+
+
+def _scale_of(mesh: ElementTree.Element) -> float:
+    return max(abs(float(value)) for value in mesh.get("scale", "1 1 1").split())
+
+
+def _side(points: Sequence[Float[np.ndarray, "V 3"]]) -> float:
+    """Longest side of the box around points [m]."""
+    together = np.vstack(points)
+    return float((together.max(axis=0) - together.min(axis=0)).max())
+
+
+def _place(tree: LinkTree, link: str) -> str:
+    if tree.mount[link] is None:
+        return "root"
+    return "between" if tree.first_shaped_below(link) else "end"
+
+
+def _reach(prepared: PreparedMotion, tree: LinkTree, link: str, element: ElementTree.Element | None) -> float:
+    """The longest side of what is known of the link, or how far it reaches out of the shapes next to it if less [m]."""
+    points = [np.zeros((0, 3))]
+    # A root that stands still is the world's frame: the line to its joints is nothing that could be hit.
+    if tree.joint[link] > 0:
+        points += list(_lines(prepared, tree, link))
+    if element is not None:
+        if _has_unknown_size(element):
+            return float("nan")
+        try:
+            points += [*_drawn(element), *_mass_box(element)]
+        except ValueError:  # what is only drawn was checked by nobody
+            return float("nan")
+    in_link = np.vstack(points)
+    if not len(in_link):
+        return 0.0
+    mount = tree.mount[link]
+    near = tree.first_shaped_below(link) | ({mount} if mount else set())
+    near |= {one for one in tree.shaped if tree.joint[one] == tree.joint[link]}
+    placed, rows = prepared.at(prepared.motion.curve.knots[:1])
+    frame = prepared.motion.robot.model.frames[prepared.motion.robot.model.getFrameId(link, pin.FrameType.BODY)]
+    in_joint = in_link @ np.array(frame.placement.rotation).T + np.array(frame.placement.translation)
+    distance = np.full(len(in_link), np.inf)
+    for solid in (Solid.of_body(body) for body in prepared.motion.robot.bodies if body.link in near):
+        rotation, translation = placed.relative(solid.joint, tree.joint[link], rows)
+        distance = np.minimum(distance, solid.distances(in_joint @ rotation[0].T + translation[0]))
+    size = float((in_link.max(axis=0) - in_link.min(axis=0)).max())
+    return min(size, float(distance.max()))
+
+
+def _lines(prepared: PreparedMotion, tree: LinkTree, link: str) -> Iterator[Float[np.ndarray, "P 3"]]:
+    """Points on the lines from a link's origin to the moving joints that it carries, in its own frame [m]."""
+    model = prepared.motion.robot.model
+    frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+    for below in tree.children[link]:
+        joint = tree.joint[below]
+        if joint == tree.joint[link]:
+            continue
+        end = frame.placement.actInv(model.jointPlacements[joint]).translation
+        count = 2 + int(np.linalg.norm(end) / _STEP_M)
+        yield np.linspace(0.0, 1.0, count)[:, None] * np.asarray(end)
+
+
+def _elements(urdf: str) -> dict[str, ElementTree.Element]:
+    if not urdf:
+        return {}
+    return {str(element.get("name")): element for element in ElementTree.fromstring(urdf).findall("link")}
+
+
+def _mass_of(element: ElementTree.Element) -> float:
+    mass = element.find("inertial/mass")
+    return 0.0 if mass is None else float(mass.get("value", "0"))
+
+
+def _has_unknown_size(element: ElementTree.Element) -> bool:
+    """Whether the link is drawn as a mesh, which nobody brings along, and has no mass to tell its size."""
+    return element.find("visual/geometry/mesh") is not None and not _mass_of(element) >= _LEAST_MASS_KG
+
+
+def _drawn(element: ElementTree.Element) -> Iterator[Float[np.ndarray, "8 3"]]:
+    """Corners of boxes around the link's drawn shapes, in its frame [m]."""
+    for visual in element.findall("visual"):
+        for shape in visual.findall("geometry/*"):
+            size = _box_of(shape)
+            if size is not None:
+                yield _placed(_CORNERS * size, visual)
+
+
+def _box_of(shape: ElementTree.Element) -> Float[np.ndarray, "3"] | None:
+    if shape.tag == "box":
+        return np.array([float(value) for value in shape.get("size", "0 0 0").split()])
+    if shape.tag in ("sphere", "cylinder", "capsule"):
+        across = 2.0 * float(shape.get("radius", "0"))
+        caps = across if shape.tag != "cylinder" else 0.0
+        return np.array([across, across, float(shape.get("length", "0")) + caps])
+    return None
+
+
+def _mass_box(element: ElementTree.Element) -> Iterator[Float[np.ndarray, "8 3"]]:
+    """Corners of the evenly filled box that has the link's mass and moments of inertia, in its frame [m]."""
+    inertial, mass = element.find("inertial"), _mass_of(element)
+    inertia = element.find("inertial/inertia")
+    if inertial is None or inertia is None or not mass >= _LEAST_MASS_KG:
+        return
+    xx, yy, zz = (float(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz"))
+    squares = 6.0 / mass * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz])
+    yield _placed(_CORNERS * np.sqrt(np.maximum(squares, 0.0)), inertial)
+
+
+def _placed(points: Float[np.ndarray, "V 3"], element: ElementTree.Element) -> Float[np.ndarray, "V 3"]:
+    origin = element.find("origin")
+    if origin is None:
+        return points
+    xyz, rpy = (np.array([float(v) for v in origin.get(key, "0 0 0").split()]) for key in ("xyz", "rpy"))
+    return np.asarray(points @ pin.rpy.rpyToMatrix(*rpy).T + xyz)

@@ -1,0 +1,86 @@
+"""Hashes of what a certificate is about: scene, bodies, robot and the promises of the phases."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance, BodyRef
+from costs.robot.model import RobotModel
+from costs.scene import Scene
+from service.verify.motion import Phase, PlantedContact, SupportPolygon, Target
+
+HASH_OFFSET = 0.381966  # of a micrometre
+
+
+def scene_hash(scene: Scene) -> str:
+    """``sha256:`` of the pieces in order of name: name, then the vertices in whole micrometres."""
+    return _hash((piece.name, piece.vertices) for piece in sorted(scene.pieces, key=lambda piece: piece.name))
+
+
+def bodies_hash(robot: RobotModel) -> str:
+    """``sha256:`` of the bodies (vertices in the link frame, in whole micrometres) and of the ignored link pairs."""
+    bodies = [(body.name, link_vertices(robot, body.link, body.vertices)) for body in robot.bodies]
+    pairs = [(f"{a}|{b}", np.empty((0, 3))) for a, b in sorted(robot.ignored_pairs)]
+    return _hash(sorted(bodies, key=lambda body: body[0]) + pairs)
+
+
+def robot_hash(robot: RobotModel) -> str:
+    """``sha256:`` of the URDF text."""
+    return "sha256:" + hashlib.sha256(robot.source.urdf.encode()).hexdigest()
+
+
+def promises_hash(phases: Iterable[Phase]) -> str:
+    """``sha256:`` of everything the phases promise (docs/result-format.md says how it is made)."""
+    digest = hashlib.sha256()
+    for phase in phases:
+        _add(digest, "phase", phase.name, np.array([phase.first, phase.last]))
+        for allowance in phase.allowances:
+            _add(digest, "allowance", *_parts(allowance))
+        for contact in phase.contacts:
+            _add(digest, "contact", *_parts(contact))
+        if phase.support is not None:
+            _add(digest, "support", *_parts(phase.support))
+        for target in phase.targets:
+            _add(digest, type(target).__name__, *_parts(target))
+    return "sha256:" + digest.hexdigest()
+
+
+def link_vertices(robot: RobotModel, link: str, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    """A body's vertices, given in the frame of its joint, in the frame of its link [m]."""
+    if not robot.model.existFrame(link):
+        return vertices
+    placement = robot.model.frames[robot.model.getFrameId(link)].placement
+    return np.asarray((vertices - placement.translation) @ placement.rotation)
+
+
+def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
+    digest = hashlib.sha256()
+    for name, vertices in named:
+        digest.update(name.encode() + b"\0" + len(vertices).to_bytes(8, "little"))
+        digest.update(np.rint(vertices * 1e6).astype("<i8").tobytes())
+    return "sha256:" + digest.hexdigest()
+
+
+def _parts(promise: Allowance | BodyRef | PlantedContact | SupportPolygon | Target) -> Iterator[str | np.ndarray]:
+    """The fields of a promise in their order: texts, references to bodies, numbers; none where it is None."""
+    for item in fields(promise):
+        value = getattr(promise, item.name)
+        if isinstance(value, BodyRef):
+            yield from _parts(value)
+        else:
+            yield value if isinstance(value, str) else np.empty(0) if value is None else np.asarray(value, dtype=float)
+
+
+def _add(digest: hashlib._Hash, *parts: str | np.ndarray) -> None:
+    for part in parts:
+        if isinstance(part, str):
+            digest.update(b"t" + part.encode() + b"\0")
+            continue
+        # Steps of a micrometre whose borders lie where written decimals do not; what is infinite counts as -1.
+        steps = np.floor(np.where(np.isinf(part), -1.0, part).ravel() * 1e6 + HASH_OFFSET)
+        digest.update(b"n" + steps.size.to_bytes(8, "little") + steps.astype("<i8").tobytes())

@@ -1,0 +1,211 @@
+"""How far a point of the robot can leave its chord: the rotation bound of a chain of joints.
+
+On an interval of length ``h`` with ``|dq_i/ds| <= a_i`` and ``|d2q_i/ds2| <= b_i`` every point of a body stays within
+
+    h^2/8 * (sum_ij a_i a_j w_ij + sum_i b_i r_i)
+
+of the chord between its end positions, since a path leaves its chord by at most ``h^2/8 max|p''|``.  ``r_i`` bounds
+``|dp/dq_i|``: the distance from joint i's origin to the body's farthest point for a revolute joint, 1 for a prismatic
+one.  ``w_ij = |d2p/dq_i dq_j|`` is bounded by ``r`` of the more distal of the two if the more proximal is revolute and
+vanishes if it is prismatic.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Bool, Float, Int
+
+from costs.stopping import poll
+from service.verify.curve_bounds import RateBounds
+from service.verify.motion import VerifyError
+
+_REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
+_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
+_SEVERAL = {"JointModelTranslation": (False,) * 3, "JointModelSphericalZYX": (True,) * 3}
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The coordinates between a frame and a body, from the frame outwards; or, row by row, those of many bodies.
+
+    Rows of fewer coordinates than the longest are filled up with coordinate 0 at a reach of 0.
+
+    Attributes:
+        coordinates: (m,) or (C, m) indices into the configuration.
+        joints: pinocchio joint of each.
+        is_revolute: revolute or prismatic.
+        reach: largest ``|dp/dq|`` of a point of the body whatever the configuration [m/rad, 1].
+        base_rotations: the base's angles, which are exported as a quaternion.
+    """
+
+    coordinates: Int[np.ndarray, "*C m"]
+    joints: Int[np.ndarray, "*C m"]
+    is_revolute: Bool[np.ndarray, "*C m"]
+    reach: Float[np.ndarray, "*C m"]
+    base_rotations: Bool[np.ndarray, "*C m"]
+
+    @staticmethod
+    def stack(chains: Sequence[Chain]) -> Chain:
+        """Many chains row by row."""
+        width = max((len(chain.coordinates) for chain in chains), default=0)
+        shape = (len(chains), width)
+        stacked = Chain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool)))
+        for row, chain in enumerate(chains):
+            own = slice(0, len(chain.coordinates))
+            stacked.coordinates[row, own] = chain.coordinates
+            stacked.joints[row, own] = chain.joints
+            stacked.is_revolute[row, own] = chain.is_revolute
+            stacked.reach[row, own] = chain.reach
+            stacked.base_rotations[row, own] = chain.base_rotations
+        return stacked
+
+    def take(self, rows: Int[np.ndarray, "E"]) -> Chain:
+        """These rows, in this order."""
+        return Chain(
+            self.coordinates[rows],
+            self.joints[rows],
+            self.is_revolute[rows],
+            self.reach[rows],
+            self.base_rotations[rows],
+        )
+
+    @cached_property
+    def weight(self) -> float:
+        """The rotation bound for equal rates, to choose in whose frame a pair is swept."""
+        turning = self.is_revolute.astype(float)
+        return float((self.reach * (2.0 * np.cumsum(turning) - turning)).sum())
+
+    def deviation(self, over: RateBounds, reach: Float[np.ndarray, "I m"] | None = None) -> Float[np.ndarray, "I"]:
+        """Largest distance of any point of the body from its chord on each interval [m]; many bodies: row by row."""
+        r = self.reach if reach is None else reach
+        a = self._own(over.speed)
+        turning = a * self.is_revolute
+        proximal = np.cumsum(turning, axis=1) - turning
+        curvature = r * (a * (2.0 * proximal + turning) + self._own(over.bend))
+        return np.asarray(over.length**2 / 8.0 * curvature.sum(axis=1))
+
+    def sampling_slack(self, over: RateBounds, rounding: float) -> Float[np.ndarray, "I"]:
+        """How far reading the exported samples linearly leads a point of the body away from the curve [m].
+
+        Joint by joint the line leaves the curve by at most ``step^2/8 |q''|``; a base read by slerp leaves the z-y-x
+        angles by at most ``(sum |step q'|)^2 / 4`` (twice the chord bound of a rotation); ``rounding`` is the
+        error of a written coordinate.
+        """
+        line = over.step[:, None] ** 2 / 8.0 * self._own(over.step_bend) + rounding
+        slack = (self.reach * line).sum(axis=1)
+        if np.any(self.base_rotations):
+            turn = (over.step[:, None] * self._own(over.step_speed) * self.base_rotations).sum(axis=1)
+            slack = slack + turn**2 / 4.0 * (self.reach * self.base_rotations).max(axis=-1)
+        return np.asarray(np.where(over.step > 0.0, slack, 0.0))
+
+    def local_reach(self, distance: Float[np.ndarray, "I m"], over: RateBounds) -> Float[np.ndarray, "I m"]:
+        """Reach on each interval, from the distances of the joint origins to the body's farthest point at mid-interval.
+
+        Only more distal joints change such a distance, each by at most ``speed * reach`` per unit of the path.
+        """
+        travel = self._own(over.speed) * self.reach
+        distal = np.cumsum(travel[:, ::-1], axis=1)[:, ::-1] - travel
+        local = np.minimum(self.reach, distance + 0.5 * over.length[:, None] * distal)
+        return np.asarray(np.where(self.is_revolute, local, self.reach))
+
+    def _own(self, rates: Float[np.ndarray, "I n"]) -> Float[np.ndarray, "I m"]:
+        """The chain's columns of rates of all coordinates."""
+        if self.coordinates.ndim == 1:
+            return rates[:, self.coordinates]
+        return np.take_along_axis(rates, self.coordinates, axis=1)
+
+
+class JointTree:
+    """The robot's joints as chains see them: coordinates, offsets and travels."""
+
+    def __init__(self, model: pin.Model, travel: Float[np.ndarray, "n"], n_base: int) -> None:
+        """Read the joints; ``travel`` is the largest ``|q|`` of each coordinate, ``n_base`` the base's coordinates.
+
+        Raises:
+            VerifyError: for a joint that is neither revolute nor prismatic nor the composite base.
+        """
+        self._parents = [int(p) for p in model.parents]
+        self._origins = np.array([placement.translation for placement in model.jointPlacements])
+        self._offsets: list[float] = np.linalg.norm(self._origins, axis=1).tolist()
+        self._coordinates: list[list[tuple[int, bool]]] = [[] for _ in range(model.njoints)]
+        for joint in range(1, model.njoints):
+            kinds = _joint_kinds(model.joints[joint], model.names[joint])
+            start = int(model.joints[joint].idx_v)
+            self._coordinates[joint] = [(start + k, kind) for k, kind in enumerate(kinds)]
+        self._travel: list[float] = np.asarray(travel, dtype=float).tolist()
+        self._n_base = n_base
+
+    def ancestors(self, joint: int) -> list[int]:
+        """The joint and its ancestors up to, not including, the universe."""
+        path = []
+        while joint > 0:
+            path.append(joint)
+            joint = self._parents[joint]
+        return path
+
+    def chain(self, holder: int, mover: int, points: Float[np.ndarray, "V 3"]) -> Chain:
+        """The joints that move ``points`` (in the frame of joint ``mover``) in the frame of joint ``holder``."""
+        poll()
+        up, down = self.ancestors(holder), self.ancestors(mover)
+        while up and down and up[-1] == down[-1]:
+            up.pop()
+            down.pop()
+        rows: list[tuple[int, int, bool, float]] = []
+        length = _farthest(points)
+        for joint in down:
+            length = self._pass(joint, length, rows, outwards=False)
+            length += self._offsets[joint] if joint != down[-1] else 0.0
+        if up and down:
+            length += float(np.linalg.norm(self._origins[up[-1]] - self._origins[down[-1]]))
+        elif up:
+            length = _farthest(points - self._origins[up[-1]])
+        for joint in reversed(up):
+            length += self._offsets[joint] if joint != up[-1] else 0.0
+            length = self._pass(joint, length, rows, outwards=True)
+        rows.reverse()
+        coordinates = np.array([row[1] for row in rows], dtype=int)
+        is_revolute = np.array([row[2] for row in rows], dtype=bool)
+        return Chain(
+            coordinates,
+            np.array([row[0] for row in rows], dtype=int),
+            is_revolute,
+            np.array([row[3] for row in rows], dtype=float),
+            (coordinates < self._n_base) & is_revolute,
+        )
+
+    def _pass(self, joint: int, length: float, rows: list[tuple[int, int, bool, float]], *, outwards: bool) -> float:
+        """Append the joint's coordinates, the most distal first; returns the length beyond the joint."""
+        own = self._coordinates[joint]
+        for coordinate, is_revolute in own if outwards else reversed(own):
+            rows.append((joint, coordinate, is_revolute, length if is_revolute else 1.0))
+            length += 0.0 if is_revolute else self._travel[coordinate]
+        return length
+
+
+def _farthest(points: Float[np.ndarray, "V 3"]) -> float:
+    """Largest distance of a point from the origin [m]."""
+    return math.sqrt(np.einsum("vk,vk->v", points, points).max())
+
+
+def _joint_kinds(joint: pin.JointModel, name: str) -> tuple[bool, ...]:
+    """Per coordinate whether it turns (True) or slides (False)."""
+    kind = joint.shortname()
+    if kind in _REVOLUTE:
+        return (True,)
+    if kind in _PRISMATIC:
+        return (False,)
+    if kind in _SEVERAL:
+        return _SEVERAL[kind]
+    if kind == "JointModelComposite":
+        composite = joint.extract()
+        shifts = [np.abs(p.translation).max() for p in composite.jointPlacements]
+        if max(shifts) > 0.0:
+            raise VerifyError(f"joint '{name}' is a composite whose parts do not share one origin")
+        return tuple(flag for part in composite.joints for flag in _joint_kinds(part, name))
+    raise VerifyError(f"joint '{name}' is a {kind}; revolute, prismatic and the floating base can be verified")

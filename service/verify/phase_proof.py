@@ -1,0 +1,141 @@
+"""Proof of a quantity's largest value along a phase, by bisection of the curve, and the check made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.stopping import poll
+from service.verify.certificate import Basis, Check, Where
+from service.verify.motion import Phase, VerifySettings
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.timeline import edges_within, time_of
+
+# (first (I,), last (I,)) -> upper bounds over the intervals (I,), values at their first ends (I,) and last ends (I,)
+Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """Largest value of a quantity along the curve.
+
+    Attributes:
+        bound: proven upper bound over all intervals.
+        sampled: largest sampled value.
+        s: path parameter of that sample.
+        is_proven: the bound does not exceed the limit.
+    """
+
+    bound: float
+    sampled: float
+    s: float
+    is_proven: bool
+
+    @staticmethod
+    def at_one_pose(value: float, s: float, limit: float) -> Extreme:
+        """Return a value that counts at a single pose."""
+        return Extreme(value, value, s, bool(value <= limit))
+
+
+def bound_largest(
+    edges: Float[np.ndarray, "E"],
+    evaluate: Evaluate,
+    limit: float,
+    resolution: float,
+    max_halvings: int,
+    max_sharpenings: int,
+) -> Extreme:
+    """Bound the largest value between the edges, halving intervals until each is below the limit.
+
+    A bound above the largest sample by more than ``resolution`` is sharpened too, by at most ``max_sharpenings``
+    halvings, so that the reported margin is close.  An interval stays open when a sample on it exceeds the limit or
+    after ``max_halvings``.
+    """
+    first, last = edges[:-1], edges[1:]
+    bound, sampled, where = -np.inf, -np.inf, float(edges[0])
+    is_proven = True
+    for halving in range(max_halvings + 1):
+        poll()
+        upper, at_first, at_last = evaluate(first, last)
+        samples = np.maximum(at_first, at_last)
+        best = int(samples.argmax())
+        if samples[best] > sampled:
+            sampled = float(samples[best])
+            where = float(first[best] if at_first[best] >= at_last[best] else last[best])
+        is_high = ~(upper <= limit)  # a bound that is NaN proves nothing
+        is_blurred = ~is_high & (upper > sampled + resolution) & (halving < max_sharpenings)
+        is_split = (is_high & (samples <= limit)) | is_blurred
+        if halving == max_halvings:
+            is_split[:] = False
+        settled = ~is_split
+        if np.any(settled):
+            bound = max(bound, float(upper[settled].max()))
+            is_proven = is_proven and not bool(np.any(is_high & settled))
+        if not np.any(is_split):
+            break
+        middle = 0.5 * (first[is_split] + last[is_split])
+        first = np.concatenate([first[is_split], middle])
+        last = np.concatenate([middle, last[is_split]])
+    return Extreme(bound, sampled, where, is_proven)
+
+
+@dataclass(frozen=True)
+class PhaseProof:
+    """Proofs along one phase of a motion."""
+
+    prepared: PreparedMotion
+    phase: Phase
+    settings: VerifySettings
+
+    def bound(self, evaluate: Evaluate, limit: float, resolution: float | None = None) -> Extreme:
+        """Bound the largest value along the phase; ``resolution`` is a twentieth of the limit where it is not given."""
+        edges, settings = edges_within(self.prepared.edges, self.phase), self.settings
+        fine = limit / 20.0 if resolution is None else resolution
+        return bound_largest(edges, evaluate, limit, fine, settings.max_halvings, settings.max_sharpenings)
+
+    def check(
+        self,
+        name: str,
+        extreme: Extreme,
+        limit: float,
+        unit: str,
+        text: str,
+        position: np.ndarray | None,
+        *,
+        names: tuple[str, ...] = (),
+        negate: bool = False,
+        failure: str = "",
+    ) -> Check:
+        """Make a check of a bound.
+
+        Args:
+            name: of the check.
+            extreme: the bounded quantity.
+            limit: largest value allowed.
+            unit: of both.
+            text: sentence for a bound that is proven.
+            position: (3,) where the largest sample is, in the world [m].
+            names: of links or joints concerned.
+            negate: report "at least -limit" instead of "at most limit".
+            failure: sentence where a sample refutes; by default that ``text`` is not so.
+        """
+        sign = -1.0 if negate else 1.0
+        point = None if position is None else (float(position[0]), float(position[1]), float(position[2]))
+        where = Where(extreme.s, time_of(self.prepared.motion.law, extreme.s), point, names)
+        is_ok = bool(extreme.sampled <= limit)
+        value = sign * float(extreme.bound if extreme.is_proven else extreme.sampled)
+        basis = Basis.PROOF if extreme.is_proven else Basis.UNPROVEN if is_ok else Basis.SAMPLES
+        if not extreme.is_proven:
+            text = f"not shown that {text}" if is_ok else failure or f"not so: {text}"
+        return Check(name, is_ok, value, sign * float(limit), unit, text, where, basis)
+
+
+def values_at_ends(
+    values: Callable[[np.ndarray], np.ndarray], first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]
+) -> tuple[Float[np.ndarray, "I"], Float[np.ndarray, "I"]]:
+    """Return a quantity at the first and at the last ends of intervals."""
+    both = values(np.concatenate([first, last]))
+    return both[: len(first)], both[len(first) :]

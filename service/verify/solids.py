@@ -1,0 +1,201 @@
+"""Convex solids for coal, and their signed distances: bodies in the frame of their joint, pieces in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from weakref import WeakKeyDictionary
+
+import coal
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull, QhullError
+
+from costs.robot import LinkBody
+from costs.scene import ConvexPiece
+from costs.stopping import poll
+
+# coal scans all points of a Convex up to this number and climbs along neighbours above it.
+_SCANNED = 32
+# A flat set is thinned out to this many extreme points: all of them are neighbours of each other.
+_FLAT = 128
+# Vertex sets kept: a robot's bodies and the pieces of some scenes.
+_KEPT = 2048
+
+
+def convex_of(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
+    """A Convex of these points, to be read only: equal points give the same one."""
+    return _made(np.ascontiguousarray(vertices, dtype=float).tobytes())
+
+
+@lru_cache(maxsize=_KEPT)
+def _made(points: bytes) -> coal.Convex:
+    vertices = np.frombuffer(points).reshape(-1, 3)
+    if len(vertices) <= _SCANNED:
+        return _scanned(vertices)
+    try:
+        hull = ConvexHull(vertices)
+    except QhullError:
+        # A flat set has no hull in space; its extreme points in many directions stand for it.
+        return _complete(_extreme_points(vertices, _FLAT))
+    renumber = np.zeros(len(vertices), dtype=int)
+    renumber[hull.vertices] = np.arange(len(hull.vertices))
+    return _convex(vertices[hull.vertices], renumber[hull.simplices])
+
+
+def _extreme_points(vertices: Float[np.ndarray, "V 3"], count: int) -> Float[np.ndarray, "W 3"]:
+    """At most ``count`` vertices, the farthest in directions spread over the sphere (Fibonacci lattice)."""
+    if len(vertices) <= count:
+        return vertices
+    k = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    ring = np.sqrt(1.0 - z**2)
+    directions = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+    return np.asarray(vertices[np.unique((vertices @ directions.T).argmax(axis=0))])
+
+
+def _scanned(points: Float[np.ndarray, "V 3"]) -> coal.Convex:
+    """Few points, whose neighbours nobody asks for."""
+    # coal corrupts memory when a triangle names a vertex twice: points and segments repeat their last point.
+    points = np.concatenate([points, np.repeat(points[-1:], max(0, 4 - len(points)), axis=0)])
+    return _convex(points, np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]))
+
+
+def _complete(points: Float[np.ndarray, "V 3"]) -> coal.Convex:
+    """Every point a neighbour of every other when there are too many to be scanned."""
+    if len(points) <= _SCANNED:
+        return _scanned(points)
+    i, j = np.triu_indices(len(points), 1)
+    keep = i > 0
+    return _convex(points, np.stack([np.zeros(int(keep.sum()), dtype=int), i[keep], j[keep]], axis=1))
+
+
+def _convex(points: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> coal.Convex:
+    corners = coal.StdVec_Vec3s()
+    corners.extend(list(points))
+    faces = coal.StdVec_Triangle()
+    faces.extend([coal.Triangle(a, b, c) for a, b, c in triangles.tolist()])
+    return coal.Convex(corners, faces)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A convex body of the robot (in the frame of its joint) or a piece of the scene (joint 0, world frame).
+
+    Attributes:
+        name: body or piece.
+        link: link of a body; empty for a piece.
+        joint: pinocchio joint that carries it.
+        vertices: (V, 3) its hull [m].
+    """
+
+    name: str
+    link: str
+    joint: int
+    vertices: Float[np.ndarray, "V 3"]
+
+    @cached_property
+    def sphere(self) -> tuple[Float[np.ndarray, "3"], float]:
+        """Centre of the bounding box and the distance of the farthest vertex from it."""
+        centre = 0.5 * (self.vertices.min(axis=0) + self.vertices.max(axis=0))
+        return centre, float(np.linalg.norm(self.vertices - centre, axis=1).max())
+
+    @cached_property
+    def convex(self) -> coal.Convex:
+        """The solid for coal."""
+        return convex_of(self.vertices)
+
+    def distances(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
+        """Distance of points in the solid's frame from it, 0 inside [m]."""
+        dot, here, request, result = (
+            coal.Sphere(1e-9),
+            coal.Transform3s(),
+            coal.DistanceRequest(),
+            coal.DistanceResult(),
+        )
+        found = []
+        for point in points:
+            result.clear()
+            found.append(coal.distance(dot, coal.Transform3s(np.eye(3), point), self.convex, here, request, result))
+        return np.asarray(np.maximum(np.array(found), 0.0))
+
+    @staticmethod
+    def of_body(body: LinkBody) -> Solid:
+        """The solid of a body, made once while the body lives."""
+        known = _BODIES.get(body)
+        if known is None:
+            known = _BODIES[body] = Solid(body.name, body.link, body.joint, body.vertices)
+        return known
+
+    @staticmethod
+    def of_piece(piece: ConvexPiece) -> Solid:
+        """The solid of a piece."""
+        return Solid(piece.name, "", 0, piece.vertices)
+
+
+_BODIES: WeakKeyDictionary[LinkBody, Solid] = WeakKeyDictionary()
+
+
+def supports(
+    solids: Sequence[Solid], which: Int[np.ndarray, "K"], directions: Float[np.ndarray, "K 3"]
+) -> Float[np.ndarray, "K"]:
+    """How far each chosen solid reaches along its direction, in its own frame: ``max_v direction . v``."""
+    order = np.argsort(which, kind="stable")
+    sorted_directions, chosen = directions[order], which[order]
+    ends = [*(np.flatnonzero(chosen[1:] != chosen[:-1]) + 1).tolist(), len(chosen)]
+    reached, out, first = np.empty(len(which)), np.empty(len(which)), 0
+    for last in ends if len(which) else ():
+        vertices = solids[chosen[first]].vertices
+        (sorted_directions[first:last] @ vertices.T).max(axis=1, out=reached[first:last])
+        first = last
+    out[order] = reached
+    return out
+
+
+def _request() -> coal.DistanceRequest:
+    request = coal.DistanceRequest()
+    request.enable_signed_distance = True
+    return request
+
+
+@dataclass(eq=False)
+class DistanceQuery:
+    """coal's distance with the memory it reuses; one per verification."""
+
+    _request: coal.DistanceRequest = field(default_factory=_request)
+    _result: coal.DistanceResult = field(default_factory=coal.DistanceResult)
+    _identity: coal.Transform3s = field(default_factory=coal.Transform3s)
+
+    def closest(
+        self,
+        movers: Sequence[coal.Convex],
+        rotation: Float[np.ndarray, "R 3 3"],
+        translation: Float[np.ndarray, "R 3"],
+        holders: Sequence[coal.Convex],
+    ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R 3"]]:
+        """Signed distance [m] of every mover, placed in its holder's frame, from the holder, and the unit direction
+        from the first to the second (not finite where coal has none: the two touch within rounding)."""
+        distance, direction = np.empty(len(movers)), np.empty((len(movers), 3))
+        result, request, identity = self._result, self._request, self._identity
+        for row, (mover, turned, moved, holder) in enumerate(zip(movers, rotation, translation, holders, strict=True)):
+            poll()
+            result.clear()
+            distance[row] = coal.distance(mover, coal.Transform3s(turned, moved), holder, identity, request, result)
+            direction[row] = result.normal
+        length = np.sqrt((direction * direction).sum(axis=1))
+        length[~((length > 0.5) & (length < 2.0))] = np.nan
+        return distance, direction / length[:, None]
+
+    def nearest_point(
+        self,
+        mover: coal.Convex,
+        rotation: Float[np.ndarray, "3 3"],
+        translation: Float[np.ndarray, "3"],
+        holder: coal.Convex,
+    ) -> Float[np.ndarray, "3"]:
+        """The holder's point nearest to the mover, or deepest in it, in the holder's frame [m]."""
+        self._result.clear()
+        placed = coal.Transform3s(rotation, translation)
+        coal.distance(mover, placed, holder, self._identity, self._request, self._result)
+        return np.array(self._result.getNearestPoint2())

@@ -1,0 +1,102 @@
+"""Checks of a phase's stance along the whole curve: the centre of mass above the feet, and feet that stay planted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+
+from service.verify.certificate import Basis, Check
+from service.verify.frame_paths import FramePath, MassPath
+from service.verify.motion import Phase, PlantedContact, SupportPolygon, VerifySettings
+from service.verify.phase_proof import Extreme, PhaseProof, values_at_ends
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.timeline import edges_within
+
+# How far a support polygon may reach beyond the planted soles, which may themselves drift by about as much [m].
+_SUPPORT_TOLERANCE_M = 1e-3
+
+
+def stance_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+    """Check balance, the support polygon and planted links of one phase."""
+    proof = PhaseProof(prepared, phase, settings)
+    if phase.support is not None:
+        yield _balance_check(proof, phase.support)
+        if phase.contacts:
+            yield _support_check(phase, phase.support)
+    for contact in phase.contacts:
+        yield from _planted_checks(proof, contact)
+
+
+def _balance_check(proof: PhaseProof, support: SupportPolygon) -> Check:
+    path, phase = MassPath(proof.prepared, proof.settings.rounding), proof.phase
+
+    def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        ends = values_at_ends(lambda s: outside_polygon(support.polygon, path.at(s)[:, :2]), first, last)
+        # Each edge's distance is linear along the chord, so its largest value is at an end.
+        return np.maximum(*ends) + path.deviation(first, last), *ends
+
+    extreme = proof.bound(evaluate, -support.margin_m, proof.settings.resolution_m)
+    point = path.at(np.array([extreme.s]))[0]
+    text = f"the centre of mass stays {-1e3 * extreme.bound:.1f} mm inside the support polygon during {phase.name}"
+    failure = f"the centre of mass is {describe_inside(-extreme.sampled)} the support polygon during {phase.name}"
+    name, limit = f"balance.{phase.name}", -support.margin_m
+    return proof.check(name, extreme, limit, "m", text, point, negate=True, failure=failure)
+
+
+def _planted_checks(proof: PhaseProof, contact: PlantedContact) -> Iterator[Check]:
+    phase = proof.phase
+    path = FramePath.of(proof.prepared, contact.link, contact.sole, proof.settings.rounding)
+    pose = contact.pose_world_link
+    planted = contact.sole @ pose[:3, :3].T + pose[:3, 3]
+
+    def drift(s: np.ndarray) -> np.ndarray:
+        return np.asarray(np.linalg.norm(path.at(s)[0] - planted, axis=2).max(axis=1))
+
+    def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        # The distance from a fixed point is convex along the chord, so its largest value is at an end.
+        ends = values_at_ends(drift, first, last)
+        return np.maximum(*ends) + path.point_deviation(first, last), *ends
+
+    extreme = proof.bound(evaluate, contact.tolerance_m)
+    at = path.at(np.array([extreme.s]))[0][0].mean(axis=0)
+    text = f"{contact.link} drifts at most {1e3 * extreme.bound:.2f} mm during {phase.name}"
+    name = f"planted.{phase.name}.{contact.link}"
+    yield proof.check(name, extreme, contact.tolerance_m, "m", text, at, names=(contact.link,))
+    knots = edges_within(proof.prepared.motion.curve.knots, phase)
+    if len(knots):
+        drifts = drift(knots)
+        worst = int(drifts.argmax())
+        at_knots = Extreme(float(drifts[worst]), float(drifts[worst]), float(knots[worst]), True)
+        text = f"{contact.link} is off by at most {1e3 * at_knots.bound:.3f} mm at the waypoints of {phase.name}"
+        limit = contact.knot_tolerance_m
+        yield proof.check(f"{name}.waypoints", at_knots, limit, "m", text, at, names=(contact.link,))
+
+
+def _support_check(phase: Phase, support: SupportPolygon) -> Check:
+    """Check that the polygon is no wider than the hull of the planted soles, which alone carry the robot."""
+    corners = [c.sole @ c.pose_world_link[:3, :3].T + c.pose_world_link[:3, 3] for c in phase.contacts]
+    ground = np.concatenate(corners)[:, :2]
+    try:
+        value = float(outside_polygon(ground[ConvexHull(ground).vertices], support.polygon).max())
+    except QhullError:  # soles on one line support nothing
+        value = np.inf
+    is_ok = value <= _SUPPORT_TOLERANCE_M
+    text = f"the support polygon of {phase.name} reaches {1e3 * value:.1f} mm beyond the planted soles"
+    return Check(f"support.{phase.name}", is_ok, value, _SUPPORT_TOLERANCE_M, "m", text, None, Basis.PROOF)
+
+
+def describe_inside(inside_m: float) -> str:
+    """Return ``1.2 mm inside``, or ``1.2 mm outside`` for a negative distance."""
+    return f"{1e3 * inside_m:.1f} mm inside" if inside_m >= 0.0 else f"{-1e3 * inside_m:.1f} mm outside"
+
+
+def outside_polygon(polygon: Float[np.ndarray, "E 2"], points: Float[np.ndarray, "S 2"]) -> Float[np.ndarray, "S"]:
+    """Largest signed distance of points outside the polygon's edges [m]; negative inside."""
+    along = np.roll(polygon, -1, axis=0) - polygon
+    length = np.linalg.norm(along, axis=1)
+    keep = length > 1e-12
+    normal = np.stack([along[keep, 1], -along[keep, 0]], axis=1) / length[keep, None]
+    return np.asarray(((points[:, None] - polygon[keep]) * normal).sum(axis=2).max(axis=1))

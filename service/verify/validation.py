@@ -1,0 +1,185 @@
+"""What a motion must be before anything is proven of it: finite, rigid, in order; a NaN would pass a comparison."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+
+from costs.curve import Curve, TimeLaw
+from service.verify.motion import (
+    AxisTarget,
+    CircleTarget,
+    JointTarget,
+    Motion,
+    Phase,
+    PoseTarget,
+    RelativePoseTarget,
+    Target,
+    VerifyError,
+)
+
+# Errors of directions and rotations written as decimal numbers.
+_UNIT_TOLERANCE = 1e-6
+# How far a target's path parameter may lie outside its phase, relative to the parameter.
+_BORDER_TOLERANCE = 1e-9
+
+
+def validate_motion(motion: Motion) -> None:
+    """Refuse a motion of which nothing could be proven.
+
+    Raises:
+        VerifyError: for wrong shapes, values that are not finite, samples out of order, rotations that are none, axes
+            that are not of unit length, targets outside their phase, names that two bodies or pieces have.
+    """
+    _validate_curve(motion)
+    _validate_names(motion)
+    for body in motion.robot.bodies:
+        _points(f"vertices of body '{body.name}'", body.vertices, 3)
+    for piece in motion.scene.pieces:
+        _points(f"vertices of piece '{piece.name}'", piece.vertices, 3)
+    for phase in motion.phases:
+        _validate_phase(phase)
+    if motion.law is not None:
+        check_law(motion.curve, motion.law)
+
+
+def _validate_curve(motion: Motion) -> None:
+    n, model, curve = motion.robot.n, motion.robot.model, motion.curve
+    if not curve.positions.shape[1] == curve.tangents.shape[1] == model.nq == model.nv == n:
+        raise VerifyError(
+            f"curve, robot and model must have the same number of coordinates, got {curve.positions.shape[1]}, "
+            f"{n} and {model.nq}"
+        )
+    _finite("curve", curve.knots, curve.positions, curve.tangents)
+    if motion.law is not None:
+        _finite("time law", motion.law.times, motion.law.path, motion.law.speed)
+    if motion.samples is not None:
+        _finite("samples", motion.samples)
+        if np.any(np.diff(motion.samples) <= 0.0):
+            raise VerifyError("samples must increase strictly")
+
+
+def _validate_names(motion: Motion) -> None:
+    """Names tell robot, mechanism and scene apart: nothing of one is called like a body or link of another."""
+    bodies, pieces, model = motion.robot.bodies, motion.scene.pieces, motion.robot.model
+    for what, names in (("bodies", [body.name for body in bodies]), ("pieces", [piece.name for piece in pieces])):
+        repeated = [name for name, count in Counter(names).items() if count > 1]
+        if repeated:
+            raise VerifyError(f"two {what} are called '{repeated[0]}'; names must be unique")
+    links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+    owners: dict[str, str] = dict.fromkeys(links - motion.mechanism_links, "robot")
+    owned = [("mechanism", link) for link in motion.mechanism_links]
+    for body in bodies:
+        owner = "mechanism" if body.link in motion.mechanism_links else "robot"
+        owned += [(owner, body.link), (owner, body.name)]
+    for owner, name in (*owned, *(("scene", piece.name) for piece in pieces)):
+        if owners.setdefault(name, owner) != owner:
+            raise VerifyError(f"'{name}' is a name in the {owners[name]} and in the {owner}; names must be unique")
+
+
+def _validate_phase(phase: Phase) -> None:
+    if phase.support is not None:
+        _points(f"support polygon of phase '{phase.name}'", phase.support.polygon, 2)
+        _finite(f"support of phase '{phase.name}'", phase.support.margin_m, phase.support.height)
+    for contact in phase.contacts:
+        what = f"contact of '{contact.link}' in phase '{phase.name}'"
+        _points(f"sole of the {what}", contact.sole, 3)
+        _finite(what, contact.pose_world_link, contact.tolerance_m, contact.knot_tolerance_m)
+        _rigid(what, contact.pose_world_link[:3, :3])
+    for target in phase.targets:
+        of = target.joint if isinstance(target, JointTarget) else target.frame
+        what = f"target of '{of}' in phase '{phase.name}'"
+        at = None if isinstance(target, CircleTarget | RelativePoseTarget) else target.at
+        slack = _BORDER_TOLERANCE * max(1.0, abs(phase.last))
+        if at is not None and not phase.first - slack <= at <= phase.last + slack:
+            raise VerifyError(f"the {what} is at {at}, outside the phase ({phase.first} to {phase.last})")
+        _finite(what, *_places(target))
+        for tolerance in _tolerances(target):
+            # An infinite tolerance frees; NaN must not.
+            if not np.all(np.asarray(tolerance) >= 0.0):
+                raise VerifyError(f"the {what} needs tolerances that are not negative, got {tolerance}")
+        if isinstance(target, PoseTarget | RelativePoseTarget) and target.rotation is not None:
+            _rigid(what, target.rotation)
+
+
+def _places(target: Target) -> Iterator[np.ndarray | float]:
+    """The numbers of a target that must be finite; axes of unit length are asked for on the way."""
+    if isinstance(target, JointTarget):
+        yield target.value
+        return
+    if isinstance(target, PoseTarget):
+        yield target.position
+        return
+    if isinstance(target, CircleTarget):
+        yield target.centre
+        yield target.radius
+    if isinstance(target, RelativePoseTarget):
+        yield target.position
+        yield target.position_tolerance_m  # what is kept is not free
+        yield target.rotation_tolerance_rad
+    for axis in (target.free_axis,) if isinstance(target, RelativePoseTarget) else (target.axis, target.frame_axis):
+        if axis is not None:
+            if not abs(np.linalg.norm(axis) - 1.0) <= _UNIT_TOLERANCE:
+                raise VerifyError(f"axes of the target of '{target.frame}' must be unit vectors, got {axis}")
+            yield axis
+
+
+def _tolerances(target: Target) -> tuple[np.ndarray | float, ...]:
+    if isinstance(target, JointTarget):
+        return (target.tolerance,)
+    if isinstance(target, PoseTarget):
+        return target.position_tolerance_m, target.rotation_tolerance
+    if isinstance(target, RelativePoseTarget):
+        return target.position_tolerance_m, target.rotation_tolerance_rad
+    if isinstance(target, AxisTarget):
+        return (target.tolerance_rad,)
+    return target.tolerance_m, target.axis_tolerance_rad
+
+
+def _points(what: str, points: np.ndarray, columns: int) -> None:
+    if points.ndim != 2 or points.shape[1] != columns or len(points) == 0:
+        raise VerifyError(f"{what} must be at least one row of {columns} numbers, got shape {points.shape}")
+    _finite(what, points)
+
+
+def _finite(what: str, *values: np.ndarray | float) -> None:
+    if not all(np.all(np.isfinite(value)) for value in values):
+        raise VerifyError(f"the {what} has values that are not finite")
+
+
+def _rigid(what: str, rotation: np.ndarray) -> None:
+    is_orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=_UNIT_TOLERANCE)
+    if not is_orthonormal or np.linalg.det(rotation) < 0.0:
+        raise VerifyError(f"the {what} needs a rotation matrix, got {rotation.tolist()}")
+
+
+# A step of the time law may be this much longer or shorter than its speeds and times come to, relative to its length.
+_STEP_TOLERANCE = 1e-6
+# How far the law's ends may lie from the curve's, relative to the curve's length.
+_END_TOLERANCE = 1e-9
+
+
+def check_law(curve: Curve, law: TimeLaw) -> None:
+    """
+    Raises:
+        VerifyError: the law runs back, does not run along the whole curve, or contradicts itself.
+    """
+    if not len(law.times) == len(law.path) == len(law.speed) >= 2:
+        counts = f"{len(law.times)}, {len(law.path)} and {len(law.speed)}"
+        raise VerifyError(f"the time law needs as many times, path parameters and speeds, at least 2, got {counts}")
+    if not np.all(np.diff(law.times) > 0.0) or not np.all(np.diff(law.path) >= 0.0) or not np.all(law.speed >= 0.0):
+        raise VerifyError("the time law needs increasing times, a path that does not run back and speeds >= 0")
+    scale = float(curve.knots[-1] - curve.knots[0])
+    if not max(abs(law.path[0] - curve.knots[0]), abs(law.path[-1] - curve.knots[-1])) <= _END_TOLERANCE * scale:
+        raise VerifyError(f"the time law runs from {law.path[0]} to {law.path[-1]}, not along the whole curve")
+    # Relative to the step: errors that are small beside the whole curve would add up over many steps.
+    error = np.abs(law.shares - 1.0)
+    step = int(np.argmax(error))
+    if not error[step] <= _STEP_TOLERANCE:
+        raise VerifyError(
+            f"the time law's path does not follow from its speeds and times: step {step} (at {law.times[step]} s) is "
+            f"{law.shares[step]:.9g} times as long as they come to, expected 1 within {_STEP_TOLERANCE:g}"
+        )
