@@ -65,7 +65,7 @@ class Cloud:
         return starts, np.concatenate([self.points, self.misses])
 
     def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Cloud:
-        """Only these points; the rays without a return stay."""
+        """Keep only these points; the rays without a return stay."""
         origin = self.origin if self.origin.ndim == 1 else self.origin[keep]
         return replace(self, points=self.points[keep], origin=origin)
 
@@ -126,7 +126,7 @@ def make_cloud(
 
 
 def merge_clouds(clouds: Sequence[Cloud]) -> Cloud:
-    """All points and rays of clouds in one frame; each point keeps where its own ray started."""
+    """Merge all points and rays of clouds in one frame; each point keeps where its own ray started."""
     if len(clouds) == 1:
         return clouds[0]
     behind = [
@@ -144,7 +144,7 @@ def merge_clouds(clouds: Sequence[Cloud]) -> Cloud:
 
 
 def _finite(ends: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"]) -> Bool[np.ndarray, "N"]:
-    """Which rays have finite ends; where each has a start of its own, that too."""
+    """Return which rays have finite ends; where each has a start of its own, that too."""
     valid = np.isfinite(ends).all(axis=1)
     if starts.ndim == 2:
         valid &= np.isfinite(starts).all(axis=1)

@@ -1,4 +1,4 @@
-"""What clouds showed, remembered by their content: the same bytes and settings are perceived once."""
+"""Results of ``perceive`` by content of the cloud: the same bytes and settings are perceived once."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Memory:
         return sum(size for _, size in self._kept.values())
 
     def perceive(self, cloud: Cloud, **settings: Any) -> Perceived:
-        """``perceive(cloud, **settings)``, or the very result that it gave for the same input before."""
+        """Return ``perceive(cloud, **settings)``, or its result for the same input before."""
         key = content_key(cloud, {name: value for name, value in settings.items() if name != "should_stop"})
         if key in self._kept:
             self._kept.move_to_end(key)
@@ -56,7 +56,7 @@ class Memory:
 
 
 def content_key(cloud: Cloud, settings: Mapping[str, Any]) -> str:
-    """SHA-256 of the cloud's numbers, the settings and the version of what is done with them."""
+    """Return SHA-256 of the cloud's numbers, the settings and the version of what is done with them."""
     digest = hashlib.sha256()
     for part in (_release(), _METHOD, cloud.points, cloud.origin, cloud.misses, cloud.miss_origin, cloud.notes):
         _feed(digest.update, part)
@@ -67,7 +67,7 @@ def content_key(cloud: Cloud, settings: Mapping[str, Any]) -> str:
 
 
 def _feed(update: Callable[[bytes], None], value: object) -> None:
-    """A value with its type and length, so that no two values read the same."""
+    """Return a value with its type and length, so that no two values read the same."""
     if isinstance(value, np.ndarray):
         update(f"array {value.dtype} {value.shape};".encode())
         update(np.ascontiguousarray(value).tobytes())
@@ -83,7 +83,7 @@ def _feed(update: Callable[[bytes], None], value: object) -> None:
 
 
 def _bytes_of(seen: Perceived) -> int:
-    """Of all arrays in it, each counted once."""
+    """Count the bytes of all arrays in it, each array once."""
     arrays: dict[int, int] = {}
 
     def count(value: object) -> None:

@@ -39,7 +39,7 @@ _DEFAULT_REACH = Reach()
 
 @dataclass(frozen=True)
 class Perceived:
-    """What a cloud shows.
+    """Floor, pieces and objects that a cloud shows.
 
     Attributes:
         scene: pieces ``floor`` and ``floor/i``, ``plane/i``, ``wall/i``, ``clutter/i`` and, with a valve, ``stem``; the
@@ -131,7 +131,7 @@ def _perceive(
     method: Literal["planes", "coacd"],
     known: Sequence[KnownMesh],
 ) -> Perceived:
-    """As ``perceive``."""
+    """Do the work of ``perceive``."""
     clock = Clock()
     view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, soles=soles, seed=seed)
     clock.lap("view")

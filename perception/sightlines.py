@@ -37,13 +37,13 @@ class Sightlines:
         return np.asarray(self.start + self.length[:, None] * self.direction)
 
     def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Sightlines:
-        """Only these."""
+        """Keep only these."""
         if keep.dtype == np.bool_:
             keep = np.flatnonzero(keep)
         return Sightlines(self.start.take(keep, 0), self.direction.take(keep, 0), self.length.take(keep))
 
     def thinned(self, most: int) -> Sightlines:
-        """Every k-th, so that at most ``most`` are left."""
+        """Keep every k-th, so that at most ``most`` are left."""
         return self if len(self) <= most else self.selected(np.arange(0, len(self), -(-len(self) // most)))
 
 
@@ -61,7 +61,9 @@ class SightIndex:
     groups: tuple[tuple[Float[np.ndarray, "3"], Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]], ...]
 
     def passing(self, places: Float[np.ndarray, "K 3"], radius: float) -> Sightlines:
-        """Rays that pass one of the places within ``radius`` (to a few percent) and do not end well before it."""
+        """Return rays that pass one of the places within ``radius`` (to a few percent) and do not end well before
+        it.
+        """
         centre = places.mean(axis=0)
         size = radius + float(np.linalg.norm(places - centre, axis=1).max())
         if self.groups:
@@ -79,7 +81,7 @@ class SightIndex:
         centre: Float[np.ndarray, "3"],
         size: float,
     ) -> Int[np.ndarray, "M"]:
-        """Numbers of the rays of a group."""
+        """Return the numbers of the rays of a group."""
         start, numbers, directions = group
         inside = _in_cones(directions, places - start, radius)
         numbers = numbers[inside]
@@ -90,7 +92,8 @@ class SightIndex:
 def _in_cones(
     directions: Float[np.ndarray, "N 3"], offset: Float[np.ndarray, "K 3"], radius: float
 ) -> Int[np.ndarray, "M"]:
-    """Indices of the directions that pass one of the places within ``radius``, first by one cone about all of them.
+    """Return indices of the directions that pass one of the places within ``radius``, first by one cone about all of
+    them.
 
     Looking at every direction once is quicker than a tree, which answers with Python's lists.
 
@@ -120,7 +123,7 @@ def _in_cones(
 
 
 def _nearest(rays: Sightlines, places: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "N"]:
-    """Distance of each ray's line to the nearest of the places [m]."""
+    """Return the distance of each ray's line to the nearest of the places [m]."""
     best = np.full(len(rays), np.inf)
     for place in places:
         offset = place - rays.start
@@ -130,7 +133,7 @@ def _nearest(rays: Sightlines, places: Float[np.ndarray, "K 3"]) -> Float[np.nda
 
 
 def sight_index(cloud: Cloud) -> SightIndex:
-    """All rays of a cloud, those without a return included."""
+    """Prepare all rays of a cloud, those without a return included."""
     starts, ends = cloud.rays
     offset = ends - starts
     length = np.linalg.norm(offset, axis=1)
@@ -139,7 +142,7 @@ def sight_index(cloud: Cloud) -> SightIndex:
 
 
 def index_of(rays: Sightlines) -> SightIndex:
-    """These rays, made ready to be asked."""
+    """Prepare rays for the search of those that pass a place."""
     if not len(rays):
         return SightIndex(rays, ())
     if (rays.start == rays.start[0]).all():

@@ -31,7 +31,7 @@ _SAME = 0.01
 
 @dataclass(frozen=True)
 class Earlier:
-    """What an update needs of the scan before; that scan's points are not among it.
+    """Parts of an earlier scan's result that an update needs; that scan's points are not among them.
 
     Attributes:
         scene: all that stood for the scan before, objects that were found aside.
@@ -52,7 +52,7 @@ class Earlier:
 
     @classmethod
     def of(cls, seen: Perceived) -> Earlier:
-        """Of what a scan showed."""
+        """Keep what an update needs of what a scan showed."""
         view = seen.view
         return cls(seen.scene, seen.pieces, view.reach, view.seed, seen.detections, seen.matches, view.floors)
 
@@ -65,7 +65,7 @@ def update(
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
     known: Sequence[KnownMesh] = (),
 ) -> Perceived:
-    """What a new scan of the same scene shows, in the same reach.
+    """Perceive a new scan of the same scene, in the same reach.
 
     Pieces that no ray of the new scan passes through stay in the scene as they are: the same objects, the same names.
     What their surfaces do not explain is cleaned and becomes new pieces (slabs and hulls) with new names.  The floor
@@ -127,7 +127,9 @@ def _hold_against(
     levels: Sequence[FloorPlane],
     clock: Clock,
 ) -> _Held:
-    """The new scan, its floor of these levels if it shows them; it is left off where it may show others as well."""
+    """Hold the new scan against the earlier one, with these levels of the floor; stop where it may show others as
+    well.
+    """
     # What kept pieces explain needs no cleaning; to find a mesh all points are asked for.
     cleaned = len(known) > 0
     view = view_of(cropped, reach=earlier.reach, soles=soles, seed=earlier.seed, cleaned=cleaned, floors=levels)
@@ -161,13 +163,13 @@ def _hold_against(
 
 
 def _judge(near: Cloud, is_obstacle: Bool[np.ndarray, "N"], kept: Int[np.ndarray, "K"]) -> Judge:
-    """Tells which of the obstacles that were kept surfaces stand for."""
+    """Make a function that returns which of the obstacles that were kept surfaces stand for."""
     scan, index = LocalJudge.of(near.points, near.starts, is_obstacle), np.flatnonzero(is_obstacle)[kept]
     return lambda queries: scan.surface_among(index[queries])
 
 
 def _drop_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple[View, tuple[Piece, ...]]:
-    """The view without what was found to be strays, and the pieces with indices into its obstacles."""
+    """Drop from the view what was found to be strays, and the pieces with indices into its obstacles."""
     is_obstacle = np.ones(len(view.obstacles), dtype=bool)
     is_obstacle[kept[~made.is_surface]] = False
     index = np.cumsum(is_obstacle) - 1
@@ -176,7 +178,9 @@ def _drop_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple
 
 
 def _keep_steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:
-    """The pieces, those of the scene before in place of the ones of their name that are the same within 1 cm."""
+    """Return the pieces, with those of the scene before in place of the ones of their name that are the same within 1
+    cm.
+    """
     known = {piece.name: piece for piece in before.pieces}
     steady = []
     for piece in pieces:

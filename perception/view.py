@@ -23,7 +23,7 @@ _BEYOND = 1.0
 
 @dataclass(frozen=True)
 class View:
-    """What detectors and the making of pieces start from.
+    """A scan made ready: what detectors and the making of pieces start from.
 
     Attributes:
         cloud: the whole scan without exact copies; all its rays are evidence of what is free.
@@ -94,7 +94,7 @@ def make_view(
 
 @dataclass(frozen=True)
 class Cropped:
-    """What of a scan lies in reach.
+    """The part of a scan that lies in reach.
 
     Attributes:
         cloud: the whole scan without exact copies.
@@ -155,14 +155,14 @@ def view_of(
 
 
 def _stand(reach: Reach, soles: Sequence[Float[np.ndarray, "S 3"]]) -> Float[np.ndarray, "3"]:
-    """Where the robot stands: between its soles, else at zero height in the middle of the reach."""
+    """Return where the robot stands: between its soles, else at zero height in the middle of the reach."""
     if not len(soles):
         return np.array([reach.x, reach.y, 0.0])
     return np.asarray(np.mean([np.mean(sole, axis=0) for sole in soles], axis=0))
 
 
 def drop_copies(cloud: Cloud) -> Cloud:
-    """The cloud with exact copies of points left out and counted in its notes."""
+    """Drop exact copies of points and count them in the cloud's notes."""
     is_first = first_of_equals(cloud.points, cloud.starts)
     n_copies = int(len(is_first) - is_first.sum())
     if not n_copies:
@@ -173,7 +173,7 @@ def drop_copies(cloud: Cloud) -> Cloud:
 
 
 def _crop_note(cloud: Cloud, near: Cloud, reach: Reach) -> tuple[str, ...]:
-    """How many points were left out, and where they lie."""
+    """Return how many points were left out, and where they lie."""
     n_cropped = len(cloud.points) - len(near.points)
     if not n_cropped:
         return ()

@@ -1,4 +1,4 @@
-"""Whether the rays beside a point's own ended on a surface that the point could lie on too."""
+"""Support of a point by the rays beside its own: those that ended on a surface that it could lie on too."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _MOST = 0.8
 
 
 def spacing_radius(ranges: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-    """How near neighbours are looked for: 3 cm plus 2 % of the range [m]."""
+    """Return how near neighbours are looked for: 3 cm plus 2 % of the range [m]."""
     return np.asarray(RADIUS + RADIUS_SHARE * ranges)
 
 
 def depth_noise(ranges: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-    """How far along its ray a point may be off its surface: 2 cm plus 1 % of the range [m]."""
+    """Return how far along its ray a point may be off its surface: 2 cm plus 1 % of the range [m]."""
     return np.asarray(_DEPTH + _DEPTH_SHARE * ranges)
 
 
@@ -48,7 +48,7 @@ def support(
     like: Bool[np.ndarray, "N"],
     is_thin: Bool[np.ndarray, "K"],
 ) -> Int[np.ndarray, "K"]:
-    """How many of the 32 rays next to each asked point's own ended on one surface with it.
+    """Return how many of the 32 rays next to each asked point's own ended on one surface with it.
 
     They did when they ended at its depth, where rays lie far apart within three times their distance; or on a slope
     through it, if that goes on: a point between two surfaces is on a slope to either, but not to what lies beyond.
@@ -143,8 +143,8 @@ class _Around:
 def _on_slope(
     around: _Around, counted: Bool[np.ndarray, "K M"], neighbour: int, noise: Float[np.ndarray, "K"]
 ) -> Int[np.ndarray, "K"]:
-    """How many counted rays ended on the plane that leads from each point to one neighbour; none where it does not
-    go on, with most rays on one side of the point on it, well beyond the noise.
+    """Return how many counted rays ended on the plane that leads from each point to one neighbour; none where it does
+    not go on, with most rays on one side of the point on it, well beyond the noise.
     """
     poll()
     u, v, depth = around.u, around.v, around.depth

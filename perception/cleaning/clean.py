@@ -40,13 +40,15 @@ class Reach:
             raise PerceptionError(f"reach.top {self.top} must lie above reach.bottom {self.bottom}")
 
     def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-        """Which points lie in the cylinder."""
+        """Return which points lie in the cylinder."""
         near = (points[:, 0] - self.x) ** 2 + (points[:, 1] - self.y) ** 2 <= self.radius**2
         return np.asarray(near & (points[:, 2] <= self.top) & (points[:, 2] >= self.bottom))
 
 
 def voxel_index(points: Float[np.ndarray, "N 3"], size: float) -> tuple[Int[np.ndarray, "N"], int]:
-    """Number of the voxel of each point, counted 0, 1, ... in order of the voxels' coordinates, and how many."""
+    """Return the number of the voxel of each point, counted 0, 1, ... in order of the voxels' coordinates, and how
+    many.
+    """
     keys = np.zeros(len(points), dtype=np.int64)
     n_keys = 1
     for column in points.T:
@@ -67,7 +69,7 @@ def voxel_index(points: Float[np.ndarray, "N 3"], size: float) -> tuple[Int[np.n
 def voxel_downsample(
     points: Float[np.ndarray, "N 3"], size: float
 ) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
-    """The mean of the points in each occupied voxel of edge ``size`` [m], and how many they are."""
+    """Return the mean of the points in each occupied voxel of edge ``size`` [m], and how many they are."""
     if not len(points):
         return points, np.zeros(0, dtype=int)
     index, n_voxels = voxel_index(points, size)
@@ -77,7 +79,7 @@ def voxel_downsample(
 
 
 def row_keys(rows: Float[np.ndarray, "N K"]) -> Int[np.ndarray, "N"]:
-    """A number for each row, the same for equal rows (and, once in 10^9 clouds of a million, for two others)."""
+    """Return a number for each row, the same for equal rows (and, once in 10^9 clouds of a million, for two others)."""
     poll()
     words = (np.ascontiguousarray(rows, dtype=np.float64) + 0.0).view(np.uint64)  # + 0.0: there is one zero
     keys = np.full(len(rows), 0x9E3779B97F4A7C15, dtype=np.uint64)
@@ -90,7 +92,7 @@ def row_keys(rows: Float[np.ndarray, "N K"]) -> Int[np.ndarray, "N"]:
 
 
 def first_of_equals(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Which points are not exact copies, ray start included, of one before them.
+    """Return which points are not exact copies, ray start included, of one before them.
 
     Args:
         points: (N, 3) [m].
@@ -109,7 +111,7 @@ def first_of_equals(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, 
 def inside_hulls(
     points: Float[np.ndarray, "N 3"], hulls: Sequence[Float[np.ndarray, "V 3"]], margin: float = SELF_MARGIN
 ) -> Bool[np.ndarray, "N"]:
-    """Points within ``margin`` of any hull.
+    """Return points within ``margin`` of any hull.
 
     At an edge or corner this reaches a little farther (a tenth of the margin at a right-angled edge), on the side of
     taking a point for the robot's own.
@@ -146,7 +148,9 @@ def _in_box(
 
 
 def _add_roundings(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
-    """Half-spaces of the hull's faces, and between those of faces that meet, so that a margin leaves no spikes."""
+    """Return half-spaces of the hull's faces, and between those of faces that meet, so that a margin leaves no
+    spikes.
+    """
     hull = _convex_hull(vertices)
     faces, neighbours = hull.equations[:, :3], hull.neighbors
     between = faces[:, None, :] + faces[neighbours]
@@ -161,7 +165,7 @@ def _add_roundings(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4
 
 
 def half_spaces(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
-    """Faces (a, b) of the hull with ``a . x + b <= 0`` inside, ``a`` of length one.
+    """Return faces (a, b) of the hull with ``a . x + b <= 0`` inside, ``a`` of length one.
 
     Raises:
         PerceptionError: the vertices are flat.

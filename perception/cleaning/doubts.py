@@ -1,4 +1,4 @@
-"""What the numbers of a cloud, and what a crop leaves of it, say about its unit and frame: sentences to read."""
+"""Doubts about a cloud's unit and frame, raised by its numbers and by what a crop leaves of it: sentences to read."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _FEW = 0.01
 
 
 def find_doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> tuple[str, ...]:
-    """Sentences about unit and frame, judged from the numbers alone.
+    """Return sentences about unit and frame, judged from the numbers alone.
 
     Args:
         points: (N, 3) finite, N >= 1, taken for metres in the world.
@@ -66,7 +66,7 @@ def find_doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 
 def _far_sensor(
     low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], origin: Float[np.ndarray, "*N 3"]
 ) -> tuple[str, ...]:
-    """What to tell when rays start farther from the cloud than any ray reaches."""
+    """Return the notes for when rays start farther from the cloud than any ray reaches."""
     start = np.median(np.atleast_2d(origin), axis=0)
     distance = float(np.linalg.norm(np.maximum(np.maximum(low - start, start - high), 0.0)))
     if distance < _LARGEST_SPAN:
@@ -79,14 +79,14 @@ def _far_sensor(
 
 
 def _are_degrees(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> bool:
-    """Whether a cloud is so narrow for its height that x and y look like longitude and latitude."""
+    """Return whether a cloud is so narrow for its height that x and y look like longitude and latitude."""
     flat, height = float((high - low)[:2].max()), float((high - low)[2])
     largest = float(np.abs([low[:2], high[:2]]).max())
     return 0.0 < flat < _NARROW * height and height > _SMALLEST_SPAN and largest <= _LARGEST_ANGLE
 
 
 def crop_doubt(points: Float[np.ndarray, "N 3"], n_left: int, reach: Reach, missing: str) -> tuple[str, ...]:
-    """What to tell when a crop took most of a cloud.
+    """Return the notes for when a crop took most of a cloud.
 
     Args:
         points: the whole cloud.
@@ -105,7 +105,8 @@ def crop_doubt(points: Float[np.ndarray, "N 3"], n_left: int, reach: Reach, miss
 def low_sensor_doubt(
     starts: Float[np.ndarray, "N 3"], lowest: Float[np.ndarray, "N"], minimum: float = _SENSOR_ABOVE_FLOOR
 ) -> tuple[str, ...]:
-    """What to tell when rays start on the floor or under it, where no sensor is: where they started was not known.
+    """Return the notes for when rays start on the floor or under it, where no sensor is: where they started was not
+    known.
 
     Args:
         starts: (N, 3) of each point's ray [m].
@@ -123,7 +124,7 @@ def low_sensor_doubt(
 
 
 def nothing_left(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
-    """What to tell when a crop took all of a cloud, beside what ``doubts`` says of it."""
+    """Return the notes for when a crop took all of a cloud, beside what ``find_doubts`` says of it."""
     low, high = np.percentile(points, [1, 99], axis=0)
     is_told = (high - low).max() > _LARGEST_SPAN or _is_far(low, high)
     centre = ", ".join(f"{value:.1f}" for value in np.median(points, axis=0))
@@ -135,7 +136,9 @@ def nothing_left(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
 
 
 def shift_to_zero(points: Float[np.ndarray, "N 3"], x: float = 0.0, y: float = 0.0) -> str:
-    """The transform that brings a cloud's middle over a place and its lowest layer to zero height, as one gives it."""
+    """Return the transform that brings a cloud's middle over a place and its lowest layer to zero height, as one gives
+    it.
+    """
     middle = np.median(points[:, :2], axis=0) - (x, y)
     heights = points[:, 2]
     bottom = float(np.percentile(heights, 1))
@@ -145,7 +148,7 @@ def shift_to_zero(points: Float[np.ndarray, "N 3"], x: float = 0.0, y: float = 0
 
 
 def _is_far(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> bool:
-    """Whether the world's zero lies so far outside of a cloud that it stands in another frame."""
+    """Return whether the world's zero lies so far outside of a cloud that it stands in another frame."""
     gap = float(np.linalg.norm(np.maximum(np.maximum(low, -high), 0.0)))
     return gap > max(_FAR, float((high - low).max()))
 
@@ -171,7 +174,7 @@ def _unit_question(span: float) -> str:
 
 
 def _likely_units(span: float, least: float, most: float) -> str:
-    """Which units would make a scene of so many metres one that is so wide; empty when none would."""
+    """Return which units would make a scene of so many metres one that is so wide; empty when none would."""
     likely = [
         f"{unit} ({_IN_WORDS.get(unit, '')}it would be {metres * span:.1f} m)"
         for unit, metres in _SMALL_UNITS.items()
@@ -181,7 +184,9 @@ def _likely_units(span: float, least: float, most: float) -> str:
 
 
 def _sensor_frame_hint(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"], lowest: float) -> str:
-    """A hint when the points look given in the sensor's frame: rays start at zero, yet zero is not on the floor."""
+    """Return a hint when the points look given in the sensor's frame: rays start at zero, yet zero is not on the
+    floor.
+    """
     if len(points) < _FEWEST_POINTS or np.abs(origin).max() > 1e-6:
         return ""
     depth = points[:, 2]

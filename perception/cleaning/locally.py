@@ -1,4 +1,4 @@
-"""Which of some points surfaces stand for, judged by nothing but the rays beside theirs."""
+"""Judgement of a few points, from the rays beside theirs alone: those that a surface stands for."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class LocalJudge:
     def of(
         cls, points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], candidates: Bool[np.ndarray, "N"]
     ) -> LocalJudge:
-        """Of the attributes of these names."""
+        """Prepare points for questions, from the attributes of these names."""
         directions = np.subtract(points.T, starts.T, order="C").astype(np.float32)
         lengths = np.sqrt(directions[0] ** 2 + directions[1] ** 2 + directions[2] ** 2)
         directions /= np.maximum(lengths, np.float32(1e-9))
@@ -54,7 +54,7 @@ class LocalJudge:
         return cls(points, starts, candidates, directions, sensor)
 
     def surface_among(self, queries: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "K"]:
-        """Which of the points asked about, candidates all, a surface stands for.
+        """Return which of the queried points, candidates all, a surface stands for.
 
         All other candidates are known to be of surfaces.
         """
@@ -69,7 +69,7 @@ class LocalJudge:
         return np.asarray(kept[np.searchsorted(beside, queries)])
 
     def _beside(self, queries: Int[np.ndarray, "K"]) -> Int[np.ndarray, "M"]:
-        """Points whose rays pass beside those of the points asked about, ascending; all where most do."""
+        """Return points whose rays pass beside those of the points asked about, ascending; all where most do."""
         everyone = np.arange(len(self.points))
         n_sensors = 1 if self.sensor is None else int(self.sensor.max()) + 1
         if n_sensors > _MOST_STARTS or len(queries) > _MOST_SHARE * len(everyone):
@@ -88,7 +88,9 @@ class LocalJudge:
         return everyone
 
     def _cells(self, width: float) -> tuple[Int[np.ndarray, "N"], int]:
-        """Number of the bin of directions that each ray lies in, and how many bins there are along each axis."""
+        """Return the number of the bin of directions that each ray lies in, and how many bins there are along each
+        axis.
+        """
         # Two cells to all sides of those that directions of unit length may lie in are there, too.
         n_cells = int(np.ceil(2.0 / width)) + 5
         u, v, w = (((column + 1.0) * (1.0 / width)).astype(np.int32) + 2 for column in self.directions)

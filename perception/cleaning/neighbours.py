@@ -19,7 +19,8 @@ def nearest(
     k: int | list[int] | Int[np.ndarray, "K"],
     within: float = np.inf,
 ) -> tuple[Float[np.ndarray, "N *K"], Int[np.ndarray, "N *K"]]:
-    """``tree.query`` of the points: distances and indices, infinite and ``tree.n`` for neighbours beyond ``within``.
+    """Return ``tree.query`` of the points: distances and indices, infinite and ``tree.n`` for neighbours beyond
+    ``within``.
 
     It uses as many threads as ``costs.threads`` says; they have ended when it returns, or raises.
 

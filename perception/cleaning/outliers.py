@@ -40,7 +40,7 @@ _MOST_ROUNDS = 24
 def inliers(
     points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"], n_neighbours: int = 5
 ) -> Bool[np.ndarray, "N"]:
-    """Points with at least ``n_neighbours`` others within 3 cm plus 2 % of their range.
+    """Return points with at least ``n_neighbours`` others within 3 cm plus 2 % of their range.
 
     Args:
         points: (N, 3) [m].
@@ -66,7 +66,7 @@ def surface_points(
     candidates: Bool[np.ndarray, "N"] | None = None,
     known: Bool[np.ndarray, "N"] | None = None,
 ) -> Bool[np.ndarray, "N"]:
-    """Points that a surface stands for, thin things such as pipes and wires included.
+    """Return points that a surface stands for, thin things such as pipes and wires included.
 
     A point must have neighbours (:func:`inliers`) or be one of a row of points at its depth, as on a wire; and among
     the rays next to its own some must end at its depth: between two surfaces a mixed pixel is alone there.  On a
@@ -106,7 +106,9 @@ def _tree(points: Float[np.ndarray, "N 3"]) -> cKDTree:
 def _voxels(
     points: Float[np.ndarray, "N 3"], radius: Float[np.ndarray, "N"]
 ) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "V"]]:
-    """Number of each point's voxel and counts; all points of a voxel lie within each one's radius of each other."""
+    """Return the number of each point's voxel and counts; all points of a voxel lie within each one's radius of each
+    other.
+    """
     level = np.floor(np.log(radius) / np.log(1.3)).astype(np.int64)
     size = 1.3**level / np.sqrt(3.0)
     # Voxels of another level start far away, so that one call numbers all.
@@ -121,7 +123,9 @@ def _voxels(
 def _cones(
     rays: Float[np.ndarray, "N 3"], ranges: Float[np.ndarray, "N"], starts: Float[np.ndarray, "N 3"]
 ) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "V"]]:
-    """Number of the piece of a narrow cone each point lies in, and counts: about a radius wide, three radii deep."""
+    """Return the number of the piece of a narrow cone each point lies in, and counts: about a radius wide, three radii
+    deep.
+    """
     # The radius grows with the range; so many pieces, each _DEEP radii deep, lie before a range.
     poll()
     before = np.log1p(ranges * (RADIUS_SHARE / RADIUS)) / (_DEEP * RADIUS_SHARE)
@@ -139,7 +143,7 @@ def _cones(
 
 
 def _on_smooth_depth(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Points whose voxel is explained by one plane over the rays, not too steep to them, and who lie on it."""
+    """Return points whose voxel is explained by one plane over the rays, not too steep to them, and who lie on it."""
     poll()
     rays = points - starts
     ranges = np.linalg.norm(rays, axis=1)
@@ -173,7 +177,8 @@ def on_grazed_surface(
     surface: Float[np.ndarray, "N 3"],
     apart: Float[np.ndarray, "K"],
 ) -> Bool[np.ndarray, "K"]:
-    """Points at most 5 mm off a plane, steep to their rays, that four fifths of the 24 surface points nearest lie on.
+    """Return points at most 5 mm off a plane, steep to their rays, that four fifths of the 24 surface points nearest
+    lie on.
 
     Rays that graze a surface end as far from each other as mixed pixels do, but in one plane, and that plane passes
     the place they started at.  What is found so is of the surface for the points beside it.
@@ -218,7 +223,7 @@ class _Nearest:
         return cls(distance, surface[index])
 
     def among(self, chosen: Int[np.ndarray, "C"]) -> _Nearest:
-        """Of the chosen points only."""
+        """Keep only the chosen points."""
         return _Nearest(self.distance[chosen], self.place[chosen])
 
     def join(
@@ -238,7 +243,7 @@ class _Nearest:
 
 
 def _goes_on(points: Float[np.ndarray, "K 3"], rays: Float[np.ndarray, "K 3"], near: _Nearest) -> Bool[np.ndarray, "K"]:
-    """Which points lie in one plane with the surface points nearest to them, steep to their rays."""
+    """Return which points lie in one plane with the surface points nearest to them, steep to their rays."""
     if not len(points):
         return np.zeros(0, dtype=bool)
     around = near.place - points[:, None]

@@ -48,7 +48,7 @@ class _Found:
 def detect_lever(
     view: View, hint: Float[np.ndarray, "3"] | None = None, seen: FacesInSight | None = None
 ) -> list[Detection]:
-    """Levers, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
+    """Find levers, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
     The pivot is claimed where something is seen between the bar and its face at one end and not at the other.  A bar
     is sure only where rays went past both of its ends.
@@ -79,7 +79,7 @@ def detect_lever(
 
 
 def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> list[Run]:
-    """Slim connected things before a face."""
+    """Return slim connected things before a face."""
     height = seen.ends[:, 2]
     proud = (height > max(_STAND_OFF[0], 2.8 * face.sigma)) & (height < _STAND_OFF[1])
     points = seen.ends[proud]
@@ -104,7 +104,7 @@ def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> li
 
 
 def _connect(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
-    """Indices of the points of each connected patch, large ones first."""
+    """Return indices of the points of each connected patch, large ones first."""
     cells = np.floor((flat - flat.min(axis=0)) / _CELL).astype(int)
     grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     grid[tuple(cells.T)] = True
@@ -153,7 +153,7 @@ def _examine(face: Face, seen: FaceRays, run: Run) -> _Found | None:
 
 
 def _fit(rays: SurroundingRays, run: Run) -> Bar | None:
-    """The round bar that explains best what is seen about a run."""
+    """Return the round bar that explains best what is seen about a run."""
     sample = sample_about(rays, run, _TUBE, 400)
     if sample is None:
         return None
@@ -163,7 +163,7 @@ def _fit(rays: SurroundingRays, run: Run) -> Bar | None:
 
 
 def _as_detection(lever: _Found, is_hinted: bool) -> Detection:
-    """The lever in the words all detectors share."""
+    """Return the lever in the words all detectors share."""
     bar, pivot, face = lever.ends.bar, lever.pivot, lever.face
     z = face.frame[2]
     x = np.sign(pivot.far - pivot.along) * bar.axis

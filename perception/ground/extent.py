@@ -1,4 +1,4 @@
-"""How far a level of the floor goes: convex patches of what was seen of it, or of all that no ray went through."""
+"""Extent of a level of the floor: convex patches of what was seen of it, or of all that no ray went through."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def pierced_cells(
     centre: Float[np.ndarray, "2"],
     extent: float,
 ) -> Float[np.ndarray, "H 2"]:
-    """Middles of the cells of a plane where rays went through it and nothing of it was seen [m].
+    """Return middles of the cells of a plane where rays went through it and nothing of it was seen [m].
 
     Args:
         normal, offset: of the plane.
@@ -60,7 +60,7 @@ def _counts(xy: Float[np.ndarray, "N 2"], lower: Float[np.ndarray, "2"], n_cells
 def convex_patches(
     seen: Float[np.ndarray, "K 2"], cell: float, holes: Float[np.ndarray, "H 2"] | None = None
 ) -> tuple[Float[np.ndarray, "4 2"], ...]:
-    """Rectangles, the largest first, that cover what was seen and gaps of a hand's width.
+    """Return rectangles, the largest first, that cover what was seen and gaps of a hand's width.
 
     With holes, all places are covered, up to the farthest that was seen, that are nearer to what was seen than to a
     hole: a floor goes on in a shadow, but not behind its edge.
@@ -86,7 +86,7 @@ def convex_patches(
 
 
 def _main_direction(xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "2 2"]:
-    """Columns: the sides of the smallest rectangle around the places."""
+    """Return columns: the sides of the smallest rectangle around the places."""
     try:
         corners = xy[ConvexHull(xy).vertices]
     except (QhullError, ValueError):
@@ -110,7 +110,7 @@ def _picture(
 def _rectangles(
     mask: Bool[np.ndarray, "U V"], lower: Float[np.ndarray, "2"], cell: float, flat: Float[np.ndarray, "K 2"]
 ) -> list[Float[np.ndarray, "4 2"]]:
-    """Largest rectangles of a picture, one after the other, drawn in to the points they hold."""
+    """Return the largest rectangles of a picture, one after the other, drawn in to the points they hold."""
     mask, whole = mask.copy(), mask.sum()
     rectangles: list[Float[np.ndarray, "4 2"]] = []
     for _ in range(_MOST_PATCHES):
@@ -129,7 +129,7 @@ def _rectangles(
 
 
 def _largest(mask: Bool[np.ndarray, "U V"]) -> tuple[np.ndarray, np.ndarray]:
-    """First and last-plus-one cells of the largest rectangle of a picture."""
+    """Return first and last-plus-one cells of the largest rectangle of a picture."""
     best, corners = 0, (np.zeros(2, dtype=int), np.zeros(2, dtype=int))
     columns = np.arange(mask.shape[1])
     for top in range(mask.shape[0]):

@@ -45,11 +45,11 @@ class FloorPlane:
         return float(np.degrees(np.arccos(min(1.0, float(self.normal[2])))))
 
     def height(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
-        """World z of the floor at the given places [m]."""
+        """Return world z of the floor at the given places [m]."""
         return np.asarray((self.offset - xy @ self.normal[:2]) / self.normal[2])
 
     def above(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
-        """Distance over the plane [m], negative below."""
+        """Return the distance over the plane [m], negative below."""
         return np.asarray(points @ self.normal - self.offset)
 
 
@@ -60,7 +60,7 @@ def on_floor(
     clearance: float = _CLEARANCE,
     depth: float = np.inf,
 ) -> Bool[np.ndarray, "N"]:
-    """Points of the floor's extent below it, up to ``clearance`` over it, and up to 3 cm over it under a sole.
+    """Return points of the floor's extent below it, up to ``clearance`` over it, and up to 3 cm over it under a sole.
 
     Args:
         points: (N, 3) [m].
@@ -84,7 +84,7 @@ def on_floor(
 def on_floors(
     points: Float[np.ndarray, "N 3"], floors: Sequence[FloorPlane], soles: Sequence[Float[np.ndarray, "S 3"]] = ()
 ) -> Bool[np.ndarray, "N"]:
-    """Points that belong to any of the levels.
+    """Return points that belong to any of the levels.
 
     What lies below the first, on which the robot stands, is its noise; of the others only what is near their planes
     belongs to them, for things may stand under a step.
@@ -96,7 +96,7 @@ def on_floors(
 
 
 def _within(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "K 2"]]) -> Bool[np.ndarray, "N"]:
-    """Which places lie in any of the outlines or up to 3 cm outside; all of them where there is no outline."""
+    """Return which places lie in any of the outlines or up to 3 cm outside; all of them where there is no outline."""
     if not outlines:
         return np.ones(len(xy), dtype=bool)
     mask = np.zeros(len(xy), dtype=bool)
@@ -111,7 +111,9 @@ def _within(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "
 def _under(
     xy: Float[np.ndarray, "N 2"], polygon: Float[np.ndarray, "S 2"], margin: float = 0.0
 ) -> Bool[np.ndarray, "N"]:
-    """Which places lie inside the convex polygon, corners in any order, or at most ``margin`` outside its sides."""
+    """Return which places lie inside the convex polygon, corners in any order, or at most ``margin`` outside its
+    sides.
+    """
     centre = polygon.mean(axis=0)
     order = np.argsort(np.arctan2(*(polygon - centre).T[::-1]))
     corners = polygon[order]
@@ -125,14 +127,14 @@ def _under(
 
 
 def floor_piece(floor: FloorPlane, reach: Reach) -> ConvexPiece:
-    """A box ``floor`` 0.2 m thick whose top face is the plane, reaching 1 m beyond the reach."""
+    """Return a box ``floor`` 0.2 m thick whose top face is the plane, reaching 1 m beyond the reach."""
     half = reach.radius + _EXTENSION
     xy = np.array([(reach.x + sx * half, reach.y + sy * half) for sx in (-1, 1) for sy in (-1, 1)])
     return _slab("floor", floor, xy, _THICKNESS)
 
 
 def floor_pieces(floors: Sequence[FloorPlane], reach: Reach) -> list[ConvexPiece]:
-    """Pieces of kind ``floor`` for all levels: ``floor``, under the robot, then ``floor/1`` and on.
+    """Return pieces of kind ``floor`` for all levels: ``floor``, under the robot, then ``floor/1`` and on.
 
     A level without outlines reaches 1 m beyond the reach; the others are as large as they were seen.  The level under
     the robot is 0.2 m thick, the others, which may be treads or plates, 5 cm.

@@ -64,7 +64,7 @@ class _Level:
 
 
 def find_floor(points: Float[np.ndarray, "N 3"], seed: int = 0) -> FloorPlane | None:
-    """The level that is the floor of a robot at the world's origin; None when there is none."""
+    """Return the level that is the floor of a robot at the world's origin; None when there is none."""
     floors = find_floors(points, seed=seed)
     return floors[0] if floors else None
 
@@ -77,7 +77,7 @@ def find_floors(
     extent: float = 4.0,
     seed: int = 0,
 ) -> tuple[FloorPlane, ...]:
-    """Planes that slope by at most 15 degrees and hang together by steps, the one under the robot first.
+    """Return planes that slope by at most 15 degrees and hang together by steps, the one under the robot first.
 
     A plane above knee height over the place where the robot stands is a table and no floor, however large; so is one
     with things under it.  Treads, ramps and platforms must be met by steps of at most 36 cm from level to level;
@@ -108,7 +108,7 @@ def find_floors(
 
 
 def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.Generator) -> Iterator[_Level]:
-    """Planes of the patches, the largest first, each with what no larger one has taken."""
+    """Return planes of the patches, the largest first, each with what no larger one has taken."""
     poll()
     free = patches.is_upright | patches.is_bare
     normals, offsets = candidates(patches, rng)
@@ -145,7 +145,7 @@ def _fit(
     normal: Float[np.ndarray, "3"],
     offset: float,
 ) -> tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, "K"]] | None:
-    """The better least-squares plane of the points near the candidate, and their indices."""
+    """Return the better least-squares plane of the points near the candidate, and their indices."""
     poll()
     beside = np.abs(patches.centre @ normal - offset) < 2 * _BAND + PATCH
     usable = np.flatnonzero((free & beside)[patches.of_point])
@@ -169,7 +169,9 @@ def _find_parts(
     offset: float,
     members: Int[np.ndarray, "K"],
 ) -> _Level | None:
-    """The parts of a plane that are large enough to stand on; None without any, or where its patches tilt otherwise."""
+    """Return the parts of a plane that are large enough to stand on; None without any, or where its patches tilt
+    otherwise.
+    """
     poll()
     cells = np.floor(points[members, :2] / _CELL).astype(int)
     lower = cells.min(axis=0) - 2
@@ -202,7 +204,9 @@ def _find_parts(
 def _from_within(
     points: Float[np.ndarray, "K 3"], normal: Float[np.ndarray, "3"], offset: float
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """The plane anew, without the border, where points of what goes up or down from there are taken for its own."""
+    """Return the plane anew, without the border, where points of what goes up or down from there are taken for its
+    own.
+    """
     fine = np.floor(points[:, :2] / (_CELL / 2)).astype(int)
     lower = fine.min(axis=0) - 2
     picture = np.zeros(fine.max(axis=0) - lower + 3, dtype=bool)
@@ -223,7 +227,7 @@ def _from_within(
 def _under_robot(
     points: Float[np.ndarray, "N 3"], levels: list[_Level], stand: Float[np.ndarray, "3"]
 ) -> _Level | None:
-    """The largest of those that come about nearest to where the robot stands."""
+    """Return the largest of those that come about nearest to where the robot stands."""
     able = [
         level
         for level in levels
@@ -240,7 +244,7 @@ def _under_robot(
 
 
 def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
-    """Whether in the midst of the plane many points lie under it, as under a table."""
+    """Return whether in the midst of the plane many points lie under it, as under a table."""
     lower = level.cells.min(axis=0) - 1
     picture = np.zeros(level.cells.max(axis=0) - lower + 2, dtype=bool)
     picture[tuple((level.cells - lower).T)] = True
@@ -252,8 +256,8 @@ def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
 
 
 def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.ndarray, "3"]) -> bool:
-    """Whether much lies under the plane between it and the robot, as before a shelf, and it is not known to be level
-    with the robot's feet.
+    """Return whether much lies under the plane between it and the robot, as before a shelf, and it is not known to be
+    level with the robot's feet.
     """
     if abs(float(level.plane.height(stand[None, :2])[0]) - stand[2]) <= 2 * _BAND:
         return False
@@ -264,7 +268,9 @@ def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.
 
 
 def _reach(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level]) -> Iterator[_Level]:
-    """Levels a robot could step to from level to level, and large ground below, each without its broken parts."""
+    """Return levels a robot could step to from level to level, and large ground below, each without its broken
+    parts.
+    """
     open_ends = [main]
     lowest = main.places[:, 2].min()
     # Rougher ones are slices through heaps, or two low steps at once.
@@ -287,7 +293,7 @@ def _reach(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level])
 
 
 def _unbroken(points: Float[np.ndarray, "N 3"], level: _Level) -> _Level | None:
-    """The level without its broken parts; None when too little is left to stand on."""
+    """Return the level without its broken parts; None when too little is left to stand on."""
     members = level.members[is_unbroken(points, points[level.members], level.plane)]
     cells = np.unique(np.floor(points[members, :2] / _CELL).astype(int), axis=0)
     area = float(len(cells) * _CELL**2)
@@ -299,7 +305,8 @@ def _outline(
     level: _Level,
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]] | None,
 ) -> FloorPlane:
-    """The level with its extent; where it runs into another, as a ramp does into the ground, it goes on a little.
+    """Return the level with its extent; where it runs into another, as a ramp does into the ground, it goes on a
+    little.
 
     A slope does so up and down, but not to its sides.
     """
@@ -329,7 +336,9 @@ def _bound(
     stand: Float[np.ndarray, "3"],
     extent: float,
 ) -> FloorPlane:
-    """The first level; where rays went through it, as over a hole, a step down or a slope away, with its extent."""
+    """Return the first level; where rays went through it, as over a hole, a step down or a slope away, with its
+    extent.
+    """
     plane = main.plane
     foothold = stand[:2] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([[1.0, 0.0]])
     foothold = (foothold[:, None, :] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([0.0, 1.0])).reshape(

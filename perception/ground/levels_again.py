@@ -1,4 +1,4 @@
-"""Whether the floor of an earlier scan is what a new one shows, which is sooner told than found."""
+"""Test whether a new scan shows the floor of an earlier one, which is quicker than a search for it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def are_there(
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
     reach: Reach,
 ) -> bool:
-    """Whether all levels are seen where they were, at least half of each, and no rays go through.
+    """Return whether all levels are seen where they were, at least half of each, and no rays go through.
 
     The level under the robot is there as well where less of it is seen but nothing under it: a sensor may look
     elsewhere.  Where half is seen it may have moved by 3 mm, else by 1 cm, as levels may that are small and rough.
@@ -69,12 +69,12 @@ def _is_there(
 
 
 def _is_lowest(floor: FloorPlane, own: Float[np.ndarray, "M 3"], points: Float[np.ndarray, "N 3"]) -> bool:
-    """Whether hardly any points lie under the level."""
+    """Return whether hardly any points lie under the level."""
     return int((floor.above(points) < -_BAND).sum()) <= _SHARE_UNDER * len(own)
 
 
 def _area(xy: Float[np.ndarray, "N 2"]) -> float:
-    """Of the cells that hold any of the places [m^2]."""
+    """Return the area of the cells that hold any of the places [m^2]."""
     if not len(xy):
         return 0.0
     u, v = np.floor(xy / _CELL).astype(np.int64).T
@@ -85,7 +85,9 @@ def _area(xy: Float[np.ndarray, "N 2"]) -> float:
 
 
 def _movement(floor: FloorPlane, own: Float[np.ndarray, "N 3"]) -> float:
-    """How far a plane through the points lies off the level, at the worst of them; zero where there are too few [m]."""
+    """Return how far a plane through the points lies off the level, at the worst of them; zero where there are too few
+    [m].
+    """
     fitted = least_squares(own, floor.normal, floor.offset, (_BAND, _BAND))
     if fitted is None:
         return 0.0
@@ -93,7 +95,7 @@ def _movement(floor: FloorPlane, own: Float[np.ndarray, "N 3"]) -> float:
 
 
 def _inside(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "K 2"]]) -> Bool[np.ndarray, "N"]:
-    """Which places lie more than 10 cm inside of any outline, corners counter-clockwise."""
+    """Return which places lie more than 10 cm inside of any outline, corners counter-clockwise."""
     inside = np.zeros(len(xy), dtype=bool)
     for corners in outlines:
         sides = np.roll(corners, -1, axis=0) - corners
@@ -109,7 +111,8 @@ def may_be_level(
     ground: Float[np.ndarray, "F 3"],
     known: Sequence[Hull] = (),
 ) -> bool:
-    """Whether points that are new show so much that is flat, and low enough, that it may be a level of the floor.
+    """Return whether points that are new show so much that is flat, and low enough, that it may be a level of the
+    floor.
 
     What is flat over a place where more of the floor is seen is its noise: a level would hide what lies under it.
 
@@ -136,7 +139,7 @@ def may_be_level(
 
 
 def _seen_in_columns(places: Float[np.ndarray, "P 3"], ground: Float[np.ndarray, "F 3"]) -> Int[np.ndarray, "P"]:
-    """How many points of the ground lie in the column, as wide as a patch, of each place."""
+    """Return how many points of the ground lie in the column, as wide as a patch, of each place."""
     if not len(places) or not len(ground):
         return np.zeros(len(places), dtype=np.int64)
     columns = np.floor(np.concatenate([places, ground])[:, :2] / PATCH).astype(np.int64)

@@ -29,7 +29,7 @@ def outlines_of(
     core: Float[np.ndarray, "C 2"],
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
 ) -> tuple[Float[np.ndarray, "K 2"], ...]:
-    """Corners, counter-clockwise, of convex outlines, the largest first, that cover the points and no opening.
+    """Return corners, counter-clockwise, of convex outlines, the largest first, that cover the points and no opening.
 
     The lowest boards of two shelves may be one level, but between them rays went through it.  Gaps of a hand's width
     are covered, wider ones are not.
@@ -61,7 +61,9 @@ def outlines_of(
 def _parts(
     places: Float[np.ndarray, "N 2"], core: Float[np.ndarray, "C 2"], holes: Float[np.ndarray, "H 2"]
 ) -> list[Int[np.ndarray, "L"]]:
-    """Indices of the places that hang together, across gaps of scan lines but not across holes, with the core."""
+    """Return indices of the places that hang together, across gaps of scan lines but not across holes, with the
+    core.
+    """
     lower, shape = _grid(places, _CELL)
     seen = _picture(places, lower, shape, _CELL)
     joined = _close(seen) & ~_picture(holes, lower, shape, _CELL)
@@ -73,7 +75,7 @@ def _parts(
 
 
 def _wide_gaps(places: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "G 2"]:
-    """Middles of cells farther from the places than gaps between scan lines and a ragged border explain [m]."""
+    """Return middles of cells farther from the places than gaps between scan lines and a ragged border explain [m]."""
     lower, shape = _grid(places, _FINE)
     closed = _close(_picture(places, lower, shape, _FINE))
     return np.asarray((np.argwhere(~ndimage.binary_dilation(closed, structure=_AROUND)) + 0.5) * _FINE + lower)
@@ -99,7 +101,7 @@ def _picture(
 
 
 def _width(outline: Float[np.ndarray, "K 2"]) -> float:
-    """Least extent of a convex outline [m]."""
+    """Return the least extent of a convex outline [m]."""
     sides = np.roll(outline, -1, axis=0) - outline
     across = np.column_stack([-sides[:, 1], sides[:, 0]]) / np.maximum(np.linalg.norm(sides, axis=1), 1e-9)[:, None]
     return float(np.ptp(outline @ across.T, axis=0).min())

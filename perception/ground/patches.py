@@ -37,7 +37,7 @@ class Patches:
 
 
 def patches_of(points: Float[np.ndarray, "N 3"]) -> Patches:
-    """Mean and normal of the points in each cube of 12 cm."""
+    """Return the mean and normal of the points in each cube of 12 cm."""
     voxel, n = voxel_index(points, PATCH)
     count = np.bincount(voxel, minlength=n)
 
@@ -59,7 +59,7 @@ def patches_of(points: Float[np.ndarray, "N 3"]) -> Patches:
 
 
 def candidates(patches: Patches, rng: np.random.Generator) -> tuple[Float[np.ndarray, "H 3"], Float[np.ndarray, "H"]]:
-    """Planes through three patches, some near each other, some far apart; not too steep ones only."""
+    """Return planes through three patches, some near each other, some far apart; not too steep ones only."""
     upright = patches.centre[patches.is_upright]
     if len(upright) < 3:
         return np.zeros((0, 3)), np.zeros(0)
@@ -87,7 +87,7 @@ def candidates(patches: Patches, rng: np.random.Generator) -> tuple[Float[np.nda
 def least_squares(
     points: Float[np.ndarray, "N 3"], normal: Float[np.ndarray, "3"], offset: float, bands: tuple[float, ...]
 ) -> tuple[Float[np.ndarray, "3"], float] | None:
-    """The plane of the points near it, taken anew for each band; None when too few are."""
+    """Return the plane of the points near it, taken anew for each band; None when too few are."""
     for band in bands:
         chosen = points[np.abs(points @ normal - offset) < band]
         if len(chosen) < 20:
@@ -97,7 +97,7 @@ def least_squares(
 
 
 def plane_of(points: Float[np.ndarray, "K 3"]) -> tuple[Float[np.ndarray, "3"], float]:
-    """Least-squares plane: unit normal, upwards, and offset."""
+    """Return the least-squares plane: unit normal, upwards, and offset."""
     centre = points.mean(axis=0)
     relative = points - centre
     normal = np.linalg.eigh(relative.T @ relative)[1][:, 0]

@@ -1,4 +1,4 @@
-"""Where a level of the floor is one surface to stand on, and where it is a slice through things side by side."""
+"""Parts of a level that are one surface to stand on, told from slices through things side by side."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _LEAST_SHARE = 0.85
 def is_unbroken(
     points: Float[np.ndarray, "N 3"], own: Float[np.ndarray, "K 3"], plane: FloorPlane
 ) -> Bool[np.ndarray, "K"]:
-    """Which points of a level belong to parts that are wide, with hardly anything seen under them or just over them.
+    """Return which points of a level belong to parts that are wide, with hardly anything seen under them or just over
+    them.
 
     Beams in a heap have their upper faces at much the same height here and there, but between them one sees what lies
     lower, and across them what lies higher.  Five centimetres along the border do not count: there are risers.

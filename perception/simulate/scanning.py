@@ -23,7 +23,7 @@ def scan(
     *,
     misses: bool = False,
 ) -> Cloud:
-    """What a sensor gives of the meshes, in world coordinates.
+    """Return what a sensor gives of the meshes, in world coordinates.
 
     Every ray stops at the first surface (real occlusion), and may be mixed up with what is beside it.
 
@@ -54,7 +54,7 @@ def scan(
 def _aside(
     direction: Float[np.ndarray, "R 3"], footprint_deg: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "R 3"]:
-    """Each direction moved to its footprint's edge."""
+    """Move each direction to its footprint's edge."""
     aside = rng.normal(size=direction.shape)
     aside -= (aside * direction).sum(axis=1, keepdims=True) * direction
     aside *= np.tan(np.radians(footprint_deg)) / np.linalg.norm(aside, axis=1, keepdims=True)

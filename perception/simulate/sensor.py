@@ -20,7 +20,7 @@ _TURNS = (121.5, -77.7)
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the sensor is: position [m], then yaw, pitch (down positive) and roll [rad]."""
+    """Pose of a sensor: position [m], then yaw, pitch (down positive) and roll [rad]."""
 
     position: tuple[float, float, float] = (0.12, 0.0, 1.6)
     yaw: float = 0.0
@@ -29,7 +29,7 @@ class Pose:
 
     @staticmethod
     def looking(position: tuple[float, float, float], target: Sequence[float], roll: float = 0.0) -> Pose:
-        """From a place towards another."""
+        """Look from a place towards another."""
         x, y, z = np.subtract(target, position)
         return Pose(position, float(np.arctan2(y, x)), float(-np.arctan2(z, np.hypot(x, y))), roll)
 
@@ -64,11 +64,11 @@ class Sensor(Protocol):
     def tells_misses(self) -> bool: ...
 
     def directions(self) -> Float[np.ndarray, "R 3"]:
-        """Unit directions of all rays in the sensor's frame (x forward, y left, z up)."""
+        """Return unit directions of all rays in the sensor's frame (x forward, y left, z up)."""
         ...
 
     def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
-        """Ranges as the sensor gives them [m]: NaN where it fails to measure, infinite where there was nothing.
+        """Return ranges as the sensor gives them [m]: NaN where it fails to measure, infinite where there was nothing.
 
         Args:
             hits: what the rays' middles met.
@@ -81,7 +81,7 @@ class Sensor(Protocol):
 def mix_ranges(
     first: Float[np.ndarray, "R"], beside: Float[np.ndarray, "R"], share: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "R"]:
-    """Ranges of which some at edges (more than 3 cm deep) lie anywhere between both surfaces.
+    """Return ranges of which some at edges (more than 3 cm deep) lie anywhere between both surfaces.
 
     Args:
         first: what the rays' middles met [m].
@@ -98,7 +98,7 @@ def mix_ranges(
 
 @dataclass(frozen=True)
 class Scanner:
-    """What a scan looks like.
+    """A spinning line scanner: beams in a fan that turns about the sensor's forward axis.
 
     Attributes:
         n_beams: beams of the fan.
@@ -122,21 +122,21 @@ class Scanner:
     tells_misses: bool = True
 
     def directions(self) -> Float[np.ndarray, "R 3"]:
-        """Unit directions of all beams in the sensor's frame (x forward, z up)."""
+        """Return unit directions of all beams in the sensor's frame (x forward, z up)."""
         beam = np.radians(np.linspace(-self.fan_deg / 2, self.fan_deg / 2, self.n_beams))
         turn = np.pi * np.arange(self.n_lines) / self.n_lines
         beam, turn = (grid.ravel() for grid in np.meshgrid(beam, turn))
         return np.column_stack([np.cos(beam), np.sin(beam) * np.cos(turn), np.sin(beam) * np.sin(turn)])
 
     def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
-        """Mixed pixels at edges, and noise that does not depend on the range."""
+        """Add mixed pixels at edges, and noise that does not depend on the range."""
         ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
         return ranges + rng.normal(0.0, self.sigma, len(ranges))
 
 
 @dataclass(frozen=True)
 class SolidState:
-    """What it sees in one exposure.
+    """A solid-state lidar with turning prisms: a rosette within a cone that never repeats itself.
 
     Attributes:
         n_points: pulses.
@@ -162,7 +162,7 @@ class SolidState:
     tells_misses: bool = True
 
     def directions(self) -> Float[np.ndarray, "R 3"]:
-        """Two prisms of equal strength bend the beam one after the other."""
+        """Return beams that two prisms of equal strength bend one after the other."""
         time = np.arange(self.n_points) / self.rate
         bent = sum(np.exp(2j * np.pi * turns * time) for turns in _TURNS) * np.radians(self.field_deg) / 4.0
         angle = np.abs(bent)
@@ -170,12 +170,12 @@ class SolidState:
         return np.column_stack([np.cos(angle), side * np.real(bent), side * np.imag(bent)])
 
     def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
-        """Mixed pixels at edges, and noise that grows on surfaces seen at a slant."""
+        """Add mixed pixels at edges, and noise that grows on surfaces seen at a slant."""
         ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
         return np.asarray(ranges + rng.normal(0.0, 1.0, len(ranges)) * self.deviation(hits))
 
     def deviation(self, hits: Hits) -> Float[np.ndarray, "R"]:
-        """Standard deviation of each range [m]."""
+        """Return the standard deviation of each range [m]."""
         slant = np.sqrt(1.0 - hits.cosine**2) / np.maximum(hits.cosine, 0.1)
         return np.asarray(self.sigma + self.grazing_gain * slant)
 
@@ -225,7 +225,7 @@ class DepthCamera:
         return float(np.degrees(1.0 / self.focal))
 
     def directions(self) -> Float[np.ndarray, "R 3"]:
-        """One ray per pixel, row by row from the upper left."""
+        """Return one ray per pixel, row by row from the upper left."""
         column, row = np.meshgrid(np.arange(self.width), np.arange(self.height))
         y = (0.5 * (self.width - 1) - column.ravel()) / self.focal
         z = (0.5 * (self.height - 1) - row.ravel()) / self.focal
@@ -233,7 +233,7 @@ class DepthCamera:
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
     def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
-        """Flying pixels, holes, and disparities with an error, rounded."""
+        """Add flying pixels, holes, and disparities with an error, rounded."""
         forward = self.directions()[:, 0]
         depth = mix_ranges(hits.distance, beside, self.mixed_share, rng) * forward
         error = gaussian_filter(rng.normal(size=(self.height, self.width)), self.correlation, mode="wrap")
@@ -243,12 +243,12 @@ class DepthCamera:
         return np.where(seen, self.focal * self.baseline / np.where(seen, disparity, 1.0) / forward, np.nan)
 
     def deviation(self, depth: Float[np.ndarray, "R"]) -> Float[np.ndarray, "R"]:
-        """Standard deviation of each depth, rounding included [m]."""
+        """Return the standard deviation of each depth, rounding included [m]."""
         pixels = np.hypot(self.matching, self.step / np.sqrt(12.0))
         return np.asarray(pixels * depth**2 / (self.focal * self.baseline))
 
     def _hole_share(self, hits: Hits) -> Float[np.ndarray, "R"]:
-        """How often a pixel gives nothing: always when its surface is seen edge on."""
+        """Return how often a pixel gives nothing: always when its surface is seen edge on."""
         limit = np.cos(np.radians(self.slant_deg))
         slanted = np.clip(1.0 - hits.cosine / limit, 0.0, 1.0)
         return np.asarray(np.maximum(slanted, self.hole_share))

@@ -73,7 +73,7 @@ class _Beam:
 
 
 def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Beams, best first; origin the centre, x along the length, z along the smallest side.
+    """Find beams, best first; origin the centre, x along the length, z along the smallest side.
 
     Sizes are length, width and thickness.  A beam of which one face is seen may be thicker than it looks: residuals
     hold ``doubt``, how far off its centre may then be [m].  Where something lies over its ends or before them,
@@ -119,7 +119,7 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def loose_points(view: View) -> Float[np.ndarray, "N 3"]:
-    """The obstacles and what lies on small raised levels of the floor: beams side by side pass for a step."""
+    """Return the obstacles and what lies on small raised levels of the floor: beams side by side pass for a step."""
     steps = [level for level in view.floors[1:] if level.area < _LARGEST_STEP]
     if view.floor is None or not steps:
         return view.obstacles
@@ -133,7 +133,7 @@ def _is_explained(strip: Strip, known: Sequence[Bar]) -> bool:
 
 
 def _is_again(strip: Strip, tried: Strip, since: Sequence[Bar]) -> bool:
-    """Whether a strip was looked at before and no bar is known near it since."""
+    """Return whether a strip was looked at before and no bar is known near it since."""
     places = strip.places(9)
     offset = places - tried.place
     along = offset @ tried.axis
@@ -171,7 +171,7 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
 
 
 def _settle_again(index: SightIndex, beam: _Beam, beams: Sequence[_Beam], floor: FloorPlane | None) -> _Beam:
-    """Settled with what was found after it and with what it may be a part of, where that makes it surer."""
+    """Settle a beam again with what was found after it and with what it may be a part of, where that makes it surer."""
     others = [other for other in beams if other is not beam and not _same(other.bar, beam.bar)]
     parts = [other.bar for other in others if _continues(other.bar, beam.bar)]
     if beam.confidence >= _SURE and not parts:
@@ -187,7 +187,7 @@ def _settle_again(index: SightIndex, beam: _Beam, beams: Sequence[_Beam], floor:
 
 
 def _continues(bar: Bar, other: Bar) -> bool:
-    """Whether one bar lies in the line of another, little space between them."""
+    """Return whether one bar lies in the line of another, little space between them."""
     offset = bar.middle - other.middle
     along = float(offset @ other.axis)
     off = float(np.linalg.norm(offset - along * other.axis))
@@ -232,7 +232,7 @@ def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | No
 def _fit(
     rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None, n_fits: int
 ) -> tuple[Choice, LikelyEnds] | None:
-    """The bar fitted between its ends, and these found anew; again when they moved."""
+    """Return the bar fitted between its ends, and these found anew; again when they moved."""
     choice = choose_bar(rays, run_of(bar), _TUBE, _TIMBER, floor, 3, _FITTED_TO, fit)
     if choice is None:
         return None
@@ -245,20 +245,22 @@ def _fit(
 
 
 def _end_moves(before: Bar, after: Bar) -> float:
-    """By how much the end moved that moved most [m]."""
+    """Return by how much the end moved that moved most [m]."""
     shift = float((after.centre - before.centre) @ before.axis)
     return max(abs(after.first + shift - before.first), abs(after.last + shift - before.last))
 
 
 def _span(bar: Bar, run: Run) -> Bar:
-    """At least as long as a run along it."""
+    """Lengthen the bar to a run along it."""
     middle, sign = float((run.place - bar.centre) @ bar.axis), float(np.sign(run.axis @ bar.axis))
     first, last = sorted((middle + sign * run.first, middle + sign * run.last))
     return replace(bar, first=min(bar.first, first), last=max(bar.last, last))
 
 
 def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
-    """Whether rays went past a strip's edges on both sides, or past places further out: it may be part of a face."""
+    """Return whether rays went past a strip's edges on both sides, or past places further out: it may be part of a
+    face.
+    """
     frame = np.stack([strip.axis, cross(strip.normal, strip.axis), strip.normal])
     looks = [
         weigh_bar(rays, Bar(frame, strip.place, (strip.half + more, _BEHIND), strip.first, strip.last))
@@ -268,8 +270,9 @@ def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
 
 
 def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: float) -> float:
-    """Product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths that agree,
-    an axis that its rays hold, a centre that is sure, and ends that are seen or bound to be near."""
+    """Return the product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths
+    that agree, an axis that its rays hold, a centre that is sure, and ends that are seen or bound to be near.
+    """
     bar, ends_seen = ends.bar, sum(ends.seen)
     width, thickness = 2.0 * max(bar.half), 2.0 * min(bar.half)
     return float(
@@ -292,21 +295,21 @@ def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: f
 
 
 def _flatness(flatter: Rivalry) -> float:
-    """Product of: flat rather than round, and little that it leaves unexplained."""
+    """Return the product of: flat rather than round, and little that it leaves unexplained."""
     return float(
         rising(flatter.better, -6.0, 10.0) * rising(flatter.share, 0.05, 0.14) * rising(-flatter.misfit, -3.8, -2.6)
     )
 
 
 def _off_size(width: float, thickness: float) -> float:
-    """How far both sizes are from those of the nearest timber, the farther of the two [m]."""
+    """Return how far both sizes are from those of the nearest timber, the farther of the two [m]."""
     halves = np.array(_TIMBER.halves)
     nearest = np.abs(2.0 * np.column_stack([halves.max(axis=1), halves.min(axis=1)]) - (width, thickness))
     return float(nearest.max(axis=1).min())
 
 
 def _drop_duplicates(beams: list[_Beam]) -> list[_Beam]:
-    """Without those that lie in a surer one, or just beside it in the same direction."""
+    """Drop those that lie in a surer one, or just beside it in the same direction."""
     kept: list[_Beam] = []
     for beam in beams:
         if not any(_same(beam.bar, other.bar) or _same(other.bar, beam.bar) for other in kept):

@@ -66,7 +66,7 @@ class Strip:
     score: float
 
     def places(self, n: int) -> Float[np.ndarray, "n 3"]:
-        """Places along its middle line, from end to end [m]."""
+        """Return places along its middle line, from end to end [m]."""
         return np.asarray(self.place + np.linspace(self.first, self.last, n)[:, None] * self.axis)
 
 
@@ -77,7 +77,7 @@ def find_strips(
     n_seeds: int = 220,
     most: int = 40,
 ) -> list[Strip]:
-    """The best strips, best first, each point in one at most.
+    """Return the best strips, best first, each point in one at most.
 
     Args:
         points: (N, 3) thinned evenly [m].
@@ -116,7 +116,7 @@ def find_strips(
 
 
 def _in_walls(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Points in the middle of what is flat and wider than a bar."""
+    """Return points in the middle of what is flat and wider than a bar."""
     variances = variances_about(points, _WALL_CELL)
     if variances is None:
         return np.zeros(len(points), dtype=bool)
@@ -141,7 +141,7 @@ _Start = tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"], tuple[floa
 def _best_at_seed(
     points: Float[np.ndarray, "N 3"], seed: int, local: Int[np.ndarray, "K"], rng: np.random.Generator
 ) -> _Start | None:
-    """The best strip through a seed: score, axis, normal, and between which places across it lies [m]."""
+    """Return the best strip through a seed: score, axis, normal, and between which places across it lies [m]."""
     poll()
     if len(local) < _FEWEST_NEAR:
         return None
@@ -209,7 +209,7 @@ def _grow(
     edges: tuple[float, float],
     towards: Float[np.ndarray, "3"],
 ) -> tuple[Strip, Int[np.ndarray, "K"]] | None:
-    """The strip fitted to its points and followed as far as they go on, and which points those are."""
+    """Return the strip fitted to its points and followed as far as they go on, and which points those are."""
     poll()
     side = cross(normal, axis)
     # The axis' sign in _best_at_seed: across is measured along normal x axis.
@@ -256,7 +256,9 @@ def _grow(
 
 
 def middle_and_half(spread: Float[np.ndarray, "K"]) -> tuple[float, float]:
-    """Where the middle of a strip is and half its width, by its points' places across, but the outermost ones [m]."""
+    """Return where the middle of a strip is and half its width, by its points' places across, but the outermost ones
+    [m].
+    """
     left, right = np.percentile(spread, [4.0, 96.0])
     return 0.5 * float(left + right), 0.5 * float(right - left) / 0.92
 
@@ -271,8 +273,9 @@ def _clear(
     low: float,
     high: float,
 ) -> Int[np.ndarray, "K"]:
-    """For each bin along the strip: 1 if it holds points and nothing lies beside them in its plane, -1 if something
-    does, 0 if it is empty."""
+    """Return for each bin along the strip: 1 if it holds points and nothing lies beside them in its plane, -1 if
+    something does, 0 if it is empty.
+    """
     offset = points - place
     near = offset[np.abs(offset @ normal) < _THICK]
     along, across = near @ axis, np.abs(near @ side)
@@ -289,7 +292,7 @@ def _clear(
 
 
 def _run(along: Float[np.ndarray, "K"], middle: float) -> tuple[float, float]:
-    """Ends of the run of filled bins about a place, gaps of up to six bins included."""
+    """Return ends of the run of filled bins about a place, gaps of up to six bins included."""
     bins = np.unique(np.floor(along / _BIN).astype(np.int64))
     breaks = np.flatnonzero(np.diff(bins) > _GAP)
     begins, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(bins) - 1]])
@@ -300,7 +303,9 @@ def _run(along: Float[np.ndarray, "K"], middle: float) -> tuple[float, float]:
 
 
 def straight_parts(strip: Strip) -> list[Strip]:
-    """The strip, or both its parts where middle line, width or height change along it better explained by a break."""
+    """Return the strip, or both its parts where middle line, width or height change along it better explained by a
+    break.
+    """
     side = cross(strip.normal, strip.axis)
     local = (strip.members - strip.place) @ np.stack([strip.axis, side, strip.normal], axis=1)
     number = np.floor((local[:, 0] - strip.first) / _BEND_BIN).clip(0).astype(np.int64)
@@ -320,7 +325,9 @@ def straight_parts(strip: Strip) -> list[Strip]:
 def _course(
     number: Int[np.ndarray, "N"], local: Float[np.ndarray, "N 3"]
 ) -> tuple[Int[np.ndarray, "B"], Float[np.ndarray, "B 3"]]:
-    """Bins along a strip that hold points, and the middle, half the width and the height of what they hold [m]."""
+    """Return bins along a strip that hold points, and the middle, half the width and the height of what they hold
+    [m].
+    """
     n = np.bincount(number)
     bins = np.flatnonzero(n >= _FEWEST_IN_BIN)
     across, square, over = (np.bincount(number, weight)[bins] / n[bins] for weight in _moments(local))
@@ -333,7 +340,7 @@ def _moments(local: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "N"], .
 
 
 def _misfit(bins: Int[np.ndarray, "B"], course: Float[np.ndarray, "B 3"]) -> float:
-    """Squared distance of middle and height from straight lines, and of the width from its mean [m^2]."""
+    """Return the squared distance of middle and height from straight lines, and of the width from its mean [m^2]."""
     x = bins - bins.mean()
     off = course - course.mean(axis=0)
     slope = (x @ off) / max(float(x @ x), 1e-9) * np.array([1.0, 0.0, 1.0])
@@ -341,7 +348,7 @@ def _misfit(bins: Int[np.ndarray, "B"], course: Float[np.ndarray, "B 3"]) -> flo
 
 
 def _refit(strip: Strip, members: Float[np.ndarray, "K 3"]) -> Strip:
-    """As long, wide and inclined as these of its points."""
+    """Make the strip as long, wide and inclined as these of its points."""
     middle = members.mean(axis=0)
     vectors = np.linalg.eigh(np.cov((members - middle).T))[1]
     axis = vectors[:, 2] * np.sign(vectors[:, 2] @ strip.axis)

@@ -1,4 +1,4 @@
-"""Where something stands out of a face: boxes of a handle's sizes, weighed by how rays towards them ended."""
+"""Bumps that stand out of a face: boxes of a handle's sizes, weighed by how rays towards them ended."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class DoorFace:
         return self.high - self.low
 
     def votes(self, depth: Float[np.ndarray, "K"], out: float) -> Float[np.ndarray, "K"]:
-        """How much rather rays that ended ``depth`` out of the face met what is ``out`` before it [log odds]."""
+        """Return how much rather rays that ended ``depth`` out of the face met what is ``out`` before it [log odds]."""
         likelier = out * (2.0 * np.minimum(depth, out + 0.01) - out) / (2.0 * self.sigma**2)
         return np.asarray(np.clip(likelier, -_MOST, _MOST))
 
@@ -70,7 +70,7 @@ class Towards:
 
 @dataclass(frozen=True)
 class Bump:
-    """Where something may stand out of a face.
+    """A place where something may stand out of a face.
 
     Attributes:
         evidence: how much rather than the bare face, beyond what its noise would look like [log odds].
@@ -85,7 +85,7 @@ class Bump:
 
 
 def rays_towards(rays: Rays, face: DoorFace, out: float) -> Towards:
-    """The rays towards the plane ``out`` before a face."""
+    """Return the rays towards the plane ``out`` before a face."""
     at, end, heading = rays.crossing(face.plane, out)
     depth = end + out
     inside = heading & (at[:, 0] > face.low) & (at[:, 0] < face.high)
@@ -98,7 +98,7 @@ def rays_towards(rays: Rays, face: DoorFace, out: float) -> Towards:
 
 
 def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
-    """The best box near each side edge of a face, and the best across it, where there is enough of one.
+    """Return the best box near each side edge of a face, and the best across it, where there is enough of one.
 
     Args:
         face: the face.
@@ -124,7 +124,7 @@ def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
 
 
 def _zones(prefer: int) -> tuple[str, ...]:
-    """Where on a face a handle may be."""
+    """Return where on a face a handle may be."""
     sides = {-1: ("low",), 1: ("high",), 0: ("low", "high")}[prefer]
     return (*sides, "across")
 
@@ -134,7 +134,7 @@ def _place(zone: str) -> str:
 
 
 def _sum_votes(face: DoorFace, seen: Towards, votes: Float[np.ndarray, "R"]) -> Float[np.ndarray, "U V"]:
-    """The votes in cells from the face's lower left corner."""
+    """Return the votes in cells from the face's lower left corner."""
     shape = np.ceil([face.width / _CELL, (REACH[1] - REACH[0]) / _CELL]).astype(int) + 1
     cell = np.floor((seen.at[seen.mine] - [face.low, face.ground + REACH[0]]) / _CELL).astype(int)
     index = np.ravel_multi_index(tuple(cell.T), tuple(shape))
@@ -142,7 +142,7 @@ def _sum_votes(face: DoorFace, seen: Towards, votes: Float[np.ndarray, "R"]) -> 
 
 
 def _best_box(grid: Float[np.ndarray, "U V"], face: DoorFace, zone: str, out: float) -> Bump | None:
-    """The box with the greatest sum among those where a handle can be."""
+    """Return the box with the greatest sum among those where a handle can be."""
     poll()
     sums = np.pad(np.cumsum(np.cumsum(grid, 0), 1), ((1, 0), (1, 0)))
     best: tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "2"]] | None = None

@@ -50,7 +50,7 @@ class _Candidate:
 
 
 def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Doors, best first.
+    """Find doors, best first.
 
     The frame of a hit: origin on the hinge edge of the leaf's seen face at floor height, x from hinge to free edge
     along the leaf, z up.  Sizes: ``width``, ``height`` [m]; ``ajar``, the leaf's angle out of its wall [rad];
@@ -88,14 +88,16 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def _ground(view: View) -> float:
-    """World z of the floor before the robot; without a floor the lowest points stand for it, or zero below them."""
+    """Return world z of the floor before the robot; without a floor the lowest points stand for it, or zero below
+    them.
+    """
     if view.floor is not None:
         return float(view.floor.height(np.array([[view.reach.x, view.reach.y]]))[0])
     return min(float(np.percentile(view.near.points[:, 2], 1.0)), 0.0)
 
 
 def _useful(rays: Rays, view: View) -> Rays:
-    """Rays that end, or pass, where the view reaches; a ray that stops far short of it tells nothing."""
+    """Return rays that end, or pass, where the view reaches; a ray that stops far short of it tells nothing."""
     floor = view.floor
     low = view.reach.bottom if floor is None else floor.height(rays.ends[:, :2]) + 0.02
     keep = rays.ends[:, 2] > low
@@ -103,14 +105,14 @@ def _useful(rays: Rays, view: View) -> Rays:
 
 
 def _distance(leaf: Leaf, hint: Float[np.ndarray, "3"]) -> float:
-    """Of a place from the leaf's rectangle, at any height [m]."""
+    """Return the distance of a place from the leaf's rectangle, at any height [m]."""
     along, _, out = leaf.plane.local(hint[None])[0]
     aside = max(leaf.low.at - along, along - leaf.high.at, 0.0)
     return float(np.hypot(aside, out))
 
 
 def _thin(rays: Rays, rng: np.random.Generator) -> Rays:
-    """At most so many rays as are needed to tell where space is open."""
+    """Keep at most so many rays as are needed to tell where space is open."""
     if len(rays.ends) <= _ENOUGH:
         return rays
     chosen = np.sort(rng.permutation(len(rays.ends))[:_ENOUGH])
@@ -118,14 +120,14 @@ def _thin(rays: Rays, rng: np.random.Generator) -> Rays:
 
 
 def _some_points(points: Float[np.ndarray, "N 3"], rng: np.random.Generator) -> Float[np.ndarray, "M 3"]:
-    """At most so many points as are needed to tell a wall."""
+    """Keep at most so many points as are needed to tell a wall."""
     return points if len(points) <= _ENOUGH else points[np.sort(rng.permutation(len(points))[:_ENOUGH])]
 
 
 def _weigh(
     leaf: Leaf, frame: Frame | None, rays: Rays, ground: float, hint: Float[np.ndarray, "3"] | None
 ) -> _Candidate:
-    """The leaf with its handle, its hinge side, and how surely it is a door."""
+    """Return the leaf with its handle, its hinge side, and how surely it is a door."""
     sure_hinge = frame.hinge if frame is not None and frame.ajar > _SURELY_AJAR else 0
     handle = find_handle(leaf.plane, leaf.low.at, leaf.high.at, leaf.rms, ground, rays, -sure_hinge)
     hinge = sure_hinge or _hinge_by(handle, leaf) or (frame.hinge if frame is not None else 0)
@@ -139,14 +141,14 @@ def _weigh(
 
 
 def _hinge_by(handle: Handle | None, leaf: Leaf) -> int:
-    """The side away from the handle; 0 when there is none or it lies across the leaf."""
+    """Return the side away from the handle; 0 when there is none or it lies across the leaf."""
     if handle is None or handle.is_panic:
         return 0
     return -1 if handle.centre[0] > 0.5 * (leaf.low.at + leaf.high.at) else 1
 
 
 def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: int) -> float:
-    """A flat face of a door's size with edges, times a wall that holds it, times what only doors have."""
+    """Return a flat face of a door's size with edges, times a wall that holds it, times what only doors have."""
     ends = [leaf.low.strength, leaf.high.strength]
     if frame is not None and frame.hinge:
         # The hinge edge of an open leaf runs into its jamb; that it lies at the wall tells more.
@@ -186,14 +188,14 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
 
 
 def _unsure(handle: Handle, free_side: int) -> float:
-    """How far the end of the handle that tells its pivot may lie from where it was seen [m]."""
+    """Return how far the end of the handle that tells its pivot may lie from where it was seen [m]."""
     if handle.is_lever and free_side:
         return handle.slack[1 if free_side > 0 else 0]
     return 0.0 if handle.is_panic else max(handle.slack)
 
 
 def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
-    """Without those whose middle lies on a surer one."""
+    """Drop those whose middle lies on a surer one."""
     kept: list[_Candidate] = []
     for candidate in candidates:
         middle = candidate.leaf.plane.place(0.5 * (candidate.leaf.low.at + candidate.leaf.high.at))
@@ -233,7 +235,7 @@ def _detection(candidate: _Candidate, ground: float) -> Detection:
 
 
 def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:
-    """Where the leaf's hinge and free edges are along its plane [m].
+    """Return where the leaf's hinge and free edges are along its plane [m].
 
     A leaf that opens away is as wide as its opening.  A jamb hides one of its edges, mostly the hinge edge, or runs on
     from it so that the leaf looks wider.
@@ -251,7 +253,7 @@ def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:
 
 
 def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[float, float]:
-    """Where the handle turns, along the plane, and whether its lever points to the hinge (-1) or away (+1)."""
+    """Return where the handle turns, along the plane, and whether its lever points to the hinge (-1) or away (+1)."""
     if not handle.is_lever:
         return float(handle.centre[0]), 0.0
     outwards = 1 if free_at > hinge_at else -1

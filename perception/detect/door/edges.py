@@ -50,7 +50,7 @@ class Edge:
 def side_edge(
     profile: Profile, end: int, side: int, local: Float[np.ndarray, "N 3"], ground: float, uneven: float = 0.0
 ) -> Edge:
-    """The edge of a face, with what is beside it.
+    """Return the edge of a face, with what is beside it.
 
     Args:
         profile: of the face's plane.
@@ -88,7 +88,8 @@ def side_edge(
 
 
 def unevenness(profile: Profile, first: int, last: int) -> float:
-    """How far columns of a face lie off its plane for more than the noise of their points, which is each one's own.
+    """Return how far columns of a face lie off its plane for more than the noise of their points, which is each one's
+    own.
 
     A stereo camera's noise is shared by neighbours, so that a flat face looks wavy [m].
     """
@@ -100,7 +101,9 @@ def unevenness(profile: Profile, first: int, last: int) -> float:
 
 
 def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"], uneven: float) -> float:
-    """How far two neighbouring columns lie out of the plane beyond doubt: a casing is hardly wider than that [m]."""
+    """Return how far two neighbouring columns lie out of the plane beyond doubt: a casing is hardly wider than that
+    [m].
+    """
     pairs = columns[:-1][np.abs(np.diff(columns)) == 1]
     if not len(pairs):
         return 0.0
@@ -112,7 +115,7 @@ def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"], uneven: float) -
 
 
 def _wall_before(profile: Profile, end: int, side: int) -> int | None:
-    """Border of the column where a nearer wall begins that hides the face's edge; None when none does."""
+    """Return the border of the column where a nearer wall begins that hides the face's edge; None when none does."""
     for n in range(round(_HIDDEN / BIN)):
         at = end + n if side > 0 else end - 1 - n
         if not 0 <= at < len(profile.depth) or profile.open_storeys[at] > 2:
@@ -123,7 +126,7 @@ def _wall_before(profile: Profile, end: int, side: int) -> int | None:
 
 
 def _step_at(at: float, side: int, jump: float, local: Float[np.ndarray, "N 3"]) -> float:
-    """Where points change from lying on the face to lying ``jump`` out of it."""
+    """Return where points change from lying on the face to lying ``jump`` out of it."""
     place, off = (local[:, 0] - at) * side, local[:, 2]
     mine = np.abs(off) < abs(jump) + 0.04
     if mine.sum() < 10:
@@ -140,7 +143,7 @@ def _step_at(at: float, side: int, jump: float, local: Float[np.ndarray, "N 3"])
 
 
 def _end_at(at: float, side: int, local: Float[np.ndarray, "N 3"]) -> float:
-    """Where the points on the face end, a stray one not counted."""
+    """Return where the points on the face end, a stray one not counted."""
     place = (local[np.abs(local[:, 2]) < 0.025, 0] - at) * side
     place = place[np.abs(place) < 0.5 * _SHARP]
     if len(place) < 10:
@@ -149,7 +152,9 @@ def _end_at(at: float, side: int, local: Float[np.ndarray, "N 3"]) -> float:
 
 
 def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float) -> tuple[float, bool, float, bool]:
-    """Lowest and highest height to which the face goes without a break, and whether anything else lies beyond each."""
+    """Return the lowest and highest height to which the face goes without a break, and whether anything else lies
+    beyond each.
+    """
     at, end, heading = rays.crossing(plane)
     # Rays that stopped far before the face tell nothing of it.
     mine = heading & (at[:, 0] > low + 0.03) & (at[:, 0] < high - 0.03) & (end < _BEFORE)
@@ -180,7 +185,7 @@ def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float
 
 
 def _run(is_full: Bool[np.ndarray, "R"], is_broken: Bool[np.ndarray, "R"]) -> tuple[int, bool]:
-    """How many rows the face goes on, and whether something else follows."""
+    """Return how many rows the face goes on, and whether something else follows."""
     n_broken = np.cumsum(is_broken)
     last = 0
     for row in np.flatnonzero(is_full):

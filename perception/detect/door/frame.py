@@ -63,7 +63,7 @@ def find_frame(
     ground: float,
     uprights: list[Upright],
 ) -> Frame | None:
-    """The wall that best holds the leaf; None when no plane does.
+    """Return the wall that best holds the leaf; None when no plane does.
 
     Args:
         leaf: the face.
@@ -88,7 +88,7 @@ def find_frame(
 def _beside(
     leaf: Leaf, points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], ground: float
 ) -> list[Upright]:
-    """Planes through the straight stretches beside the leaf: both sides together, and each alone."""
+    """Return planes through the straight stretches beside the leaf: both sides together, and each alone."""
     local = leaf.plane.local(points)
     band = (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
     chosen = []
@@ -120,7 +120,7 @@ def _hang(
     origin: Float[np.ndarray, "3"],
     ground: float,
 ) -> Frame | None:
-    """The leaf as hung in this wall; None when it cannot be."""
+    """Return the leaf as hung in this wall; None when it cannot be."""
     frame = _judge(leaf, start, points, rays, ground)
     if frame is None:
         return None
@@ -173,7 +173,7 @@ def _columns(profile: Profile, start: float, end: float) -> np.ndarray:
 
 
 def _wall_share(profile: Profile, start: float, end: float, least: float) -> float:
-    """Share of the columns seen that stand on the plane; NaN when little was seen."""
+    """Return the share of the columns seen that stand on the plane; NaN when little was seen."""
     mine = _columns(profile, start, end)
     seen = profile.is_solid[mine] | (profile.open_storeys[mine] > 0)
     if seen.sum() * BIN < least * abs(end - start):
@@ -183,7 +183,7 @@ def _wall_share(profile: Profile, start: float, end: float, least: float) -> flo
 
 
 def _gap(profile: Profile, start: float, end: float) -> tuple[float, float]:
-    """Shares of the opening's columns that are open, and that hold wall."""
+    """Return shares of the opening's columns that are open, and that hold wall."""
     mine = _columns(profile, start, end)
     if not len(mine):
         return 0.0, 0.0
@@ -193,7 +193,7 @@ def _gap(profile: Profile, start: float, end: float) -> tuple[float, float]:
 
 
 def _opening(profile: Profile, wall: Float[np.ndarray, "N"], middle: float, width: float) -> float:
-    """Distance between the ends of the wall on both sides of the opening's middle; NaN when not seen.
+    """Return the distance between the ends of the wall on both sides of the opening's middle; NaN when not seen.
 
     Args:
         profile: of the wall's plane.
@@ -218,7 +218,7 @@ def _opening(profile: Profile, wall: Float[np.ndarray, "N"], middle: float, widt
 def _refine(
     leaf: Leaf, frame: Frame, points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], ground: float
 ) -> Upright | None:
-    """The wall's plane fitted to its points within a metre of the opening, the leaf's own left out."""
+    """Return the wall's plane fitted to its points within a metre of the opening, the leaf's own left out."""
     own = leaf.plane.local(points)
     of_leaf = (own[:, 0] > leaf.low.at - 0.03) & (own[:, 0] < leaf.high.at + 0.03) & (np.abs(own[:, 2]) < 0.05)
     plane = frame.plane

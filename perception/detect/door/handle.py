@@ -23,7 +23,7 @@ _THIN, _BAR, _KNOB = 0.005, 0.012, 0.016  # least and largest radii [m]
 
 @dataclass(frozen=True)
 class Handle:
-    """What stands out of a face where a handle would.
+    """Something that stands out of a face where a handle would.
 
     Attributes:
         low, high: (2,) corners along the plane and up [m].
@@ -72,7 +72,7 @@ class Handle:
 def find_handle(
     plane: Upright, low: float, high: float, rms: float, ground: float, rays: Rays, prefer: int = 0
 ) -> Handle | None:
-    """The best handle near a side edge of a face, or a bar across it; None when nothing stands out.
+    """Return the best handle near a side edge of a face, or a bar across it; None when nothing stands out.
 
     Args:
         plane: of the face.
@@ -116,12 +116,12 @@ class _Seen:
         return np.asarray(self.high - self.low)
 
     def within(self, margin: float) -> Bool[np.ndarray, "K"]:
-        """Which of the rays pass inside its corners, or no further than the margin beside them."""
+        """Return which of the rays pass inside its corners, or no further than the margin beside them."""
         return np.asarray(((self.at >= self.low - margin) & (self.at <= self.high + margin)).all(axis=1))
 
 
 def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
-    """Extent, standoff and surroundings of a bump, from the rays towards it."""
+    """Return extent, standoff and surroundings of a bump, from the rays towards it."""
     seen = _look_at(face, rays, bump)
     width, height = seen.size
     is_panic = bool(width > 0.4 * face.width)
@@ -148,7 +148,7 @@ def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
 
 
 def _look_at(face: DoorFace, rays: Rays, bump: Bump) -> _Seen:
-    """What the rays towards a bump met: its standoff first, then where it ends."""
+    """Return what the rays towards a bump met: its standoff first, then where it ends."""
     out = bump.out
     for _ in range(2):
         seen = rays_towards(rays, face, out)
@@ -166,14 +166,14 @@ def _look_at(face: DoorFace, rays: Rays, bump: Bump) -> _Seen:
 
 
 def _corners(places: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Of the rectangle about places, a few of many not counted [m]."""
+    """Return the corners of the rectangle about places, a few of many not counted [m]."""
     trim = 2.0 if len(places) > _MANY else 0.0
     low, high = np.percentile(places, [trim, 100.0 - trim], axis=0)
     return low, high
 
 
 def _ends(seen: _Seen, at: Float[np.ndarray, "R 2"]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Corners on the plane of the bump's middle line, which all rays cross ``at``.
+    """Return corners on the plane of the bump's middle line, which all rays cross ``at``.
 
     Rays from above meet a bar's near side higher up than they would cross that plane.
     """
@@ -181,7 +181,9 @@ def _ends(seen: _Seen, at: Float[np.ndarray, "R 2"]) -> tuple[Float[np.ndarray, 
 
 
 def _free_share(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
-    """Share of the rays just beside it that met the face; a pipe or post before the face goes on above and below."""
+    """Return the share of the rays just beside it that met the face; a pipe or post before the face goes on above and
+    below.
+    """
     on_face = np.abs(seen.depth) < max(2.5 * face.sigma, 0.02)
     beside = [seen.within(_RING) & ~seen.within(_ABOUT)]
     if is_pull:
@@ -194,7 +196,9 @@ def _free_share(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
 
 
 def _slack(face: DoorFace, seen: _Seen) -> tuple[float, float]:
-    """From either end to the first ray that went past at the height of the bar, or to just before the edge [m]."""
+    """Return the distance from either end to the first ray that went past at the height of the bar, or to just before
+    the edge [m].
+    """
     middle, half = 0.5 * (seen.low[1] + seen.high[1]), max(0.35 * seen.size[1], 0.005)
     past = seen.at[(seen.vote < 0.0) & (np.abs(seen.at[:, 1] - middle) < half), 0]
     below, above = seen.low[0] - past[past < seen.low[0]], past[past > seen.high[0]] - seen.high[0]
@@ -206,7 +210,7 @@ def _slack(face: DoorFace, seen: _Seen) -> tuple[float, float]:
 
 
 def _neck_side(face: DoorFace, seen: _Seen) -> int:
-    """The end near which more rays ended between bar and face: there is the neck; 0 when that is not clear."""
+    """Return the end near which more rays ended between bar and face: there is the neck; 0 when that is not clear."""
     middle = 0.5 * (seen.low + seen.high)
     along, up = seen.at.T
     about = (np.abs(up - middle[1]) < 0.035) & (along > seen.low[0] - 0.03) & (along < seen.high[0] + 0.03)

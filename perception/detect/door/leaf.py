@@ -62,7 +62,7 @@ def find_leaves(
     ground: float,
     uprights: list[Upright],
 ) -> list[Leaf]:
-    """Faces of a leaf's width with their edges, each once, widest seen first.
+    """Return faces of a leaf's width with their edges, each once, widest seen first.
 
     Args:
         points: (N, 3) obstacles [m].
@@ -99,7 +99,7 @@ def _same(leaf: Leaf, other: Leaf) -> bool:
 
 
 def _flat_runs(profile: Profile, stretches: list[Stretch]) -> list[tuple[float, float, tuple[float, float]]]:
-    """Neighbouring stretches that lie on one line and together are as wide as a leaf: (low, high, line)."""
+    """Return neighbouring stretches that lie on one line and together are as wide as a leaf: (low, high, line)."""
     centres = profile.centres
     out = []
     for seed in sorted(stretches, key=lambda s: s.first - s.last):
@@ -116,7 +116,7 @@ def _flat_runs(profile: Profile, stretches: list[Stretch]) -> list[tuple[float, 
 def _grow(
     profile: Profile, stretches: list[Stretch], index: int, off: Float[np.ndarray, "B"], tolerance: float
 ) -> tuple[int, int]:
-    """The seed and the stretches beside it that stay within the tolerance of its line; a narrow one may not."""
+    """Return the seed and the stretches beside it that stay within the tolerance of its line; a narrow one may not."""
     first, last = stretches[index].first, stretches[index].last
     for step in (-1, 1):
         at, skipped = index + step, 0
@@ -136,7 +136,7 @@ def _grow(
 
 
 def _with_strips(profile: Profile, stretches: list[Stretch], first: int, last: int) -> tuple[int, int]:
-    """With the narrow strips along the edges that stand out little and beyond which nothing like the face goes on.
+    """Add the narrow strips along the edges that stand out little and beyond which nothing like the face goes on.
 
     Seals, edge bars and mixed returns look so; a casing does not, since the wall beside it is near the plane.
     """
@@ -173,7 +173,7 @@ def _settle_leaf(
     origin: Float[np.ndarray, "3"],
     ground: float,
 ) -> Leaf | None:
-    """The face these points lie on, its plane fitted and its edges sought anew on that plane."""
+    """Return the face these points lie on, its plane fitted and its edges sought anew on that plane."""
     middle = np.median(start, axis=0)
     members = start
     plane = fit_upright(members, origin)
@@ -214,7 +214,9 @@ def _settle_leaf(
 
 
 def _refit(plane: Upright, members: Float[np.ndarray, "K 3"], origin: Float[np.ndarray, "3"]) -> Upright:
-    """The plane that most of the members lie on; what stands out (handle, seals) pulls at it no more than noise."""
+    """Return the plane that most of the members lie on; what stands out (handle, seals) pulls at it no more than
+    noise.
+    """
     for _ in range(4):
         off = members @ plane.normal - plane.offset
         scatter = max(1.4826 * float(np.median(np.abs(off - np.median(off)))), 0.004)

@@ -1,4 +1,4 @@
-"""What stands along an upright plane: depth column by column, and the straight stretches it is made of."""
+"""Profile along an upright plane: depth column by column, and the straight stretches it is made of."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Rays:
     def crossing(
         self, plane: Upright, out: float = 0.0
     ) -> tuple[Float[np.ndarray, "R 2"], Float[np.ndarray, "R"], Bool[np.ndarray, "R"]]:
-        """Where rays (made longer if need be) cross the plane moved ``out`` towards the sensor.
+        """Return where rays (made longer if need be) cross the plane moved ``out`` towards the sensor.
 
         Returns:
             (R, 2) along and up [m], (R,) how far out of the moved plane they ended [m], (R,) which ones head for it.
@@ -105,7 +105,7 @@ class Stretch:
 def take_profile(
     plane: Upright, points: Float[np.ndarray, "N 3"], rays: Rays, low: float, high: float, window: float = _WINDOW
 ) -> Profile:
-    """The profile of the band of heights between ``low`` and ``high``."""
+    """Return the profile of the band of heights between ``low`` and ``high``."""
     poll()
     local = plane.local(points)
     band = (local[:, 1] > low) & (local[:, 1] < high) & (np.abs(local[:, 2]) < window)
@@ -142,7 +142,7 @@ def _mode(
     shape: tuple[int, int],
     window: float,
 ) -> Float[np.ndarray, "B"]:
-    """The depth at which most storeys of a column hold points."""
+    """Return the depth at which most storeys of a column hold points."""
     layer = np.floor((depth + window) / _DEPTH_BIN).astype(int)
     n_layers = int(np.ceil(2.0 * window / _DEPTH_BIN)) + 1
     grid = np.zeros((*shape, n_layers), dtype=bool)
@@ -174,7 +174,7 @@ def _open_storeys(
     low: float,
     centre: Float[np.ndarray, "B"],
 ) -> Int[np.ndarray, "B"]:
-    """Storeys of each column where rays went on past what stands there, or past the plane where nothing does."""
+    """Return storeys of each column where rays went on past what stands there, or past the plane where nothing does."""
     at, end, heading = rays.crossing(plane)
     cell = np.floor((at - [start, low]) / [BIN, _STOREY]).astype(int)
     inside = heading & ((cell >= 0) & (cell < shape)).all(axis=1)
@@ -185,7 +185,7 @@ def _open_storeys(
 
 
 def straight_stretches(profile: Profile) -> list[Stretch]:
-    """The profile as the fewest straight stretches that explain it: optimal partition with a cost for each."""
+    """Return the profile as the fewest straight stretches that explain it: optimal partition with a cost for each."""
     solid = profile.is_solid
     out: list[Stretch] = []
     edges = np.flatnonzero(np.diff(np.concatenate([[0], solid.astype(int), [0]])))
@@ -201,7 +201,7 @@ def straight_stretches(profile: Profile) -> list[Stretch]:
 
 
 def _partition(profile: Profile, first: int, last: int) -> list[Stretch]:
-    """Dynamic programme over where stretches end; all fits at once from running sums."""
+    """Run a dynamic programme over where stretches end; all fits at once from running sums."""
     x = profile.centres[first:last]
     y = profile.depth[first:last]
     weight = 1.0 / (profile.sigma[first:last] ** 2 + _STEADY**2)
@@ -236,7 +236,7 @@ def _partition(profile: Profile, first: int, last: int) -> list[Stretch]:
 def _line(
     sums: Float[np.ndarray, "6 K"],
 ) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
-    """Slope, intercept and misfit of weighted least-squares lines."""
+    """Return slope, intercept and misfit of weighted least-squares lines."""
     w, wx, wy, wxx, wxy, wyy = sums
     # A column or two know no slope: a little stiffness holds it.
     spread = wxx - wx**2 / w + 1e-3 * w * BIN**2 + 1.0

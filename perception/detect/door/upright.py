@@ -35,17 +35,17 @@ class Upright:
         return np.array([-self.normal[1], self.normal[0], 0.0])
 
     def local(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Along the plane, up (world z), and out of it towards the sensor [m]."""
+        """Return places along the plane, up (world z), and out of it towards the sensor [m]."""
         poll()
         return np.column_stack([points @ self.along, points[:, 2], points @ self.normal - self.offset])
 
     def place(self, along: float, height: float = 0.0, out: float = 0.0) -> Float[np.ndarray, "3"]:
-        """World coordinates of a place given as :meth:`local` gives it."""
+        """Return world coordinates of a place given as :meth:`local` gives it."""
         return np.asarray((self.offset + out) * self.normal + along * self.along + [0.0, 0.0, height])
 
 
 def fit_upright(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]) -> Upright:
-    """Least-squares vertical plane."""
+    """Return the least-squares vertical plane."""
     centre = points[:, :2].mean(axis=0)
     flat = np.linalg.eigh(np.cov((points[:, :2] - centre).T))[1][:, 0]
     normal = np.array([flat[0], flat[1], 0.0])
@@ -57,7 +57,7 @@ def fit_upright(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]
 def settle_plane(
     start: Upright, points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], band: float
 ) -> Upright:
-    """The plane of the points within ``band`` of it, taken until it stands still."""
+    """Return the plane of the points within ``band`` of it, taken until it stands still."""
     plane = start
     for _ in range(5):
         near = np.abs(points @ plane.normal - plane.offset) < band
@@ -68,7 +68,7 @@ def settle_plane(
 
 
 def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], most: int = 10) -> list[Upright]:
-    """Vertical planes by how many columns of points stand on them, most first.
+    """Return vertical planes by how many columns of points stand on them, most first.
 
     Faces one behind the other within a few centimetres (a leaf in its wall) come as one plane: telling them apart
     needs more than a vote.

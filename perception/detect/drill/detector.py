@@ -37,7 +37,7 @@ _MOST_POINTS = 200
 
 
 def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Drills, best first; origin the middle of the grip, z up along it, x along the chuck.
+    """Find drills, best first; origin the middle of the grip, z up along it, x along the chuck.
 
     Sizes are grip_length and body_length.
 
@@ -60,7 +60,7 @@ def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
 
 
 def _of_a_size(cluster: StandingCluster) -> list[StandingCluster]:
-    """The densest parts of a cluster that may be a drill by their size."""
+    """Return the densest parts of a cluster that may be a drill by their size."""
     if not _TALL[0] < _size(cluster)[0] < _TALL[1]:
         return []
     for parts in dense_parts(cluster):
@@ -71,7 +71,7 @@ def _of_a_size(cluster: StandingCluster) -> list[StandingCluster]:
 
 
 def _size(cluster: StandingCluster) -> tuple[float, float]:
-    """Height over the support and diagonal of the ground plan, strays left out [m]."""
+    """Return the height over the support and diagonal of the ground plan, strays left out [m]."""
     low, high = np.percentile(cluster.points, [3, 97], axis=0)
     return float(high[2] - cluster.level), float(np.hypot(*(high - low)[:2]))
 
@@ -99,7 +99,7 @@ class _Begun:
 
 
 def _begin(index: SightIndex, cluster: StandingCluster, supported: float) -> _Begun:
-    """Rays and starts of a fit."""
+    """Return rays and starts of a fit."""
     places, _ = voxel_downsample(cluster.points, 0.05)
     rays = index.passing(places, 0.1).thinned(_MOST_RAYS)
     few = rays.thinned(_FEW_RAYS)
@@ -135,7 +135,7 @@ def _finish(begun: _Begun, is_hinted: bool) -> Detection:
 
 
 def _starts(cluster: StandingCluster, grip: float) -> list[Shape]:
-    """The cluster's middle is somewhere between grip and chuck."""
+    """Start from a cluster's middle, which is somewhere between grip and chuck."""
     low, high = np.percentile(cluster.points[:, :2], [3, 97], axis=0)
     middle = 0.5 * (low + high)
     shapes = []
@@ -147,7 +147,7 @@ def _starts(cluster: StandingCluster, grip: float) -> list[Shape]:
 
 
 def _drop_duplicates(shapes: list[Shape]) -> list[Shape]:
-    """Of those that look nearly the same way only the first."""
+    """Keep only the first of those that look nearly the same way."""
     kept: list[Shape] = []
     for shape in shapes:
         if all(abs(np.angle(np.exp(1j * (shape.yaw - other.yaw)))) > 0.6 for other in kept):
@@ -156,7 +156,7 @@ def _drop_duplicates(shapes: list[Shape]) -> list[Shape]:
 
 
 def _over_support(rays: Sightlines, level: float) -> float:
-    """How high over a support its noise reaches [m]."""
+    """Return how high over a support its noise reaches [m]."""
     height = np.abs(rays.ends[:, 2] - level)
     near = height[height < 2.0 * _OVER_SUPPORT[1]]
     noise = 1.4826 * float(np.median(near)) if len(near) else 0.0
@@ -168,7 +168,9 @@ def _may_end(rays: Sightlines, least: float) -> Bool[np.ndarray, "N"]:
 
 
 def _cost(rays: Sightlines, least: float, level: float, shape: Shape) -> float:
-    """Mean squared residual of depth and outline, none worse than three standard deviations, and what is usual."""
+    """Return mean squared residual of depth and outline, none worse than three standard deviations, and what is
+    usual.
+    """
     outside, depth = meet(rays, shape, level)
     gap = rays.length - depth
     ended = (np.abs(gap) < 0.12) & _may_end(rays, least)
@@ -180,7 +182,7 @@ def _cost(rays: Sightlines, least: float, level: float, shape: Shape) -> float:
 
 
 def _judge(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
-    """The drill as a detection."""
+    """Return the drill as a detection."""
     rays, cluster = begun.rays, begun.cluster
     outside, depth = meet(rays, shape, cluster.level)
     gap = rays.length - depth

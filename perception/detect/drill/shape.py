@@ -41,7 +41,7 @@ class Shape:
 
     @classmethod
     def of(cls, values: Float[np.ndarray, "6"]) -> Shape:
-        """From numbers in the order of the attributes."""
+        """Make a drill from numbers in the order of the attributes."""
         x, y, yaw, grip, body, back = values.tolist()
         return cls(x, y, yaw, grip, body, back)
 
@@ -66,7 +66,7 @@ class Solids:
 
 
 def solids_of(shape: Shape) -> Solids:
-    """Capsules: body, nose, grip and three for the battery's foot."""
+    """Return capsules: body, nose, grip and three for the battery's foot."""
     foot = 2.0 * FOOT[2]
     top = foot + shape.grip + 0.03
     front, nose = shape.body - shape.back, _NOSE_SHARE * shape.body
@@ -84,7 +84,9 @@ def solids_of(shape: Shape) -> Solids:
 
 
 def meet(rays: Sightlines, shape: Shape, level: float) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """How far outside the drill each ray passes (negative inside), and how deep along it the nearest part lies [m]."""
+    """Return how far outside the drill each ray passes (negative inside), and how deep along it the nearest part lies
+    [m].
+    """
     poll()
     rotation = about_up(-shape.yaw)
     start = (rays.start - (shape.x, shape.y, level)) @ rotation.T
@@ -113,7 +115,7 @@ def _rays_to_segments(
     first: Float[np.ndarray, "S 3"],
     last: Float[np.ndarray, "S 3"],
 ) -> tuple[Float[np.ndarray, "S N"], Float[np.ndarray, "S N"]]:
-    """Distance of each ray from each segment, and where along the ray it is nearest [m]."""
+    """Return the distance of each ray from each segment, and where along the ray it is nearest [m]."""
     poll()
     side = last - first
     a, b = side @ way.T, (side**2).sum(axis=1)[:, None]
@@ -129,7 +131,7 @@ def _rays_to_segments(
 
 
 def notch_open(rays: Sightlines, shape: Shape, level: float) -> tuple[float, int]:
-    """Of the rays that tell a drill from a block of its outline how many do, and how many there were.
+    """Count, of the rays that tell a drill from a block of its outline, how many do, and how many there were.
 
     Between chuck and foot, before and behind the grip, a drill is open: rays go on where those into a block would end.
     Those from the side pass right through, those from ahead and behind go on to the grip or the foot.

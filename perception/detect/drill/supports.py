@@ -50,7 +50,7 @@ class StandingCluster:
 
 
 def standing_clusters(view: View) -> list[StandingCluster]:
-    """What stands on boards, tables and the floor, largest first."""
+    """Return what stands on boards, tables and the floor, largest first."""
     points, _ = voxel_downsample(view.obstacles, _VOXEL)
     levels = level_heights(points)
     if view.floor is not None:
@@ -67,7 +67,7 @@ def standing_clusters(view: View) -> list[StandingCluster]:
 
 
 def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray, "N"]:
-    """Points of the level surface itself: near its height, where it is wide."""
+    """Return points of the level surface itself: near its height, where it is wide."""
     poll()
     near = np.flatnonzero(np.abs(points[:, 2] - level) < _OVER[0])
     mask = np.zeros(len(points), dtype=bool)
@@ -83,7 +83,7 @@ def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray
 
 
 def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
-    """Heights at which points fill a level area of some 4 square decimetres, from below [m]."""
+    """Return heights at which points fill a level area of some 4 square decimetres, from below [m]."""
     poll()
     if not len(points):
         return []
@@ -108,7 +108,9 @@ def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
 
 
 def _link(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
-    """Groups of points within 3 cm of a neighbour, 12 cm above or below it: what overhangs hides what is under it."""
+    """Return groups of points within 3 cm of a neighbour, 12 cm above or below it: what overhangs hides what is under
+    it.
+    """
     poll()
     if len(points) < _LEAST_POINTS:
         return []
@@ -120,13 +122,13 @@ def _link(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
 
 
 def _pairs(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
-    """Indices of the points that are linked."""
+    """Return indices of the points that are linked."""
     poll()
     return np.asarray(cKDTree(points * (1.0, 1.0, _LINK / _LINK_UP)).query_pairs(_LINK, output_type="ndarray"))
 
 
 def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
-    """What a cluster falls into once points with few neighbours are left out, strictest first, all points last.
+    """Return what a cluster falls into once points with few neighbours are left out, strictest first, all points last.
 
     Mixed pixels and noise make bridges between what stands a hand apart; there points are few.
     """
@@ -137,12 +139,13 @@ def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
 
 
 def _on_foot(groups: list[Float[np.ndarray, "K 3"]], level: float) -> list[Float[np.ndarray, "K 3"]]:
-    """Those that reach down to the surface."""
+    """Keep those that reach down to the surface."""
     return [group for group in groups if group[:, 2].min() < level + _FOOT_HEIGHT]
 
 
 def support_share(index: SightIndex, cluster: StandingCluster) -> float:
-    """Of the rays that come down to its level right beside its foot, the share that ended there; 1 where few did.
+    """Return, of the rays that come down to its level right beside its foot, the share that ended there; 1 where few
+    did.
 
     Rays beside a leg or a post go on below.
 

@@ -88,7 +88,7 @@ class _End:
 
 
 def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Hose ends and standpipes, best first; origin the centre of the opening, z out of it, x horizontal.
+    """Find hose ends and standpipes, best first; origin the centre of the opening, z out of it, x horizontal.
 
     The size is the outer radius at the opening.  An end that is not looked into is none to act on without a hint; a
     vessel that stands on a board and opens upwards is none at all.
@@ -131,7 +131,7 @@ def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def _may_be_open(index: SightIndex, tip: Tip) -> bool:
-    """Whether rays come towards a tip and many of those at its middle go on behind it."""
+    """Return whether rays come towards a tip and many of those at its middle go on behind it."""
     rays = index.passing(tip.place[None], _LEAST_OPEN * tip.radius).thinned(_FOR_RANKING)
     slope = rays.direction @ tip.axis
     rays, slope = rays.selected(slope < -0.1), slope[slope < -0.1]
@@ -141,7 +141,7 @@ def _may_be_open(index: SightIndex, tip: Tip) -> bool:
 
 
 def _candidate(index: SightIndex, tip: Tip) -> _Candidate:
-    """The tube of a usual width that explains best what is about a tip."""
+    """Return the tube of a usual width that explains best what is about a tip."""
     place = tip.place - _LONGER * tip.axis
     tubes = [Tube(place, tip.axis, max(_RADII[0], tip.radius - by)) for by in _WIDENED]
     rays = index.passing(np.stack([place, place - STRAIGHT * tip.axis]), tip.radius + 0.5 * _BESIDE)
@@ -157,7 +157,7 @@ def _candidate(index: SightIndex, tip: Tip) -> _Candidate:
 
 
 def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
-    """Without those that are nearly as a better one."""
+    """Drop those that are nearly like a better one."""
     kept: list[_Candidate] = []
     for candidate in candidates:
         apart = [np.linalg.norm(candidate.tube.mouth - other.tube.mouth) for other in kept]
@@ -168,13 +168,13 @@ def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
 
 
 def _fit(candidate: _Candidate) -> _Candidate:
-    """With the tube fitted to its rays."""
+    """Fit the tube to its rays."""
     tube = refine_tube(candidate.rays, candidate.mine, candidate.tube)
     return replace(candidate, tube=tube, misfit=float(misfits(candidate.rays, candidate.mine, [tube])[0]))
 
 
 def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | None) -> bool:
-    """Whether it opens upwards, and a board or the floor is about its foot: pots, buckets and tins do so."""
+    """Return whether it opens upwards, and a board or the floor is about its foot: pots, buckets and tins do so."""
     if tube.axis[2] < _UPRIGHT:
         return False
     if floor is not None and float(floor.above(tube.mouth[None])[0]) < _TALLEST:
@@ -191,7 +191,7 @@ def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | No
 
 
 def _judge(index: SightIndex, candidate: _Candidate, is_hinted: bool) -> _End:
-    """A fitted tube, weighed, then settled by all rays about it."""
+    """Return a fitted tube, weighed, then settled by all rays about it."""
     tube = candidate.tube
     rays = index.passing(np.stack([tube.mouth, tube.mouth - STRAIGHT * tube.axis]), 1.2 * tube.radius + _BESIDE)
     evidence = weigh_tube(rays, tube)
@@ -201,8 +201,9 @@ def _judge(index: SightIndex, candidate: _Candidate, is_hinted: bool) -> _End:
 
 
 def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bool) -> float:
-    """Product of: a solid wall, an opening that rays go into and nothing else in it, a wall all about it, little that
-    the tube does not explain, air beside it, depths that agree, a hose's radius, within reach."""
+    """Return the product of: a solid wall, an opening that rays go into and nothing else in it, a wall all about it,
+    little that the tube does not explain, air beside it, depths that agree, a hose's radius, within reach.
+    """
     unseen = 0.8 if is_hinted else 0.4
     sure = rising(float(evidence.n_open), 6.0, 16.0) * rising(evidence.entering, 0.2, 0.35)
     is_open = 0.0 if np.isnan(evidence.open) else rising(evidence.open, 0.5, 0.75)

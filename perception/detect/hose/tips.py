@@ -1,4 +1,4 @@
-"""Where something slim ends: places beyond which, in some direction, no points follow, the last ones close together."""
+"""Ends of slim things: places beyond which, in some direction, no points follow, the last ones close together."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Tip:
 
 
 def find_tips(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "K 3"], widest: float) -> list[Tip]:
-    """Ends up to ``widest`` in radius [m], those with the most points first; no two much alike.
+    """Return ends up to ``widest`` in radius [m], those with the most points first; no two much alike.
 
     Args:
         points: (N, 3) thinned evenly [m].
@@ -76,7 +76,7 @@ def _in_block(
     ways: Float[np.ndarray, "D 3"],
     widest: float,
 ) -> list[Tip]:
-    """The tips at some places."""
+    """Return the tips at some places."""
     poll()
     ahead = np.where(is_near[:, None], np.einsum("kmi,di->kdm", offset, ways), -np.inf)
     of_place, of_way = np.nonzero(ahead.max(axis=2) < _BEYOND)
@@ -95,7 +95,7 @@ def _in_block(
 
 
 def spread_directions(n: int) -> Float[np.ndarray, "n 3"]:
-    """Unit directions spread evenly over the sphere (Fibonacci's lattice)."""
+    """Return unit directions spread evenly over the sphere (Fibonacci's lattice)."""
     k = np.arange(n) + 0.5
     z, angle = 1.0 - 2.0 * k / n, np.pi * (1.0 + np.sqrt(5.0)) * k
     across = np.sqrt(1.0 - z**2)

@@ -64,7 +64,7 @@ class Tube:
 
 @dataclass(frozen=True)
 class Meeting:
-    """How rays meet tubes; leading axis: the tubes.
+    """Meetings of rays with tubes; leading axis: the tubes.
 
     Attributes:
         on: the ray meets the outside of the wall.
@@ -88,7 +88,7 @@ class Meeting:
 
 
 def meet_tubes(rays: Sightlines, tubes: Sequence[Tube]) -> Meeting:
-    """How each ray meets each tube."""
+    """Return how each ray meets each tube."""
     poll()
     mouth, axis = np.stack([tube.mouth for tube in tubes]), np.stack([tube.axis for tube in tubes])
     radius = np.array([tube.radius for tube in tubes])[:, None]
@@ -117,8 +117,8 @@ def meet_tubes(rays: Sightlines, tubes: Sequence[Tube]) -> Meeting:
 
 
 def misfits(rays: Sightlines, mine: Bool[np.ndarray, "N"], tubes: Sequence[Tube]) -> Float[np.ndarray, "B"]:
-    """How badly each tube explains rays about its mouth: squared residuals, none worse than three deviations, for each
-    ray that should meet it.
+    """Return how badly each tube explains rays about its mouth: squared residuals, none worse than three deviations,
+    for each ray that should meet it.
 
     What should end on the wall, outside or inside, should end at its depth; what goes in deep may end anywhere deeper.
 
@@ -141,7 +141,7 @@ def misfits(rays: Sightlines, mine: Bool[np.ndarray, "N"], tubes: Sequence[Tube]
 
 
 def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube, most_steps: int = 260) -> Tube:
-    """The tube of least misfit near one (Nelder and Mead's simplex)."""
+    """Return the tube of least misfit near one (Nelder and Mead's simplex)."""
     across, over = square_to(tube.axis)
 
     def moved(change: Float[np.ndarray, "6"]) -> Tube:
@@ -162,7 +162,7 @@ def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube, most_
 
 
 def square_to(axis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Two unit directions square to an axis and to each other."""
+    """Return two unit directions square to an axis and to each other."""
     helper = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.8 else np.array([0.0, 1.0, 0.0])
     across = np.cross(helper, axis)
     across /= np.linalg.norm(across)
@@ -171,7 +171,7 @@ def square_to(axis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Flo
 
 @dataclass(frozen=True)
 class TubeEvidence:
-    """What speaks for a tube's end.
+    """Evidence for a tube's end.
 
     Attributes:
         n_hits: rays that ended on its wall, outside or inside.
@@ -239,7 +239,7 @@ def weigh_tube(rays: Sightlines, tube: Tube) -> TubeEvidence:
 
 
 def _stray_share(rays: Sightlines, tube: Tube) -> float:
-    """Of the rays that ended beside the axis, how many ended neither near the wall nor deep inside."""
+    """Return, of the rays that ended beside the axis, how many ended neither near the wall nor deep inside."""
     offset = rays.ends - tube.mouth
     along = offset @ tube.axis
     across = np.linalg.norm(offset - along[:, None] * tube.axis, axis=1)
@@ -248,7 +248,7 @@ def _stray_share(rays: Sightlines, tube: Tube) -> float:
 
 
 def _sectors(rays: Sightlines, tube: Tube, depth: Float[np.ndarray, "N"]) -> np.ndarray:
-    """In which direction about the axis each ray is at a depth along it."""
+    """Return in which direction about the axis each ray is at a depth along it."""
     across, over = square_to(tube.axis)
     offset = rays.start + depth[:, None] * rays.direction - tube.mouth
     angle = np.arctan2(offset @ over, offset @ across) / (2.0 * np.pi) % 1.0
@@ -256,7 +256,7 @@ def _sectors(rays: Sightlines, tube: Tube, depth: Float[np.ndarray, "N"]) -> np.
 
 
 def settle_tube(rays: Sightlines, tube: Tube) -> Tube:
-    """The tube of least squares through the returns from its wall, as long as they most likely go.
+    """Return the tube of least squares through the returns from its wall, as long as they most likely go.
 
     Args:
         rays: all that pass its end.
@@ -268,8 +268,9 @@ def settle_tube(rays: Sightlines, tube: Tube) -> Tube:
 
 
 def _through_returns(rays: Sightlines, tube: Tube, near: float) -> Tube:
-    """The tube turned, moved aside and widened to lie through the returns near its wall, each as sure as its ray is
-    along the wall; those on its inside lie deeper than those on its outside."""
+    """Return the tube turned, moved aside and widened to lie through the returns near its wall, each as sure as its ray
+    is along the wall; those on its inside lie deeper than those on its outside.
+    """
     across, over = square_to(tube.axis)
     ends = rays.ends - tube.mouth
     place = ends @ np.column_stack([across, over, tube.axis])
@@ -301,7 +302,7 @@ def _through_returns(rays: Sightlines, tube: Tube, near: float) -> Tube:
 
 
 def settle_mouth(rays: Sightlines, tube: Tube) -> Tube:
-    """The tube moved along its axis to where its returns most likely end.
+    """Return the tube moved along its axis to where its returns most likely end.
 
     Looked into, range noise carries returns of wall and rim beyond the mouth; a tube that reaches as far as they do
     would be too long.  Returns are taken to spread evenly over the wall, with some on the rim and few anywhere.

@@ -36,7 +36,7 @@ _SMEAR = 0.1
 
 @dataclass(frozen=True)
 class _Edges:
-    """Where a face ends: corners, and on which of its four sides rays went past."""
+    """Edges of a face: corners, and the sides of its four on which rays went past."""
 
     low: Float[np.ndarray, "2"]
     high: Float[np.ndarray, "2"]
@@ -46,7 +46,7 @@ class _Edges:
 def detect_panel(
     view: View, hint: Float[np.ndarray, "3"] | None = None, seen: FacesInSight | None = None
 ) -> list[Detection]:
-    """Button panels, best first; origin the centre of the front face, z its normal to the sensor, y up.
+    """Find button panels, best first; origin the centre of the front face, z its normal to the sensor, y up.
 
     A button is claimed where the scan shows a round relief of 5 mm or more that its noise does not explain.
 
@@ -66,7 +66,7 @@ def detect_panel(
 
 
 def _drop_duplicates(panels: list[Detection]) -> list[Detection]:
-    """Without those whose centre lies on a surer one: noise may make two faces of one."""
+    """Drop those whose centre lies on a surer one: noise may make two faces of one."""
     kept: list[Detection] = []
     for panel in panels:
         centre = panel.pose_world_object[:3, 3]
@@ -76,7 +76,7 @@ def _drop_duplicates(panels: list[Detection]) -> list[Detection]:
 
 
 def _covers(panel: Detection, place: Float[np.ndarray, "3"]) -> bool:
-    """Whether a place lies on a panel or a hand's breadth before or behind it."""
+    """Return whether a place lies on a panel or a hand's breadth before or behind it."""
     local = panel.pose_world_object[:3, :3].T @ (place - panel.pose_world_object[:3, 3])
     half = 0.5 * np.array([panel.sizes["width"], panel.sizes["height"], 2.0 * _SAME_DEPTH])
     return bool((np.abs(local) < half).all())
@@ -87,7 +87,7 @@ def _is_panel_sized(face: Face) -> bool:
 
 
 def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None:
-    """Edges and buttons of a face; None when nothing stands out of it."""
+    """Return edges and buttons of a face; None when nothing stands out of it."""
     edges, relief, ends = _Edges(face.low, face.high, (False,) * 4), list[Disc](), np.zeros((0, 3))
     closed = 0.0
     for k in range(_ROUNDS):
@@ -113,21 +113,22 @@ def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None
 
 
 def _closed_share(face: Face, edges: _Edges, seen: FaceRays) -> float:
-    """Of the rays that cross the face well within its edges, how many went no further: a panel has no gaps, while a
-    plane through a few parts of something else has air between them."""
+    """Return, of the rays that cross the face well within its edges, how many went no further: a panel has no gaps,
+    while a plane through a few parts of something else has air between them.
+    """
     within = ((seen.at > edges.low + _WITHIN) & (seen.at < edges.high - _WITHIN)).all(axis=1)
     past = _went_past(face, seen)[within]
     return float(1.0 - past.mean()) if len(past) else 0.0
 
 
 def _went_past(face: Face, seen: FaceRays) -> Bool[np.ndarray, "N"]:
-    """Which rays went on behind the face: those that graze it get far behind its edge without getting deep."""
+    """Return which rays went on behind the face: those that graze it get far behind its edge without getting deep."""
     slope = -(seen.rays.direction @ face.frame[2])
     return np.asarray(seen.ends[:, 2] < -np.maximum(3.0 * face.sigma, np.minimum(_BEHIND, _ONWARD * slope)))
 
 
 def _discs(face: Face, edges: _Edges, ends: Float[np.ndarray, "K 3"]) -> list[Disc]:
-    """What stands out of a face, without what is too faint beside the clearest or part of a clearer one."""
+    """Return what stands out of a face, without what is too faint beside the clearest or part of a clearer one."""
     kept = ends[(ends[:, 2] > -3.0 * face.sigma) & (ends[:, 2] < _HEIGHTS[1] + 0.05)]
     kept = np.column_stack([kept[:, :2], np.minimum(kept[:, 2], _HEIGHTS[1])])
     discs = find_discs(kept, edges.low, edges.high, face.sigma, _LEAST_GAIN)
@@ -137,13 +138,13 @@ def _discs(face: Face, edges: _Edges, ends: Float[np.ndarray, "K 3"]) -> list[Di
 
 
 def _is_smear(disc: Disc, of: Disc) -> bool:
-    """Whether a relief is but what rays that met a clearer one's edge and the face behind it left beside it."""
+    """Return whether a relief is but what rays that met a clearer one's edge and the face behind it left beside it."""
     touches = np.linalg.norm(of.centre - disc.centre) < of.radius + disc.radius
     return bool(touches and disc.gain < _SMEAR * of.gain and disc.height < 0.5 * of.height)
 
 
 def _bare(edges: _Edges, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> Bool[np.ndarray, "K"]:
-    """Which ends lie outside of all discs, and not at an edge where rays met the sides."""
+    """Return which ends lie outside of all discs, and not at an edge where rays met the sides."""
     outside = ((ends[:, :2] > edges.low + _COLLAR) & (ends[:, :2] < edges.high - _COLLAR)).all(axis=1)
     for disc in discs:
         outside &= np.linalg.norm(ends[:, :2] - disc.centre, axis=1) > disc.radius + _COLLAR
@@ -160,7 +161,9 @@ def _is_button(disc: Disc) -> bool:
 
 
 def _stands_alone(disc: Disc, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> bool:
-    """Whether the face was seen between it and any other relief, so that they are no parts of one larger thing."""
+    """Return whether the face was seen between it and any other relief, so that they are no parts of one larger
+    thing.
+    """
     return all(other is disc or _is_apart(disc, other, ends) for other in discs)
 
 
@@ -177,7 +180,7 @@ def _is_apart(disc: Disc, other: Disc, ends: Float[np.ndarray, "K 3"]) -> bool:
 
 
 def _edges(face: Face, seen: FaceRays) -> _Edges:
-    """Each side moved to where rays that ended on the face give way to rays that went past it."""
+    """Move each side to where rays that ended on the face give way to rays that went past it."""
     low, high, known = face.low.copy(), face.high.copy(), []
     on = np.abs(seen.ends[:, 2]) < max(3.0 * face.sigma, 0.02)
     past = _went_past(face, seen)
@@ -199,7 +202,7 @@ def _edges(face: Face, seen: FaceRays) -> _Edges:
 
 
 def _edge(hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"]) -> tuple[float, bool]:
-    """Distance that parts hits from passes with the fewest on the wrong side, and whether passes follow."""
+    """Return the distance that parts hits from passes with the fewest on the wrong side, and whether passes follow."""
     if not len(hits):
         return 0.0, False
     if not len(passes):
@@ -222,7 +225,9 @@ def _as_detection(
     ends: Float[np.ndarray, "K 3"],
     is_hinted: bool,
 ) -> Detection:
-    """Surer with more edges seen, clearer buttons, no gaps in the face, and nothing else that stands out."""
+    """Return a confidence that rises with more edges seen, clearer buttons, no gaps in the face, and nothing else that
+    stands out.
+    """
     middle = 0.5 * (edges.low + edges.high)
     pose = np.eye(4)
     pose[:3, :3] = face.frame.T

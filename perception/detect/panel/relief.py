@@ -49,7 +49,7 @@ def find_discs(
     least_gain: float,
     most: int = 20,
 ) -> list[Disc]:
-    """Raised discs of a face, one after the other, each without the points of those before.
+    """Return raised discs of a face, one after the other, each without the points of those before.
 
     Args:
         points: (N, 3) in the face's frame [m].
@@ -87,7 +87,7 @@ class _Kernels:
 
 
 def _kernels(low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> _Kernels:
-    """Discs of all radii that a face has room for."""
+    """Return discs of all radii that a face has room for."""
     radii = [float(radius) for radius in _RADII if 2.0 * radius <= 0.8 * (high - low).min()]
     rows, columns = (int(n) for n in np.ceil((high - low) / _CELL).astype(int) + 1)
     reach = int(np.ceil(max(radii, default=0.0) / _CELL))
@@ -106,7 +106,7 @@ def _best(
     high: Float[np.ndarray, "2"],
     sigma: float,
 ) -> Disc | None:
-    """The disc of greatest gain, ``(sum of heights)^2 / (2 n sigma^2)``, over all centres and radii."""
+    """Return the disc of greatest gain, ``(sum of heights)^2 / (2 n sigma^2)``, over all centres and radii."""
     poll()
     shape = kernels.shape
     cell = np.floor((points[:, :2] - low) / _CELL).astype(int)
@@ -139,7 +139,7 @@ def _best(
 def _sharpen(
     points: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "2"], radius: float
 ) -> tuple[Float[np.ndarray, "2"], float]:
-    """The best disc with its middle and radius within a few millimetres of these.
+    """Return the best disc with its middle and radius within a few millimetres of these.
 
     The mean of the raised points would be drawn to where the scan is dense.
     """
@@ -155,7 +155,7 @@ def _sharpen(
 
 
 def _measure(points: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "2"], radius: float, gain: float) -> Disc:
-    """What a disc's points and its surroundings look like."""
+    """Return what a disc's points and its surroundings look like."""
     poll()
     apart = np.linalg.norm(points[:, :2] - centre, axis=1)
     mine = apart < radius

@@ -11,12 +11,14 @@ _NEXT = np.array([1, 2, 0])
 
 
 def cross(u: Float[np.ndarray, "*n 3"], v: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Cross products along the last axis; of few rows in a quarter of the time ``np.cross`` takes."""
+    """Return cross products along the last axis; of few rows in a quarter of the time ``np.cross`` takes."""
     return np.asarray((u * v[..., _NEXT] - u[..., _NEXT] * v)[..., _NEXT])
 
 
 def median_of_known(values: Float[np.ndarray, "B N"], unknown: float) -> Float[np.ndarray, "B"]:
-    """Median of what is not NaN in each row, ``unknown`` where all is; a tenth of the time of ``np.nanmedian``."""
+    """Return the median of what is not NaN in each row, ``unknown`` where all is; a tenth of the time of
+    ``np.nanmedian``.
+    """
     ordered = np.sort(values, axis=1)
     count = values.shape[1] - np.isnan(values).sum(axis=1)
     last = np.maximum(count - 1, 0)
@@ -26,13 +28,13 @@ def median_of_known(values: Float[np.ndarray, "B N"], unknown: float) -> Float[n
 
 
 def rising(value: float, low: float, high: float) -> float:
-    """0 up to ``low``, 1 from ``high`` on, smooth between."""
+    """Return 0 up to ``low``, 1 from ``high`` on, smooth between."""
     x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
     return x * x * (3.0 - 2.0 * x)
 
 
 def sum_about(counts: Float[np.ndarray, "L"], weights: Sequence[float]) -> Float[np.ndarray, "L"]:
-    """Weighted sum of the layers about each one; there is nothing beyond the first and the last.
+    """Return the weighted sum of the layers about each one; there is nothing beyond the first and the last.
 
     Args:
         counts: (L,) at least one, perhaps fewer than the weights.

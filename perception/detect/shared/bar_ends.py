@@ -1,4 +1,4 @@
-"""Where a bar ends: the place along it behind which what rays met and where they went through is best explained by
+"""Ends of a bar: the place along it behind which what rays met and where they went through is best explained by
 nothing, and how far off that place may be."""
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _DESCENDS = 0.05
 
 @dataclass(frozen=True)
 class LikelyEnds:
-    """Where a bar begins and ends.
+    """The places where a bar most likely begins and ends.
 
     Attributes:
         bar: with these ends, each in the middle of where it may be; the nearest such place where it may be anywhere
@@ -78,7 +78,7 @@ def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> Li
 def _gains(
     rays: SurroundingRays, crossing: BarCrossing, outcome: Sorted, floor: FloorPlane | None
 ) -> Float[np.ndarray, "N"]:
-    """How much more likely each ray's end is where the bar is than where it is not; 0: it says nothing."""
+    """Return how much more likely each ray's end is where the bar is than where it is not; 0: it says nothing."""
     gap = rays.length - crossing.depth
     gain = np.maximum(_LOST, np.log(_ON / _OFF) - 0.5 * (gap / _SIGMA) ** 2) * (outcome.hit | outcome.passed)
     if floor is not None:
@@ -109,7 +109,9 @@ class _End:
         return self.nearest + (self.hidden if self.hidden < _MOST_HIDDEN else 0.0)
 
     def above(self, height: float, descent: float) -> _End:
-        """Of a bar that is at this height above what it cannot enter and comes nearer to it by so much a metre."""
+        """Bound the end of a bar that is at this height above what it cannot enter and comes nearer to it by so much a
+        metre.
+        """
         if descent <= _DESCENDS:
             return self
         return replace(self, furthest=min(self.furthest, self.nearest + height / descent))
@@ -121,7 +123,7 @@ def _end(
     hit: Bool[np.ndarray, "K"],
     stopped: Float[np.ndarray, "S"],
 ) -> _End | None:
-    """Where the bar is likely to end in the positive direction; None: nothing was hit there."""
+    """Return where the bar is likely to end in the positive direction; None: nothing was hit there."""
     keep = np.flatnonzero(at > -_BIN)
     keep = keep[np.argsort(at[keep], kind="stable")]
     at, gain, hit = at[keep], gain[keep], hit[keep]
@@ -156,7 +158,7 @@ def _count_followed(
     total: Float[np.ndarray, "K"],
     stopped: Float[np.ndarray, "S"],
 ) -> int:
-    """How many of the rays along a bar to look at: up to a long stretch out of sight, or of air."""
+    """Return how many of the rays along a bar to look at: up to a long stretch out of sight, or of air."""
     unseen = steps > _MOST_UNSEEN
     for i in np.flatnonzero(unseen):
         between = stopped[(stopped > at[i] - steps[i]) & (stopped < at[i])]

@@ -1,4 +1,4 @@
-"""What rays say of a fitted bar: where it ends, how solid it is, how much air is beside it."""
+"""Evidence of rays for a fitted bar: where it ends, how solid it is, how much air is beside it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SHARE, _ALONG = 0.5, 0.35
 
 @dataclass(frozen=True)
 class Ends:
-    """Where a bar begins and ends.
+    """The places where a bar begins and ends.
 
     Attributes:
         bar: with these ends.
@@ -55,7 +55,7 @@ def find_ends(rays: SurroundingRays, bar: Bar) -> Ends:
 def _end(
     hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"], stopped: Float[np.ndarray, "S"], fallback: float
 ) -> tuple[float, bool]:
-    """Where hits end in the positive direction, and whether passes follow there.
+    """Return where hits end in the positive direction, and whether passes follow there.
 
     Where something lies over the bar it is followed further than where nothing is known, but what is found behind a
     long gap has to be long itself.
@@ -97,7 +97,7 @@ def _end(
 
 @dataclass(frozen=True)
 class BarEvidence:
-    """What speaks for a bar.
+    """Evidence for a bar.
 
     Attributes:
         n_hits: rays that ended on it.
@@ -150,7 +150,7 @@ def weigh_bar(rays: SurroundingRays, bar: Bar) -> BarEvidence:
 
 
 def in_line(bar: Bar, rays: Sightlines) -> Bool[np.ndarray, "N"]:
-    """Which rays ended beside a bar, level with one of its faces that is seen; a round bar has none.
+    """Return which rays ended beside a bar, level with one of its faces that is seen; a round bar has none.
 
     Args:
         bar: of any section.
@@ -174,8 +174,8 @@ def runs_on(
     part: Int[np.ndarray, "K"],
     n_parts: int,
 ) -> Bool[np.ndarray, "P"]:
-    """In which parts of a bar's side most rays beside it met a surface level with its face, and met it
-    before air.
+    """Return in which parts of a bar's side most rays beside it met a surface level with its face, and met it before
+    air.
 
     What looks like a board there is the rim of a panel, or the narrow side of a slab; where air comes first, few rays
     met it or it is along little of the bar, what is level with the face is another thing.

@@ -88,7 +88,7 @@ def fit_bars(
 
 
 def _centre(bar: Bar) -> Bar:
-    """Its ends counted from its middle, about which it is tilted."""
+    """Count its ends from its middle, about which it is tilted."""
     half = 0.5 * bar.length
     return Bar(bar.frame, bar.middle, bar.half, -half, half, bar.section)
 
@@ -96,7 +96,7 @@ def _centre(bar: Bar) -> Bar:
 def _solve(
     rays: SurroundingRays, bars: list[Bar], usual: Float[np.ndarray, "B 2"], most: int, n_steps: int
 ) -> tuple[list[Bar], list[tuple[float, float]]]:
-    """The bars of least robust (soft l1) squared residuals, and the spread of what was fitted."""
+    """Return the bars of least robust (soft l1) squared residuals, and the spread of what was fitted."""
     section = bars[0].section
     n = 5 if section == "round" else 7
     chosen, hit, counts = _relevant(rays, bars, most)
@@ -134,8 +134,8 @@ def _spreads(curvature: Float[np.ndarray, "B n n"]) -> list[tuple[float, float]]
 
 
 def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> tuple[float, float]:
-    """Standard deviations of tilt [rad] and place across [m] where rays just inside the outline and just outside hold a
-    bar as well.
+    """Return the standard deviations of tilt [rad] and place across [m] where rays just inside the outline and just
+    outside hold a bar as well.
 
     A bar that all its rays agree with has room to move until one does not; the residuals' curvature says nothing of it.
 
@@ -155,7 +155,7 @@ def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> 
 def _relevant(
     rays: SurroundingRays, bars: list[Bar], most: int
 ) -> tuple[Sightlines, Bool[np.ndarray, "B N"], Bool[np.ndarray, "B N"]]:
-    """Rays that are a hit or a near pass of any bar, which are hits of each, and which count for each."""
+    """Return rays that are a hit or a near pass of any bar, which are hits of each, and which count for each."""
     crossing = cross_bars(rays, bars)
     low, high = np.array([[bar.first, bar.last] for bar in bars]).T
     between = (crossing.along >= low[:, None]) & (crossing.along <= high[:, None])
@@ -186,7 +186,7 @@ def _chosen(these: Bool[np.ndarray, "B"], new: _State, old: _State) -> _State:
 
 
 def _move(state: _State, x: Float[np.ndarray, "B n"], section: Section) -> _State:
-    """The bars after a step: tilts (2), shift across (2), half sizes (2; 1 if round), turn (1)."""
+    """Return the bars after a step: tilts (2), shift across (2), half sizes (2; 1 if round), turn (1)."""
     e0, e1, e2 = (state.frames[:, i] for i in range(3))
     axis = e0 + x[:, 0:1] * e1 + x[:, 1:2] * e2
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
@@ -208,8 +208,8 @@ def _linearize(
     section: Section,
     slack: float = 0.0,
 ) -> tuple[Float[np.ndarray, "B M"], Float[np.ndarray, "B n M"]]:
-    """Residuals in standard deviations and their derivatives: depth of the hits, edge of hits and passes, and what is
-    usual of the sizes.
+    """Return residuals in standard deviations and their derivatives: depth of the hits, edge of hits and passes, and
+    what is usual of the sizes.
 
     An edge on the right side of a ray has no residual; its derivative is told up to ``slack`` from the ray [m], in
     units that grow with the distance.
@@ -271,7 +271,7 @@ def _box_entry(
     p1: _Rows, p2: _Rows, d1: _Rows, d2: _Rows, side: _Rows, reach: _Rows, speed: _Rows,
     half1: Float[np.ndarray, "B 1"], half2: Float[np.ndarray, "B 1"],
 ) -> tuple[_Rows, tuple[_Rows, _Rows, _Rows, _Rows], list[_Rows]]:  # fmt: skip
-    """Depth of the outline along each ray, its derivatives by p1, p2, d1, d2, and by the half sizes."""
+    """Return the depth of the outline along each ray, its derivatives by p1, p2, d1, d2, and by the half sizes."""
     excess = np.sign(side) * np.maximum(np.abs(side) - reach, 0.0) / speed
     q1, q2 = p1 + d2 * excess, p2 - d1 * excess
     s1, s2 = (np.where(np.abs(d) < 1e-4, np.copysign(1e-4, d), d) for d in (d1, d2))
@@ -288,7 +288,7 @@ def _box_entry(
 def _round_entry(
     p1: _Rows, p2: _Rows, d1: _Rows, d2: _Rows, side: _Rows, reach: _Rows, speed: _Rows
 ) -> tuple[_Rows, tuple[_Rows, _Rows, _Rows, _Rows], list[_Rows]]:
-    """As :func:`_box_entry`, of a circle."""
+    """Return what :func:`_box_entry` returns, for a circle."""
     inside = np.minimum(np.abs(side), 0.98 * reach)
     chord = np.sqrt(reach**2 - inside**2)
     depth = -(p1 * d1 + p2 * d2) / speed**2 - chord / speed

@@ -35,7 +35,7 @@ _GOES_ON = (0.2, 0.45)
 
 @dataclass(frozen=True)
 class Pivot:
-    """Where a bar is held.
+    """The place where a bar is held.
 
     Attributes:
         along: of the pivot on the bar's axis, from its centre [m].
@@ -51,7 +51,7 @@ class Pivot:
 
 
 def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
-    """The end where the bar is held, told by the rays through the gap behind it.
+    """Return the end where the bar is held, told by the rays through the gap behind it.
 
     Args:
         face: what the bar is before.
@@ -89,7 +89,7 @@ def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
 
 
 def face_behind(face: Face, seen: FaceRays, place: Float[np.ndarray, "3"]) -> float:
-    """How surely the face goes on behind a place before it: nothing is held by a face beyond its edge.
+    """Return how surely the face goes on behind a place before it: nothing is held by a face beyond its edge.
 
     It does within its region, where the rays about the place that get as far as the face end on it.
     """
@@ -102,7 +102,7 @@ def face_behind(face: Face, seen: FaceRays, place: Float[np.ndarray, "3"]) -> fl
 
 
 def free_end(face: Face, seen: FaceRays, bar: Bar, pivot: Pivot) -> float:
-    """How surely nothing goes on at the bar's free end, straight on or in a bend: a rim or a rail does.
+    """Return how surely nothing goes on at the bar's free end, straight on or in a bend: a rim or a rail does.
 
     What lies just beyond the end, off the face, is held against what lies on the bar just before it.
     """
@@ -119,7 +119,7 @@ def free_end(face: Face, seen: FaceRays, bar: Bar, pivot: Pivot) -> float:
 def _in_bar(
     local: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "3"], flat: Float[np.ndarray, "2"]
 ) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Along the bar, aside of it, and over the face [m]."""
+    """Return places along the bar, aside of it, and over the face [m]."""
     offset = local[:, :2] - centre[:2]
     return offset @ flat, offset @ np.array([-flat[1], flat[0]]), local[:, 2]
 
@@ -132,7 +132,7 @@ def _passes_behind(
     level: float,
     radius: float,
 ) -> Float[np.ndarray, "K"]:
-    """Where along the bar rays went through the gap right behind it, at a height over the face."""
+    """Return where along the bar rays went through the gap right behind it, at a height over the face."""
     slope = seen.rays.direction @ face.frame[2]
     start = face.local(seen.rays.start)
     depth = (level - start[:, 2]) / slope
@@ -143,7 +143,7 @@ def _passes_behind(
 
 
 def _zone(held: Float[np.ndarray, "K"], free: Float[np.ndarray, "M"], end: float, bar: Bar) -> tuple[float, float]:
-    """How surely the bar is free, and how surely it is held, at one of its ends.
+    """Return how surely the bar is free, and how surely it is held, at one of its ends.
 
     Where hardly any ray went past further inwards there is a neck, and those that went past nearer to the bar's end, as
     from above past a neck at the top, do not deny it.

@@ -39,7 +39,7 @@ _MOST_RAYS = 10000
 
 @dataclass(frozen=True)
 class Stock:
-    """What sizes a kind of bar comes in.
+    """Sizes that a kind of bar comes in.
 
     Attributes:
         section: outline across the axis.
@@ -52,7 +52,7 @@ class Stock:
     rarity: tuple[float, ...]
 
     def rarity_of(self, half: tuple[float, float]) -> float:
-        """Of the size."""
+        """Return the rarity of the size."""
         return self.rarity[self.halves.index(half)]
 
 
@@ -72,7 +72,7 @@ class Choice:
 def rays_about(
     index: SightIndex, run: Run, beyond: float, floor: FloorPlane | None, known: Sequence[Bar] = ()
 ) -> SurroundingRays:
-    """Rays that pass near a run, those that ended on the floor or on bars already known told apart."""
+    """Return rays that pass near a run, those that ended on the floor or on bars already known told apart."""
     rays = index.passing(run.places(_SPACING, beyond), _AROUND).thinned(_MOST_RAYS)
     ends = rays.ends
     elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(ends) < _ON_FLOOR
@@ -131,18 +131,18 @@ def choose_bar(
 
 
 def _costs(sample: Sample, fits: Sequence[BarFit], stock: Stock, floor: FloorPlane | None) -> Float[np.ndarray, "B"]:
-    """How badly each explains what is seen, and how unlikely it was before, in squared standard deviations."""
+    """Return how badly each explains what is seen, and how unlikely it was before, in squared standard deviations."""
     prior = [stock.rarity_of(fit.usual) + _unusual(fit) + _support_cost(fit.bar, floor) for fit in fits]
     return np.asarray(misfits(sample, [fit.bar for fit in fits]) + prior)
 
 
 def _unusual(fit: BarFit) -> float:
-    """How far a bar's sizes are from those it was drawn towards, in squared standard deviations."""
+    """Return how far a bar's sizes are from those it was drawn towards, in squared standard deviations."""
     return float((((np.array(fit.bar.half) - fit.usual) / SIGMA_USUAL) ** 2).sum())
 
 
 def _support_cost(bar: Bar, floor: FloorPlane | None) -> float:
-    """How far a bar reaches into the floor or hovers just over it, in squared standard deviations.
+    """Return how far a bar reaches into the floor or hovers just over it, in squared standard deviations.
 
     Where a bar touches the floor its lowest two centimetres cannot be told from it.
     """
@@ -154,7 +154,7 @@ def _support_cost(bar: Bar, floor: FloorPlane | None) -> float:
 
 
 def _distance(bar: Bar, other: Bar) -> float:
-    """How far the middle of one is from the axis of the other [m]."""
+    """Return how far the middle of one is from the axis of the other [m]."""
     offset = bar.middle - other.middle
     return float(np.linalg.norm(offset - (offset @ other.axis) * other.axis))
 
@@ -175,7 +175,7 @@ class Rivalry:
 
 
 def rivalry(rays: SurroundingRays, bar: Bar, rivals: Sequence[tuple[float, float]], section: Section) -> Rivalry:
-    """How much better a bar explains what is about it than bars of another section fitted to the same.
+    """Return how much better a bar explains what is about it than bars of another section fitted to the same.
 
     Args:
         rays: that pass near the bar.

@@ -48,14 +48,14 @@ class Run:
     away: Float[np.ndarray, "3"] | None = None
 
     def places(self, spacing: float, beyond: float = 0.0) -> Float[np.ndarray, "K 3"]:
-        """Places along it, from ``beyond`` before to ``beyond`` behind it, at most ``spacing`` apart [m]."""
+        """Return places along it, from ``beyond`` before to ``beyond`` behind it, at most ``spacing`` apart [m]."""
         low, high = self.first - beyond, self.last + beyond
         n = max(2, int(np.ceil((high - low) / spacing)) + 1)
         return np.asarray(self.place + np.linspace(low, high, n)[:, None] * self.axis)
 
 
 def run_of(bar: Bar) -> Run:
-    """Where a bar lies."""
+    """Return where a bar lies."""
     return Run(bar.centre, bar.axis, bar.first, bar.last)
 
 
@@ -75,7 +75,7 @@ class Sample:
 
 
 def sample_about(rays: SurroundingRays, run: Run, radius: float, most: int) -> Sample | None:
-    """Rays between the ends of a run; None when too few ended there or all look along it.
+    """Return rays between the ends of a run; None when too few ended there or all look along it.
 
     Args:
         rays: that pass near the run.
@@ -109,7 +109,7 @@ def sample_about(rays: SurroundingRays, run: Run, radius: float, most: int) -> S
 
 
 def misfits(sample: Sample, bars: Sequence[Bar]) -> Float[np.ndarray, "B"]:
-    """How badly each bar explains the sample: squared residuals, none worse than three standard deviations.
+    """Return how badly each bar explains the sample: squared residuals, none worse than three standard deviations.
 
     What ended near the line should lie on the bar, what passed should miss it.
     """
@@ -129,8 +129,9 @@ Start = tuple[Bar, tuple[float, float]]
 def starts_about(
     sample: Sample, run: Run, halves: Sequence[tuple[float, float]], section: Section, most: int
 ) -> list[Start]:
-    """Bars of every size, each at the turn that explains the sample best, then the next best; each with its half
-    sizes [m]."""
+    """Return bars of every size, each at the turn that explains the sample best, then the next best; each with its half
+    sizes [m].
+    """
     across = cross(sample.away, run.axis)
     seen = (sample.rays.ends - run.place)[sample.mine] @ across
     low, high = np.percentile(seen, [4, 96])
@@ -157,7 +158,7 @@ def starts_about(
 
 
 def starts_flush_with(sample: Sample, bar: Bar, halves: Sequence[tuple[float, float]], most: int) -> list[Start]:
-    """Boxes of every size whose near faces lie where those of a fitted one do, the best first."""
+    """Return boxes of every size whose near faces lie where those of a fitted one do, the best first."""
     facing = bar.frame[1:] @ sample.away
     near, other = np.argsort(-np.abs(facing)).tolist()
     frames, middles, size, side = [], [], [], []
@@ -177,7 +178,7 @@ def starts_flush_with(sample: Sample, bar: Bar, halves: Sequence[tuple[float, fl
 
 
 def _best(sample: Sample, bars: _Many, run: Run, most: int, blur: float) -> list[Start]:
-    """The best of every size and side first: which it is shows only after the fit."""
+    """Put the best of every size and side first: the fit shows which of them it is."""
     order = np.argsort(_misfits(sample, bars.crossed_by(sample.rays), blur), kind="stable")
     leaders = _leaders(bars.side[order], order).tolist()
     chosen = [*leaders, *(i for i in order.tolist() if i not in leaders)][:most]
@@ -188,12 +189,12 @@ def _best(sample: Sample, bars: _Many, run: Run, most: int, blur: float) -> list
 
 
 def _leaders(side: Int[np.ndarray, "B"], order: Int[np.ndarray, "B"]) -> Int[np.ndarray, "L"]:
-    """The first of each size and side in an order, in that order."""
+    """Return the first of each size and side in an order, in that order."""
     return np.asarray(order[np.sort(np.unique(side, return_index=True)[1])])
 
 
 def _turns(half: tuple[float, float], section: Section) -> Float[np.ndarray, "K"]:
-    """Turns about the axis that make a difference."""
+    """Return turns about the axis that make a difference."""
     if section == "round":
         return np.asarray(_TURNS[:1])
     return np.asarray(_TURNS[: len(_TURNS) // 2] if half[0] == half[1] else _TURNS)
@@ -221,7 +222,7 @@ class _Many:
 
 
 def _at_their_depth(sample: Sample, bars: _Many) -> _Many:
-    """Moved along the rays, so that those that ended near the line and meet the bar end on it."""
+    """Move bars along the rays, so that those that ended near the line and meet the bar end on it."""
     mine = sample.rays.selected(sample.mine)
     crossing = bars.crossed_by(mine)
     gap = np.where(crossing.outside < SIGMA_EDGE, mine.length - crossing.depth, np.nan)

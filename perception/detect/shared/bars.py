@@ -66,19 +66,19 @@ class Bar:
         return np.asarray(self.centre + local @ self.frame)
 
     def holds(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
-        """Points in it or within ``margin`` [m] of it."""
+        """Return points in it or within ``margin`` [m] of it."""
         local = (points - self.middle) @ self.frame.T
         return np.asarray((np.abs(local) < np.array([0.5 * self.length, *self.half]) + margin).all(axis=1))
 
     def places(self, spacing: float) -> Float[np.ndarray, "K 3"]:
-        """Places along the axis, at most ``spacing`` apart [m]."""
+        """Return places along the axis, at most ``spacing`` apart [m]."""
         n = max(2, int(np.ceil(self.length / spacing)) + 1)
         return np.asarray(self.centre + np.linspace(self.first, self.last, n)[:, None] * self.frame[0])
 
 
 @dataclass(frozen=True)
 class BarCrossing:
-    """How rays cross a bar as long as need be; leading axes as the bars they were asked for.
+    """Crossings of rays with bars of unlimited length; leading axes as those of the bars.
 
     Attributes:
         outside: distance of the ray from the outline, across both; negative when it hits [m].
@@ -94,13 +94,13 @@ class BarCrossing:
 
 
 def cross_bar(rays: Sightlines, bar: Bar) -> BarCrossing:
-    """How each ray crosses the bar."""
+    """Return how each ray crosses the bar."""
     crossing = cross_sections(rays, bar.frame[None], bar.centre[None], np.array([bar.half]), bar.section)
     return BarCrossing(crossing.outside[0], crossing.side[0], crossing.depth[0], crossing.along[0])
 
 
 def cross_bars(rays: Sightlines, bars: Sequence[Bar]) -> BarCrossing:
-    """All bars of one section at once."""
+    """Return all bars of one section at once."""
     frames, centres = np.stack([bar.frame for bar in bars]), np.stack([bar.centre for bar in bars])
     return cross_sections(rays, frames, centres, np.array([bar.half for bar in bars]), bars[0].section)
 
@@ -112,7 +112,7 @@ def cross_sections(
     halves: Float[np.ndarray, "P 2"],
     section: Section,
 ) -> BarCrossing:
-    """All bars of one section at once, given as frames, centres [m] and half sizes [m]."""
+    """Return all bars of one section at once, given as frames, centres [m] and half sizes [m]."""
     poll()
     start = frames @ rays.start.T - frames @ centres[:, :, None]
     way = frames @ rays.direction.T
@@ -149,14 +149,14 @@ class SurroundingRays(Sightlines):
     taken: Bool[np.ndarray, "N"] | None = None
 
     def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> SurroundingRays:
-        """Only these."""
+        """Keep only these."""
         taken = None if self.taken is None else self.taken[keep]
         return SurroundingRays(self.start[keep], self.direction[keep], self.length[keep], self.elsewhere[keep], taken)
 
 
 @dataclass(frozen=True)
 class Sorted:
-    """What each ray says of each bar; a ray that ended before a bar says nothing of it.
+    """Rays sorted by what each tells of each bar; a ray that ended before a bar tells nothing of it.
 
     Attributes:
         hit: it ended on the bar.
@@ -170,7 +170,7 @@ class Sorted:
 
 
 def sort_rays(rays: SurroundingRays, crossing: BarCrossing) -> Sorted:
-    """Hits, passes and rays stopped before, whatever the bars' ends.
+    """Return hits, passes and rays stopped before, whatever the bars' ends.
 
     What ended elsewhere is no hit; just behind a bar it is no pass either, for what lies on the floor touches it.
     What ended on another bar near this one's surface may have been stopped by it before.

@@ -19,7 +19,7 @@ class Model(Protocol):
     """Model of a detected object that is taken out of the scene's pieces, because a task moves it."""
 
     def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
-        """Points (N, 3) that are the object's own, and pieces for those of its parts that stay in the scene."""
+        """Return points (N, 3) that are the object's own, and pieces for those of its parts that stay in the scene."""
         ...
 
 

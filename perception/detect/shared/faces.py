@@ -56,11 +56,11 @@ class Face:
         return np.asarray(self.high - self.low)
 
     def local(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Points in the face's frame [m]."""
+        """Return points in the face's frame [m]."""
         return np.asarray((points - self.centre) @ self.frame.T)
 
     def world(self, local: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """And back [m]."""
+        """Return places of the face in the world [m]."""
         return np.asarray(self.centre + local @ self.frame)
 
 
@@ -79,13 +79,13 @@ class FaceRays:
     ends: Float[np.ndarray, "N 3"]
 
     def selected(self, keep: Bool[np.ndarray, "N"]) -> FaceRays:
-        """Only these."""
+        """Keep only these."""
         return FaceRays(self.rays.selected(keep), self.at[keep], self.ends[keep])
 
 
 @dataclass(frozen=True)
 class FacesInSight:
-    """What detectors of things on faces start from, made once for a view and hint.
+    """Faces and rays that detectors of things on faces start from, made once for a view and hint.
 
     Attributes:
         faces: upright and slanting ones in arm's reach or so, refined by the rays that ended on them, largest first.
@@ -97,7 +97,7 @@ class FacesInSight:
 
     @staticmethod
     def of(view: View, hint: Float[np.ndarray, "3"] | None = None) -> FacesInSight:
-        """The faces of a scan made ready; with a hint those near it, and what is found about it alone."""
+        """Return the faces of a scan made ready; with a hint those near it, and what is found about it alone."""
         index = sight_index(view.cloud)
         with threadpool_limits(limits=1, user_api="blas"):
             faces = _find_faces(view, index, None, np.random.default_rng(view.seed))
@@ -108,7 +108,7 @@ class FacesInSight:
 
 
 def _is_near(face: Face, hint: Float[np.ndarray, "3"]) -> bool:
-    """Whether a face's region comes near a place."""
+    """Return whether a face's region comes near a place."""
     x, y, z = face.local(np.asarray(hint, dtype=float)[None])[0]
     outside = np.maximum(np.maximum(face.low - (x, y), (x, y) - face.high), 0.0)
     return float(np.linalg.norm([*outside, z])) < _HINT_RADIUS
@@ -152,7 +152,7 @@ def _find_faces(
 def _parallel(
     normal: Float[np.ndarray, "3"], offset: float, points: Float[np.ndarray, "N 3"]
 ) -> list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "K 3"]]]:
-    """The layer most points lie in that is parallel to the largest wall: normals tell no face a hand wide."""
+    """Return the layer most points lie in that is parallel to the largest wall: normals tell no face a hand wide."""
     height = np.sort(points @ normal)
     within = np.searchsorted(height, height + _FACE.distance, side="right") - np.arange(len(height))
     low = height[int(np.argmax(within))]
@@ -162,7 +162,7 @@ def _parallel(
 
 
 def _patches(points: Float[np.ndarray, "N 3"]) -> list[Int[np.ndarray, "K"]]:
-    """Indices of the points of each connected lump, large ones first."""
+    """Return indices of the points of each connected lump, large ones first."""
     poll()
     if not len(points):
         return []
@@ -179,14 +179,14 @@ def _patches(points: Float[np.ndarray, "N 3"]) -> list[Int[np.ndarray, "K"]]:
 
 
 def _frame(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Rows x, y, z: x horizontal."""
+    """Return rows x, y, z: x horizontal."""
     x = np.array([-normal[1], normal[0], 0.0])
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(normal, x), normal])
 
 
 def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
-    """Rays that cross the face's plane within ``beyond`` of its region and do not end far before it."""
+    """Return rays that cross the face's plane within ``beyond`` of its region and do not end far before it."""
     low, high = face.low - beyond, face.high + beyond
     steps = [np.linspace(low[i], high[i], max(2, int((high[i] - low[i]) / _SPACING) + 1)) for i in range(2)]
     x, y = (grid.ravel() for grid in np.meshgrid(*steps))
@@ -204,13 +204,13 @@ def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
 
 
 def _refine(face: Face, index: SightIndex) -> Face | None:
-    """The plane through what is flat of the rays' ends, not through what stands out; None when little is."""
+    """Return the plane through what is flat of the rays' ends, not through what stands out; None when little is."""
     seen = face_rays(face, index, 0.0)
     return fit_face(face, seen.ends[((seen.ends[:, :2] > face.low) & (seen.ends[:, :2] < face.high)).all(axis=1)])
 
 
 def fit_face(face: Face, ends: Float[np.ndarray, "K 3"]) -> Face | None:
-    """The face moved and turned onto what is flat of some ends of rays; None when little is.
+    """Return the face moved and turned onto what is flat of some ends of rays; None when little is.
 
     Args:
         face: as known so far.

@@ -16,7 +16,7 @@ _SLIM, _SPREAD, _FEWEST = 0.3, 0.018, 5
 
 
 def is_slender(points: Float[np.ndarray, "N 3"], most_wide: float = 0.5) -> Bool[np.ndarray, "N"]:
-    """Points whose surroundings spread much more in one direction than in a second.
+    """Return points whose surroundings spread much more in one direction than in a second.
 
     The second largest variance of the points in the 3 x 3 x 3 cells of 7.5 cm around a point is held against the
     largest: 1 in the middle of a wall, 0.3 at its edge, below 0.25 on a board up to 15 cm wide.
@@ -32,7 +32,7 @@ def is_slender(points: Float[np.ndarray, "N 3"], most_wide: float = 0.5) -> Bool
 
 
 def is_flat(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Points in the middle or near the edge of something wide and less than some 6 cm thick, noise included.
+    """Return points in the middle or near the edge of something wide and less than some 6 cm thick, noise included.
 
     Args:
         points: (N, 3) thinned evenly [m].
@@ -44,7 +44,7 @@ def is_flat(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
 
 
 def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Float[np.ndarray, "N 3"] | None:
-    """Variances of the points around each, from the least [m^2]; None where they are spread too far for a grid.
+    """Return variances of the points around each, from the least [m^2]; None where they are spread too far for a grid.
 
     Args:
         points: (N, 3) [m].
@@ -72,7 +72,7 @@ def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Fl
 
 
 def _around(cell: np.ndarray, weight: Float[np.ndarray, "N"], shape: tuple[int, ...]) -> Float[np.ndarray, "N"]:
-    """Sum of the weights in the cells about each point's cell."""
+    """Return the sum of the weights in the cells about each point's cell."""
     poll()
     total = np.bincount(cell, weight, minlength=int(np.prod(shape))).reshape(shape)
     return np.asarray(ndimage.uniform_filter(total, size=3, mode="constant").reshape(-1)[cell] * 27.0)
@@ -81,7 +81,7 @@ def _around(cell: np.ndarray, weight: Float[np.ndarray, "N"], shape: tuple[int, 
 def slim_places(
     points: Float[np.ndarray, "N 3"], tree: cKDTree, ball: float
 ) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]]:
-    """Points about which others spread in one direction only: their indices, and that direction.
+    """Return points about which others spread in one direction only: their indices, and that direction.
 
     Args:
         points: (N, 3) thinned evenly [m].

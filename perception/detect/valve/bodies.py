@@ -62,7 +62,9 @@ class ValveDetection:
         return Ring(self.centre, self.axis, self.rim_radius, self.tube_radius, self.half_depth)
 
     def as_detection(self) -> Detection:
-        """The valve as all detectors report: z of its frame is the axis, x horizontal, the origin the rim's centre."""
+        """Return the valve as all detectors report: z of its frame is the axis, x horizontal, the origin the rim's
+        centre.
+        """
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = wheel_basis(self.axis).T, self.centre
         sizes = {"outer_radius": self.outer_radius, "rim_radius": self.rim_radius, "tube_radius": self.tube_radius}
@@ -72,7 +74,7 @@ class ValveDetection:
         return Detection("valve", pose, sizes, self.confidence, {"rms": self.rms}, points, self)
 
     def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
-        """Points that are wheel or stem, and the stem if one was seen."""
+        """Return points that are wheel or stem, and the stem if one was seen."""
         own = wheel_points(self, points)
         stem = stem_of(self, points[~own])
         if stem is None:
@@ -84,7 +86,7 @@ class ValveDetection:
 def valve_bodies(
     detection: ValveDetection, n_segments: int = 20, margin: float = 0.004
 ) -> dict[str, Float[np.ndarray, "V 3"]]:
-    """The turning wheel as convex vertex sets, world coordinates [m].
+    """Return the turning wheel as convex vertex sets, world coordinates [m].
 
     ``rim/0`` ... circumscribe the rim.  What is inside it is ``hub`` and ``spoke/0`` ... when the spokes were clearly
     seen, and otherwise ``hub`` alone, a disc out to the rim.
@@ -107,12 +109,12 @@ def valve_bodies(
 def rim_bodies(
     detection: ValveDetection, n_segments: int = 20, margin: float = 0.004
 ) -> dict[str, Float[np.ndarray, "V 3"]]:
-    """Those of ``valve_bodies`` that are the rim, ``rim/0`` ..., world coordinates [m]."""
+    """Return those of ``valve_bodies`` that are the rim, ``rim/0`` ..., world coordinates [m]."""
     return {f"rim/{i}": _segment(detection, i, n_segments, margin) for i in range(n_segments)}
 
 
 def has_clear_spokes(detection: ValveDetection) -> bool:
-    """Whether the spokes were seen so clearly that a hand may rely on the openings between them."""
+    """Return whether the spokes were seen so clearly that a hand may rely on the openings between them."""
     n_spokes = len(detection.spoke_angles)
     return bool(
         detection.confidence >= CONFIDENT
@@ -124,7 +126,7 @@ def has_clear_spokes(detection: ValveDetection) -> bool:
 
 
 def _segment(detection: ValveDetection, i: int, n_segments: int, margin: float) -> Float[np.ndarray, "V 3"]:
-    """The hull of two circumscribed sections; the far side is pushed out to where the tangents meet."""
+    """Return the hull of two circumscribed sections; the far side is pushed out to where the tangents meet."""
     corner = 2.0 * np.pi * (np.arange(_SECTION) + 0.5) / _SECTION
     grow = 1.0 / np.cos(np.pi / _SECTION)
     distance = detection.rim_radius + grow * (detection.tube_radius + margin) * np.cos(corner)
@@ -143,7 +145,7 @@ def _disc(detection: ValveDetection, radius: float, margin: float) -> Float[np.n
 
 
 def _spoke(detection: ValveDetection, angle: float, margin: float) -> Float[np.ndarray, "V 3"]:
-    """A bar from the hub into the rim, as wide as the spokes were seen."""
+    """Return a bar from the hub into the rim, as wide as the spokes were seen."""
     low, high = _depth(detection, margin)
     half = detection.spoke_half_width + margin
     start, end = 0.7 * detection.hub_radius, detection.rim_radius
@@ -153,7 +155,7 @@ def _spoke(detection: ValveDetection, angle: float, margin: float) -> Float[np.n
 
 
 def _depth(detection: ValveDetection, margin: float) -> tuple[float, float]:
-    """Along the axis, from and to; at least the rim's own thickness."""
+    """Return from where to where it reaches along the axis; at least the rim's own thickness."""
     low, high = detection.inner_depth
     return min(low, -detection.half_depth) - margin, max(high, detection.half_depth) + margin
 
@@ -165,20 +167,21 @@ def _to_world(detection: ValveDetection, local: Float[np.ndarray, "V 3"]) -> Flo
 def _in_wheel(
     detection: ValveDetection, points: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Distance from the axis and height along it of each point [m]."""
+    """Return the distance from the axis and height along it of each point [m]."""
     local = (points - detection.centre) @ detection.ring.basis.T
     return np.hypot(local[:, 0], local[:, 1]), local[:, 2]
 
 
 def wheel_points(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Points that belong to the wheel: within 3 cm of its solid."""
+    """Return points that belong to the wheel: within 3 cm of its solid."""
     distance, height = _in_wheel(detection, points)
     low, high = _depth(detection, 0.0)
     return np.asarray((distance <= detection.outer_radius + _CUT) & (height >= low - _CUT) & (height <= high + _CUT))
 
 
 def stem_of(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> ConvexPiece | None:
-    """The stem from the wheel back to what carries it, a prism ``stem``; None when nothing is seen behind the wheel.
+    """Return the stem from the wheel back to what carries it, a prism ``stem``; None when nothing is seen behind the
+    wheel.
 
     Args:
         detection: the wheel.
@@ -204,7 +207,7 @@ def stem_of(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> Conv
 def stem_points(
     detection: ValveDetection, stem: ConvexPiece, points: Float[np.ndarray, "N 3"]
 ) -> Bool[np.ndarray, "N"]:
-    """Points within 1.5 cm of the stem, the carrier's own excepted."""
+    """Return points within 1.5 cm of the stem, the carrier's own excepted."""
     distance, height = _in_wheel(detection, points)
     radius, ends = _in_wheel(detection, stem.vertices)
     return np.asarray((distance <= radius.max() + 0.015) & (height >= ends.min() + _CUT) & (height <= ends.max()))

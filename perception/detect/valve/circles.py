@@ -50,7 +50,7 @@ def find_circles(
     n_seeds: int = 200,
     most: int = 60,
 ) -> list[Circle]:
-    """The best circles, best first, no two about the same place.
+    """Return the best circles, best first, no two about the same place.
 
     Args:
         points: (N, 3) downsampled, without walls and floor [m].
@@ -77,7 +77,8 @@ def find_circles(
 
 
 def _seeds(points: Float[np.ndarray, "N 3"], rng: np.random.Generator, most: int) -> Int[np.ndarray, "S"]:
-    """Where to look: half of the places anywhere, half where points spread along one direction, as those of a rim do.
+    """Return where to look: half of the places anywhere, half where points spread along one direction, as those of a
+    rim do.
 
     Among many other things a rim has few of all places, but a good part of the slim ones.
     """
@@ -94,7 +95,7 @@ def _best_in(
     radii: tuple[float, float],
     n_triples: int,
 ) -> list[Circle]:
-    """The best circles through a seed and two of the points in a ball about it, if any.
+    """Return the best circles through a seed and two of the points in a ball about it, if any.
 
     Among many other things, two more points on the rim that a seed lies on are drawn sooner than three.
     """
@@ -110,7 +111,7 @@ def _best_in(
 
 
 def _sharpen(hypotheses: list[Circle], points: Float[np.ndarray, "N 3"], radii: tuple[float, float]) -> list[Circle]:
-    """Refitted to all points, those that stay within the radii."""
+    """Refit circles to all points, and keep those that stay within the radii."""
     if not hypotheses:
         return []
     centres, axes = np.stack([circle.centre for circle in hypotheses]), np.stack([circle.axis for circle in hypotheses])
@@ -130,7 +131,7 @@ def _score(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement
 
 
 def _circles_through(triples: Float[np.ndarray, "H 3 3"]) -> Circles:
-    """The circle through each triple that is not nearly straight."""
+    """Return the circle through each triple that is not nearly straight."""
     u, v = triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0]
     normal = cross(u, v)
     square = (normal**2).sum(axis=1)
@@ -143,7 +144,7 @@ def _circles_through(triples: Float[np.ndarray, "H 3 3"]) -> Circles:
 
 
 def _drop_duplicates(circles: list[Circle], most: int, apart: float = 0.3, least_cosine: float = -1.0) -> list[Circle]:
-    """The first of those about the same place: of much the same centre, radius and axis.
+    """Return the first of those about the same place: of much the same centre, radius and axis.
 
     Args:
         circles: best first.
@@ -186,13 +187,13 @@ class Circles:
         return len(self.radii)
 
     def selected(self, keep: Bool[np.ndarray, "C"] | Int[np.ndarray, "K"]) -> Circles:
-        """Only these."""
+        """Keep only these."""
         return Circles(self.centres[keep], self.axes[keep], self.radii[keep])
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How points agree with circles.
+    """Agreement of points with circles.
 
     Attributes:
         on: (C, N) which points lie on each.
@@ -205,12 +206,12 @@ class Agreement:
     share: Float[np.ndarray, "C"]
 
     def selected(self, keep: Int[np.ndarray, "K"]) -> Agreement:
-        """Only these circles."""
+        """Keep only these circles."""
         return Agreement(self.on[keep], self.count[keep], self.share[keep])
 
 
 def agreement(points: Float[np.ndarray, "N 3"], circles: Circles) -> Agreement:
-    """Which of the points lie within 2 cm of each circle."""
+    """Return which of the points lie within 2 cm of each circle."""
     poll()
     centres, axes = circles.centres, circles.axes
     # Squares of the points' heights over each circle's plane and of their distances from its axis.
@@ -234,8 +235,8 @@ def agreement(points: Float[np.ndarray, "N 3"], circles: Circles) -> Agreement:
 def scores(
     points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement
 ) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C"]]:
-    """Share of each circle's 24 sectors with a point on it, and its score: that squared, times the share of the points
-    about its disc that lie on it.
+    """Return the share of each circle's 24 sectors with a point on it, and its score: that squared, times the share of
+    the points about its disc that lie on it.
 
     Sampling noise of few points must not look like a full circle.
     """
@@ -244,7 +245,7 @@ def scores(
 
 
 def refit_circles(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement) -> Circles:
-    """Each circle after one step of least squares on the points that lie on it: their plane, and in it the algebraic
+    """Move each circle by one step of least squares on the points that lie on it: their plane, and in it the algebraic
     circle fit of Kasa, IEEE Trans. Instrum. Meas. 25, 1976.
 
     The axis of a circle through three points of a small noisy rim is off by tens of degrees.
@@ -281,7 +282,7 @@ def refit_circles(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Ag
 def _coverage(
     points: Float[np.ndarray, "K 3"], circles: Circles, on: Bool[np.ndarray, "C K"]
 ) -> Float[np.ndarray, "C"]:
-    """Share of each circle's sectors with one of the points that lie on it."""
+    """Return the share of each circle's sectors with one of the points that lie on it."""
     poll()
     axes = circles.axes
     first = cross(np.eye(3)[np.argmin(np.abs(axes), axis=1)], axes)

@@ -16,7 +16,7 @@ _BESIDE = 0.05
 
 
 def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Valves, best first: those with ``outer_radius`` are wheels, those with ``lever_length`` are levers.
+    """Find valves, best first: those with ``outer_radius`` are wheels, those with ``lever_length`` are levers.
 
     Args:
         view: the scan, made ready.
@@ -43,7 +43,7 @@ def _is_part_of(lever: Detection, wheel: Detection) -> bool:
 
 
 def _is_about(wheel: Detection, lever: Detection) -> bool:
-    """Whether a wheel less sure than a lever lies over it."""
+    """Return whether a wheel less sure than a lever lies over it."""
     pose, length = lever.pose_world_object, lever.sizes["lever_length"]
     offset = wheel.pose_world_object[:3, 3] - pose[:3, 3]
     along = float(np.clip(offset @ pose[:3, 0], 0.0, length))

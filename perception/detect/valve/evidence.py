@@ -1,4 +1,4 @@
-"""How much speaks for a ring being the rim of a wheel that can be turned by hand."""
+"""Evidence that a ring is the rim of a wheel that can be turned by hand."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _BLURRED = 0.3  # where it does not tell the axis: still worth a report
 
 @dataclass(frozen=True)
 class WheelEvidence:
-    """What the rays say of a ring; each figure from 0 to 1.
+    """Evidence of the rays for a ring; each figure from 0 to 1.
 
     Attributes:
         rim: seen all round, by enough rays whose depths agree with it, each and all about one place.
@@ -79,7 +79,7 @@ def weigh_wheel(
     inside: Inside,
     floor: FloorPlane | None,
 ) -> WheelEvidence:
-    """What the rays near a ring say of it."""
+    """Return what the rays near a ring say of it."""
     through = rays.length > passage.depth + _BEHIND
     distance = np.linalg.norm(passage.place, axis=1)
     sector = (
@@ -122,7 +122,7 @@ def weigh_wheel(
 
 
 def _openings(inside: Inside, blur: float) -> float:
-    """Whether there are openings, and the clearer ones the less the depths tell.
+    """Return whether there are openings, and the clearer ones the less the depths tell.
 
     Where depths disagree by a good part of the radius, any lump as large would fit the rim as well: then it is by its
     openings alone that a wheel is told from it.
@@ -136,7 +136,8 @@ def _openings(inside: Inside, blur: float) -> float:
 
 
 def _spoke_evidence(inside: Inside) -> float:
-    """Narrow spokes between hub and rim; where rays are too few to tell, a hub with openings about it may just do.
+    """Weigh narrow spokes between hub and rim; where rays are too few to tell, a hub with openings about it may just
+    do.
 
     Things close behind the wheel hide openings, so that neither what the spokes leave unexplained nor their number
     speaks against them; one broad solid part does.
@@ -150,7 +151,7 @@ def _spoke_evidence(inside: Inside) -> float:
 
 
 def _over_floor(ring: Ring, floor: FloorPlane | None) -> float:
-    """Whether a hand fits between rim and floor: what stands on the floor rolls, or lies about."""
+    """Return whether a hand fits between rim and floor: what stands on the floor rolls, or lies about."""
     if floor is None:
         return 1.0
     droop = np.sqrt(max(0.0, 1.0 - float(ring.axis @ floor.normal) ** 2))
@@ -159,7 +160,8 @@ def _over_floor(ring: Ring, floor: FloorPlane | None) -> float:
 
 
 def _free_aside(rays: Sightlines, ring: Ring) -> float:
-    """Whether rays through the disc get out between the rim and 10 cm behind it; as little as is seen counts as free.
+    """Return whether rays through the disc get out between the rim and 10 cm behind it; as little as is seen counts as
+    free.
 
     A ray leaves the tube that the rim would be the mouth of where it is as far from the axis as the rim for the
     second time.
@@ -180,7 +182,7 @@ def _free_aside(rays: Sightlines, ring: Ring) -> float:
 
 
 def _shares(sector: np.ndarray, these: Bool[np.ndarray, "N"], all_of: Bool[np.ndarray, "N"]) -> Float[np.ndarray, "S"]:
-    """Share per sector; NaN where there is nothing."""
+    """Return the share per sector; NaN where there is nothing."""
     total = np.bincount(sector[all_of], minlength=_SECTORS).astype(float)
     total[total == 0.0] = np.nan
     return np.asarray(np.bincount(sector[these], minlength=_SECTORS) / total)

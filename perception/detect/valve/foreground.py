@@ -1,4 +1,4 @@
-"""What stands before walls: the points that no large closed plane explains."""
+"""Foreground of a scan: the points that no large closed plane explains."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MOST_RAYS = 40_000
 
 @dataclass(frozen=True)
 class Foreground:
-    """What detectors of valves start from, made once for a view.
+    """Points and rays that detectors of valves start from, made once for a view.
 
     Attributes:
         points: (N, 3) obstacle points that no wall explains [m].
@@ -37,17 +37,17 @@ class Foreground:
 
     @staticmethod
     def of(view: View) -> Foreground:
-        """The foreground of a scan made ready."""
+        """Return the foreground of a scan made ready."""
         rng = np.random.default_rng(view.seed)
         index = sight_index(view.cloud)
         return Foreground(view.obstacles[before_walls(view.obstacles, view.starts, index.rays, rng)], index, rng)
 
     def near(self, hint: Float[np.ndarray, "3"] | None, radius: float) -> Float[np.ndarray, "M 3"]:
-        """The points within ``radius`` of a hint, all without one."""
+        """Return the points within ``radius`` of a hint, all without one."""
         return self.points if hint is None else self.points[np.linalg.norm(self.points - hint, axis=1) < radius]
 
     def generator(self) -> np.random.Generator:
-        """For hypotheses: each who asks draws the same numbers."""
+        """Return a generator for hypotheses; each caller draws the same numbers."""
         return deepcopy(self.rng)
 
 
@@ -57,7 +57,7 @@ def before_walls(
     rays: Sightlines,
     rng: np.random.Generator,
 ) -> Bool[np.ndarray, "N"]:
-    """Which points no large plane explains; planes are sought in large voxels, whose means scatter less.
+    """Return which points no large plane explains; planes are sought in large voxels, whose means scatter less.
 
     A plane that most rays go through is none: a wheel, a fence and a heap have such planes.
 
@@ -81,7 +81,7 @@ def before_walls(
 
 
 def closed_share(plane: Plane, points: Float[np.ndarray, "N 3"], rays: Sightlines) -> float:
-    """How many of the rays that reach the plane within its outline end there, 0 to 1; 1 where none does."""
+    """Return how many of the rays that reach the plane within its outline end there, 0 to 1; 1 where none does."""
     outline = points[plane.members] @ plane.basis.T
     try:
         edges = ConvexHull(outline).equations

@@ -1,4 +1,4 @@
-"""What is inside a wheel's rim: openings, spokes and hub, told by which rays ended there and which went on."""
+"""Inside of a wheel's rim: openings, spokes and hub, from the rays that ended there and those that went on."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FEWEST = 5
 
 @dataclass(frozen=True)
 class Inside:
-    """What is inside the rim.
+    """Openings, spokes and hub inside the rim.
 
     Attributes:
         spoke_angles: of the spokes [rad].
@@ -59,7 +59,7 @@ class _Spokes:
 
 
 def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
-    """Openings, spokes and hub from which rays inside the rim ended at the wheel and which went on."""
+    """Return openings, spokes and hub from which rays inside the rim ended at the wheel and which went on."""
     distance = np.linalg.norm(passage.place, axis=1)
     inner = ring.radius - ring.half_width
     behind = rays.length - passage.crossing
@@ -95,7 +95,7 @@ def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
 
 
 def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], inner: float) -> float:
-    """The largest radius within which four fifths of the rays ended at the wheel."""
+    """Return the largest radius within which four fifths of the rays ended at the wheel."""
     edges = np.linspace(0.0, inner, 13)[1:]
     radius = 0.0
     for low, high in zip(np.concatenate([[0.0], edges[:-1]]), edges, strict=True):
@@ -107,7 +107,7 @@ def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], 
 
 
 def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], corridor_half: float) -> _Spokes:
-    """Spokes: a narrow corridor is turned about the axis; where most rays in it ended at the wheel there is one.
+    """Find spokes: a narrow corridor is turned about the axis; where most rays in it ended at the wheel there is one.
 
     Args:
         place: (N, 2) where rays cross the wheel between hub and rim [m].
@@ -151,14 +151,16 @@ def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], cor
 
 
 def _runs(these: Bool[np.ndarray, "A"]) -> tuple[Int[np.ndarray, "R 2"], int]:
-    """Where runs of angles begin and end, counted from an angle that is in none, and that angle."""
+    """Return where runs of angles begin and end, counted from an angle that is in none, and that angle."""
     start = int(np.flatnonzero(~these)[0])
     turned = np.concatenate([[0], np.roll(these, -start).astype(int), [0]])
     return np.flatnonzero(np.diff(turned)).reshape(-1, 2), start
 
 
 def _rejoin(runs: Int[np.ndarray, "R 2"], share: Float[np.ndarray, "A"]) -> list[tuple[int, int]]:
-    """Runs of angles, those taken for one that are but a few steps apart with some hits all the way between them."""
+    """Return runs of angles, those taken for one that are but a few steps apart with some hits all the way between
+    them.
+    """
     joined: list[tuple[int, int]] = []
     for low, high in runs.tolist():
         if joined and low - joined[-1][1] <= _MOST_APART and share[joined[-1][1] : low].min() > _BETWEEN:

@@ -41,7 +41,7 @@ class _Lever:
 def detect_lever_valve(
     view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
 ) -> list[Detection]:
-    """Lever valves, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
+    """Find lever valves, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
     The pivot's axis is square to lever and pipe; where these cross, the pivot lies where they come nearest to each
     other, and otherwise at the end behind which rays do not pass.
@@ -72,7 +72,7 @@ def detect_lever_valve(
 
 
 def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None) -> _Lever | None:
-    """A bar and a pipe as a valve; None when they do not lie as lever and pipe do."""
+    """Return a bar and a pipe as a valve; None when they do not lie as lever and pipe do."""
     joint = joint_of(lever.bar, pipe.bar, (lever.fit.spread[0], pipe.fit.spread[0]), index)
     if joint is None:
         return None
@@ -99,13 +99,13 @@ def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlan
 
 
 def _as_a_lever(pivot: Pivot, radius: float) -> float:
-    """How much a bar held like this is like a lever: long enough, slim, held at one end."""
+    """Return how much a bar held like this is like a lever: long enough, slim, held at one end."""
     length = abs(pivot.far - pivot.along)
     return rising(length, LENGTHS[0], LENGTHS[0] + 0.03) * rising(length / radius, *_SLIM) * pivot.confidence
 
 
 def _as_detection(valve: _Lever, is_hinted: bool) -> Detection:
-    """The valve in the words all detectors share."""
+    """Return the valve in the words all detectors share."""
     bar, pivot = valve.bar, valve.joint.pivot
     x = np.sign(pivot.far - pivot.along) * bar.axis
     z = valve.joint.axis - (valve.joint.axis @ x) * x

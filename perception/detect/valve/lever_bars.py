@@ -59,7 +59,7 @@ class FittedBar:
 def find_levers(
     foreground: Foreground, floor: FloorPlane | None, hint: Float[np.ndarray, "3"] | None
 ) -> list[FittedBar]:
-    """Slim bars with air about them and at least one end that was seen.
+    """Return slim bars with air about them and at least one end that was seen.
 
     Args:
         foreground: what stands before walls, and all rays.
@@ -84,7 +84,7 @@ def find_levers(
 def find_pipes(
     foreground: Foreground, floor: FloorPlane | None, hint: Float[np.ndarray, "3"] | None
 ) -> list[FittedBar]:
-    """Longer and thicker round bars; arguments as of :func:`find_levers`."""
+    """Return longer and thicker round bars; arguments as of :func:`find_levers`."""
     lines = _lines(foreground, hint, _PIPE_TUBES, _LEAST_PIPE, _PIPE_PAIRS, None)
     chosen = _in_air(lines, foreground.index, floor, PIPE_RADII)[:_MOST_PIPES]
     fitted = [_fit(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in chosen]
@@ -103,7 +103,9 @@ def _lines(
     n_pairs: int,
     ball: float | None,
 ) -> list[Line]:
-    """Lines of points; with a hint those of the whole scan that come near it, and those of the points near it."""
+    """Return lines of points; with a hint those of the whole scan that come near it, and those of the points near
+    it.
+    """
     points, _ = voxel_downsample(foreground.points, _VOXEL)
     lines = find_lines(points, foreground.generator(), tubes, least_length, n_pairs=n_pairs, slim_ball=ball)
     if hint is None:
@@ -114,7 +116,7 @@ def _lines(
 
 
 def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:
-    """Between a place and the nearest of a line [m]."""
+    """Return the distance between a place and the nearest of a line [m]."""
     offset = place - line.place
     along = float(np.clip(offset @ line.axis, line.first, line.last))
     return float(np.linalg.norm(offset - along * line.axis))
@@ -123,7 +125,7 @@ def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:
 def _in_air(
     lines: Sequence[Line], index: SightIndex, floor: FloorPlane | None, radii: Sequence[tuple[float, float]]
 ) -> list[Line]:
-    """Lines on which, for bars of one of the sizes, most rays that reach them end and beside which most go on.
+    """Return lines on which, for bars of one of the sizes, most rays that reach them end and beside which most go on.
 
     A row of a scan on a wall is a line as well, and there are many; looking at the rays takes a hundredth of a fit.
     """
@@ -147,7 +149,7 @@ def _in_air(
 def _fit(
     line: Line, index: SightIndex, floor: FloorPlane | None, radii: tuple[tuple[float, float], ...], tube: float
 ) -> FittedBar | None:
-    """A round bar about a line, fitted, cut to its ends and fitted again."""
+    """Return a round bar about a line, fitted, cut to its ends and fitted again."""
     first = _fit_once(Run(line.place, line.axis, line.first, line.last), index, floor, radii, tube)
     return None if first is None else _fit_once(run_of(first.bar), index, floor, radii, tube)
 
@@ -166,7 +168,7 @@ def _fit_once(
 def best_round(
     rays: SurroundingRays, run: Run, radii: tuple[tuple[float, float], ...], tube: float, most: int
 ) -> BarFit | None:
-    """The round bar that explains best what is seen about a run; None where too little is.
+    """Return the round bar that explains best what is seen about a run; None where too little is.
 
     Args:
         rays: that pass near the run.

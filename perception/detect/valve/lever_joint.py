@@ -58,7 +58,7 @@ class Joint:
 
 
 def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex) -> Joint | None:
-    """The joint; None when they do not lie as lever and pipe do.
+    """Return the joint; None when they do not lie as lever and pipe do.
 
     Where they cross, the pivot lies where they come nearest to each other, and otherwise at the end behind which rays
     do not pass.  The pivot's axis is square to both and leads from the pipe's middle to the pivot: what is known best
@@ -109,8 +109,9 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
 
 
 def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[Float[np.ndarray, "3"], float]:
-    """The direction that is as square to both, and as much along the way from the pipe to the pivot, as is known of
-    each; and its standard deviation [rad]."""
+    """Return the direction that is as square to both, and as much along the way from the pipe to the pivot, as is known
+    of each; and its standard deviation [rad].
+    """
     out = bar.centre + at * bar.axis - pipe.centre
     out = out - (out @ pipe.axis) * pipe.axis
     apart = float(np.linalg.norm(out))
@@ -126,7 +127,7 @@ def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[F
 
 
 def _pivot(bar: Bar, axis: Float[np.ndarray, "3"], gap: float, index: SightIndex) -> Pivot:
-    """Where the bar is held over the pipe's near side, as if that were a face."""
+    """Return where the bar is held over the pipe's near side, as if that were a face."""
     z = axis - (axis @ bar.axis) * bar.axis
     z /= np.linalg.norm(z)
     half = 0.5 * bar.length
@@ -165,7 +166,7 @@ def settle_joint(
     index: SightIndex,
     floor: FloorPlane | None,
 ) -> Settled:
-    """Both fitted anew: a flange 3 cm below a lever widens it and draws it aside, as the body does with the pipe.
+    """Fit both anew: a flange 3 cm below a lever widens it and draws it aside, as the body does with the pipe.
 
     Args:
         lever: roughly.
@@ -199,7 +200,7 @@ def settle_joint(
 
 
 def _rays_near(index: SightIndex, bar: Bar, floor: FloorPlane | None) -> SurroundingRays:
-    """All rays close to a bar and its ends: the last one that met it tells its end."""
+    """Return all rays close to a bar and its ends: the last one that met it tells its end."""
     beyond = replace(bar, first=bar.first - _ABOUT_END, last=bar.last + _ABOUT_END)
     rays = index.passing(beyond.places(_SPACING), _BESIDE)
     elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(rays.ends) < _ON_FLOOR
@@ -207,7 +208,7 @@ def _rays_near(index: SightIndex, bar: Bar, floor: FloorPlane | None) -> Surroun
 
 
 def _between_ends(fitted: Bar, rough: Bar) -> Bar:
-    """A fitted bar from and to where the rough one goes."""
+    """Return a fitted bar from and to where the rough one goes."""
     axis = fitted.axis
     sign = np.sign(axis @ rough.axis)
     ends = [float((rough.centre + at * rough.axis - fitted.centre) @ axis) for at in (rough.first, rough.last)]
@@ -217,8 +218,8 @@ def _between_ends(fitted: Bar, rough: Bar) -> Bar:
 
 
 def _round_off_end(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar, bool]:
-    """The bar with its free end rounded, halfway between the last ray that met it and the first that went past, and
-    whether any went past beyond.
+    """Return the bar with its free end rounded, halfway between the last ray that met it and the first that went past,
+    and whether any went past beyond.
 
     A ray that leans on the bar goes past its end nearer to its middle than it would cross its near side.
     """
@@ -244,7 +245,7 @@ def _round_off_end(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar,
 
 
 def _border(hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"], fallback: float) -> float:
-    """The middle of the gap that best parts hits from passes further out."""
+    """Return the middle of the gap that best parts hits from passes further out."""
     if not len(hits) or not len(passes):
         return fallback
     places = np.sort(np.concatenate([hits, passes]))

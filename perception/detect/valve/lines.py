@@ -57,7 +57,7 @@ def find_lines(
     most: int = 60,
     slim_ball: float | None = None,
 ) -> list[Line]:
-    """The best lines, best first; no two that run through much the same place.
+    """Return the best lines, best first; no two that run through much the same place.
 
     Args:
         points: (N, 3) thinned evenly, without large planes [m].
@@ -114,7 +114,7 @@ def _best_at_seed(
     n_pairs: int,
     way: Float[np.ndarray, "3"] | None,
 ) -> list[tuple[float, Line]]:
-    """The best line through a seed for each radius."""
+    """Return the best line through a seed for each radius."""
     poll()
     if len(local) > _MOST_NEAR:
         local = np.sort(rng.choice(local, _MOST_NEAR, replace=False))
@@ -147,12 +147,12 @@ def _best_at_seed(
 
 
 def _contrast(share: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-    """0 where points lie about the tube as densely as in it, as on a wall; 1 where there are none about it."""
+    """Return 0 where points lie about the tube as densely as in it, as on a wall; 1 where there are none about it."""
     return np.asarray(np.maximum(share - 0.4, 0.0) / 0.6)
 
 
 def _grow(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
-    """The line refitted to its points and extended as far as they go on; None when too few are left."""
+    """Return the line refitted to its points and extended as far as they go on; None when too few are left."""
     poll()
     if not len(line.members):
         return None
@@ -190,14 +190,14 @@ def _grow(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
 def _about(
     points: Float[np.ndarray, "N 3"], place: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Where along a line each point is, and how far from it [m]."""
+    """Return where along a line each point is, and how far from it [m]."""
     offset = points - place
     along = offset @ axis
     return along, np.sqrt(np.maximum(np.einsum("ni,ni->n", offset, offset) - along**2, 0.0))
 
 
 def _run(along: Float[np.ndarray, "K"]) -> tuple[float, float]:
-    """Ends of the run of filled bins through the middle, gaps of up to five bins included."""
+    """Return ends of the run of filled bins through the middle, gaps of up to five bins included."""
     bins = np.unique(np.floor(along / _BIN).astype(np.int64))
     breaks = np.flatnonzero(np.diff(bins) > _GAP)
     begins, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(bins) - 1]])
@@ -207,7 +207,7 @@ def _run(along: Float[np.ndarray, "K"]) -> tuple[float, float]:
 
 
 def _runs_in_any(line: Line, others: Sequence[Line]) -> bool:
-    """Whether a line runs in another's tube for most of its length."""
+    """Return whether a line runs in another's tube for most of its length."""
     if not others:
         return False
     places = line.place + np.linspace(line.first, line.last, 9)[:, None] * line.axis

@@ -60,7 +60,7 @@ class Ring:
 
 
 def wheel_basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Rows e0, e90, axis: angles about the axis count from e0, right-handed.
+    """Return rows e0, e90, axis: angles about the axis count from e0, right-handed.
 
     e0 is horizontal, z x axis; for an upright axis it is what of x is at right angles to it.
     """
@@ -72,7 +72,7 @@ def wheel_basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 @dataclass(frozen=True)
 class Passage:
-    """How each ray passes a ring.
+    """Passages of rays by a ring.
 
     Attributes:
         place: (N, 2) where it crosses the ring's plane, in the wheel's basis [m].
@@ -89,7 +89,7 @@ class Passage:
 
 @dataclass(frozen=True)
 class RingCrossing:
-    """How each ray runs through the ring's section at the angle where it crosses the ring's plane.
+    """Ways of rays through the ring's section at the angle where each crosses the ring's plane.
 
     Attributes:
         place: (N, 2) where it crosses the plane, in the wheel's basis [m].
@@ -141,7 +141,7 @@ def cross_ring(rays: Sightlines, ring: Ring) -> RingCrossing:
 
 
 def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
-    """Where every ray passes a ring, and how closely."""
+    """Return where every ray passes a ring, and how closely."""
     met = cross_ring(rays, ring)
     depth = met.crossing - met.nearest - np.sqrt(np.maximum(1.0 - met.level**2, 0.0) / met.alpha)
     return Passage(met.place, met.crossing, met.level, depth)
@@ -149,7 +149,7 @@ def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
 
 @dataclass(frozen=True)
 class Gate:
-    """How far off a rim a ray may end to count as ended on it.
+    """Distances off a rim up to which a ray counts as ended on it.
 
     Attributes:
         along: before or behind it [m].
@@ -166,29 +166,29 @@ CLOSE = Gate(0.03, 0.004)
 
 
 def rough_gate(ring: Ring) -> Gate:
-    """Of a ring that is but a guess: the larger it is the further off it may be."""
+    """Return the gate of a ring that is only a guess: the larger it is the further off it may be."""
     return Gate(0.04 + 0.1 * ring.radius, 0.008 + 0.06 * ring.radius)
 
 
 def rim_hits(rays: Sightlines, ring: Ring, passage: Passage, gate: Gate = ABOUT) -> Bool[np.ndarray, "N"]:
-    """Rays that ended on the rim: near its depth, and inside its section or just beside it."""
+    """Return rays that ended on the rim: near its depth, and inside its section or just beside it."""
     beside = passage.level < 1.0 + gate.beside / ring.half_width
     return np.asarray(beside & (np.abs(rays.length - passage.depth) < gate.along))
 
 
 def depth_error(rays: Sightlines, passage: Passage, hit: Bool[np.ndarray, "N"]) -> float:
-    """Root of the mean square over all [m]; infinite where there are none."""
+    """Return the root of the mean square over all [m]; infinite where there are none."""
     return float(np.sqrt(np.mean((rays.length - passage.depth)[hit] ** 2))) if hit.any() else np.inf
 
 
 def axis_error(rays: Sightlines, ring: Ring, passage: Passage) -> float:
-    """Standard deviation of the axis that follows from the depths it was fitted to [rad]."""
+    """Return the standard deviation of the axis that follows from the depths it was fitted to [rad]."""
     close = rim_hits(rays, ring, passage, CLOSE)
     return depth_error(rays, passage, close) / ring.radius * float(np.sqrt(2.0 / max(int(close.sum()), 1)))
 
 
 def unevenness(rays: Sightlines, passage: Passage, hit: Bool[np.ndarray, "N"]) -> float:
-    """How far the rays on each twelfth of the rim do so in the mean, beyond what their scatter explains [m].
+    """Return how far the rays on each twelfth of the rim do so in the mean, beyond what their scatter explains [m].
 
     A rim lies where its rays end all round; a ring laid through parts of other things is before some and behind others.
     """
@@ -220,7 +220,7 @@ def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, n_rounds: int) -> Ring:
 
 
 def _solve(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring) -> Ring:
-    """The ring of least robust (soft l1) squared residuals."""
+    """Return the ring of least robust (soft l1) squared residuals."""
     ring, trial, cost, damping = start, start, np.inf, _FIRST_DAMPING
     for _ in range(_STEPS):
         residuals, jacobian = linearize_ring(rays, hit, trial)
@@ -242,7 +242,7 @@ def _solve(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring) -> Ring:
 def _step(
     ring: Ring, gradient: Float[np.ndarray, "8"], curvature: Float[np.ndarray, "8 8"], damping: float
 ) -> Float[np.ndarray, "8"]:
-    """Sizes at their limits that would go beyond stay where they are."""
+    """Keep sizes at their limits that would go beyond."""
     sizes = np.array([ring.radius, ring.half_width, ring.half_depth])
     low, high = sizes <= _SIZE_LIMITS[0], sizes >= _SIZE_LIMITS[1]
     free = np.ones(8, dtype=bool)
@@ -256,7 +256,7 @@ def _step(
 
 
 def move_ring(ring: Ring, x: Float[np.ndarray, "8"]) -> Ring:
-    """The ring after a step, its sizes within their limits."""
+    """Return the ring after a step, its sizes within their limits."""
     basis = ring.basis
     axis = ring.axis + x[3] * basis[0] + x[4] * basis[1]
     sizes = np.clip(np.array([ring.radius, ring.half_width, ring.half_depth]) + x[5:], *_SIZE_LIMITS)
@@ -266,8 +266,9 @@ def move_ring(ring: Ring, x: Float[np.ndarray, "8"]) -> Ring:
 def linearize_ring(
     rays: Sightlines, hit: Bool[np.ndarray, "N"], ring: Ring
 ) -> tuple[Float[np.ndarray, "M"], Float[np.ndarray, "8 M"]]:
-    """Residuals in standard deviations and their derivatives by the unknowns of :func:`moved_ring`: depth of the hits,
-    edge of hits and misses on the wrong side of it, and what is usual of a rim's thickness."""
+    """Return residuals in standard deviations and their derivatives by the unknowns of :func:`move_ring`: depth of the
+    hits, edge of hits and misses on the wrong side of it, and what is usual of a rim's thickness.
+    """
     poll()
     met = cross_ring(rays, ring)
     a, b = ring.half_width, ring.half_depth

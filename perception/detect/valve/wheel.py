@@ -51,7 +51,7 @@ _SURE_SEAT = 0.5
 
 
 def detect_wheels(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Wheel valves, best first; each with its ``ValveDetection`` as model.
+    """Find wheel valves, best first; each with its ``ValveDetection`` as model.
 
     z of a hit's frame is the axis, x horizontal, the origin the rim's centre.
 
@@ -68,7 +68,7 @@ def detect_valves(
     reach: Reach | None = None,
     seed: int = 0,
 ) -> list[ValveDetection]:
-    """Wheel valves, best first; a confidence of 0.5 or more is one to act on.
+    """Find wheel valves, best first; a confidence of 0.5 or more is one to act on.
 
     Args:
         cloud: the scan.
@@ -83,7 +83,9 @@ def detect_valves(
 def find_wheels(
     view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
 ) -> list[ValveDetection]:
-    """As :func:`detect_valves`, in a scan made ready; the foreground is made where none is given."""
+    """Find wheel valves as :func:`detect_valves` does, in a scan made ready; the foreground is made where none is
+    given.
+    """
     if not len(view.obstacles):
         return []
     foreground = foreground or Foreground.of(view)
@@ -106,7 +108,7 @@ def find_wheels(
 def _examine_circles(
     circles: list[Circle], index: SightIndex, floor: FloorPlane | None, is_hinted: bool
 ) -> list[ValveDetection]:
-    """The most promising circles as wheels; what lies in the disc of a sure one is not looked at again."""
+    """Return the most promising circles as wheels; what lies in the disc of a sure one is not looked at again."""
     valves: list[ValveDetection] = []
     n_examined = 0
     for circle in circles:
@@ -121,7 +123,7 @@ def _examine_circles(
 
 
 def _doubt_steering(detections: list[ValveDetection], view: View) -> list[ValveDetection]:
-    """With little confidence in what a vehicle is steered by."""
+    """Lower the confidence of wheels that a vehicle is steered by."""
     if not any(valve.confidence > _STEERING and could_steer(valve.ring) for valve in detections):
         return detections
     seats = find_seats(view)
@@ -134,7 +136,7 @@ def _doubt_steering(detections: list[ValveDetection], view: View) -> list[ValveD
 
 
 def _promise(circle: Circle, index: SightIndex) -> float:
-    """How much more often rays end on the circle than just outside it, 0 to 1; needs no exact circle."""
+    """Return how much more often rays end on the circle than just outside it, 0 to 1; needs no exact circle."""
     near = index.passing(circle.centre[None], circle.radius + 0.09).thinned(_MOST_RAYS)
     passage = pass_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.02, 0.02))
     behind = near.length - passage.crossing
@@ -149,7 +151,7 @@ def _promise(circle: Circle, index: SightIndex) -> float:
 
 
 def _drop_duplicates(detections: list[ValveDetection]) -> list[ValveDetection]:
-    """Without those inside the disc of a surer one: rings about its hub or spokes are the same wheel."""
+    """Drop those inside the disc of a surer one: rings about its hub or spokes are the same wheel."""
     kept: list[ValveDetection] = []
     for valve in detections:
         if all(np.linalg.norm(valve.centre - other.centre) > other.outer_radius for other in kept):
@@ -182,7 +184,7 @@ def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hin
 
 
 def _rays_about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
-    """Rays through and beside a ring, with room for the ring to move."""
+    """Return rays through and beside a ring, with room for the ring to move."""
     return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thinned(_MOST_RAYS)
 
 
@@ -217,24 +219,24 @@ def _as_valve(weighed: _Weighed, is_hinted: bool) -> ValveDetection:
 
 
 def _turn_to_sensor(rays: Sightlines, ring: Ring) -> Ring:
-    """The ring with its axis towards where most rays came from."""
+    """Return the ring with its axis towards where most rays came from."""
     if len(rays) and np.median((rays.start - ring.centre) @ ring.axis) < 0.0:
         return Ring(ring.centre, -ring.axis, ring.radius, ring.half_width, ring.half_depth)
     return ring
 
 
 def _hinted_confidence(evidence: WheelEvidence) -> float:
-    """Who points at a wheel says that there is one: the odds are better, and it may be a solid one."""
+    """Return the confidence for a wheel near a hint: the odds are better, and it may be a solid one."""
     return float(max(np.sqrt(evidence.confidence), _SOLID * evidence.solid_confidence))
 
 
 def could_steer(ring: Ring) -> bool:
-    """Whether a ring is of a steering wheel's size."""
+    """Return whether a ring is of a steering wheel's size."""
     return _RADII[0] < ring.radius + ring.half_width < _RADII[1]
 
 
 def steers(ring: Ring, seats: Sequence[Seat]) -> bool:
-    """Whether a ring is before the chest of who sits on one of the seats, and faces them.
+    """Return whether a ring is before the chest of who sits on one of the seats, and faces them.
 
     A chair before a valve is no reason to doubt the valve: seats of vehicles alone count, and only sure ones.
     """

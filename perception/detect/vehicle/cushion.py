@@ -33,7 +33,7 @@ _MOST_POINTS = 3000
 
 @dataclass(frozen=True)
 class Surround:
-    """What the scan tells of the ground plan about a patch, as middles of small cells; elsewhere nobody looked.
+    """The ground plan about a patch as the scan shows it: middles of small cells; elsewhere nobody looked.
 
     Attributes:
         opened: (J, 2) where rays went down past the patch's height [m].
@@ -68,7 +68,7 @@ def surround_of(
     starts: Float[np.ndarray, "R 3"],
     ends: Float[np.ndarray, "R 3"],
 ) -> Surround:
-    """What points and rays (R, 3) tell of the place about a patch."""
+    """Return what points and rays (R, 3) tell of the place about a patch."""
     poll()
     low, high = patch.centre[:2] - _REACH, patch.centre[:2] + _REACH
     level = patch.centre[2] - _UNDER[0]
@@ -84,14 +84,15 @@ def surround_of(
 
 
 def _cells(flat: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "C 2"]:
-    """Middles of the cells that hold something."""
+    """Return middles of the cells that hold something."""
     poll()
     return np.asarray((np.unique(np.floor(flat / _CELL).astype(np.int64), axis=0) + 0.5) * _CELL).reshape(-1, 2)
 
 
 def square_up(patch: Patch, about: Surround) -> Patch:
-    """The patch with the rectangle about it that holds the least of what is open, turned along the edges that were
-    seen: a shadow's edge is none of its own."""
+    """Return the patch with the rectangle about it that holds the least of what is open, turned along the edges that
+    were seen: a shadow's edge is none of its own.
+    """
     few = patch.points[:: max(1, len(patch.points) // _MOST_POINTS), :2] - patch.centre[:2]
     opened = about.opened - patch.centre[:2]
     yaw = float(YAWS[np.argmin(_costs(few, opened, YAWS))])
@@ -116,7 +117,7 @@ def square_up(patch: Patch, about: Surround) -> Patch:
 def _costs(
     few: Float[np.ndarray, "K 2"], opened: Float[np.ndarray, "J 2"], yaws: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "A"]:
-    """How much is open in the rectangle about the patch at each yaw, and a little of its area [m^2]."""
+    """Return how much is open in the rectangle about the patch at each yaw, and a little of its area [m^2]."""
     poll()
     ways = _ways(yaws)
     low, high = np.percentile(few @ ways, _ENDS, axis=1)
@@ -126,12 +127,14 @@ def _costs(
 
 
 def _ways(yaws: Float[np.ndarray, "A"]) -> Float[np.ndarray, "2 2 A"]:
-    """First and second direction of each yaw."""
+    """Return first and second direction of each yaw."""
     return np.stack([np.stack([np.cos(yaws), np.sin(yaws)]), np.stack([-np.sin(yaws), np.cos(yaws)])])
 
 
 def _turn_of_edges(few: Float[np.ndarray, "K 2"], opened: Float[np.ndarray, "J 2"], yaw: float) -> float:
-    """How far the edges that rays went down past are turned from a yaw [rad]: median slope of each, long ones first."""
+    """Return how far the edges that rays went down past are turned from a yaw [rad]: median slope of each, long ones
+    first.
+    """
     way = _ways(np.array([yaw]))[:, :, 0]
     top, free = few @ way.T, opened @ way.T
     slopes, weights = [], []
@@ -154,7 +157,9 @@ def _turn_of_edges(few: Float[np.ndarray, "K 2"], opened: Float[np.ndarray, "J 2
 def _row_ends(
     top: Float[np.ndarray, "K 2"], free: Float[np.ndarray, "J 2"], axis: int, sign: float
 ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R"]]:
-    """Along an edge and out of it: where the patch ends in each row across the edge beyond which rays went down [m]."""
+    """Return, along an edge and out of it: where the patch ends in each row across the edge beyond which rays went down
+    [m].
+    """
     other = 1 - axis
     low = float(top[:, other].min())
     n_rows = int((top[:, other].max() - low) / _ROW) + 1
@@ -170,7 +175,7 @@ def _row_ends(
 
 
 def as_cushion(patch: Patch, about: Surround, turn: int) -> Cushion:
-    """The patch as a cushion that looks along its rectangle, turned by quarter turns.
+    """Return the patch as a cushion that looks along its rectangle, turned by quarter turns.
 
     Args:
         patch: its seen part.
@@ -215,7 +220,9 @@ def _is_edge(
     sign: float,
     half: Float[np.ndarray, "2"],
 ) -> bool:
-    """Whether the patch was seen to end on a side: in rows across it, something known follows its last points."""
+    """Return whether the patch was seen to end on a side: in rows across it, something known follows its last
+    points.
+    """
     other = 1 - axis
     n_rows = max(round(2.0 * half[other] / _ROW), 1)
     row_of = [np.floor((flat[:, other] / (2.0 * half[other]) + 0.5) * n_rows).astype(int) for flat in (top, known)]

@@ -45,7 +45,7 @@ class Patch:
 
 
 def find_patches(points: Float[np.ndarray, "N 3"], low: float, high: float) -> list[Patch]:
-    """Level patches between two heights, largest first."""
+    """Return level patches between two heights, largest first."""
     near = points[(points[:, 2] > low - _TALL) & (points[:, 2] < high + _TALL)]
     if len(near) < 30:
         return []
@@ -61,7 +61,7 @@ def find_patches(points: Float[np.ndarray, "N 3"], low: float, high: float) -> l
 def _levels(
     column: Float[np.ndarray, "N"], height: Float[np.ndarray, "N"], low: float, high: float
 ) -> Float[np.ndarray, "L"]:
-    """Heights at which many columns hold points, most first."""
+    """Return heights at which many columns hold points, most first."""
     layer = np.floor((height - low) / _LAYER).astype(int)
     n_layers = int(np.ceil((high - low) / _LAYER))
     inside = (layer >= 0) & (layer < n_layers)
@@ -81,7 +81,7 @@ def _levels(
 def _patches_at(
     points: Float[np.ndarray, "N 3"], column: Float[np.ndarray, "N"], shape: tuple[int, int], level: float
 ) -> list[Patch]:
-    """Connected patches near one height; columns that go on above or below are walls, not patches."""
+    """Return connected patches near one height; columns that go on above or below are walls, not patches."""
     off = np.abs(points[:, 2] - level)
     size = shape[0] * shape[1]
     on = np.bincount(column[off < _THICK], minlength=size)
@@ -125,7 +125,9 @@ def _patch(members: Float[np.ndarray, "K 3"], area: float) -> Patch | None:
 
 
 def _rectangle(flat: Float[np.ndarray, "K 2"]) -> tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Yaw, lower and upper corner (in turned coordinates) of the smallest rectangle, a stray point not counted."""
+    """Return yaw, lower and upper corner (in turned coordinates) of the smallest rectangle, a stray point not
+    counted.
+    """
     few = flat[:: max(1, len(flat) // 3000)]
     first = few @ np.stack([np.cos(YAWS), np.sin(YAWS)])
     second = few @ np.stack([-np.sin(YAWS), np.cos(YAWS)])
@@ -135,7 +137,7 @@ def _rectangle(flat: Float[np.ndarray, "K 2"]) -> tuple[float, Float[np.ndarray,
 
 
 def _drop_duplicates(patches: list[Patch]) -> list[Patch]:
-    """Without those that are a slice of another one."""
+    """Drop those that are a slice of another one."""
     kept: list[Patch] = []
     for patch in sorted(patches, key=lambda candidate: -len(candidate.points)):
         if all(np.linalg.norm(patch.centre - other.centre) > 0.15 for other in kept):
@@ -144,7 +146,7 @@ def _drop_duplicates(patches: list[Patch]) -> list[Patch]:
 
 
 def split_at_gap(patch: Patch, least: float) -> list[Patch]:
-    """The patch, or the two parts of it with a gap between them, each at least ``least`` long [m]."""
+    """Return the patch, or the two parts of it with a gap between them, each at least ``least`` long [m]."""
     long = int(np.argmax(patch.size))
     if patch.size[long] < 2.0 * least:
         return [patch]
@@ -177,7 +179,7 @@ def split_at_gap(patch: Patch, least: float) -> list[Patch]:
 def is_inside(
     local: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "N"]:
-    """Which points lie in a box of their own coordinates."""
+    """Return which points lie in a box of their own coordinates."""
     poll()
     return np.asarray(((local > low) & (local < high)).all(axis=1))
 
@@ -188,7 +190,7 @@ def filled_cells(
     shape: Int[np.ndarray, "2"],
     cell: float | Float[np.ndarray, "2"],
 ) -> Bool[np.ndarray, "A B"]:
-    """The cells of a picture that hold any of the places; places outside of it do not count.
+    """Return the cells of a picture that hold any of the places; places outside of it do not count.
 
     Args:
         places: (K, 2) [m].

@@ -62,7 +62,7 @@ class _Side:
 
 
 def detect_opening(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Openings of vehicles, best first.
+    """Find openings of vehicles, best first.
 
     The frame of a hit: origin in the middle of the sill, x outwards, z up.  Sizes: ``width`` between what stands before
     and behind it, ``height`` over the sill to the roof's edge, or as far up as it was seen to be open, and ``sill``,
@@ -98,7 +98,7 @@ def detect_opening(view: View, hint: Float[np.ndarray, "3"] | None = None) -> li
 
 
 def _has_neighbour(seat: Seat, side: float, other: Seat) -> bool:
-    """Whether the other seat stands between this one and that side of the vehicle."""
+    """Return whether the other seat stands between this one and that side of the vehicle."""
     place = seat.local(other.pose[None, :3, 3])[0]
     return bool(0.3 < place[1] * side < 1.3 and abs(place[0]) < 0.4 and abs(place[2]) < 0.2)
 
@@ -111,7 +111,7 @@ def _beside(
     ends: Float[np.ndarray, "R 3"],
     view: View,
 ) -> _Side | None:
-    """The opening on one side of a seat; None when the vehicle's side was not found there."""
+    """Return the opening on one side of a seat; None when the vehicle's side was not found there."""
     mirror = np.array([1.0, side, 1.0])
     local, starts, ends = local * mirror, starts * mirror, ends * mirror
     floor = seat.floor - seat.pose[2, 3]
@@ -161,7 +161,7 @@ def _detection(opening: _Side, is_hinted: bool) -> Detection:
 
 
 def side_of(width: float, local: Float[np.ndarray, "N 3"], floor: float) -> float | None:
-    """How far beside the seat's middle the vehicle ends: the outermost distance at which much of it stands [m].
+    """Return how far beside the seat's middle the vehicle ends: the outermost distance at which much of it stands [m].
 
     None where there is nothing, and where its floor goes on beyond the distance at which it may end.
 
@@ -183,7 +183,7 @@ def side_of(width: float, local: Float[np.ndarray, "N 3"], floor: float) -> floa
 
 
 def _outermost(mine: Float[np.ndarray, "K 3"], near: float, far: float, least: float) -> float | None:
-    """The outermost distance at which points fill several places."""
+    """Return the outermost distance at which points fill several places."""
     if len(mine) < 10:
         return None
     place = np.floor(mine[:, [0, 2]] / _CELL).astype(int)
@@ -198,7 +198,9 @@ def _outermost(mine: Float[np.ndarray, "K 3"], near: float, far: float, least: f
 
 
 def crossings(starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], at: float) -> Float[np.ndarray, "K 2"]:
-    """x and z of where rays went through the vehicle's side, further than a panel a little askew lies off it [m]."""
+    """Return x and z of where rays went through the vehicle's side, further than a panel a little askew lies off it
+    [m].
+    """
     crosses = ((starts[:, 1] - at) * (ends[:, 1] - at) < 0.0) & (np.abs(ends[:, 1] - at) > _THROUGH)
     share = (at - starts[crosses, 1]) / (ends[crosses, 1] - starts[crosses, 1])
     return np.asarray((starts[crosses] + share[:, None] * (ends[crosses] - starts[crosses]))[:, [0, 2]])
@@ -207,7 +209,8 @@ def crossings(starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], 
 def edges_of(
     local: Float[np.ndarray, "N 3"], through: Float[np.ndarray, "K 2"], at: float, floor: float, depth: float
 ) -> tuple[float, float, int]:
-    """Where what stands at the vehicle's side ends behind the seat and begins before it [m], and how many were seen.
+    """Return where what stands at the vehicle's side ends behind the seat and begins before it [m], and how many were
+    seen.
 
     Args:
         local: (N, 3) points [m].
@@ -244,7 +247,7 @@ def edges_of(
 
 
 def top_of(local: Float[np.ndarray, "N 3"], at: float, rear: float, front: float, floor: float) -> tuple[float, bool]:
-    """Where the roof begins over the sill, and whether one was seen [m]."""
+    """Return where the roof begins over the sill, and whether one was seen [m]."""
     over = local[
         is_inside(
             local,
@@ -266,7 +269,8 @@ def openness(
     floor: float,
     top: float,
 ) -> tuple[float, float, float]:
-    """Share of the opening's cells seen in which rays went through, share that was seen, and how high they went.
+    """Return the share of the opening's cells seen in which rays went through, share that was seen, and how high they
+    went.
 
     Args:
         ends: (R, 3) of all rays [m].

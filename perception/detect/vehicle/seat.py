@@ -58,12 +58,12 @@ class Seat:
     patch: Patch
 
     def local(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """In the seat's frame [m]."""
+        """Return places in the seat's frame [m]."""
         return np.asarray((points - self.pose[:3, 3]) @ self.pose[:3, :3])
 
 
 def detect_seat(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Seats of vehicles, best first.
+    """Find seats of vehicles, best first.
 
     The frame of a hit: origin in the middle of the cushion's top, x forward, z up.  Sizes: ``width``, ``depth`` of the
     cushion, and ``height`` of its top over the vehicle's floor where that was seen [m].  Edges in a shadow or out of
@@ -84,7 +84,7 @@ def detect_seat(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def find_seats(view: View) -> list[Seat]:
-    """Seats of which the cushion was seen, best first; see :func:`detect_seat`."""
+    """Find seats of which the cushion was seen, best first; see :func:`detect_seat`."""
     ground, points, head = ground_of(view), view.obstacles, _head_of(view)
     starts, ends = view.cloud.rays
     seats = []
@@ -105,7 +105,7 @@ def find_seats(view: View) -> list[Seat]:
 
 
 def _beside_the_seen(seats: list[Seat], view: View) -> list[Seat]:
-    """The seat that the robot sits on, where the sensor is over the unseen continuation of a row of seats."""
+    """Return the seat that the robot sits on, where the sensor is over the unseen continuation of a row of seats."""
     head, starts_ends = _head_of(view), view.cloud.rays
     for seat in seats:
         x, y, z = seat.local(head[None])[0]
@@ -127,12 +127,13 @@ def _beside_the_seen(seats: list[Seat], view: View) -> list[Seat]:
 
 
 def _head_of(view: View) -> Float[np.ndarray, "3"]:
-    """Where the sensor is [m]."""
+    """Return where the sensor is [m]."""
     return np.asarray(np.median(view.cloud.starts[:: max(1, len(view.cloud.starts) // 1000)], axis=0))
 
 
 def ground_of(view: View) -> float:
-    """World z of the ground a vehicle stands on: below its floor, which may be the one the view took for the floor.
+    """Return world z of the ground a vehicle stands on: below its floor, which may be the one the view took for the
+    floor.
 
     Where no ground was seen it is not above zero, the height at which a robot stands.
     """
@@ -153,7 +154,7 @@ def _seen_as_seat(
     ground: float,
     head: Float[np.ndarray, "3"],
 ) -> Seat:
-    """The patch as a seat's cushion."""
+    """Return the patch as a seat's cushion."""
     pose, width, depth = cushion.pose, cushion.width, cushion.depth
     seat = Seat(pose, width, depth, np.nan, 0.0, 0.0, patch)
     if not _WIDTH[0] < width < _WIDTH[1] or not _DEPTH[0] < depth < _DEPTH[1]:
@@ -187,13 +188,13 @@ def _seen_as_seat(
 
 
 def _is_sat_on(seat: Seat, head: Float[np.ndarray, "3"]) -> bool:
-    """Whether the sensor is where the head is of who sits on it."""
+    """Return whether the sensor is where the head is of who sits on it."""
     x, y, z = seat.local(head[None])[0]
     return bool(abs(x) < _HEAD_ABOUT and abs(y) < _HEAD_ABOUT and _HEAD[0] < z < _HEAD[1])
 
 
 def _ends_ahead(seat: Seat, local: Float[np.ndarray, "N 3"]) -> float:
-    """1 where the cushion ends in front."""
+    """Return 1 where the cushion ends in front."""
     half = 0.5 * seat.depth
     beyond = is_inside(
         local, np.array([half + 0.04, -0.4 * seat.width, -0.06]), np.array([half + 0.2, 0.4 * seat.width, 0.06])
@@ -202,7 +203,9 @@ def _ends_ahead(seat: Seat, local: Float[np.ndarray, "N 3"]) -> float:
 
 
 def _floor_share(floor: float, ground: float, top: float) -> float:
-    """How much the floor before it speaks for a vehicle: a cushion at seat height over a floor over the ground."""
+    """Return how much the floor before it speaks for a vehicle: a cushion at seat height over a floor over the
+    ground.
+    """
     maybe_chair = _MAYBE_CHAIR * rising(top - ground, SEAT_HEIGHT[0], 0.3) * rising(ground - top, -SEAT_HEIGHT[1], -0.6)
     if np.isnan(floor):
         return max(_UNSEEN_FLOOR * rising(top - ground, 0.6, 0.7), maybe_chair)

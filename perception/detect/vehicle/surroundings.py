@@ -36,7 +36,7 @@ _NEXT = 3  # cells
 
 @dataclass(frozen=True)
 class Back:
-    """What was seen of the place of a seat's back.
+    """The place of a seat's back as it was seen.
 
     Attributes:
         solid: share of what was seen that is solid.
@@ -51,7 +51,7 @@ class Back:
     reach_up: float
 
     def evidence(self, unseen: float) -> float:
-        """How much it speaks for a back, ``unseen`` where nobody saw it."""
+        """Return how much it speaks for a back, ``unseen`` where nobody saw it."""
         known = rising(self.seen, *_KNOWN)
         sure = rising(self.solid, 0.3, 0.6) * rising(self.n_solid, 3.0, 10.0) * rising(self.reach_up, 0.35, 0.5)
         return known * sure * (1.0 - 0.8 * rising(self.reach_up, 1.15, 1.4)) + (1.0 - known) * unseen
@@ -64,7 +64,7 @@ def back_of(
     starts: Float[np.ndarray, "R 3"],
     ends: Float[np.ndarray, "R 3"],
 ) -> Back:
-    """What was seen of the place behind a cushion of some width and depth [m].
+    """Return what was seen of the place behind a cushion of some width and depth [m].
 
     Args:
         width, depth: of the cushion [m].
@@ -97,7 +97,9 @@ def back_of(
 
 
 def _reach_up(local: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> float:
-    """How high what is behind the cushion goes on without a gap: a wall goes on far above where seats end [m]."""
+    """Return how high what is behind the cushion goes on without a gap: a wall goes on far above where seats end
+    [m].
+    """
     tall = local[is_inside(local, np.array([low[0], low[1], 0.3]), np.array([high[0], high[1], 1.6])), 2]
     steps = np.bincount(np.floor((tall - 0.3) / 0.1).astype(int), minlength=14) >= 5
     return 0.3 + 0.1 * float(np.argmin(np.concatenate([steps, [False]])))
@@ -105,7 +107,7 @@ def _reach_up(local: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "3"], high
 
 @dataclass(frozen=True)
 class Footwell:
-    """What was seen of the floor before a seat.
+    """The floor before a seat as it was seen.
 
     Attributes:
         height: over the cushion's top; NaN where no floor was seen [m].
@@ -131,7 +133,7 @@ def footwell_of(
     starts: Float[np.ndarray, "R 3"],
     ends: Float[np.ndarray, "R 3"],
 ) -> Footwell:
-    """What was seen of the floor before a cushion of some width and depth [m].
+    """Return what was seen of the floor before a cushion of some width and depth [m].
 
     Args:
         width, depth: of the cushion [m].
@@ -155,7 +157,7 @@ def footwell_of(
 
 
 def _height(width: float, front: float, local: Float[np.ndarray, "N 3"]) -> float:
-    """Of the floor over the cushion's top; NaN: not seen [m]."""
+    """Return the height of the floor over the cushion's top; NaN: not seen [m]."""
     poll()
     down = is_inside(
         local,
@@ -180,7 +182,7 @@ def _height(width: float, front: float, local: Float[np.ndarray, "N 3"]) -> floa
 def _passing(
     starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], level: float
 ) -> Float[np.ndarray, "K 2"]:
-    """Where rays that end below a level went down past it [m]."""
+    """Return where rays that end below a level went down past it [m]."""
     poll()
     at = level - _UNDER[0]
     down = (ends[:, 2] < level - _UNDER[1]) & (starts[:, 2] > at)
@@ -190,8 +192,9 @@ def _passing(
 
 
 def _drops(solid: Bool[np.ndarray, "A B"], opened: Bool[np.ndarray, "A B"], risen: Bool[np.ndarray, "A B"]) -> float:
-    """Of the rows along the first axis that hold floor, the share in which it ends in a drop: rays go down right
-    behind its last cell, and nothing rises between."""
+    """Return, of the rows along the first axis that hold floor, the share in which it ends in a drop: rays go down
+    right behind its last cell, and nothing rises between.
+    """
     rows = np.flatnonzero(solid.any(axis=0))
     if not len(rows):
         return 0.0

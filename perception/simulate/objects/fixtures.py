@@ -1,4 +1,4 @@
-"""What is fixed to walls: button panels, levers on boxes, and standpipes with their open ends."""
+"""Objects fixed to walls: button panels, levers on boxes, and standpipes with their open ends."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Panel:
     proud: float = 0.025
 
     def placed(self) -> Placed:
-        """z of its frame is the normal, y is up."""
+        """Place it; z of its frame is the normal, y is up."""
         z = np.asarray(self.normal, dtype=float) / np.linalg.norm(self.normal)
         pose = frame(self.centre, np.cross([0.0, 0.0, 1.0], z).tolist(), z.tolist())
         w, h = 0.5 * self.width, 0.5 * self.height
@@ -78,7 +78,7 @@ class BoxLever:
     depth: float = 0.15
 
     def placed(self) -> Placed:
-        """Box, hub and lever."""
+        """Return box, hub and lever."""
         z = np.asarray(self.normal, dtype=float) / np.linalg.norm(self.normal)
         front = frame(self.pivot, np.cross([0.0, 0.0, 1.0], z).tolist(), z.tolist())
         w, h, off = 0.5 * self.width, 0.5 * self.height, self.stand_off
@@ -116,7 +116,7 @@ class Standpipe:
     collar: bool = True
 
     def placed(self) -> Placed:
-        """z of its frame points out; ``radius`` is the outer one at the mouth."""
+        """Place it; z of its frame points out; ``radius`` is the outer one at the mouth."""
         out = np.asarray(self.direction, dtype=float) / np.linalg.norm(self.direction)
         mouth = np.array(self.mouth)
         back = mouth - self.straight * out

@@ -30,7 +30,7 @@ class PipedWheel:
     pipe_length: float = 1.0
 
     def placed(self) -> Placed:
-        """The pipe runs ``stem_length`` behind the wheel."""
+        """Place it; the pipe runs ``stem_length`` behind the wheel."""
         axis = np.array(self.wheel.axis) / np.linalg.norm(self.wheel.axis)
         body = np.array(self.wheel.centre) - self.wheel.stem_length * axis
         pose = np.eye(4)
@@ -77,7 +77,7 @@ class LeverValve:
     pipe_length: float = 1.0
 
     def placed(self) -> Placed:
-        """The lever also looks like a lever."""
+        """Place it; the lever also looks like a lever."""
         pose = frame(self.pivot, self.along, self.axis)
         pivot, axis, along = pose[:3, 3], pose[:3, 2], pose[:3, 0]
         body = pivot - self.stem_length * axis
@@ -104,7 +104,7 @@ def valve_body(
     radius: float,
     length: float,
 ) -> tuple[Mesh, ...]:
-    """A swollen body between two flanges on a pipe whose direction is made square to the stem's axis."""
+    """Return a swollen body between two flanges on a pipe whose direction is made square to the stem's axis."""
     along = np.asarray(direction) - (np.asarray(direction) @ axis) * axis
     along /= np.linalg.norm(along)
     half = 1.6 * radius

@@ -23,7 +23,7 @@ __all__ = ["SCENES", "VARIANTS", "SimulatedScene", "Truth", "make_scene"]
 
 
 def make_scene(name: str, seed: int = 0) -> SimulatedScene:
-    """A scene by name.
+    """Return a scene by name.
 
     Args:
         name: one of :data:`SCENES`.

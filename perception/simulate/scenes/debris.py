@@ -51,7 +51,7 @@ SCENES: Mapping[str, Recipe] = {
 
 
 def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], spread: float) -> list[Placed]:
-    """Beams let fall one after the other: each sinks until it touches, then tips over until it touches again."""
+    """Drop beams one after the other: each sinks until it touches, then tips over until it touches again."""
     boxes: list[tuple[np.ndarray, np.ndarray]] = []
     placed = []
     for _ in range(n_beams):
@@ -70,7 +70,7 @@ def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], sp
 
 
 def _sunk(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """As low as it goes."""
+    """Lower it as far as it goes."""
     pose = pose.copy()
     # Steps smaller than a beam is thick, then small ones.
     for step in (0.03, _STEP):
@@ -81,7 +81,7 @@ def _sunk(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[n
 
 
 def _tip(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Turned about what it lies on, towards its heavy end, until that end lies too; sunk again where it slipped."""
+    """Turn it about what it lies on, towards its heavy end, until that end lies too; sunk again where it slipped."""
     below = pose.copy()
     below[2, 3] -= _STEP
     along = np.linspace(-0.98, 0.98, 41)
@@ -115,7 +115,7 @@ def _shift(x: float) -> np.ndarray:
 
 
 def _touches(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> bool:
-    """Whether a box meets the floor or another box (separating axes)."""
+    """Return whether a box meets the floor or another box (separating axes)."""
     if pose[2, 3] - np.abs(pose[2, :3]) @ half < 0.0:
         return True
     return any(_overlap(pose, half, other, size) for other, size in others)

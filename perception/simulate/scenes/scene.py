@@ -47,7 +47,7 @@ class SimulatedScene:
     poses: tuple[Pose, ...]
 
     def scan(self, variant: str = "dense", pose: int = 0, *, misses: bool = False) -> Cloud:
-        """What a sensor gives of it; the same arguments give the same scan.
+        """Return what a sensor gives of it; the same arguments give the same scan.
 
         Args:
             variant: one of :data:`VARIANTS`.
@@ -59,15 +59,15 @@ class SimulatedScene:
 
 
 class Recipe(Protocol):
-    """What a kind of scene is made from."""
+    """Maker of a kind of scene."""
 
     def make(self, name: str, seed: int) -> SimulatedScene:
-        """The scene; its details are drawn from name and seed."""
+        """Return the scene; its details are drawn from name and seed."""
         ...
 
 
 def generator(name: str, seed: int) -> np.random.Generator:
-    """Of the details of a scene."""
+    """Make the generator of a scene's details."""
     return np.random.default_rng([zlib.crc32(name.encode()), seed])
 
 
@@ -78,7 +78,7 @@ def assemble(
     look_at: Sequence[float],
     position: tuple[float, float, float] = (0.12, 0.0, 1.62),
 ) -> SimulatedScene:
-    """The parts with two sensor poses, both looking nearly at ``look_at``; the second one is 40 cm aside."""
+    """Return the parts with two sensor poses, both looking nearly at ``look_at``; the second one is 40 cm aside."""
     rng = np.random.default_rng([zlib.crc32(name.encode()), seed, 1])
     whole = join_placed(parts)
     poses = []

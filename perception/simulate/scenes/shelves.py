@@ -15,7 +15,7 @@ from perception.simulate.scenes.surroundings import floor, wall
 
 
 def tools(x: float, y: float, z: float) -> Placed:
-    """A hammer and a screwdriver, lying on a board about the place given."""
+    """Return a hammer and a screwdriver, lying on a board about the place given."""
     return things(
         bent_bar([(x - 0.1, y, z + 0.018), (x + 0.18, y + 0.05, z + 0.018)], 0.015),
         cylinder((x + 0.15, y - 0.02, z + 0.02), (x + 0.2, y + 0.13, z + 0.02), 0.02, 24),

@@ -18,7 +18,7 @@ _UP, _ACROSS = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 
 
 def tilt_axis(yaw_deg: float, pitch_deg: float) -> Vector:
-    """An axis towards the robot, turned aside and up."""
+    """Return an axis towards the robot, turned aside and up."""
     yaw, pitch = np.radians([yaw_deg, pitch_deg])
     return float(-np.cos(yaw) * np.cos(pitch)), float(-np.sin(yaw) * np.cos(pitch)), float(np.sin(pitch))
 
