@@ -1,4 +1,4 @@
-"""What each part of the optimiser is worth: one straight start each, with a part switched off or set otherwise.
+"""Effect of each part of the optimiser: one straight start each, with the part switched off or changed.
 
 ``python -m benchmarks.ablations [--panda FOLDER] [--scenes N] [--only NAME ...]``
 
@@ -47,10 +47,10 @@ from service.setup.prepare import prepare
 from service.tasks.goal import Goal
 
 PANDA = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[2] / "shared" / "data")) / "mbm_panda"
-PANDA_WAYPOINTS = (12, 16, 20)  # each problem is solved with each: three times as many to count
+PANDA_WAYPOINTS = (12, 16, 20)  # each problem is solved with each number of waypoints
 ATLAS_WAYPOINTS = (10,)
 N_SCENES, N_BOXES = 12, 60
-POSES = 20  # of an interval, when it is looked at densely
+POSES = 20  # per interval in the dense check
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Variant:
-    """The optimiser with a part switched off or set otherwise.
+    """The optimiser with one part switched off or changed.
 
     Attributes:
-        settings: that differ from the house's.
-        change: of the problem.
+        settings: those that differ from the defaults.
+        change: applied to the problem.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -76,12 +76,12 @@ class Variant:
 
 
 def loose_base(case: Case) -> Problem[MotionState]:
-    """The base gives way to a correction like any joint."""
+    """Let a correction move the base like any joint."""
     return replace(case.problem, mobility=None)
 
 
 def unscaled(case: Case) -> Problem[MotionState]:
-    """The base steps as far as a joint."""
+    """Give the base the same trust radius as a joint."""
     return replace(case.problem, step_scale=None)
 
 
@@ -103,7 +103,7 @@ VARIANTS: Mapping[str, Variant] = {
 
 @dataclass(frozen=True)
 class Run:
-    """One start solved."""
+    """Outcome of one start."""
 
     is_solved: bool
     is_clear: bool
@@ -131,7 +131,7 @@ def is_clear(body: WholeBody, x: Float[np.ndarray, "T n"]) -> bool:
 
 
 def cases_of(request: PlanRequest, robot: RobotModel, counts: Sequence[int]) -> Iterator[Case]:
-    """The straight line to the goal, in so many waypoints; none where no pose is found at the goal."""
+    """Yield the straight line to the goal per number of waypoints; nothing if no pose at the goal is found."""
     setup = prepare(request, robot=robot)
     aims = Aims(request.options.margin_m, request.options.balance_margin_m)
     body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
@@ -154,7 +154,7 @@ def cases_of(request: PlanRequest, robot: RobotModel, counts: Sequence[int]) -> 
 
 
 def panda_cases(folder: Path) -> list[Case]:
-    """All problems of a folder."""
+    """Return all problems of a folder."""
     files = BenchRobot(folder / "panda_bench" / "panda.urdf", folder / "panda_bench" / "panda.srdf", folder)
     robot = load_robot(urdf=files.urdf, srdf=files.srdf, package_dirs=[folder])
     problems = read_problems(folder, files, {})
@@ -162,14 +162,14 @@ def panda_cases(folder: Path) -> list[Case]:
 
 
 def atlas_cases(n_scenes: int) -> list[Case]:
-    """Crowded scenes whose straight line is no solution."""
+    """Return crowded scenes whose straight line is not a solution."""
     robot = load_robot("atlas")
     scenes = (s for s in crowded_scenes(robot, N_BOXES, is_pose=True) if not s.is_straight_enough)
     return [case for scene in islice(scenes, n_scenes) for case in cases_of(scene.request, robot, ATLAS_WAYPOINTS)]
 
 
 def print_variants(title: str, cases: Sequence[Case], names: Sequence[str]) -> None:
-    """A table of variants."""
+    """Print a table of variants."""
     rows = []
     for name in names:
         runs = [run(case, VARIANTS[name]) for case in cases]

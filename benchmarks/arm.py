@@ -1,4 +1,4 @@
-"""A set of arm problems, planned and judged: ``python -m benchmarks.arm [FOLDER --urdf U ...]``.
+"""Planning and independent checks of a set of arm problems: ``python -m benchmarks.arm [FOLDER --urdf U ...]``.
 
 By default MotionBenchMaker's Panda problems, in ``mbm_panda`` of the folder ``SCOPT_DATA`` (default:
 ``../shared/data``); without it nothing is measured.  Printed are the table of ``scopt bench``, quality, the first call
@@ -26,18 +26,18 @@ from benchmarks.tables import print_table
 from costs.robot import LinkBody, RobotModel
 from service.bench.bench import COLUMNS, failures, run_bench, table
 from service.bench.problem_set import BenchProblem, BenchRobot, read_problems
-from service.setup.prepare import load_requested_robot
 from service.setup.world import build_obstacles
+from service.start.robot import load_requested_robot
 
 ROOT = Path(__file__).resolve().parents[1]
 TIME_LIMIT_S = 2.0
 STEP = 0.005  # between the judge's poses [rad]
-CLEAR_ENDS = 0.02  # clearance is summed up over problems whose ends have this much [m]
+CLEAR_ENDS = 0.02  # the median clearance is of problems whose ends have at least this clearance [m]
 END_TOLERANCE = 1e-3  # [rad, m]
 
 
 class Judge:
-    """Signed distances of a robot's hulls from pieces and from each other, pose by pose."""
+    """Signed distances between a robot's hulls and pieces, and between its own hulls, pose by pose."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot, self._data = robot, robot.model.createData()
@@ -46,7 +46,7 @@ class Judge:
         self._request.enable_signed_distance = True
 
     def clearance(self, q: Float[np.ndarray, "T n"], pieces: Sequence[np.ndarray]) -> float:
-        """Least distance at any of the poses [m]; pairs farther apart than a decimetre count as that."""
+        """Return the smallest distance at any of the poses [m], at most 0.1."""
         world = [(_hull(vertices), vertices.min(axis=0), vertices.max(axis=0)) for vertices in pieces]
         return min(self._at(pose, world) for pose in q)
 
@@ -81,14 +81,14 @@ class Judge:
 
 
 def _hull(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
-    """coal's own hull of a point set."""
+    """Return the convex hull of a point set, made by coal."""
     points = coal.StdVec_Vec3s()
     points.extend(list(vertices))
     return coal.ConvexBase.convexHull(points, False, "Qx")
 
 
 def densely(path: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "T n"]:
-    """Poses no more than ``STEP`` apart along a path that is read linearly."""
+    """Return poses at most ``STEP`` apart along a piecewise linear path."""
     counts = np.maximum(np.ceil(np.abs(np.diff(path, axis=0)).max(axis=1) / STEP).astype(int), 1)
     parts = [
         first + (last - first) * np.linspace(0.0, 1.0, count + 1)[:-1, None]
@@ -100,7 +100,7 @@ def densely(path: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "T n"]:
 def judged(
     problems: Sequence[BenchProblem], rows: Sequence[Mapping[str, Any]], robot: RobotModel
 ) -> Iterator[dict[str, float]]:
-    """Length against the straight line, clearances and end errors of what was claimed."""
+    """Yield length relative to the straight line, clearances and end errors of every claimed solution."""
     judge = Judge(robot)
     for problem, row in zip(problems, rows, strict=True):
         if not row["success_claimed"]:
@@ -122,7 +122,7 @@ def judged(
 
 
 def first_call(problems: Path, robot: BenchRobot) -> float:
-    """CPU seconds of a new process from its first line to the verdict on one problem."""
+    """Return the CPU time of a new process from its start to the verdict on one problem [s]."""
     code = (
         "import sys, time; from pathlib import Path; from service.bench.problem_set import BenchRobot, read_problems; "
         "from service.planner import plan; "
@@ -138,7 +138,7 @@ def first_call(problems: Path, robot: BenchRobot) -> float:
 
 
 def report(folder: Path, bench_robot: BenchRobot) -> int:
-    """Print everything; 1 if the judge refutes a claim."""
+    """Print everything; return 1 if the judge refutes a claim."""
     problems = read_problems(folder, bench_robot, {"time_limit_s": TIME_LIMIT_S, "timed": False})
     robot = load_requested_robot(problems[0].request)
     with tempfile.TemporaryDirectory() as scratch:
@@ -149,8 +149,8 @@ def report(folder: Path, bench_robot: BenchRobot) -> int:
     sampled = [row for row in rows if row["start"].startswith("path of")]
     others = [1e3 * row["cpu_s"] for row in rows if not row["start"].startswith("path of")]
     slowest = 1e3 * max([row["cpu_s"] for row in sampled], default=0.0)
-    print(f"  won by a sampled path: {len(sampled)}, at most {slowest:.0f} ms")
-    print(f"  all others at most {max(others, default=0.0):.0f} ms")
+    print(f"  starts from a sampled path: {len(sampled)}, at most {slowest:.0f} ms")
+    print(f"  plans from all other starts: at most {max(others, default=0.0):.0f} ms")
     found = list(judged(problems, rows, robot))
     length = np.median([one["length"] for one in found])
     clear = [1e3 * one["clearance"] for one in found if one["ends"] >= CLEAR_ENDS]
@@ -167,7 +167,7 @@ def report(folder: Path, bench_robot: BenchRobot) -> int:
 
 
 def main() -> int:
-    """The set that is asked for, or the one that is at hand."""
+    """Measure the problem set given on the command line, or the default one."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--urdf", type=Path)

@@ -1,7 +1,7 @@
 """Attack the certificate: `python -m benchmarks.attack_certificate --count 10000 --seed 0`.
 
-Short random motions, each with a piece put where it hurts: a hair's breadth before or inside the path of one chosen
-point at one chosen moment.  Dense sampling (:mod:`benchmarks.attack_judge`) looks for a pose that is nearer than the
+Short random motions, each with a piece just in front of or just inside the path of one chosen point at one chosen
+moment.  Dense sampling (:mod:`benchmarks.attack_judge`) looks for a pose that is nearer than the
 certificate says; a certificate that it refutes is printed and makes the exit code 1.  The default of 700 problems takes
 half a minute, 10,000 (the length for a release) some minutes.
 """
@@ -26,14 +26,14 @@ from costs.scene import ConvexPiece, Scene
 from service.verify import Motion, Status, verify
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-# What is farther apart than this at every sample should be certified [m].
+# A motion with more than this clearance at every sample should be certified [m].
 MISSED_M = 1e-4
 TITLE = f"{'attack':22} {'count':>7} {'certified':>9} {'refuted':>8} {'unproven':>8} {'missed':>7} {'FALSE':>6}"
 
 
 @dataclass(frozen=True)
 class Attack:
-    """A motion and how far the piece was put from the point's path [m]; negative: into it."""
+    """A motion and the distance of the piece from the point's path [m]; negative inside it."""
 
     mechanism: Mechanism
     motion: Motion
@@ -79,22 +79,22 @@ def _row(name: str, found: Counter[str]) -> str:
 
 
 def tiny_piece(rng: np.random.Generator) -> Attack:
-    """A speck near the path of a body's vertex, seldom at a knot."""
+    """Place a tiny piece near the path of a body's vertex, seldom at a knot."""
     return _put(rng, *_random_motion(rng, spread=0.4), half=10.0 ** rng.uniform(-4, -2, size=3))
 
 
 def thin_wall(rng: np.random.Generator) -> Attack:
-    """A wall thinner than a step, across the path."""
+    """Place a wall thinner than a step across the path."""
     return _put(rng, *_random_motion(rng, spread=0.4), half=np.array([10.0 ** rng.uniform(-4, -3), 0.5, 0.5]))
 
 
 def overshoot(rng: np.random.Generator) -> Attack:
-    """Cubics with tangents many times their step, so that the extremes lie far from the knots."""
+    """Make cubics with tangents many times their step, so that the extremes lie far from the knots."""
     return _put(rng, *_random_motion(rng, spread=0.05, tangent=1.0), half=np.full(3, 0.01))
 
 
 def counter_rotation(rng: np.random.Generator) -> Attack:
-    """Joints about one direction that turn against each other: the link moves without turning."""
+    """Turn joints with parallel axes against each other: the link moves without turning."""
     origins = np.column_stack([rng.uniform(-0.5, 0.5, (4, 2)), np.zeros(4)])
     still, axes = np.tile(np.eye(3), (4, 1, 1)), np.tile(np.eye(3)[2], (4, 1))
     mechanism = Mechanism((-1, 0, 1, 2), still, origins, axes, (False,) * 4, False)
@@ -105,17 +105,17 @@ def counter_rotation(rng: np.random.Generator) -> Attack:
 
 
 def floating_base(rng: np.random.Generator) -> Attack:
-    """A floating base that turns about all three axes while it travels."""
+    """Turn a floating base about all three axes while it travels."""
     return _put(rng, *_random_motion(rng, spread=0.4, is_floating=True), half=np.full(3, 0.01))
 
 
 def passing_links(rng: np.random.Generator) -> Attack:
-    """No piece but the robot itself: branches that swing past each other."""
+    """Swing branches of the robot past each other, without a piece."""
     return Attack(*_random_motion(rng, spread=0.4, is_branched=True), 0.0)
 
 
 def coarse_samples(rng: np.random.Generator) -> Attack:
-    """Few exported samples: the line between them is what counts, and where the piece is put."""
+    """Export few samples and place the piece at the line between them."""
     mechanism, motion = _random_motion(rng, spread=0.3)
     knots = motion.curve.knots
     samples = np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], int(rng.integers(3, 30)))]))
@@ -193,7 +193,7 @@ def _motion(mechanism: Mechanism, curve: Curve, rng: np.random.Generator) -> Mot
 
 
 def _put(rng: np.random.Generator, mechanism: Mechanism, motion: Motion, half: np.ndarray) -> Attack:
-    """Put a box where the last body reaches farthest in some direction: its face a chosen offset from that point.
+    """Place a box where the last body reaches farthest in some direction, its face at a chosen offset from that point.
 
     Nothing of the body reaches beyond that point at any time, so the offset's sign is the truth.
     """

@@ -1,4 +1,4 @@
-"""The judge of the attacks on the certificate: dense sampling with kinematics and a distance of its own.
+"""Judge of the attacks on the certificate: dense sampling with independent kinematics and distances.
 
 Shares nothing with the verifier: placements by Rodrigues' formula, distances by non-negative least squares over convex
 combinations.  Between two samples no joint moves by more than 0.005 rad (or 5 mm).
@@ -17,9 +17,9 @@ from costs.curve import Curve
 from service.verify import Motion
 
 STEP = 0.005
-# Distances are right to about this [m]: what is less than claimed by more refutes.
+# Accuracy of distances [m]: a distance below the claim by more than this refutes it.
 JUDGE_M = 2e-6
-# Hulls nearer than this meet.
+# Hulls closer than this count as touching.
 _MEETING_M = 1e-7
 _ZOOM, _ZOOMS = 40, 2
 
@@ -44,7 +44,7 @@ class Mechanism:
     is_floating: bool
 
     def model(self) -> pin.Model:
-        """The same for pinocchio, whose joint 1 is the base if there is one."""
+        """Return the same mechanism for pinocchio; joint 1 is the base if there is one."""
         model, shift = pin.Model(), 1
         if self.is_floating:
             base = pin.JointModelComposite()
@@ -85,7 +85,7 @@ class Mechanism:
 
 
 def _turns(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Rotations (S, 3, 3) about a unit axis."""
+    """Return rotations (S, 3, 3) about a unit axis."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     sine, versine = np.sin(angle)[:, None, None], 1.0 - np.cos(angle)[:, None, None]
@@ -93,7 +93,7 @@ def _turns(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def read(motion: Motion, s: np.ndarray) -> np.ndarray:
-    """Configurations: of the curve, or of its exported samples read linearly."""
+    """Return configurations of the curve, or of its exported samples interpolated linearly."""
     if motion.samples is None:
         return np.asarray(motion.curve(s))
     exported = motion.curve(motion.samples)
@@ -101,7 +101,7 @@ def read(motion: Motion, s: np.ndarray) -> np.ndarray:
 
 
 def least_gap(mechanism: Mechanism, motion: Motion, claim: float) -> float:
-    """Smallest distance that refutes a claimed clearance, negative where hulls overlap; infinity when none does [m]."""
+    """Return the smallest distance that refutes a claimed clearance [m]: negative for overlap, infinity if none."""
     s = dense(motion.curve)
     gap, at = _least(mechanism, motion, s, claim)
     for _ in range(_ZOOMS if np.isfinite(at) else 0):
@@ -115,7 +115,7 @@ def least_gap(mechanism: Mechanism, motion: Motion, claim: float) -> float:
 
 
 def dense(curve: Curve) -> np.ndarray:
-    """Path parameters between which no coordinate moves by more than the step."""
+    """Return path parameters between which no coordinate moves by more than the step."""
     parts = []
     for first, last in zip(curve.knots[:-1], curve.knots[1:], strict=True):
         speed = np.abs(curve(np.linspace(first, last, 50), 1)).max()
@@ -124,7 +124,7 @@ def dense(curve: Curve) -> np.ndarray:
 
 
 def _least(mechanism: Mechanism, motion: Motion, s: np.ndarray, claim: float) -> tuple[float, float]:
-    """The smallest distance found that does not exceed the claim by much, and where."""
+    """Return the smallest distance near or below the claim, and its place."""
     best, where = np.inf, np.nan
     for mover, holder in _pairs(mechanism, motion, s):
         for k, gap in _near(mover, holder, claim):
@@ -134,7 +134,7 @@ def _least(mechanism: Mechanism, motion: Motion, s: np.ndarray, claim: float) ->
 
 
 def _pairs(mechanism: Mechanism, motion: Motion, s: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Every checked pair: the one's points (S, V, 3) in the frame of the other, and the other's points there."""
+    """Yield every checked pair: points (S, V, 3) of the first in the frame of the second, and points of the second."""
     turned, moved = mechanism.place(read(motion, s))
     bodies = motion.robot.bodies
     for i, body in enumerate(bodies):
@@ -149,7 +149,7 @@ def _pairs(mechanism: Mechanism, motion: Motion, s: np.ndarray) -> Iterator[tupl
 
 
 def _near(mover: np.ndarray, holder: np.ndarray, claim: float) -> Iterator[tuple[int, float]]:
-    """Poses whose distance is needed to judge the claim, and that distance.
+    """Yield the poses whose distance is needed to judge the claim, and that distance.
 
     The direction found for one pose settles most of the others: along it they are farther apart than claimed.
     """

@@ -1,8 +1,8 @@
 """Processor time of the certificate and of the check of start and goal: ``python -m benchmarks.certificate``.
 
 Motions of the requests under ``examples/requests`` and, when ``SCOPT_DATA`` (default: ``../shared/data`` beside the
-checkout) holds them, of the MotionBenchMaker problems for the Panda.  Each is planned once and then checked again and
-again in this process, as a server or a benchmark does: the robot's hulls are there already.
+checkout) holds them, of the MotionBenchMaker problems for the Panda.  Each is planned once and then checked repeatedly
+in this process, as in a server or a benchmark: the robot's hulls are already computed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The scans perception is measured on: recorded ones, simulated ones, and what is true about each."""
+"""Scans for measuring perception, recorded and simulated, with the ground truth of each."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ _LEVEL = np.eye(3)
 
 @dataclass(frozen=True)
 class Case:
-    """A scan with what is known about it.
+    """A scan with its ground truth.
 
     Attributes:
         name: unique.
         density: "dense" or "sparse": which targets hold.
-        load: gives the scan.
+        load: returns the scan.
         truth: objects in it.
-        lookalikes: (kind, places (K, 3)) of what a detector may take for a kind without being wrong.
-        unknown: kinds of which the truth says nothing.
-        surface: gives the true surfaces; None when nobody knows them.
-        judge: gives another scan of the same scene; None when there is none.
+        lookalikes: (kind, places (K, 3)) of objects that count neither as hits nor as errors of that kind.
+        unknown: kinds that the truth does not cover.
+        surface: returns the true surfaces; None if unknown.
+        judge: returns another scan of the same scene; None if there is none.
         reach: where it is looked at.
         is_heap: whether twice as many pieces are due.
         is_room: whether it is a whole room, with targets of its own.
@@ -57,12 +57,12 @@ class Case:
 
 
 def data_folder() -> Path:
-    """Where recorded scans are: ``SCOPT_DATA``, or ``../shared/data`` beside the checkout."""
+    """Return the folder of recorded scans: ``SCOPT_DATA``, or ``../shared/data`` beside the checkout."""
     return Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
 def scene_cases(folder: Path) -> Iterator[Case]:
-    """Scans of known scenes: ``scenes/<name>/scan*.pcd`` with ``gt.ply`` and ``gt.json``."""
+    """Yield scans of known scenes: ``scenes/<name>/scan*.pcd`` with ``gt.ply`` and ``gt.json``."""
     for path in sorted((folder / "scenes").glob("*/scan*.pcd")):
         document = json.loads((path.parent / "gt.json").read_text())
         spin = next(one["spin_rev_s"] for one in document["scans"] if one["file"] == path.name)
@@ -83,7 +83,7 @@ def scene_cases(folder: Path) -> Iterator[Case]:
 
 
 def recorded_cases(folder: Path) -> Iterator[Case]:
-    """Third-party clouds: ``clouds/*``; all that is known of them is that some kinds of objects are not there."""
+    """Yield third-party clouds (``clouds/*``); it is only known that some kinds of objects are absent."""
     frames: Mapping[str, tuple[np.ndarray, float, bool, bool]] = {
         # axes, radius of the reach [m], whether it is a whole room, whether rays start at the file's zero
         "room_scan1": (_LEVEL, 16.0, True, True),
@@ -105,12 +105,12 @@ def recorded_cases(folder: Path) -> Iterator[Case]:
 
 
 def simulated_cases(variants: Sequence[str], seed: int = 0, *, misses: bool = False) -> Iterator[Case]:
-    """Simulated scenes.
+    """Yield simulated scenes.
 
     Args:
         variants: sensors; those joined by a slash, as in ``solid/camera``, take turns.
         seed: of their details.
-        misses: whether rays that met nothing are told.
+        misses: whether rays that hit nothing are included.
     """
     for i, name in enumerate(SCENES):
         for turns in variants:
@@ -149,7 +149,7 @@ def _caster(scene: SimulatedScene) -> Caster:
 
 
 def _stood(path: Path, axes: Float[np.ndarray, "3 3"], radius: float) -> Cloud:
-    """A recorded cloud turned upright, its lowest layer within reach at zero, without echoes from the sensor itself."""
+    """Return a recorded cloud turned upright, its lowest layer within reach at zero, without echoes of the sensor."""
     cloud = read_cloud(path)
     points = cloud.points[np.linalg.norm(cloud.points - cloud.starts, axis=1) > 0.1] @ axes.T
     near = points[np.linalg.norm(points[:, :2], axis=1) <= radius]

@@ -1,7 +1,7 @@
-"""Detection errors per kind of object, and confident finds of nothing, on recorded and simulated scans.
+"""Detection errors per kind of object, and confident false hits, on recorded and simulated scans.
 
 A row is marked ``MISS`` when a dense scan gives no confident detection, ``OFF`` when a confident detection is beyond a
-target (twice the target on sparse scans, where a low confidence is as good), ``FALSE`` for a confident find of nothing.
+target (twice the target on sparse scans, where a low confidence is as good), ``FALSE`` for a confident false hit.
 
 From the checkout's root: ``python -m benchmarks.cloud_detections [--kind KIND] [--only NAME] [--variant V] [--seed N]
 [--hint]``.  Recorded scans come from the folder ``SCOPT_DATA`` (default: ``../shared/data``).
@@ -26,7 +26,7 @@ from perception import CONFIDENT, KINDS, Cloud, Detection, detect, make_view
 from perception.simulate.scenes import Truth
 
 _VARIANTS = ("dense", "sparse", "solid/camera")
-_FEWEST = 60  # points on a beam or a seat's cushion below which nobody could tell it
+_FEWEST = 60  # points on a beam or a seat's cushion below which it cannot be detected
 _HINT_SIGMA = 0.05  # [m] how well an operator clicks
 
 
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 false += [(case.name, kind, one) for one in outcome.false]
             new = [_row(case, cloud, truth, one) for truth, one in outcome.pairs]
             rows[kind] += new
-            # The tables come last; whoever waits sees what is wrong as it comes.
+            # The tables come last; misses are printed as they occur.
             told = [row.mark for row in new if row.mark] + ["FALSE"] * len(outcome.false)
             print(f"{case.name}: {kind} {' '.join(told) or 'fine'}", file=sys.stderr)
     for kind in kinds:
@@ -152,7 +152,7 @@ def _print_false(false: list[tuple[str, str, Detection]]) -> None:
         (name, kind, f"{one.confidence:.2f}", " ".join(f"{x:.2f}" for x in one.pose_world_object[:3, 3]), "FALSE")
         for name, kind, one in false
     ]
-    print_table("confident finds of nothing (target: none)", ("scan", "kind", "confidence", "at", ""), lines)
+    print_table("confident false hits (target: none)", ("scan", "kind", "confidence", "at", ""), lines)
 
 
 def _print_summary(

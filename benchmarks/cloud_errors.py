@@ -1,4 +1,4 @@
-"""Detections held against the truth: which is which, how far off it is, and which targets that meets."""
+"""Comparison of detections with the truth: matching, errors and targets."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Measure:
 
     Attributes:
         name: with its unit.
-        of: the error, or None where truth or detection say nothing of it.
+        of: returns the error, or None if the truth or the detection does not have it.
         target: the largest error on a dense scan; twice that on a sparse one; None: none is set.
     """
 
@@ -32,12 +32,12 @@ class Measure:
 
 
 def distance(found: Found, truth: Truth) -> float:
-    """Between the origins [mm]."""
+    """Return the distance between the origins [mm]."""
     return 1e3 * float(np.linalg.norm(found.pose_world_object[:3, 3] - truth.pose_world_object[:3, 3]))
 
 
 def axis(column: int, *, signed: bool) -> Callable[[Found, Truth], float | None]:
-    """Angle between the same axis of both [deg]; unsigned where a turn by 180 degrees changes nothing."""
+    """Return the angle between the same axis of both [deg]; unsigned if a turn by 180 degrees changes nothing."""
 
     def angle(found: Found, truth: Truth) -> float | None:
         cosine = float(found.pose_world_object[:3, column] @ truth.pose_world_object[:3, column])
@@ -47,7 +47,7 @@ def axis(column: int, *, signed: bool) -> Callable[[Found, Truth], float | None]
 
 
 def size(name: str, scale: float = 1e3) -> Callable[[Found, Truth], float | None]:
-    """Difference of a size, in millimetres unless scaled otherwise."""
+    """Return the difference of a size, in millimetres unless scaled otherwise."""
 
     def difference(found: Found, truth: Truth) -> float | None:
         if name not in found.sizes or name not in truth.sizes:
@@ -58,7 +58,7 @@ def size(name: str, scale: float = 1e3) -> Callable[[Found, Truth], float | None
 
 
 def either(first: str, second: str) -> Callable[[Found, Truth], float | None]:
-    """The first size, or the second where the object has no first [mm]."""
+    """Return the difference of the first size, or of the second if the object has no first [mm]."""
 
     def difference(found: Found, truth: Truth) -> float | None:
         name = first if first in truth.sizes else second
@@ -68,13 +68,13 @@ def either(first: str, second: str) -> Callable[[Found, Truth], float | None]:
 
 
 def _leaf_offset(found: Found, truth: Truth) -> float | None:
-    """How far the true leaf's middle lies from the found leaf's plane [mm]."""
+    """Return the distance of the true leaf's middle from the detected leaf's plane [mm]."""
     middle = truth.pose_world_object @ [0.5 * truth.sizes["width"], 0.0, 1.0, 1.0]
     return 1e3 * abs(float((middle[:3] - found.pose_world_object[:3, 3]) @ found.pose_world_object[:3, 1]))
 
 
 def _handle(found: Found, truth: Truth) -> float | None:
-    """Between the handles in the world [mm]."""
+    """Return the distance between the handles in the world [mm]."""
     places = []
     for one in (found, truth):
         if "handle_x" not in one.sizes:
@@ -84,14 +84,14 @@ def _handle(found: Found, truth: Truth) -> float | None:
 
 
 def _hinge(found: Found, truth: Truth) -> float | None:
-    """Whether hinge side or lever direction is wrong: how many of both."""
+    """Count the wrong ones of hinge side and lever direction."""
     turned = found.pose_world_object[:3, 0] @ truth.pose_world_object[:3, 0] < 0.0
     lever = found.sizes.get("lever_direction") != truth.sizes["lever_direction"]
     return float(turned) + float(lever)
 
 
 def _buttons(found: Found, truth: Truth) -> float | None:
-    """Of the buttons, the one furthest from any found [mm]; infinite when their number differs."""
+    """Return the largest distance of a button from the detected ones [mm]; infinite if their number differs."""
     places = [_button_places(one) for one in (found, truth)]
     if len(places[0]) != len(places[1]):
         return np.inf
@@ -168,11 +168,11 @@ MEASURES: Mapping[str, tuple[Measure, ...]] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of the objects of one kind in one scan.
+    """Matches of the objects of one kind in one scan.
 
     Attributes:
-        pairs: every true object with the detection of it, None when there is none.
-        false: confident detections of nothing.
+        pairs: every true object with its detection, None if there is none.
+        false: confident detections without an object.
     """
 
     pairs: tuple[tuple[Truth, Found | None], ...]
@@ -185,7 +185,7 @@ def matched(
     truth: Sequence[Truth],
     lookalikes: Sequence[tuple[str, Float[np.ndarray, "K 3"]]],
 ) -> Outcome:
-    """Each detection, best first, is of the nearest object left within :data:`GATE`.
+    """Match each detection, best first, to the nearest object left within :data:`GATE`.
 
     A further detection of an object that has one already counts as false when it is confident.
     """
@@ -204,7 +204,7 @@ def matched(
 
 
 def _apart(found: Found, truth: Truth) -> float:
-    """Between the origins; of doors, which are large, the nearer of hinge and free edge counts [m]."""
+    """Return the distance between the origins [m]; for doors, the smaller one of hinge and free edge."""
     apart = distance(found, truth) / 1e3
     if truth.kind != "door":
         return apart
@@ -224,7 +224,7 @@ def _is_lookalike(
 
 
 def errors(kind: str, found: Found, truth: Truth) -> tuple[float | None, ...]:
-    """By :data:`MEASURES`."""
+    """Return the errors named in :data:`MEASURES`."""
     return tuple(measure.of(found, truth) for measure in MEASURES[kind])
 
 

@@ -2,7 +2,7 @@
 
 Coverage: share of true surface points (3 cm above the floor, within the reach) at most 1 cm (2 cm) from the pieces.
 True points: where the measured rays meet the true mesh, unless the measured point is further than 5 cm from there; for
-clouds whose surfaces nobody knows: a random fifth of the points, withheld; where some of those are exact copies of
+clouds with unknown surfaces: a random fifth of the points, withheld; where some of those are exact copies of
 points that were not, a line below the table says what is covered of the others.
 False obstacle: share of samples along rays of another scan (or of a random fifth of the rays, withheld), at 10 to
 100 % of (range - 5 cm), 5 cm above the floor, that lie inside a piece and more than 2 cm from any true surface (or from
@@ -46,7 +46,7 @@ Distance: TypeAlias = Callable[[Float[np.ndarray, "K 3"]], Float[np.ndarray, "K"
 
 @dataclass(frozen=True)
 class Targets:
-    """What a scan should reach: at least, at most."""
+    """Targets of a scan: lower and upper bounds."""
 
     cover_1: float = 99.5  # [%]
     cover_2: float = 99.9  # [%]
@@ -58,7 +58,7 @@ class Targets:
 
     @classmethod
     def of(cls, case: Case) -> Targets:
-        """Heaps may have more pieces; whole rooms as many as their area needs, less coverage, more time."""
+        """Return the targets of a case: more pieces for heaps; for rooms by area, with less coverage and more time."""
         if case.is_room:
             return cls(cover_1=98.0, cover_2=98.0, pieces=np.inf, seconds=20.0)
         return cls(pieces=250) if case.is_heap else cls()
@@ -66,7 +66,7 @@ class Targets:
 
 @dataclass(frozen=True)
 class Figures:
-    """What one scan's pieces are worth."""
+    """Measured quality of the pieces of one scan."""
 
     n_points: int
     cover_1: float
@@ -78,7 +78,7 @@ class Figures:
     covered_others: tuple[float, float] | None = None  # within 1 and 2 cm, of withheld points that are no copies [%]
 
     def missed(self, targets: Targets) -> str:
-        """The targets missed, by name."""
+        """Return the names of the missed targets."""
         seconds = targets.seconds * max(1.0, self.n_points / _FULL)
         checks = {
             "1cm": self.cover_1 < targets.cover_1,
@@ -86,7 +86,7 @@ class Figures:
             "false": self.false is not None and self.false > targets.false,
             "pieces": self.n_pieces > targets.pieces,
             "verts": self.n_vertices > targets.vertices,
-            # On a busy machine the wall clock tells of others; then processor time is the fairer figure.
+            # On a busy machine wall time includes other work; processor time is used instead.
             "time": min(self.made.wall, self.made.cpu) > seconds,
             "memory": self.made.memory > targets.memory,
         }
@@ -94,7 +94,7 @@ class Figures:
 
 
 class Union:
-    """Convex pieces, to be asked what is inside and what is near."""
+    """Convex pieces with queries for points inside and near them."""
 
     def __init__(self, pieces: Sequence[Float[np.ndarray, "V 3"]]) -> None:
         self._pieces = pieces
@@ -102,7 +102,7 @@ class Union:
         self._caster = Caster(join_meshes([Mesh(one.points, one.simplices.astype(np.int64)) for one in self._hulls]))
 
     def holds(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-        """Which points are inside a piece."""
+        """Return which points are inside a piece."""
         inside = np.zeros(len(points), dtype=bool)
         for vertices, hull in zip(self._pieces, self._hulls, strict=True):
             boxed = (points >= vertices.min(axis=0)).all(axis=1) & (points <= vertices.max(axis=0)).all(axis=1)
@@ -111,17 +111,17 @@ class Union:
         return inside
 
     def within(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
-        """Which points are inside a piece or at most ``margin`` from one."""
+        """Return which points are inside a piece or at most ``margin`` from one."""
         return np.asarray(self.holds(points) | (self._caster.distance(points) <= margin))
 
     def false_share(self, samples: Float[np.ndarray, "N 3"], distance: Distance) -> float:
-        """How many samples along rays lie inside a piece and more than 2 cm from any true surface [%]."""
+        """Return the share of ray samples inside a piece and more than 2 cm from any true surface [%]."""
         inside = samples[self.holds(samples)]
         return 100.0 * float((distance(inside) > 0.02).sum()) / len(samples) if len(inside) else 0.0
 
 
 def true_points(surface: Caster, cloud: Cloud) -> Float[np.ndarray, "M 3"]:
-    """Where the true surfaces stop the measured rays."""
+    """Return the points where the measured rays meet the true surfaces."""
     rays = cloud.points - cloud.starts
     length = np.linalg.norm(rays, axis=1)
     direction = rays / length[:, None]
@@ -131,7 +131,7 @@ def true_points(surface: Caster, cloud: Cloud) -> Float[np.ndarray, "M 3"]:
 
 
 def ray_samples(cloud: Cloud, radius: float, rng: np.random.Generator) -> Float[np.ndarray, "M 3"]:
-    """Places along the rays, at 10 to 100 % of (range - 5 cm), above 5 cm and within the reach."""
+    """Return points along the rays, at 10 to 100 % of (range - 5 cm), above 5 cm and within the reach."""
     rays = cloud.points - cloud.starts
     length = np.linalg.norm(rays, axis=1, keepdims=True)
     fraction = rng.uniform(0.1, 1.0, size=(len(rays), _SAMPLES))
@@ -214,7 +214,7 @@ def _print_cases(title: str, cases: Iterator[Case], method: str) -> None:
                 one, two = figures.covered_others
                 told.append(f"{case.name}: of withheld points that are no exact copies {one:.2f} % / {two:.2f} %")
             rows.append((case.name, *_texts(_numbers(figures)), figures.missed(Targets.of(case))))
-            # The table comes last; whoever waits sees the figures as they come.
+            # The table comes last; rows are printed as they are measured.
             print("  ".join(rows[-1]), file=sys.stderr)
     n_cases = len(rows)
     if not all_figures:

@@ -1,4 +1,4 @@
-"""What a recorded scene's ``gt.json`` says, in the frames and sizes detectors use."""
+"""Ground truth of a recorded scene (``gt.json``) in the frames and sizes of the detectors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from perception.simulate.scenes import Truth
 def truth_of(
     document: dict[str, Any], mesh: Mesh
 ) -> tuple[tuple[Truth, ...], tuple[tuple[str, np.ndarray], ...], frozenset[str]]:
-    """Objects of a ``gt.json``, lookalikes, and the kinds it says nothing about."""
+    """Return the objects of a ``gt.json``, lookalikes, and the kinds that it does not cover."""
     truth: list[Truth] = []
     lookalikes: list[tuple[str, np.ndarray]] = []
     unknown: set[str] = set()
@@ -55,7 +55,7 @@ def _valve(valve: Mapping[str, Any]) -> Truth:
 
 
 def _door(door: Mapping[str, Any], parts: Mapping[str, Mapping[str, Any]], mesh: Mesh) -> Truth:
-    """The handle's place is taken from its mesh: the file's own spindle lies 3 cm beside its rose."""
+    """Read a door; take the handle's place from its mesh, since the file's spindle is 3 cm off."""
     normal = np.array(door["leaf_normal_to_robot"])
     hinge, centre = np.array(door["hinge_point"]), np.array(door["leaf_centre"])
     x = centre - hinge
@@ -89,7 +89,7 @@ def _door(door: Mapping[str, Any], parts: Mapping[str, Mapping[str, Any]], mesh:
 
 
 def _beam(beam: Mapping[str, Any], vertices: Float[np.ndarray, "V 3"]) -> Truth:
-    """The file gives axis and sizes; how the section is turned about the axis comes from the mesh."""
+    """Read a beam: axis and sizes from the file, the rotation about the axis from the mesh."""
     x = np.array(beam["axis"], dtype=float)
     x /= np.linalg.norm(x)
     centre = np.array(beam["centre"], dtype=float)

@@ -1,4 +1,4 @@
-"""How long a new scan of a scene takes that was perceived before, what of its pieces stays, and what they are worth.
+"""Time of updating a known scene with a new scan, number of pieces that stay, and their quality.
 
 ``again``: the same scene with other noise; ``taken``: its last thing taken away; ``aside``: seen from 40 cm aside;
 ``in turn``: the last of five scans, from aside and from where the first was taken.
@@ -42,12 +42,12 @@ _JUDGING = 11  # seed of the noise of the scan that judges
 
 @dataclass(frozen=True)
 class Change:
-    """What became of a scene.
+    """A change of a scene.
 
     Attributes:
         name: of the change.
-        meshes: what is there now.
-        poses: of the scans since the first, each told by its number.
+        meshes: of the scene after the change.
+        poses: sensor poses of the scans since the first, by number.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Change:
 
 
 def changes_of(scene: SimulatedScene) -> Iterator[Change]:
-    """All that are measured."""
+    """Yield all measured changes of a scene."""
     yield Change("again", scene.meshes, (0,))
     yield Change("taken", scene.meshes[:-1], (0,))
     yield Change("aside", scene.meshes, (1,))
@@ -64,7 +64,7 @@ def changes_of(scene: SimulatedScene) -> Iterator[Change]:
 
 
 def judged(after: Perceived, cloud: Cloud, judge: Cloud, surface: Caster, samples: Samples) -> Figures:
-    """What the pieces are worth that a cloud left of a scene, by another scan's rays."""
+    """Measure the pieces after an update by the rays of another scan."""
     rng = np.random.default_rng(3)
     pieces = tuple(piece.vertices for piece in after.scene.pieces)
     union, reach = Union(pieces), after.view.reach
@@ -83,7 +83,7 @@ def _some(cloud: Cloud, rng: np.random.Generator) -> Cloud:
 
 
 def rows(only: str, seed: int) -> Iterator[tuple[str, ...]]:
-    """One for each scene, sensor and change."""
+    """Yield one row for each scene, sensor and change."""
     for name in _SCENES:
         targets = Targets(pieces=250 if name.startswith("debris") else 150, seconds=0.5)
         for kind, sensor in _SENSORS.items():
@@ -135,7 +135,7 @@ def main() -> None:
     asked = parser.parse_args()
     table: list[tuple[str, ...]] = []
     for row in rows(asked.only, asked.seed):
-        # The table comes last; whoever waits sees the figures as they come.
+        # The table comes last; rows are printed as they are measured.
         print("  ".join(row), file=sys.stderr)
         table.append(row)
     n_met = sum(not row[-1] for row in table)

@@ -1,6 +1,6 @@
-"""One cloud to pieces in a process of its own, so that its peak memory is its own: ``cloud.npz`` to ``pieces.npz``.
+"""Pieces of one cloud in a separate process, to measure its peak memory: ``cloud.npz`` to ``pieces.npz``.
 
-Of this package and of the simulator nothing is imported here: what they need would count as memory of perception.
+Imports nothing of this package or the simulator, whose memory would count as perception's.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from perception import Cloud, Reach, perceive
 
 @dataclass(frozen=True)
 class Made:
-    """What came of a cloud.
+    """Pieces of a cloud with time and memory.
 
     Attributes:
         pieces: (V, 3) vertices of each, the floor's included [m].
@@ -39,7 +39,7 @@ class Made:
 
 
 def made_of(cloud: Cloud, reach: Reach, folder: Path, method: str = "planes") -> Made:
-    """Run the worker on a cloud; files go to ``folder``, and nothing that was kept before is used."""
+    """Run the worker on a cloud with an empty cache; write its files to ``folder``."""
     source, target = folder / "cloud.npz", folder / "pieces.npz"
     miss_origin = {} if cloud.miss_origin is None else {"miss_origin": cloud.miss_origin}
     np.savez(source, points=cloud.points, origin=cloud.origin, misses=cloud.misses, **asdict(reach), **miss_origin)
@@ -52,7 +52,7 @@ def made_of(cloud: Cloud, reach: Reach, folder: Path, method: str = "planes") ->
 
 
 def _peak() -> float:
-    """Of this process since it began its own program; getrusage would tell the size of who started it [MB]."""
+    """Return the peak memory of this process since its exec [MB]; getrusage includes the parent's size."""
     status = Path("/proc/self/status")
     if status.exists():
         line = next(one for one in status.read_text().splitlines() if one.startswith("VmHWM"))
@@ -61,7 +61,7 @@ def _peak() -> float:
 
 
 def _cpu() -> float:
-    """Of this process and those it started and waited for [s]."""
+    """Return the processor time of this process and its finished children [s]."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 

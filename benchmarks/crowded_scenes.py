@@ -3,7 +3,7 @@
 A motion is drawn first: from a named posture through a random posture to another, feet planted and balanced, made
 smooth in an empty scene.  Boxes are then thrown close to the robot along that motion, some in the way of the straight
 line between its ends; those that leave the motion its room stay, and the verifier certifies the motion among them.
-The planner is told the goal of one palm only, and nothing of the motion.
+The planner gets only the goal of one palm, not the motion.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from service.request.schema import PlanRequest
 from service.setup.prepare import prepare
 from service.verify import Motion, PoseTarget, Status, verify
 
-MARGIN, BALANCE_MARGIN = 0.02, 0.05  # asked of the planner [m]; the latter leaves 16 x 30 cm between the feet
-ROOM = 0.03  # that boxes leave the known motion [m]
+MARGIN, BALANCE_MARGIN = 0.02, 0.05  # options of the request [m]; the second leaves 16 x 30 cm between the feet
+ROOM = 0.03  # clearance of the known motion from the boxes [m]
 POSITION_TOLERANCE, ROTATION_TOLERANCE_DEG = 0.005, 2.0  # of the palm's goal [m]
 LEAST_TRAVEL = 0.25  # of the palm from start to goal [m]
-HALF = 10  # intervals of the known motion before and behind its random posture
+HALF = 10  # intervals of the known motion before and after its random posture
 STRAY = 0.7  # of the reaching arm's joints from the middle between start and goal, standard deviation [rad]
 SIZES = (0.05, 0.4)  # of a box's edges [m]
 AWAY = (0.05, 0.45)  # of a box's centre from a point of the robot [m]
-ACROSS = (0.0, 0.25)  # the same of a box that shall be in the way of the straight line [m]
-IN_THE_WAY = 5  # so many boxes are
-THROWS = 150  # boxes thrown at a time
+ACROSS = (0.0, 0.25)  # the same for a box that shall block the straight line [m]
+IN_THE_WAY = 5  # number of boxes that block the straight line
+THROWS = 150  # boxes drawn at a time
 OPTIONS: Mapping[str, Any] = {"margin_m": MARGIN, "balance_margin_m": BALANCE_MARGIN, "time_limit_s": 60.0}
 TIMING = TimingSettings(0.5, 0.3)  # the planner's own
 SIDES = ("l", "r")
@@ -50,11 +50,11 @@ STARTS = ("reach_ready", "stand")
 
 @dataclass(frozen=True)
 class CrowdedScene:
-    """A problem and what is known of it.
+    """A problem with a known solution.
 
     Attributes:
-        name: says how it was drawn.
-        request: what the planner is asked.
+        name: encodes how it was drawn.
+        request: for the planner.
         witness: a motion that solves it, certified.
         is_straight_enough: whether the straight line in the joints to the end of ``witness`` is certified too.
     """
@@ -66,7 +66,7 @@ class CrowdedScene:
 
 
 def crowded_scenes(robot: RobotModel, n_boxes: int, *, is_pose: bool, seed: int = 0) -> Iterator[CrowdedScene]:
-    """Problems without end, the same for the same arguments.
+    """Yield problems without end, the same for the same arguments.
 
     Args:
         robot: the bundled Atlas.
@@ -87,7 +87,7 @@ def crowded_scenes(robot: RobotModel, n_boxes: int, *, is_pose: bool, seed: int 
 def _crowded(
     robot: RobotModel, name: str, rng: np.random.Generator, side: str, start: str, n_boxes: int, is_pose: bool
 ) -> CrowdedScene | None:
-    """A problem, or None when the draw came to nothing."""
+    """Return a problem, or None if the draw failed."""
     palm = f"{side}_tool"
     body = _body(robot, _request(start, []), BALANCE_MARGIN + 0.01)
     path = _drawn_path(body, rng, side)
@@ -128,13 +128,13 @@ def _goal(palm: str, place: Float[np.ndarray, "4 4"], is_pose: bool) -> Mapping[
 
 
 def _body(robot: RobotModel, request: PlanRequest, balance_margin: float) -> WholeBody:
-    """The robot of a request on its feet."""
+    """Return the body of a request's robot on its feet."""
     setup = prepare(request, robot=robot)
     return WholeBody.standing(robot, setup.scene, setup.start, setup.contacts, Aims(MARGIN, balance_margin))
 
 
 def _drawn_path(body: WholeBody, rng: np.random.Generator, side: str) -> Float[np.ndarray, "T n"] | None:
-    """A motion of the robot alone to a random posture through another one; None where there is none."""
+    """Draw a motion without obstacles to a random posture through another one; None if none is found."""
     start = body.nominal
     goal = standing_near(body, random_posture(body, rng, side))
     if goal is None:
@@ -153,7 +153,7 @@ def _drawn_path(body: WholeBody, rng: np.random.Generator, side: str) -> Float[n
 
 
 def random_posture(body: WholeBody, rng: np.random.Generator, side: str) -> Float[np.ndarray, "n"]:
-    """The start with one arm, the back and the knees bent at random; feet in the air as yet."""
+    """Return the start with one arm, back and knees bent at random; the feet are not yet on the ground."""
     robot, q = body.robot, body.nominal.copy()
     shoulder_and_elbow, wrist = robot.groups[arm_of(side)][:4], robot.groups[arm_of(side)][4:]
     for joints, share in ((shoulder_and_elbow, 0.8), (wrist, 0.3), (robot.groups["back"], 0.5)):
@@ -169,7 +169,7 @@ def random_posture(body: WholeBody, rng: np.random.Generator, side: str) -> Floa
 
 
 def standing_near(body: WholeBody, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
-    """A posture near ``q`` with both feet planted, balanced and clear of itself; None where none is found."""
+    """Return a posture near ``q`` with planted feet, balanced and free of self-collision; None if none is found."""
     lower, upper = body.bounds(1, {})
     checker = body.checker(ends=[body.nominal])
     result = TrustRegionSQP().solve(replace(body, nominal=q).problem(lower, upper, checker), q[None])
@@ -179,7 +179,7 @@ def standing_near(body: WholeBody, q: Float[np.ndarray, "n"]) -> Float[np.ndarra
 def _motion(
     body: WholeBody, path: Float[np.ndarray, "T n"], palm: str, place: Float[np.ndarray, "4 4"], is_pose: bool
 ) -> Motion:
-    """The timed curve through the waypoints, to be certified as a reach of the goal."""
+    """Return the timed curve through the waypoints as a reach of the goal, for the verifier."""
     rotation = place[:3, :3] if is_pose else None
     turn = np.full(3, np.deg2rad(ROTATION_TOLERANCE_DEG))
 
@@ -192,7 +192,7 @@ def _motion(
 def _boxes(
     body: WholeBody, rng: np.random.Generator, path: Float[np.ndarray, "T n"], n_boxes: int, arm: Collection[int]
 ) -> list[dict[str, Any]] | None:
-    """Boxes close to the robot that leave a motion room, as obstacles of a request.
+    """Return boxes close to the robot that do not block a motion, as obstacles of a request.
 
     Some are in the way of the straight line between the motion's ends; None where too few such
     boxes are found.
@@ -220,7 +220,7 @@ def _boxes(
 
 
 def boxes_near(body: WholeBody, boxes: Sequence[Mapping[str, Any]], sweep: Kinematics, room: float) -> set[int]:
-    """Which boxes the robot comes nearer to than ``room`` on its way [m]."""
+    """Return which boxes come nearer to the robot than ``room`` along the path [m]."""
     scene = Scene(tuple(_piece(k, one) for k, one in enumerate(boxes)))
     contacts = SweptCollisionChecker(body.robot, scene, PairMargins.of(body.robot, scene, 0.0), buffer=room)(sweep)
     return set(contacts.other[~contacts.is_self].tolist())
@@ -229,7 +229,7 @@ def boxes_near(body: WholeBody, boxes: Sequence[Mapping[str, Any]], sweep: Kinem
 def thrown_box(
     body: WholeBody, rng: np.random.Generator, sweep: Kinematics, bodies: Sequence[int], away: tuple[float, float]
 ) -> dict[str, Any]:
-    """A box near a random point of some of the robot's bodies somewhere on its way."""
+    """Return a box near a random point of a random body of the robot somewhere along the path."""
     waypoint = int(rng.integers(len(sweep.q)))
     part = body.robot.bodies[bodies[int(rng.integers(len(bodies)))]]
     local = part.vertices[rng.integers(len(part.vertices))]

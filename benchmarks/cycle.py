@@ -1,7 +1,7 @@
 """One subproblem cycle of Atlas: kinematics, swept collision, linearisation, assembly and QP, part by part.
 
-The robot stands on both feet among boxes that leave its path a few millimetres and reaches for a point with its left
-tool, so that feet, balance, pose, collision and self-collision all have rows.
+The robot stands on both feet among boxes a few millimetres from its path and reaches for a point with its left tool, so
+feet, balance, pose, collision and self-collision all have rows.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from costs.state import MotionState
 from costs.terms import FramePose
 from scopt import Constraint, Problem, Sense
 from scopt.convex_model import assemble, convexify
-from scopt.qp import backend
+from scopt.qp import select_backend
 from service.body.whole_body import Aims, WholeBody
 
 N_WAYPOINTS = 20
@@ -34,7 +34,7 @@ CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in
 
 
 def boxes_around(robot: RobotModel, x: Float[np.ndarray, "T n"]) -> Scene:
-    """A floor and boxes of 5 to 40 cm around the robot, as near as its waypoints leave them room."""
+    """Return a floor and boxes of 5 to 40 cm around the robot, as near as its waypoints allow."""
     rng = np.random.default_rng(4)
     floor = ConvexPiece("floor", np.array([0.0, 0.0, -0.05]) + CORNERS * [6.0, 6.0, 0.1], "floor")
     kinematics = KinematicsEngine(robot)(x)
@@ -53,7 +53,7 @@ def boxes_around(robot: RobotModel, x: Float[np.ndarray, "T n"]) -> Scene:
 
 
 def reaching_problem() -> tuple[Problem[MotionState], WholeBody, SweptCollisionChecker, Float[np.ndarray, "T n"]]:
-    """The problem, its body and checker, and the iterate at which the cycle is measured."""
+    """Return the problem, its body and checker, and the iterate at which the cycle is measured."""
     robot = load_robot("atlas")
     stand, ready = robot.postures["stand"], robot.postures["reach_ready"]
     x = stand + np.linspace(0.0, 1.0, N_WAYPOINTS)[:, None] * (ready - stand)
@@ -70,7 +70,7 @@ def reaching_problem() -> tuple[Problem[MotionState], WholeBody, SweptCollisionC
 def main() -> None:
     """Print the median wall and processor time of every part."""
     problem, body, checker, x = reaching_problem()
-    solve = backend("piqp")
+    solve = select_backend("piqp")
     is_free = (problem.upper > problem.lower).ravel()
     box = np.tile(TRUST_RADIUS * body.step_scale(), N_WAYPOINTS)
     parts = {name: Samples() for name in ("kinematics", "collision", "linearise", "assemble", "QP")}
@@ -81,7 +81,7 @@ def main() -> None:
         model = parts["linearise"].measure(convexify, problem, state, PENALTY)
         subproblem = parts["assemble"].measure(assemble, model, is_free)
         lower, upper = (problem.lower - x).ravel(), (problem.upper - x).ravel()
-        program = subproblem.within(np.maximum(lower, -box), np.minimum(upper, box))
+        program = subproblem.bound_steps(np.maximum(lower, -box), np.minimum(upper, box))
         if not parts["QP"].measure(solve, program).is_usable:
             raise RuntimeError("the QP of the benchmark was not solved")
     rows = []

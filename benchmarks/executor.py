@@ -1,8 +1,8 @@
-"""What the pool of workers costs and how fast it stops and heals: ``python -m benchmarks.executor``.
+"""Overhead of the pool of workers, and time until it stops or replaces a worker: ``python -m benchmarks.executor``.
 
-Wall times in milliseconds, on this machine and with whatever else it does, first with empty workers, then with those of
-the planning service (imports shared, robot loaded).  At the end, what an idle worker that tries further starts of a
-plan is worth (``benchmarks.spread``).
+Wall times in milliseconds under the present load of this machine, first with empty workers, then with those of the
+planning service (imports shared, robot loaded).  Last, the gain from an idle worker that tries further starts of a plan
+(``benchmarks.spread``).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _events(pool: LocalPool) -> list[float]:
 
 
 def _running(pool: LocalPool, fn: Callable[..., Any]) -> Job[Any]:
-    """A job that has said that it runs."""
+    """Return a job that has reported that it runs."""
     said: list[None] = []
     job = pool.submit(fn, on_event=said.append)
     while not said:

@@ -14,19 +14,19 @@ def nothing() -> None:
 
 
 def echo(data: bytes) -> bytes:
-    """Hand back what came."""
+    """Return the argument."""
     return data
 
 
 def tell_the_time(n_events: int, control: Control) -> None:
-    """Report the clock now and then."""
+    """Report the time repeatedly."""
     for _ in range(n_events):
         control.report(time.monotonic())
         time.sleep(0.002)
 
 
 def ask_without_rest(control: Control) -> float:
-    """When the stop was seen [s]."""
+    """Poll for a stop without pause; return the time at which it was seen [s]."""
     control.report(None)
     while not control.should_stop():
         pass
@@ -34,12 +34,12 @@ def ask_without_rest(control: Control) -> float:
 
 
 def stick(control: Control) -> None:
-    """Never come back from a call that keeps the interpreter's lock."""
+    """Call a function that holds the interpreter's lock and never returns."""
     control.report(None)
     ctypes.PyDLL(None).sleep(600)
 
 
 def private_bytes() -> int:
-    """Memory of this process that it shares with nobody."""
+    """Return the memory of this process that no other process shares."""
     lines = (line.split() for line in Path("/proc/self/smaps_rollup").read_text().splitlines()[1:])
     return sum(1024 * int(words[1]) for words in lines if words[0].startswith("Private_"))

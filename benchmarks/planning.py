@@ -52,7 +52,7 @@ def measure_plan(request: Path) -> dict[str, Any]:
 
 
 def in_fresh_process(request: Path) -> dict[str, Any]:
-    """``measure_plan`` in a process of its own."""
+    """Run ``measure_plan`` in a new process."""
     code = (
         "import json, sys; from pathlib import Path; from benchmarks.planning import measure_plan; "
         "print(json.dumps(measure_plan(Path(sys.argv[1]))))"
@@ -65,7 +65,7 @@ def in_fresh_process(request: Path) -> dict[str, Any]:
 
 
 def summed(cpu: dict[str, float]) -> dict[str, float]:
-    """Processor seconds of perception, planning (all phases, curve and timing), certificate and the whole."""
+    """Return processor times of perception, planning (all phases, curve, timing), certificate and the whole [s]."""
     perception, certificate = cpu.get(PERCEPTION, 0.0), cpu.get(CERTIFICATE, 0.0)
     aside = cpu["import"] + cpu.get("set-up", 0.0) + sum(cpu.get(step, 0.0) for step in SET_UP)
     total = sum(cpu.values())
@@ -79,7 +79,7 @@ def summed(cpu: dict[str, float]) -> dict[str, float]:
 
 
 def measure_help() -> tuple[float, float]:
-    """Median wall and processor seconds of ``scopt --help`` in a fresh process."""
+    """Return the median wall and processor time of ``scopt --help`` in a fresh process [s]."""
     command = [sys.executable, "-c", "from service.cli.app import main; main()", "--help"]
     wall, cpu = [], []
     for _ in range(HELP_RUNS):

@@ -29,7 +29,7 @@ NAMES = (
 
 
 def main() -> int:
-    """Run them all; the number of those that failed."""
+    """Run all benchmarks; return how many failed."""
     failed = []
     for name in NAMES:
         print(f"\n== {name} ==", flush=True)

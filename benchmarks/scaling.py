@@ -1,7 +1,7 @@
-"""How time and memory grow with waypoints, pieces and joints: ``python -m benchmarks.scaling``.
+"""Growth of time and memory with waypoints, pieces and joints: ``python -m benchmarks.scaling``.
 
-A chain of turning links among boxes that leave its straight path a centimetre; one of the three numbers grows, the
-others stay.  Measured are the set-up of the problem and one cycle of the optimiser (kinematics, swept collision with
+A chain of revolute links among boxes one centimetre from its straight path; one of the three numbers grows, the others
+stay.  Measured are the set-up of the problem and one cycle of the optimiser (kinematics, swept collision with
 world and self, linearisation, quadratic program), and the memory all of it adds.
 """
 
@@ -27,7 +27,7 @@ from costs.kinematics import KinematicsEngine
 from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
 from scopt.convex_model import assemble, convexify
-from scopt.qp import backend
+from scopt.qp import select_backend
 from service.body.whole_body import Aims, WholeBody
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,7 +45,7 @@ CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in
 
 
 def chain(folder: Path, n_joints: int) -> RobotModel:
-    """A chain of box links whose joints turn about z and y in turn."""
+    """Return a chain of box links whose joints alternate between the axes z and y."""
     parts = ['<robot name="chain"><link name="base"/>']
     for k in range(n_joints):
         parent, at = ("base", 0.0) if k == 0 else (f"l{k - 1}", LINK)
@@ -61,7 +61,7 @@ def chain(folder: Path, n_joints: int) -> RobotModel:
 
 
 def boxes_around(robot: RobotModel, x: Float[np.ndarray, "T n"], n_pieces: int) -> Scene:
-    """Boxes of 2 to 15 cm beside the chain's links that leave its waypoints room."""
+    """Return boxes of 2 to 15 cm beside the chain's links that do not touch its waypoints."""
     rng = np.random.default_rng(4)
     kinematics = KinematicsEngine(robot)(x)
     pieces: list[ConvexPiece] = []
@@ -79,7 +79,7 @@ def boxes_around(robot: RobotModel, x: Float[np.ndarray, "T n"], n_pieces: int) 
 
 
 def measure(waypoints: int, pieces: int, joints: int) -> dict[str, float]:
-    """Seconds of processor time of set-up and cycle, and megabytes of memory that they add."""
+    """Return the processor time of set-up and cycle [s], and the memory that they add [MB]."""
     with tempfile.TemporaryDirectory() as folder:
         robot = chain(Path(folder), joints)
     turn = 0.35 * (-1.0) ** (np.arange(joints) // 2)
@@ -91,14 +91,14 @@ def measure(waypoints: int, pieces: int, joints: int) -> dict[str, float]:
     checker = body.checker(ends=[x[0], x[-1]])
     problem = body.problem(*body.bounds(waypoints, {0: x[0], waypoints - 1: x[-1]}), checker)
     set_up = time.process_time() - started
-    solve = backend("piqp")
+    solve = select_backend("piqp")
     is_free = (problem.upper > problem.lower).ravel()
     cycles = []
     for _ in range(N_RUNS):
         started = time.process_time()
         subproblem = assemble(convexify(problem, problem.state(x), PENALTY), is_free)
         lower, upper = (problem.lower - x).ravel(), (problem.upper - x).ravel()
-        program = subproblem.within(np.maximum(lower, -TRUST_RADIUS), np.minimum(upper, TRUST_RADIUS))
+        program = subproblem.bound_steps(np.maximum(lower, -TRUST_RADIUS), np.minimum(upper, TRUST_RADIUS))
         if not solve(program).is_usable:
             raise RuntimeError("the QP of the benchmark was not solved")
         cycles.append(time.process_time() - started)
@@ -111,7 +111,7 @@ def measure(waypoints: int, pieces: int, joints: int) -> dict[str, float]:
 
 
 def in_fresh_process(sizes: dict[str, int]) -> dict[str, float]:
-    """``measure`` in a process of its own, so that its memory is its own."""
+    """Run ``measure`` in a new process, to measure its memory alone."""
     code = (
         "import json, sys; from benchmarks.scaling import measure as m; print(json.dumps(m(**json.loads(sys.argv[1]))))"
     )
@@ -123,7 +123,7 @@ def in_fresh_process(sizes: dict[str, int]) -> dict[str, float]:
 
 
 def main() -> None:
-    """One table per axis; the last column is the exponent with which the cycle grew from the row before."""
+    """Print one table per axis; the last column is the growth exponent of the cycle from the row before."""
     for axis, values in AXES.items():
         measured = [in_fresh_process({**USUAL, axis: value}) for value in values]
         growth = [""] + [

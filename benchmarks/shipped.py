@@ -1,4 +1,4 @@
-"""The requests that ship with the project."""
+"""The bundled example requests."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FOLDER = Path(__file__).resolve().parents[1] / "examples" / "requests"
 
 
 def shipped_requests() -> list[Path]:
-    """Those of tasks that something here can plan."""
+    """Return the requests whose tasks can be planned."""
     return [path for path in sorted(FOLDER.glob("*.yaml")) if _is_planned(path)]
 
 

@@ -1,4 +1,4 @@
-"""What further starts in an idle worker are worth (``scopt serve --spread 2``): ``python -m benchmarks.spread [N]``.
+"""Gain from further starts in an idle worker (``scopt serve --spread 2``): ``python -m benchmarks.spread [N]``.
 
 Crowded scenes whose straight line is blocked are planned by one worker, then by two as a server with ``--spread 2``
 does, where the first certificate wins.  Wall time and processor time of both workers, on this machine and with whatever

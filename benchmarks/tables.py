@@ -1,4 +1,4 @@
-"""Rows of figures as plain tables, and the clocks they are measured with."""
+"""Plain tables of figures, and the clocks to measure them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ T = TypeVar("T")
 
 @dataclass
 class Samples:
-    """Wall and processor time of one step, run after run [s]."""
+    """Wall and processor time of all runs of one step [s]."""
 
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
 
     def measure(self, step: Callable[..., T], *arguments: object) -> T:
-        """Run the step once and note its times."""
+        """Run the step once and record its times."""
         wall, cpu = time.perf_counter(), time.process_time()
         outcome = step(*arguments)
         self.cpu.append(time.process_time() - cpu)
@@ -27,7 +27,7 @@ class Samples:
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A title, and columns as wide as they need to be; the first is left-aligned."""
+    """Print a title and columns of the necessary widths; the first is left-aligned."""
     widths = [max(len(row[k]) for row in (header, *rows)) for k in range(len(header))]
     print(f"\n{title}")
     for row in (header, *rows):

@@ -1,7 +1,7 @@
-"""How near to time-optimal the time laws are: ``python -m benchmarks.timing [--count N] [--seed S]``.
+"""Duration of the time laws relative to the fastest ones: ``python -m benchmarks.timing [--count N] [--seed S]``.
 
 Curves of plans through random waypoints, 1 to 6 joints.  The reference is a linear program on a fine grid
-(:mod:`benchmarks.timing_reference`); a ratio of 1.02 is a law that takes 2 % longer.  Processor time is of one law.
+(:mod:`benchmarks.timing_reference`); a ratio of 1.02 means that a law takes 2 % longer.  Processor time is of one law.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ COLUMNS = ("curves", "number", "mean", "p95", "most", "speed used", "acceleratio
 
 
 def main(count: int, seed: int) -> int:
-    """Print the table; 1 when a target is missed."""
+    """Print the table; return 1 if a target is missed."""
     rows: dict[str, list[tuple[float, ...]]] = {}
     for problem in islice(timing_problems(seed), count):
         robot, curve = problem.robot, problem.curve
@@ -48,7 +48,7 @@ def main(count: int, seed: int) -> int:
 
 
 def _print_one_joint() -> None:
-    """One joint along 2 rad at 0.5 rad/s and 3 rad/s^2: 4.17 s from rest to rest."""
+    """Print the case of one joint over 2 rad at 0.5 rad/s and 3 rad/s^2: 4.17 s from rest to rest."""
     robot = chain(np.array([0.5]), np.array([3.0]))
     rows = []
     for n_waypoints in (2, 3, 5, 8, 12, 20):

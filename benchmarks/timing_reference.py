@@ -19,7 +19,7 @@ from service.motion.spline import Path, make_spline
 
 @dataclass(frozen=True)
 class TimingProblem:
-    """A robot of revolute joints with speed and acceleration limits of their own, and a curve for it."""
+    """A robot of revolute joints with individual speed and acceleration limits, and a curve for it."""
 
     kind: str
     robot: RobotModel
@@ -33,7 +33,7 @@ def fastest_duration(
     rests: Sequence[float] = (),
     cells: int = 60,
 ) -> float:
-    """Shortest time from rest to rest within these limits [s].
+    """Return the shortest time from rest to rest within these limits [s].
 
     With x = (ds/dt)^2 at grid points and constant d2s/dt2 between them, limits of speed and acceleration (at both ends
     of each cell) are linear in x; the largest sum of x is the largest x everywhere.  ds/dt vanishes at a rest only
@@ -79,7 +79,7 @@ def fastest_duration(
 
 
 def timing_problems(seed: int) -> Iterator[TimingProblem]:
-    """Problems without end: 1 to 6 joints, 3 to 15 waypoints on straight lines, waves and random walks in turn."""
+    """Yield endless problems: 1 to 6 joints, 3 to 15 waypoints on straight lines, waves and random walks in turn."""
     rng = np.random.default_rng(seed)
     while True:
         for kind in ("straight", "wave", "walk"):
@@ -97,13 +97,13 @@ def timing_problems(seed: int) -> Iterator[TimingProblem]:
 
 
 def spline_through(robot: RobotModel, q: Float[np.ndarray, "T n"]) -> Curve:
-    """The curve that plans take through these waypoints."""
+    """Return the curve that plans take through these waypoints."""
     path = Path("path", q, ())
     return make_spline(KinematicsEngine(robot), [path], robot.lower, robot.upper, robot.velocity).curve
 
 
 def chain(velocity: Float[np.ndarray, "n"], acceleration: Float[np.ndarray, "n"]) -> RobotModel:
-    """A chain of revolute joints without bodies or weight."""
+    """Return a chain of revolute joints without bodies or weight."""
     model = pin.Model()
     for k in range(len(velocity)):
         model.addJoint(k, pin.JointModelRZ(), pin.SE3.Identity(), f"joint{k}")

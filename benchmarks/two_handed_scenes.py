@@ -61,13 +61,13 @@ PALMS = ("l_tool", "r_tool")
 BEAM_LENGTHS = (0.3, 0.8)  # between the palms [m]
 BEAM_TURN = 0.4  # of the palms against each other and of the beam on its way, standard deviation about each axis [rad]
 BEAM_TRAVEL, BEAM_DETOUR = (0.25, 0.6), (0.25, 0.5)  # from start to goal, and from the middle between them [m]
-MOST_BATCHES = 4  # of thrown boxes, to find those in the way
+MOST_BATCHES = 4  # of drawn boxes, to find boxes that block the straight line
 BEAM_WIDTH, BEAM_OVERHANG, BEAM_MASS_KG = 0.04, 0.3, 3.0  # [m, m, kg]
-LARGEST_STEP = 0.6  # of a joint between waypoints: a longer one leads to another way of holding the beam [rad]
+LARGEST_STEP = 0.6  # of a joint between waypoints; a longer step changes how the beam is held [rad]
 
 
 def two_handed_scenes(robot: RobotModel, n_boxes: int, task: Task, seed: int = 0) -> Iterator[CrowdedScene]:
-    """Problems without end, the same for the same arguments.
+    """Yield problems without end, the same for the same arguments.
 
     Args:
         robot: the bundled Atlas.
@@ -85,7 +85,7 @@ def two_handed_scenes(robot: RobotModel, n_boxes: int, task: Task, seed: int = 0
 
 
 def _scene(robot: RobotModel, name: str, rng: np.random.Generator, n_boxes: int, task: Task) -> CrowdedScene | None:
-    """A problem, or None when the draw came to nothing."""
+    """Return a problem, or None if the draw failed."""
     body = _body(robot, _request(robot, robot.postures[START]))
     if task in GRIPPING:
         grasp = _grasped(body, rng, task)
@@ -138,7 +138,7 @@ def _request(
 
 
 def _beam(robot: RobotModel, start: Float[np.ndarray, "n"]) -> dict[str, Any]:
-    """A beam through both palms."""
+    """Return a beam through both palms."""
     across = relative_pose(robot, start, PALMS[1], PALMS[0])[:3, 3]
     length = float(np.linalg.norm(across))
     turn, _ = Rotation.align_vectors(across[None] / length, [[0.0, 1.0, 0.0]])
@@ -169,14 +169,14 @@ def _target(palm: str, place: Float[np.ndarray, "4 4"], is_pose: bool) -> PoseTa
 
 
 def _body(robot: RobotModel, request: PlanRequest, balance_margin: float = BALANCE_MARGIN + 0.01) -> WholeBody:
-    """The robot of a request on its feet, with what it keeps."""
+    """Return the body of a request's robot on its feet, with its kept poses."""
     setup = prepare(request, robot=robot)
     body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, Aims(MARGIN, balance_margin))
     return replace(body, kept=setup.kept)
 
 
 def _grasped(body: WholeBody, rng: np.random.Generator, task: Task) -> WholeBody | None:
-    """The robot with its palms at a random relative pose, which it keeps; None where it cannot stand so."""
+    """Return the robot with a random kept pose between its palms; None if it cannot stand so."""
     wanted = relative_pose(body.robot, body.nominal, PALMS[1], PALMS[0])
     apart = wanted[:3, 3] / np.linalg.norm(wanted[:3, 3])
     wanted[:3, 3] = rng.uniform(*BEAM_LENGTHS) * apart
@@ -187,12 +187,12 @@ def _grasped(body: WholeBody, rng: np.random.Generator, task: Task) -> WholeBody
         return None
     try:
         return _body(body.robot, _request(body.robot, start, task=task))
-    except RequestError:  # the beam is in the robot
+    except RequestError:  # the beam overlaps the robot
         return None
 
 
 def _drawn_path(body: WholeBody, rng: np.random.Generator) -> Float[np.ndarray, "T n"] | None:
-    """A motion of the robot alone to a random posture through another one; None where there is none."""
+    """Draw a motion without obstacles to a random posture through another one; None if none is found."""
     start = body.nominal
     goal = _carrying(body, start, rng, BEAM_TRAVEL) if body.kept else _both_arms_moved(body, rng)
     if goal is None:
@@ -210,13 +210,13 @@ def _drawn_path(body: WholeBody, rng: np.random.Generator) -> Float[np.ndarray, 
 
 
 def _both_arms_moved(body: WholeBody, rng: np.random.Generator) -> Float[np.ndarray, "n"] | None:
-    """A posture near the start with both arms, the back and the knees bent at random; None where there is none."""
+    """Return a posture near the start with arms, back and knees bent at random; None if none is found."""
     one = replace(body, nominal=random_posture(body, rng, SIDES[0]))
     return standing_near(body, random_posture(one, rng, SIDES[1]))
 
 
 def _strayed(body: WholeBody, q: Float[np.ndarray, "n"], rng: np.random.Generator) -> Float[np.ndarray, "n"] | None:
-    """A posture near ``q`` with both arms elsewhere; None where there is none."""
+    """Return a posture near ``q`` with both arms moved; None if none is found."""
     robot, q = body.robot, q.copy()
     arms = [robot.joint_names.index(joint) for side in SIDES for joint in robot.groups[arm_of(side)]]
     q[arms] += rng.normal(0.0, STRAY, len(arms))
@@ -226,7 +226,7 @@ def _strayed(body: WholeBody, q: Float[np.ndarray, "n"], rng: np.random.Generato
 def _carrying(
     body: WholeBody, q: Float[np.ndarray, "n"], rng: np.random.Generator, travel: tuple[float, float]
 ) -> Float[np.ndarray, "n"] | None:
-    """A posture near ``q`` with the beam moved by a random step and turned at random; None where there is none."""
+    """Return a posture near ``q`` with the beam moved and turned at random; None if none is found."""
     place = planted_poses(body.engine, q, PALMS)[PALMS[0]]
     step = rng.normal(size=3)
     place[:3, 3] += rng.uniform(*travel) * step / np.linalg.norm(step)
@@ -246,9 +246,9 @@ def _carrying(
 def _boxes(
     body: WholeBody, rng: np.random.Generator, path: Float[np.ndarray, "T n"], n_boxes: int
 ) -> list[dict[str, Any]] | None:
-    """Boxes close to the robot that leave a motion room; some are in the way of the hands on the straight line.
+    """Return boxes close to the robot that do not block a motion; some block the straight line of the hands.
 
-    None where too few of those are found.
+    None if too few of the latter are found.
     """
     robot = body.robot
     known, direct = body.engine(path), body.engine(straight_path(path[0], path[-1], len(path)))
@@ -273,6 +273,6 @@ def _boxes(
 
 
 def _motion(body: WholeBody, path: Float[np.ndarray, "T n"], targets: tuple[PoseTarget, ...]) -> Motion:
-    """The timed curve through the waypoints, to be certified as a reach of the goals."""
+    """Return the timed curve through the waypoints as a reach of the goals, for the verifier."""
     phase = PlannedPhase("reach", path, True, targets=lambda s_last: tuple(replace(t, at=s_last) for t in targets))
     return make_motion(TaskPlan(body, (phase,)), TIMING)

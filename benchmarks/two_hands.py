@@ -29,7 +29,7 @@ COLUMNS = (
 
 
 def summary(task: Task, boxes: int, runs: Sequence[Run], generation_s: float) -> tuple[str, ...]:
-    """One row of the table."""
+    """Return one row of the table."""
     cpu = [run.cpu_s for run in runs]
     certified = sum(run.is_certified for run in runs)
     return (
@@ -67,7 +67,7 @@ def main() -> None:
                     print(f"{scene.name}: {runs[-1].cpu_s:.2f} s {runs[-1].reason}", flush=True)
             rows.append(summary(task, boxes, runs, generation_s))
             below.append(f"  {task} {boxes}: steps [mean ms]: {steps(runs)}\n    failures: {failures(runs)}")
-    print_table("Two hands among boxes", COLUMNS, rows)
+    print_table("Atlas with both hands among boxes", COLUMNS, rows)
     print("\n".join(below))
 
 

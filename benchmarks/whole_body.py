@@ -48,7 +48,7 @@ class Run:
 
     @property
     def reason(self) -> str:
-        """Verdict, and which step or check it is owed to."""
+        """Verdict, and the step or check that caused it."""
         if self.is_certified:
             return self.result.verdict.value
         verdict, conflict = self.result.verdict.value, self.result.conflict
@@ -62,7 +62,7 @@ class Run:
 
 @dataclass
 class Clock:
-    """Processor time by step, read from the planner's progress."""
+    """Processor time by step, from the planner's progress reports."""
 
     step: str = "set-up"
     since: float = field(default_factory=time.process_time)
@@ -85,7 +85,7 @@ def run(scene: CrowdedScene, robot: RobotModel) -> Run:
 
 
 def summary(boxes: int, goal: str, runs: Sequence[Run], generation_s: float) -> tuple[str, ...]:
-    """One row of the table."""
+    """Return one row of the table."""
     cpu = [run.cpu_s for run in runs]
     certified = sum(run.is_certified for run in runs)
     return (
@@ -101,14 +101,14 @@ def summary(boxes: int, goal: str, runs: Sequence[Run], generation_s: float) -> 
 
 
 def steps(runs: Sequence[Run]) -> str:
-    """Mean processor milliseconds of each step."""
+    """Return the mean processor time of each step [ms]."""
     names = dict.fromkeys(step for run in runs for step in run.cpu_of_step)
     mean = {step: 1e3 * sum(run.cpu_of_step.get(step, 0.0) for run in runs) / len(runs) for step in names}
     return ", ".join(f"{step} {milliseconds:.0f}" for step, milliseconds in mean.items() if milliseconds >= 1.0)
 
 
 def failures(runs: Iterable[Run]) -> str:
-    """Reasons of what was not certified, the commonest first."""
+    """Return the reasons of runs without a certificate, the most common first."""
     reasons = Counter(run.reason for run in runs if not run.is_certified)
     return "; ".join(f"{count} {reason}" for reason, count in reasons.most_common()) or "none"
 

@@ -18,13 +18,13 @@ from perception.cloud import Cloud
 from perception.convex.clock import Clock
 from perception.convex.piece import Piece
 from perception.convex.pieces import Pieces, make_pieces
-from perception.convex.unknown import unknown_pieces
+from perception.convex.unknown import make_unknown_pieces
 from perception.detect.registry import detect_kinds
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.bodies import ValveDetection
 from perception.errors import MeshError
 from perception.ground.floor import FloorPlane, floor_pieces
-from perception.solids.match import KnownMesh, MeshMatch, located
+from perception.solids.match import KnownMesh, MeshMatch, locate
 from perception.solids.pieces import make_coacd_pieces
 from perception.view import View, make_view
 
@@ -144,7 +144,7 @@ def _perceive(
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
     if unknown == "occupied":
-        hidden = unknown_pieces(view.cloud.rays, reach, view.floors, robot_hulls, soles)
+        hidden = make_unknown_pieces(view.cloud.rays, reach, view.floors, robot_hulls, soles)
         clock.lap("unknown")
     scene = Scene((*floor_pieces(view.floors, view.reach), *parts, *(piece.shape for piece in made.pieces), *hidden))
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
@@ -180,7 +180,7 @@ def find_meshes(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[st
     for mesh in known:
         poll()
         _check_span(mesh, view)
-        matches[mesh.name] = located(mesh, view)
+        matches[mesh.name] = locate(mesh, view)
         clock.lap("known meshes")
     return matches
 

@@ -14,11 +14,11 @@ from perception.cleaning.clean import Reach
 from perception.cleaning.locally import LocalJudge
 from perception.cloud import Cloud
 from perception.convex.clock import Clock
-from perception.convex.hulls import hull_of
+from perception.convex.hulls import make_hull
 from perception.convex.piece import Piece
 from perception.convex.standing import Ground
-from perception.convex.unknown import unknown_pieces
-from perception.convex.updated import Judge, Updated, updated_pieces
+from perception.convex.unknown import make_unknown_pieces
+from perception.convex.updated import Judge, Updated, update_pieces
 from perception.detect.shared.detection import Detection
 from perception.ground.floor import FloorPlane, floor_pieces, on_floors
 from perception.ground.levels_again import may_be_level
@@ -90,7 +90,7 @@ def update(
     view, pieces = seen.view, seen.pieces
     hidden: tuple[ConvexPiece, ...] = ()
     if any(piece.kind == "unknown" for piece in earlier.scene.pieces):
-        hidden = unknown_pieces(view.cloud.rays, earlier.reach, view.floors, robot_hulls, soles)
+        hidden = make_unknown_pieces(view.cloud.rays, earlier.reach, view.floors, robot_hulls, soles)
         clock.lap("unknown")
     stem = [piece for piece in earlier.scene.pieces if piece.kind == "stem"]
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in seen.timings.items()}
@@ -145,9 +145,9 @@ def _hold_against(
     clock.lap("view")
     matches = {**earlier.matches, **find_meshes(known, view, clock)}
     kept = drop_explained(view.obstacles, kept, matches)
-    hulls = tuple(hull_of(piece.vertices, kept[:0]).simplified for piece in floors)
+    hulls = tuple(make_hull(piece.vertices, kept[:0]).simplified for piece in floors)
     judge = None if cleaned else _judge(view.near, ~is_floor, kept)
-    made = updated_pieces(
+    made = update_pieces(
         earlier.pieces,
         view.obstacles[kept],
         view.starts[kept],

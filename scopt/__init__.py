@@ -7,7 +7,8 @@ from scopt.expression import ConvexExpression
 from scopt.problem import Constraint, Cost, Penalty, Problem, Sense
 from scopt.residual import Residual
 from scopt.result import Iteration, Result, Status
-from scopt.sqp import Settings, TrustRegionSQP
+from scopt.settings import Settings
+from scopt.sqp import TrustRegionSQP
 
 __all__ = [
     "AffineRows",

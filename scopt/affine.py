@@ -23,11 +23,11 @@ class AffineRows:
     jacobian: sparse.csr_array
 
     def at(self, dx: Float[np.ndarray, "N"]) -> Float[np.ndarray, "m"]:
-        """The model's value after a step ``dx``."""
+        """Return the model's value after a step ``dx``."""
         return np.asarray(self.value + self.jacobian @ dx)
 
-    def part(self, start: int, stop: int) -> AffineRows:
-        """The rows ``start`` to ``stop - 1``."""
+    def slice_rows(self, start: int, stop: int) -> AffineRows:
+        """Return the rows ``start`` to ``stop - 1``."""
         jacobian = self.jacobian
         first, last = int(jacobian.indptr[start]), int(jacobian.indptr[stop])
         stored = jacobian.data[first:last], jacobian.indices[first:last], jacobian.indptr[start : stop + 1] - first
@@ -35,12 +35,12 @@ class AffineRows:
 
     @staticmethod
     def empty(n_variables: int) -> AffineRows:
-        """No rows."""
+        """Return no rows."""
         return AffineRows(np.zeros(0), sparse.csr_array((0, n_variables)))
 
     @staticmethod
     def stack(parts: Sequence[AffineRows]) -> AffineRows:
-        """The rows of all parts, one after the other."""
+        """Return the rows of all parts in their order."""
         if len(parts) == 1:
             return parts[0]
         jacobians = [part.jacobian for part in parts]
@@ -60,7 +60,7 @@ class AffineRows:
         blocks: Float[np.ndarray, "m k n"],
         n_waypoints: int,
     ) -> AffineRows:
-        """Rows that each touch ``k`` consecutive waypoints; exact zeros are not stored.
+        """Make rows that each touch ``k`` consecutive waypoints; exact zeros are not stored.
 
         Args:
             value: (m,) residual.

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
 from scopt.affine import AffineRows
-from scopt.exact_terms import ExactTerm, with_exact_terms
-from scopt.expression import ConvexExpression, iterate_of
+from scopt.exact_terms import ExactTerm, add_exact_terms
+from scopt.expression import ConvexExpression, read_iterate
 from scopt.problem import Penalty, Problem, Sense
 from scopt.qp import QuadraticProgram
 from scopt.residual import Residual
@@ -46,7 +46,7 @@ class ConvexModel:
     exact: tuple[ExactTerm, ...] = ()
 
     def merit(self, dx: Float[np.ndarray, "N"]) -> float:
-        """The modelled merit after a step ``dx``."""
+        """Return the modelled merit after a step ``dx``."""
         squared = self.squared.rows.at(dx)
         return float(
             self.squared.weight @ squared**2
@@ -55,75 +55,80 @@ class ConvexModel:
             + sum(term.merit(dx) for term in self.exact)
         )
 
+    def select_constraint(self, name: str) -> AffineRows:
+        """Return a constraint's rows."""
+        kind, rows = self.constraint_rows[name]
+        return (self.absolute if kind is Penalty.ABS else self.hinge).rows.slice_rows(rows.start, rows.stop)
 
-def convexify(problem: Problem[Any], state: Any, penalty: float, *, is_affine: bool = False) -> ConvexModel:
-    """Linearise every term of the problem at ``state``; constraints enter as l1 penalties, ``mu = penalty``.
 
-    Convex expressions stay as they are unless ``is_affine`` asks for rows of them too.
+def convexify(problem: Problem[Any], state: Any, mu: float, *, is_affine: bool = False) -> ConvexModel:
+    """Linearise every term of the problem at ``state``; constraints enter as l1 penalties of weight ``mu``.
+
+    Convex expressions stay as they are unless ``is_affine``.
     """
     n_waypoints, n = problem.lower.shape
     parts: Mapping[Penalty, list[WeightedRows]] = {kind: [] for kind in Penalty}
     exact: list[ExactTerm] = []
     for cost in problem.costs:
         if _is_exact(cost.residual) and not is_affine:
-            exact.append(ExactTerm(cost.residual, cost.penalty, cost.weight, iterate_of(state)))
+            exact.append(ExactTerm(cost.residual, cost.penalty, cost.weight, read_iterate(state)))
             continue
         rows = cost.linearize(state)
         parts[cost.penalty].append(WeightedRows(rows, np.full(len(rows.value), cost.weight)))
-    placed: dict[str, tuple[Penalty, slice]] = {}
+    constraint_rows: dict[str, tuple[Penalty, slice]] = {}
     for constraint in problem.constraints:
         if _is_exact(constraint.residual) and not is_affine:
-            weight = penalty * constraint.scale
-            exact.append(ExactTerm(constraint.residual, Penalty.HINGE, weight, iterate_of(state)))
+            weight = mu * constraint.scale
+            exact.append(ExactTerm(constraint.residual, Penalty.HINGE, weight, read_iterate(state)))
             continue
         rows = constraint.linearize(state)
         kind = Penalty.ABS if constraint.sense is Sense.EQUAL_ZERO else Penalty.HINGE
         start = sum(len(part.weight) for part in parts[kind])
-        placed[constraint.name] = (kind, slice(start, start + len(rows.value)))
-        parts[kind].append(WeightedRows(rows, np.full(len(rows.value), penalty * constraint.scale)))
-    joined = {kind: _join(parts[kind], n_waypoints * n) for kind in Penalty}
-    affine = joined[Penalty.SQUARED], joined[Penalty.ABS], joined[Penalty.HINGE]
-    return ConvexModel(*affine, placed, n_waypoints, n, tuple(exact))
+        constraint_rows[constraint.name] = (kind, slice(start, start + len(rows.value)))
+        parts[kind].append(WeightedRows(rows, np.full(len(rows.value), mu * constraint.scale)))
+    stacked = {kind: _stack(parts[kind], n_waypoints * n) for kind in Penalty}
+    affine = stacked[Penalty.SQUARED], stacked[Penalty.ABS], stacked[Penalty.HINGE]
+    return ConvexModel(*affine, constraint_rows, n_waypoints, n, tuple(exact))
 
 
 def _is_exact(residual: Residual[Any]) -> TypeGuard[ConvexExpression[Any]]:
-    """Whether a residual enters the model as it is."""
+    """Return whether a residual enters the model as it is."""
     return isinstance(residual, ConvexExpression) and not residual.is_affine
 
 
-def _join(parts: list[WeightedRows], n_variables: int) -> WeightedRows:
-    filled = [part for part in parts if len(part.weight)]
-    if not filled:
+def _stack(parts: list[WeightedRows], n_variables: int) -> WeightedRows:
+    nonempty = [part for part in parts if len(part.weight)]
+    if not nonempty:
         return WeightedRows(AffineRows.empty(n_variables), np.zeros(0))
-    return WeightedRows(AffineRows.stack([p.rows for p in filled]), np.concatenate([p.weight for p in filled]))
+    return WeightedRows(AffineRows.stack([p.rows for p in nonempty]), np.concatenate([p.weight for p in nonempty]))
 
 
 @dataclass(frozen=True)
 class Subproblem:
-    """A quadratic program whose bounds follow the trust box, and the way back to a step.
+    """Quadratic program of a convex model, whose bounds follow the trust box.
 
     Attributes:
         program: over the free step variables and one slack per l1 row, in stage order.
         step_index: (F,) where each free step variable stands in the program.
         is_free: (N,) which step variables are in the program; the others do not move.
         row_order: (M,) where each row of the program stands among the hinge, absolute and negated absolute rows.
-        softened: makes the same with penalties in place of its equalities; None where it has none.
+        soften: returns the same with penalties in place of equalities; None where it has none.
     """
 
     program: QuadraticProgram
     step_index: Int[np.ndarray, "F"]
     is_free: Bool[np.ndarray, "N"]
     row_order: Int[np.ndarray, "M"]
-    softened: Callable[[], Subproblem] | None = None
+    soften: Callable[[], Subproblem] | None = None
 
-    def within(self, lower: Float[np.ndarray, "N"], upper: Float[np.ndarray, "N"]) -> QuadraticProgram:
-        """The program for the step bounds ``lower <= dx <= upper``."""
+    def bound_steps(self, lower: Float[np.ndarray, "N"], upper: Float[np.ndarray, "N"]) -> QuadraticProgram:
+        """Return the program with the step bounds ``lower <= dx <= upper``."""
         low, high = self.program.lower.copy(), self.program.upper.copy()
         low[self.step_index], high[self.step_index] = lower[self.is_free], upper[self.is_free]
         return replace(self.program, lower=low, upper=high)
 
-    def step(self, solution: Float[np.ndarray, "M"]) -> Float[np.ndarray, "N"]:
-        """The step ``dx`` of a solution of the program."""
+    def extract_step(self, solution: Float[np.ndarray, "M"]) -> Float[np.ndarray, "N"]:
+        """Return the step ``dx`` of a solution of the program."""
         dx = np.zeros(len(self.is_free))
         dx[self.is_free] = solution[self.step_index]
         return dx
@@ -140,16 +145,16 @@ def assemble(
     Args:
         model: what to minimise.
         is_free: (N,) which step variables may move.
-        is_hard: (A,) absolute rows that become equalities: where their penalty would keep them at zero, that is the
-            same with two rows and a slack less for each.
+        is_hard: (A,) absolute rows that become equalities, which saves two rows and a slack each; the same where their
+            penalty would keep them at zero.
     """
     if is_hard is not None and is_hard.any():
-        soft = replace(model, absolute=_chosen(model.absolute, ~is_hard))
+        soft = replace(model, absolute=_select_rows(model.absolute, ~is_hard))
         subproblem = assemble(soft, is_free)
-        E, f = _equalities(_chosen(model.absolute, is_hard), subproblem)
+        E, f = _make_equalities(_select_rows(model.absolute, is_hard), subproblem)
         program = replace(subproblem.program, E=E, f=f) if len(f) else subproblem.program
-        return replace(subproblem, program=program, softened=lambda: assemble(model, is_free))
-    spans = [_span(part.rows.jacobian, model.n) for part in (model.squared, model.absolute, model.hinge)]
+        return replace(subproblem, program=program, soften=lambda: assemble(model, is_free))
+    spans = [_find_span(part.rows.jacobian, model.n) for part in (model.squared, model.absolute, model.hinge)]
     longest = max(1, *(int((last - first).max(initial=0)) for first, last in spans))
     stage_of_waypoint = np.arange(model.n_waypoints) // longest
     stage_of_step = np.repeat(stage_of_waypoint, model.n)[is_free]
@@ -169,7 +174,7 @@ def assemble(
     column[is_free] = position[:n_steps]
     slack = position[n_steps:]
     c = np.zeros(total)
-    P = _quadratic(model.squared, column, c, total)
+    P = _make_hessian(model.squared, column, c, total)
     c[slack] = np.concatenate([part.weight for part in l1])
 
     n_hinge = len(model.hinge.weight)
@@ -178,22 +183,22 @@ def assemble(
     by_stage = np.argsort(np.concatenate([stage_of_slack, stage_of_slack[n_hinge:]]), kind="stable")
     row_at = np.empty(len(by_stage), dtype=np.int64)
     row_at[by_stage] = np.arange(len(by_stage))
-    G = _rows_with_slacks(model, column, row_at, slack_of_row, total)
+    G = _make_rows(model, column, row_at, slack_of_row, total)
     lower, upper = np.full(total, -np.inf), np.full(total, np.inf)
     lower[slack] = 0.0
-    program = QuadraticProgram(P, c, G, _bounds(model)[by_stage], lower, upper)
+    program = QuadraticProgram(P, c, G, _stack_bounds(model)[by_stage], lower, upper)
     if model.exact:
-        program = with_exact_terms(program, model.exact, column)
+        program = add_exact_terms(program, model.exact, column)
     return Subproblem(program, position[:n_steps], is_free, by_stage)
 
 
-def _chosen(rows: WeightedRows, these: Bool[np.ndarray, "m"]) -> WeightedRows:
+def _select_rows(rows: WeightedRows, these: Bool[np.ndarray, "m"]) -> WeightedRows:
     at = np.flatnonzero(these)
     return WeightedRows(AffineRows(rows.rows.value[at], rows.rows.jacobian[at]), rows.weight[at])
 
 
-def _equalities(rows: WeightedRows, subproblem: Subproblem) -> tuple[sparse.csc_array, Float[np.ndarray, "Q"]]:
-    """The rows at zero in the variables of the program; rows that nothing free moves are left out."""
+def _make_equalities(rows: WeightedRows, subproblem: Subproblem) -> tuple[sparse.csc_array, Float[np.ndarray, "Q"]]:
+    """Return the rows at zero in the program's variables, without those that no free variable moves."""
     jacobian = rows.rows.jacobian.tocoo()
     column = np.full(len(subproblem.is_free), -1, dtype=np.int64)
     column[subproblem.is_free] = subproblem.step_index
@@ -205,13 +210,13 @@ def _equalities(rows: WeightedRows, subproblem: Subproblem) -> tuple[sparse.csc_
     return E, -rows.rows.value[moving]
 
 
-def _bounds(model: ConvexModel) -> np.ndarray:
-    """Right-hand sides of the hinge, absolute and negated absolute rows."""
+def _stack_bounds(model: ConvexModel) -> np.ndarray:
+    """Stack the right-hand sides of the hinge, absolute and negated absolute rows."""
     return np.concatenate([-model.hinge.rows.value, -model.absolute.rows.value, model.absolute.rows.value])
 
 
-def _span(jacobian: sparse.csr_array, n: int) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-    """(m,) first and last waypoint each row touches; 0 for rows that touch none."""
+def _find_span(jacobian: sparse.csr_array, n: int) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    """Return the first and last waypoint each row touches; 0 for rows that touch none."""
     counts = np.diff(jacobian.indptr)
     first, last = np.zeros(len(counts), dtype=np.int64), np.zeros(len(counts), dtype=np.int64)
     filled = counts > 0
@@ -222,8 +227,8 @@ def _span(jacobian: sparse.csr_array, n: int) -> tuple[Int[np.ndarray, "m"], Int
     return first // n, last // n
 
 
-def _quadratic(squared: WeightedRows, column: np.ndarray, c: np.ndarray, total: int) -> sparse.csc_array:
-    """Hessian of the squared rows in the program's order; adds their gradient to ``c``."""
+def _make_hessian(squared: WeightedRows, column: np.ndarray, c: np.ndarray, total: int) -> sparse.csc_array:
+    """Return the Hessian of the squared rows in the program's order; add their gradient to ``c``."""
     jacobian = squared.rows.jacobian
     gradient = 2.0 * (jacobian.T @ (squared.weight * squared.rows.value))
     free = column >= 0
@@ -236,14 +241,14 @@ def _quadratic(squared: WeightedRows, column: np.ndarray, c: np.ndarray, total: 
     return sparse.csc_array((hessian.data[keep], (row[keep], col[keep])), shape=(total, total))
 
 
-def _rows_with_slacks(
+def _make_rows(
     model: ConvexModel,
     column: Int[np.ndarray, "N"],
     row_at: Int[np.ndarray, "M"],
     slack_of_row: Int[np.ndarray, "M"],
     total: int,
 ) -> sparse.csc_array:
-    """``J dx - slack`` of hinge rows, absolute and negated absolute ones, each at its row of the program."""
+    """Return ``J dx - slack`` of hinge, absolute and negated absolute rows, each at its row of the program."""
     hinge, absolute = model.hinge.rows.jacobian, model.absolute.rows.jacobian
     n_hinge, n_absolute = hinge.shape[0], absolute.shape[0]
     of_hinge = np.repeat(np.arange(n_hinge), np.diff(hinge.indptr))

@@ -1,4 +1,4 @@
-"""Second-order correction: a step is bent so that smooth constraints end where their linear model said they would."""
+"""Second-order correction of steps, after which smooth constraints have the values their linear model promised."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from jaxtyping import Bool, Float, Int
 
 from scopt.affine import AffineRows
 from scopt.convex_model import ConvexModel
-from scopt.problem import Constraint, Penalty, Problem, Sense
+from scopt.problem import Constraint, Problem, Sense
 
 ROUNDS = 3  # each leaves of the error what the correction's own curvature makes
-MOST_ROUNDS = 8  # those in which variables meet their bounds included
+MOST_ROUNDS = 8  # including rounds in which variables meet their bounds
 NEGLIGIBLE = 1e-9  # errors below it are left [unit of the residual]
 DAMPING = 1e-9  # of the normal equations, for rows that depend on one another
-MOST = 0.5  # a correction longer than this share of the step is no small correction
+MOST = 0.5  # share of the step; a longer correction is not made
 
 
 @dataclass(frozen=True)
 class Correction:
-    """The least change of a step that takes the curvature out of smooth constraints.
+    """Least change of a step that removes the curvature of smooth constraints.
 
-    Nocedal and Wright, Numerical Optimization, 2006, eq. 15.36: ``-A^T (A A^T)^-1 (c(x + p) - (c + A p))``, in a metric
-    in which the variables of ``Problem.mobility`` move readily.  Planted feet are such constraints: without it their
-    curvature makes the merit refuse every long step (the Maratos effect).  Rows are solved waypoint by waypoint.
+    Nocedal and Wright, Numerical Optimization, 2006, eq. 15.36: ``-A^T (A A^T)^-1 (c(x + p) - (c + A p))``, in the
+    metric of ``Problem.mobility``.  Without it the curvature of planted feet makes the merit refuse every long step
+    (the Maratos effect).  Rows are solved waypoint by waypoint.
 
     Attributes:
-        problem: whose constraints these are.
+        problem: the problem.
         x: (T, n) the iterate.
         smooth: the constraints that are corrected.
         rows: (m,) their rows in the model.
-        is_equal: (m,) whether a row is to be zero; else at most zero.
+        is_equal: (m,) whether a row must be zero; else at most zero.
         place: (m,) where each row stands in the (T, K) rows of all waypoints.
         jacobian: (T, K, n) of each waypoint's rows, zero for places without one.
         mobility: (T, n) the metric ``M``, zero for fixed variables.
@@ -49,20 +49,20 @@ class Correction:
 
     @staticmethod
     def of(problem: Problem[Any], x: Float[np.ndarray, "T n"], model: ConvexModel) -> Correction | None:
-        """The correction of steps from ``x``; None where no constraint is smooth."""
+        """Return the correction of steps from ``x``; None where no constraint is smooth."""
         smooth = tuple(c for c in problem.constraints if c.residual.is_smooth and c.name in model.constraint_rows)
         if not smooth:
             return None
-        parts = [_rows_of(model, constraint.name) for constraint in smooth]
+        parts = [model.select_constraint(constraint.name) for constraint in smooth]
         rows = AffineRows.stack(parts)
         is_equal = np.repeat([c.sense is Sense.EQUAL_ZERO for c in smooth], [len(part.value) for part in parts])
-        place, jacobian = _by_waypoint(rows, *x.shape)
+        place, jacobian = _sort_by_waypoint(rows, *x.shape)
         mobility = np.ones(x.shape[1]) if problem.mobility is None else problem.mobility
         mobility = np.where(problem.upper > problem.lower, mobility, 0.0)
         return Correction(problem, x, smooth, rows, is_equal, place, jacobian, mobility)
 
     def __call__(self, dx: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-        """The step ``dx`` bent, or as it is where the least change would not be small."""
+        """Return the corrected step, or ``dx`` itself where the correction would not be small."""
         problem = self.problem
         measure = problem.state if problem.smooth_state is None else problem.smooth_state
         lower, upper = problem.lower - self.x, problem.upper - self.x
@@ -79,12 +79,12 @@ class Correction:
             if np.abs(error).max() < NEGLIGIBLE:
                 break
             change = self._least_change(error, mobility)
-            if not np.abs(change).max() <= most:  # nor is a change that is no number
+            if not np.abs(change).max() <= most:  # also true of NaN
                 return dx
             wanted = bent - change
             bent = np.clip(wanted, lower, upper)
             is_free = bent == wanted
-            mobility = np.where(is_free, mobility, 0.0)  # what has met its bound is of no more help
+            mobility = np.where(is_free, mobility, 0.0)  # variables at their bounds cannot help
             rounds += int(is_free.all())
             if rounds == ROUNDS:
                 break
@@ -93,7 +93,7 @@ class Correction:
     def _least_change(
         self, error: Float[np.ndarray, "m"], mobility: Float[np.ndarray, "T n"]
     ) -> Float[np.ndarray, "T n"]:
-        """The least change that the linear model answers with ``error``; rows without one are left free."""
+        """Return the least change that changes the linear model by ``error``; rows without an error are left free."""
         n_waypoints, most, _ = self.jacobian.shape
         wanted = np.zeros(n_waypoints * most)
         wanted[self.place] = error
@@ -107,13 +107,10 @@ class Correction:
         return np.asarray((moved @ np.linalg.solve(system, wanted * is_off))[:, :, 0])
 
 
-def _rows_of(model: ConvexModel, name: str) -> AffineRows:
-    kind, rows = model.constraint_rows[name]
-    return (model.absolute if kind is Penalty.ABS else model.hinge).rows.part(rows.start, rows.stop)
-
-
-def _by_waypoint(rows: AffineRows, n_waypoints: int, n: int) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "T K n"]]:
-    """Rows sorted to the waypoint they touch: where each stands, and the Jacobians (those of their first waypoint)."""
+def _sort_by_waypoint(
+    rows: AffineRows, n_waypoints: int, n: int
+) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "T K n"]]:
+    """Sort rows by the first waypoint they touch: return where each stands, and their Jacobians there."""
     jacobian = rows.jacobian
     counts = np.diff(jacobian.indptr)
     waypoint = np.zeros(len(counts), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Holds a residual's own derivative against central differences and says where it is farthest off."""
+"""Comparison of a residual's own derivative with central differences."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ TOLERANCE = 1e-5  # of a slope, absolute up to 1 and relative above; central dif
 
 @dataclass(frozen=True)
 class DerivativeCheck:
-    """Where a derivative is farthest from central differences.
+    """Largest difference between a derivative and central differences.
 
     Attributes:
         term: class of the residual.
         error: the largest difference, absolute for slopes up to 1 and relative above.
         row, waypoint, variable: where.
-        variable_name: of the variable where it is known, else empty.
+        variable_name: empty where the state has no ``variable_names``.
         given, measured: the derivative there, and its central difference.
         tolerance: largest error that passes.
     """
@@ -49,7 +49,7 @@ class DerivativeCheck:
         name = f" ('{self.variable_name}')" if self.variable_name else ""
         return (
             f"'{self.term}': the derivative of row {self.row} along waypoint {self.waypoint}, variable {self.variable}"
-            f"{name} is {self.given:.6g}, central differences say {self.measured:.6g}"
+            f"{name} is {self.given:.6g}, central differences give {self.measured:.6g}"
         )
 
 
@@ -64,12 +64,12 @@ def check_derivative(
     Args:
         residual: with the same rows at ``x`` and around it.
         state: that of the problem (``Problem.state``).
-        x: (T, n); a random one tells more than a tidy one.
+        x: (T, n); random values show more errors than round ones.
         tolerance: largest error that passes.
 
     Raises:
         DerivativeError: the rows of ``linearize`` are not those of ``value``, their Jacobian has the wrong shape, or
-            the value is not finite or comes and goes.
+            the value is not finite or its number of rows changes.
     """
     term = type(residual).__name__
     here = state(x)
@@ -88,7 +88,7 @@ def check_derivative(
             f"row {row} of '{term}' is {rows.value[row]:.6g} in `linearize` and {differences.middle[row]:.6g} in "
             "`value`"
         )
-    given, measured = rows.jacobian.toarray(), differences.rows().jacobian.toarray()
+    given, measured = rows.jacobian.toarray(), differences.linearize().jacobian.toarray()
     error = np.abs(given - measured) / np.maximum(1.0, np.abs(measured))
     if not error.size:
         return DerivativeCheck(term, 0.0, 0, 0, 0, "", 0.0, 0.0, tolerance)

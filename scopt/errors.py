@@ -6,23 +6,23 @@ class ScoptError(Exception):
 
 
 class ProblemError(ScoptError):
-    """A problem that is not well posed."""
+    """An ill-posed problem."""
 
 
 class SolverError(ScoptError):
-    """A convex solver answered with a status that is not in our mapping, or was asked for by an unknown name."""
+    """An unknown back end, or a back end's status that is not in our mapping."""
 
 
 class DerivativeError(ScoptError):
-    """A residual that brings no derivative cannot be differentiated, or brings one that is malformed."""
+    """A residual without a derivative cannot be differentiated, or its own derivative is malformed."""
 
 
 class DerivativeWarning(UserWarning):
-    """A finite difference that is not to be trusted.
+    """An unreliable finite difference.
 
     Attributes:
-        term: whose it is.
-        row, waypoint, variable: where it is worst.
+        term: name of the term.
+        row, waypoint, variable: place of the largest error.
     """
 
     def __init__(self, message: str, term: str, row: int, waypoint: int, variable: int) -> None:

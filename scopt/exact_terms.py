@@ -1,4 +1,4 @@
-"""Convex expressions in the model of a problem and in its subproblem."""
+"""Convex expressions in a convex model and in its subproblem."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ class ExactTerm:
     x: Float[np.ndarray, "T n"]
 
     def merit(self, dx: Float[np.ndarray, "N"]) -> float:
-        """Its share of the merit after a step ``dx``."""
+        """Return the term's merit after a step ``dx``."""
         above = np.maximum(self.expression.measure(self.x + dx.reshape(self.x.shape)), 0.0)
         return self.weight * float(above @ above if self.penalty is Penalty.SQUARED else above.sum())
 
 
-def with_exact_terms(
+def add_exact_terms(
     program: QuadraticProgram,
     terms: Sequence[ExactTerm],
     column: Int[np.ndarray, "N"],
 ) -> ConicProgram:
-    """A program that has the terms as well; its new variables come last.
+    """Add the terms to a program; its new variables come last.
 
-    Every row of a term has a variable ``t >= max(f(x + dx), 0)`` that is paid for instead of ``f``.
+    Every row of a term has a variable ``t >= max(f(x + dx), 0)``, which stands for ``f`` in the objective.
 
     Args:
         program: of the affine rows.
         terms: to add, all at one iterate.
-        column: (N,) where each step variable stands in the program, -1 for those that are not in it.
+        column: (N,) place of each step variable in the program, -1 for fixed ones.
     """
     parts = [_Part.of(term, column, len(program.c)) for term in terms]
     n_new = sum(len(part.linear) for part in parts)
@@ -73,7 +73,7 @@ def with_exact_terms(
 
 @dataclass(frozen=True)
 class _Part:
-    """What one term adds to a program.
+    """Rows and variables that one term adds to a program.
 
     Attributes:
         by_old: (r, M) its rows in the program's variables.

@@ -1,4 +1,4 @@
-"""Terms written as CVXPY expressions of one waypoint, which the convex subproblem takes as they are."""
+"""Terms written as CVXPY expressions of one waypoint, which enter the convex subproblem as they are."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from scipy import sparse
 from scopt.affine import AffineRows
 from scopt.errors import ProblemError
 from scopt.finite_difference import Differences
-from scopt.qp.cones import Cone, cones_of
+from scopt.qp.cones import Cone, read_cones
 from scopt.residual import Residual, StateT
 
-Expression: TypeAlias = Any  # cvxpy comes without types, and is imported only by those who write expressions
+Expression: TypeAlias = Any  # cvxpy has no types, and is imported only where expressions are used
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class ConicForm:
 
 
 class ConvexExpression(Residual[StateT]):
-    """A convex expression of each of some waypoints, ``k`` rows a waypoint.
+    """A convex expression of single waypoints, ``k`` rows a waypoint.
 
     An affine expression becomes rows like those of any residual.  Any other enters the convex subproblem as it is, not
     linearised, and the subproblem then goes to Clarabel: as a cost with ``Penalty.HINGE`` (or any penalty if it is
@@ -59,23 +59,23 @@ class ConvexExpression(Residual[StateT]):
         """
         Args:
             n: variables of a waypoint.
-            expression: of a waypoint's variables (n,); a scalar or an array of entries, or an inequality of convex
-                expressions, of which left minus right counts.
-            waypoints: where; negative ones count from the end, all if not given.
+            expression: of a waypoint's variables (n,); a scalar, an array, or an inequality, which means left minus
+                right.
+            waypoints: indices, negative ones from the end; all if not given.
 
         Raises:
-            ProblemError: the expression is not convex by CVXPY's rules, or not one of the waypoint's variables alone.
+            ProblemError: the expression is not convex by CVXPY's rules, or has other variables.
         """
         self.n, self.waypoints = n, None if waypoints is None else np.asarray(waypoints, dtype=int)
         self._expression = expression
         q = _cvxpy().Variable(n, name="q")
-        rows = _flat(expression(q))
+        rows = _flatten(expression(q))
         _refuse_unfit(rows, q)
         self.is_affine, self.is_nonnegative = bool(rows.is_affine()), bool(rows.is_nonneg())
-        self.form = _conic_form(rows, q)
+        self.form = _derive_conic_form(rows, q)
 
     def at(self, n_waypoints: int) -> Int[np.ndarray, "S"]:
-        """Indices of the waypoints of a trajectory.
+        """Return the indices of its waypoints in a trajectory.
 
         Raises:
             ProblemError: a waypoint lies outside.
@@ -88,18 +88,18 @@ class ConvexExpression(Residual[StateT]):
         return self.waypoints % n_waypoints
 
     def measure(self, x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "m"]:
-        """The expression's entries, waypoint by waypoint; NaN outside its domain."""
+        """Return the expression's entries, waypoint by waypoint; NaN outside its domain."""
         with np.errstate(all="ignore"):
-            rows = [self._of(x[waypoint]) for waypoint in self.at(len(x))]
+            rows = [self._evaluate(x[waypoint]) for waypoint in self.at(len(x))]
         return np.concatenate(rows) if rows else np.zeros(0)
 
     def value(self, state: StateT) -> Float[np.ndarray, "m"]:
-        return self.measure(iterate_of(state))
+        return self.measure(read_iterate(state))
 
     def linearize(self, state: StateT) -> AffineRows:
-        x = iterate_of(state)
+        x = read_iterate(state)
         if not self.is_affine:  # convex: at a kink the mean of both sides is as good a slope as any
-            return Differences(self.measure, x, type(self).__name__).rows(tells=False)
+            return Differences(self.measure, x, type(self).__name__).linearize(warns=False)
         waypoints = self.at(len(x))
         blocks = np.tile(self._slope, (len(waypoints), 1))[:, None]
         return AffineRows.from_blocks(self.measure(x), np.repeat(waypoints, len(self._slope)), blocks, len(x))
@@ -107,18 +107,18 @@ class ConvexExpression(Residual[StateT]):
     @cached_property
     def _slope(self) -> Float[np.ndarray, "k n"]:
         """Derivative of an affine expression."""
-        at_zero = self._of(np.zeros(self.n))
-        return np.stack([self._of(unit) - at_zero for unit in np.eye(self.n)], axis=1)
+        at_zero = self._evaluate(np.zeros(self.n))
+        return np.stack([self._evaluate(unit) - at_zero for unit in np.eye(self.n)], axis=1)
 
-    def _of(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:
-        return np.asarray(_flat(self._expression(_cvxpy().Constant(q))).value, dtype=float)
+    def _evaluate(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:
+        return np.asarray(_flatten(self._expression(_cvxpy().Constant(q))).value, dtype=float)
 
 
-def iterate_of(state: Any) -> Float[np.ndarray, "T n"]:
-    """The iterate of a state that is one or has it as ``x``.
+def read_iterate(state: Any) -> Float[np.ndarray, "T n"]:
+    """Return the iterate of a state: the state itself, or its ``x``.
 
     Raises:
-        ProblemError: it has not.
+        ProblemError: the state has neither.
     """
     x = state if isinstance(state, np.ndarray) else getattr(state, "x", None)
     if not isinstance(x, np.ndarray):
@@ -134,20 +134,20 @@ def _cvxpy() -> Any:
     return cvxpy
 
 
-def _flat(written: Expression) -> Expression:
-    """The expression in one row of entries, an inequality as left minus right.
+def _flatten(expression: Expression) -> Expression:
+    """Flatten an expression, or the left minus the right side of an inequality.
 
     Raises:
         ProblemError: it is neither.
     """
     cvxpy = _cvxpy()
-    if isinstance(written, cvxpy.constraints.Inequality):
-        written = written.args[0] - written.args[1]
-    if not isinstance(written, cvxpy.Expression):
+    if isinstance(expression, cvxpy.constraints.Inequality):
+        expression = expression.args[0] - expression.args[1]
+    if not isinstance(expression, cvxpy.Expression):
         raise ProblemError(
-            f"an expression must be a CVXPY expression or an inequality of two, got {type(written).__name__}"
+            f"an expression must be a CVXPY expression or an inequality of two, got {type(expression).__name__}"
         )
-    return cvxpy.reshape(written, (written.size,), order="C")
+    return cvxpy.reshape(expression, (expression.size,), order="C")
 
 
 def _refuse_unfit(rows: Expression, q: Expression) -> None:
@@ -155,24 +155,24 @@ def _refuse_unfit(rows: Expression, q: Expression) -> None:
     if foreign:
         raise ProblemError(f"an expression must be of the waypoint's variables alone, not of {', '.join(foreign)}")
     if not rows.variables():
-        raise ProblemError(f"the expression {_text(rows)} does not depend on the waypoint")
+        raise ProblemError(f"the expression {_shorten(rows)} does not depend on the waypoint")
     if rows.is_complex():
-        raise ProblemError(f"the expression {_text(rows)} is complex")
+        raise ProblemError(f"the expression {_shorten(rows)} is complex")
     if not rows.is_convex():
         what = "concave" if rows.is_concave() else "not convex"
         raise ProblemError(
-            f"the expression {_text(rows)} is {what} by CVXPY's rules (dcp.stanford.edu); write it as a convex one, or "
-            "as a Residual, which is linearised"
+            f"the expression {_shorten(rows)} is {what} by CVXPY's rules (dcp.stanford.edu); write it as a convex "
+            "one, or as a Residual, which is linearised"
         )
 
 
-def _text(rows: Expression) -> str:
+def _shorten(rows: Expression) -> str:
     text = str(rows.args[0])
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def _conic_form(rows: Expression, q: Expression) -> ConicForm:
-    """What CVXPY makes of ``rows <= t`` for Clarabel."""
+def _derive_conic_form(rows: Expression, q: Expression) -> ConicForm:
+    """Derive the form in which CVXPY hands ``rows <= t`` to Clarabel."""
     cvxpy = _cvxpy()
     t = cvxpy.Variable(rows.size)
     data, _, _ = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(t)), [rows <= t]).get_problem_data(cvxpy.CLARABEL)
@@ -182,4 +182,4 @@ def _conic_form(rows: Expression, q: Expression) -> ConicForm:
     of_t = np.arange(first[t.id], first[t.id] + t.size)
     of_more = np.setdiff1d(np.arange(matrix.shape[1]), np.concatenate([of_q, of_t]))
     by_q, by_t, by_more = (sparse.csr_array(matrix[:, columns]) for columns in (of_q, of_t, of_more))
-    return ConicForm(by_q, by_t, by_more, np.asarray(data["b"], dtype=float), cones_of(data["dims"]))
+    return ConicForm(by_q, by_t, by_more, np.asarray(data["b"], dtype=float), read_cones(data["dims"]))

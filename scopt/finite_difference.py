@@ -1,7 +1,7 @@
-"""Derivatives by central differences over all waypoints, checked while they are made.
+"""Derivatives by checked central differences over all waypoints.
 
-Which waypoints a row depends on is found by moving one waypoint after the other; waypoints that no row shares are then
-moved at once, so that a residual measured waypoint by waypoint takes ``2 (T + n)`` values and not ``2 T n``.
+Moving one waypoint after the other shows which waypoints a row depends on.  Waypoints that no row shares are then moved
+together, so that a residual measured waypoint by waypoint takes ``2 (T + n)`` values and not ``2 T n``.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ STEP = float(np.cbrt(np.finfo(float).eps))  # truncation and rounding errors of 
 LONGER, SHORTER = 16.0, 0.25  # times STEP, for a second opinion
 KINK = 1e-3  # a slope that jumps by this fraction of the row's largest slope is looked at with a shorter step
 DISAGREEMENT = 1e-3  # between the derivative and a difference over a longer step, as a fraction of the change
-ROUNDING = 1e3 * float(np.finfo(float).eps)  # of a value: differences below it say nothing
+ROUNDING = 1e3 * float(np.finfo(float).eps)  # of a value: smaller differences may be rounding
 FLAT = 1e-4  # of the largest slope of all rows: errors below it do not matter
 
 
 @runtime_checkable
 class Movable(Protocol):
-    """A state that can be measured anew at another iterate."""
+    """A state that can be measured again at another iterate."""
 
     @property
     def x(self) -> Float[np.ndarray, "T n"]:
@@ -37,32 +37,32 @@ class Movable(Protocol):
         ...
 
     def at(self, x: Float[np.ndarray, "T n"]) -> Self:
-        """The state at another iterate of the same shape."""
+        """Return the state at another iterate of the same shape."""
         ...
 
 
-def finite_differences(value: Callable[[Any], Float[np.ndarray, "m"]], state: Any, term: str) -> AffineRows:
-    """Value and derivative of a residual of which only the value is known.
+def differentiate(value: Callable[[Any], Float[np.ndarray, "m"]], state: Any, term: str) -> AffineRows:
+    """Return value and derivative of a residual of which only the value is known.
 
-    A kink at the iterate, or a derivative that depends on the step, is told by a ``DerivativeWarning``.
+    A kink at the iterate, or a derivative that depends on the step, raises a ``DerivativeWarning``.
 
     Args:
-        value: of the residual, (m,) with the same rows all around the iterate.
+        value: of the residual, (m,) with the same rows around the iterate.
         state: an array (T, n), or a ``Movable``; its ``variable_names``, if it has any, name variables in messages.
         term: name for messages.
 
     Raises:
-        DerivativeError: the state cannot be moved, a value is not finite, or rows come and go.
+        DerivativeError: the state cannot be moved, a value is not finite, or the number of rows changes.
     """
     if isinstance(state, np.ndarray):
-        return Differences(value, state, term).rows()
+        return Differences(value, state, term).linearize()
     if not isinstance(state, Movable):
         raise DerivativeError(
-            f"'{term}' brings no derivative, and finite differences need a state that is an array (T, n) or has `x` "
+            f"'{term}' has no derivative, and finite differences need a state that is an array (T, n) or has `x` "
             f"and `at(x)`; {type(state).__name__} has not: give it both, or the residual a `linearize`"
         )
     names = getattr(state, "variable_names", ())
-    return Differences(lambda x: value(state.at(x)), state.x, term, names).rows()
+    return Differences(lambda x: value(state.at(x)), state.x, term, names).linearize()
 
 
 @dataclass(frozen=True)
@@ -81,15 +81,15 @@ class Differences:
     term: str
     names: Sequence[str] = ()
 
-    def rows(self, *, tells: bool = True) -> AffineRows:
-        """Value and derivative; ``tells`` of slopes that depend on the step."""
+    def linearize(self, *, warns: bool = True) -> AffineRows:
+        """Return value and derivative; optionally warn of slopes that depend on the step."""
         slope, jump = np.zeros((2, len(self.middle), *self.x.shape))
         for group in self.groups:
             row = np.flatnonzero(group.owner >= 0)
             for variable in range(self.x.shape[1]):
-                change = self._change(group, variable, 1.0)
+                change = self._differences(group, variable, 1.0)
                 slope[row, group.owner[row], variable], jump[row, group.owner[row], variable] = change[:, row]
-        if tells and not self._warn_of_kinks(slope, jump):
+        if warns and not self._warn_of_kinks(slope, jump):
             self._warn_of_unsettled(slope)
         return AffineRows(self.middle, sparse.csr_array(slope.reshape(len(self.middle), self.x.size)))
 
@@ -100,21 +100,21 @@ class Differences:
 
     @cached_property
     def step(self) -> Float[np.ndarray, "T n"]:
-        """How far each variable is moved."""
+        """Step of each variable."""
         return np.asarray(STEP * np.maximum(1.0, np.abs(self.x)))
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
         """Waypoints that can be moved together."""
-        return independent(self._touched())
+        return group_waypoints(self._find_touched())
 
-    def where(self, waypoint: int, variable: int) -> str:
-        """A variable in words."""
+    def describe(self, waypoint: int, variable: int) -> str:
+        """Return a variable in words."""
         name = f" ('{self.names[variable]}')" if variable < len(self.names) else ""
         return f"waypoint {waypoint}, variable {variable}{name}"
 
-    def _touched(self) -> Bool[np.ndarray, "m T"]:
-        """Whether a row depends on a waypoint."""
+    def _find_touched(self) -> Bool[np.ndarray, "m T"]:
+        """Find which waypoints each row depends on."""
         rng = np.random.default_rng(0)  # unlike amounts: equal ones cancel in a difference of two variables
         touched = np.zeros((len(self.middle), len(self.x)), dtype=bool)
         for waypoint in range(len(self.x)):
@@ -124,8 +124,8 @@ class Differences:
                 touched[:, waypoint] |= self._value(moved, partial(_beside, waypoint)) != self.middle
         return touched
 
-    def _change(self, group: Group, variable: int, scale: float) -> Float[np.ndarray, "2 m"]:
-        """Each row's slope, and how much its slope jumps at the iterate, along one variable of a group's waypoints."""
+    def _differences(self, group: Group, variable: int, scale: float) -> Float[np.ndarray, "2 m"]:
+        """Return each row's slope and its jump at the iterate along one variable of a group's waypoints."""
         forward, backward = self.x.copy(), self.x.copy()
         at = group.waypoints
         forward[at, variable] += scale * self.step[at, variable]
@@ -133,7 +133,7 @@ class Differences:
 
         def beside(row: int) -> str:
             owner = int(group.owner[row])
-            return f"beside the iterate at {self.where(owner if owner >= 0 else int(at[0]), variable)}"
+            return f"beside the iterate at {self.describe(owner if owner >= 0 else int(at[0]), variable)}"
 
         ahead, behind = self._value(forward, beside), self._value(backward, beside)
         half = 0.5 * (forward - backward)[group.owner, variable]
@@ -154,7 +154,7 @@ class Differences:
         return value
 
     def _warn_of_kinks(self, slope: Float[np.ndarray, "m T n"], jump: Float[np.ndarray, "m T n"]) -> bool:
-        """Warn of the worst slope that jumps at the iterate; whether there is one.
+        """Warn of the slope with the largest jump at the iterate; return whether there is one.
 
         Across a kink the jump stays as the step shrinks; where the row is merely curved it shrinks with the step.
         """
@@ -164,7 +164,7 @@ class Differences:
         for group in self.groups:
             rows = np.flatnonzero(group.owner >= 0)
             for suspect in np.flatnonzero(jump[rows, group.owner[rows]].any(axis=0)):
-                again = np.abs(self._change(group, int(suspect), SHORTER)[1])[rows]
+                again = np.abs(self._differences(group, int(suspect), SHORTER)[1])[rows]
                 entry = rows, group.owner[rows], suspect
                 jump[entry] = np.where(again > 0.5 * jump[entry], jump[entry], 0.0)
         if not jump.any():
@@ -174,7 +174,7 @@ class Differences:
         return True
 
     def _warn_of_unsettled(self, slope: Float[np.ndarray, "m T n"]) -> None:
-        """Warn when a longer difference along everything at once says otherwise."""
+        """Warn when a longer difference along all variables at once disagrees."""
         rng = np.random.default_rng(1)
         amount = LONGER * self.step * rng.uniform(0.5, 1.0, self.x.shape) * rng.choice([-1.0, 1.0], self.x.shape)
         ends = [self._value(self.x + sign * amount, lambda row: "beside the iterate") for sign in (1.0, -1.0)]
@@ -191,7 +191,7 @@ class Differences:
             owner = int(group.owner[worst])
             for variable in range(self.x.shape[1]) if owner >= 0 else ():
                 off[owner, variable] = abs(
-                    self._change(group, variable, LONGER)[0, worst] - slope[worst, owner, variable]
+                    self._differences(group, variable, LONGER)[0, worst] - slope[worst, owner, variable]
                 )
         self._warn(worst, *divmod(int(np.argmax(off)), self.x.shape[1]))
 
@@ -202,8 +202,8 @@ class Differences:
 
     def _warn(self, row: int, waypoint: int, variable: int) -> None:
         text = (
-            f"the slope of row {row} of '{self.term}' along {self.where(waypoint, variable)} depends on the step it is "
-            "measured with: a kink (abs, max, a switch: let Penalty.ABS or Penalty.HINGE do it) or noise (an inner "
+            f"the slope of row {row} of '{self.term}' along {self.describe(waypoint, variable)} depends on the step it "
+            "is measured with: a kink (abs, max, a switch: let Penalty.ABS or Penalty.HINGE do it) or noise (an inner "
             "iteration, single precision: give the residual a `linearize`)"
         )
         warnings.warn(DerivativeWarning(text, self.term, row, waypoint, variable), stacklevel=2)
@@ -215,19 +215,19 @@ def _beside(waypoint: int, row: int) -> str:
 
 @dataclass(frozen=True)
 class Group:
-    """Waypoints of which every row depends on one at most.
+    """Waypoints that no row shares.
 
     Attributes:
         waypoints: (g,) their indices.
-        owner: (m,) the one a row depends on, -1 if none.
+        owner: (m,) the waypoint of the group that a row depends on, -1 if none.
     """
 
     waypoints: Int[np.ndarray, "g"]
     owner: Int[np.ndarray, "m"]
 
 
-def independent(touched: Bool[np.ndarray, "m T"]) -> tuple[Group, ...]:
-    """Few groups of waypoints, greedily coloured: two that share a row are never together."""
+def group_waypoints(touched: Bool[np.ndarray, "m T"]) -> tuple[Group, ...]:
+    """Sort waypoints into few groups by greedy colouring; waypoints that share a row are in different groups."""
     share = touched.T.astype(int) @ touched.astype(int) > 0
     colour = np.full(touched.shape[1], -1)
     for waypoint in range(len(colour)):

@@ -1,4 +1,4 @@
-"""What is minimised subject to what: costs, constraints and bounds over all waypoints."""
+"""Optimisation problems: costs, constraints and bounds over all waypoints."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from jaxtyping import Float
 from scopt.affine import AffineRows
 from scopt.errors import ProblemError
 from scopt.expression import ConvexExpression
-from scopt.residual import Residual, StateT, linearized
+from scopt.residual import Residual, StateT, linearize_residual
 
 
 class Penalty(Enum):
-    """How a cost measures a residual row ``r``: ``r^2``, ``|r|`` or ``max(r, 0)``."""
+    """Measure of a residual row ``r`` in a cost: ``r^2``, ``|r|`` or ``max(r, 0)``."""
 
     SQUARED = "squared"
     ABS = "abs"
@@ -25,7 +25,7 @@ class Penalty(Enum):
 
 
 class Sense(Enum):
-    """What a constraint asks of a residual row ``r``: ``r = 0`` or ``r <= 0``."""
+    """Relation of a residual row ``r`` in a constraint: ``r = 0`` or ``r <= 0``."""
 
     EQUAL_ZERO = "equal_zero"
     AT_MOST_ZERO = "at_most_zero"
@@ -37,7 +37,7 @@ class Cost(Generic[StateT]):
 
     Attributes:
         name: unique in its problem.
-        residual: what is measured.
+        residual: measured on the state.
         weight: > 0, cost per unit of the penalty.
         penalty: SQUARED, ABS or HINGE.
     """
@@ -48,7 +48,7 @@ class Cost(Generic[StateT]):
     penalty: Penalty = Penalty.SQUARED
 
     def measure(self, value: Float[np.ndarray, "m"]) -> float:
-        """The cost of a residual value."""
+        """Return the cost of a residual value."""
         if self.penalty is Penalty.SQUARED:
             return float(self.weight * (value @ value))
         if self.penalty is Penalty.ABS:
@@ -56,8 +56,8 @@ class Cost(Generic[StateT]):
         return float(self.weight * np.maximum(value, 0.0).sum())
 
     def linearize(self, state: StateT) -> AffineRows:
-        """The residual's affine model at the state."""
-        return linearized(self.residual, state, self.name)
+        """Return the residual's affine model at the state."""
+        return linearize_residual(self.residual, state, self.name)
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,12 @@ class Constraint(Generic[StateT]):
 
     Attributes:
         name: unique in its problem.
-        residual: what is measured.
+        residual: measured on the state.
         sense: EQUAL_ZERO or AT_MOST_ZERO.
         tolerance: largest violation of a row that counts as feasible [unit of the residual].
         scale: the residual is multiplied by this in the penalty, so that unlike units weigh alike.
         unit: of the residual, for messages.
-        acceptable: largest violation that will do where feasibility does not come soon; no less than ``tolerance``.
+        acceptable: largest violation at which a solve may end without feasibility; at least ``tolerance`` counts.
     """
 
     name: str
@@ -82,13 +82,13 @@ class Constraint(Generic[StateT]):
     unit: str = ""
     acceptable: float = 0.0
 
-    def violation(self, value: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
-        """How far each row is from what is asked, >= 0."""
+    def measure_violation(self, value: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
+        """Return the violation of each row, >= 0."""
         return np.asarray(np.abs(value) if self.sense is Sense.EQUAL_ZERO else np.maximum(value, 0.0))
 
     def linearize(self, state: StateT) -> AffineRows:
-        """The residual's affine model at the state."""
-        return linearized(self.residual, state, self.name)
+        """Return the residual's affine model at the state."""
+        return linearize_residual(self.residual, state, self.name)
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,11 @@ class Problem(Generic[StateT]):
 
     Attributes:
         lower, upper: (T, n) bounds; equal where a variable is fixed.
-        costs, constraints: with names that differ.
-        state: maps an iterate (T, n) to what all residuals share there; called once per iterate.
-        step_scale: (n,) how far a variable may step relative to the trust radius; ones if not given.
-        smooth_state: maps an iterate to as much of a state as smooth residuals need; ``state`` if not given.
-        mobility: (n,) how readily a variable moves to take curvature out of smooth constraints; ones if not given.
+        costs, constraints: with unique names.
+        state: maps an iterate (T, n) to the state that all residuals share; called once per iterate.
+        step_scale: (n,) largest step of a variable relative to the trust radius; ones if not given.
+        smooth_state: maps an iterate to the part of the state that smooth residuals need; ``state`` if not given.
+        mobility: (n,) metric in which corrections for the curvature of smooth constraints are least; ones if not given.
     """
 
     lower: Float[np.ndarray, "T n"]
@@ -132,7 +132,7 @@ class Problem(Generic[StateT]):
         self._refuse_unfit_expressions()
 
     def _refuse_unfit_expressions(self) -> None:
-        """Expressions must fit the waypoints, and what is made of them must be convex."""
+        """Refuse expressions that do not fit the waypoints, and terms of them that are not convex."""
         n_waypoints, n = self.lower.shape
         terms: tuple[Cost[StateT] | Constraint[StateT], ...] = (*self.costs, *self.constraints)
         for term in terms:
@@ -140,12 +140,14 @@ class Problem(Generic[StateT]):
             if not isinstance(expression, ConvexExpression):
                 continue
             if expression.n != n:
-                raise ProblemError(f"'{term.name}' is of {expression.n} variables, a waypoint has {n}")
+                raise ProblemError(f"'{term.name}' has {expression.n} variables, a waypoint has {n}")
             expression.at(n_waypoints)
             if expression.is_affine:
                 continue
             if isinstance(term, Constraint) and term.sense is Sense.EQUAL_ZERO:
-                raise ProblemError(f"'{term.name}' asks a curved expression to be zero; only AT_MOST_ZERO is convex")
+                raise ProblemError(
+                    f"'{term.name}' requires a curved expression to be zero; only AT_MOST_ZERO is convex"
+                )
             if isinstance(term, Cost) and term.penalty is not Penalty.HINGE and not expression.is_nonnegative:
                 raise ProblemError(
                     f"cost '{term.name}': {term.penalty.name} of an expression that may be negative is not convex; "

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from scopt.affine import AffineRows
-from scopt.finite_difference import finite_differences
+from scopt.finite_difference import differentiate
 
 StateT = TypeVar("StateT")
 
@@ -17,32 +17,32 @@ StateT = TypeVar("StateT")
 class Residual(ABC, Generic[StateT]):
     """A vector measured on a state, with its derivative; rows may vary from call to call.
 
-    ``state`` is what all residuals of a problem share at one iterate (see ``Problem.state``).
-    ``linearize(state).value`` equals the first rows of nothing else than ``value(state)`` wherever both hold the
-    same rows; a residual whose rows vary (collision) may linearise rows that are not violated yet.
+    ``state`` is shared by all residuals of a problem at one iterate (see ``Problem.state``).
+    ``linearize(state).value`` equals ``value(state)`` wherever both hold the same rows; a residual whose rows vary
+    (collision) may linearise rows that are not violated yet.
 
     Attributes:
-        is_smooth: whether the rows are always the same, smooth in the variables and measured on no more than
-            ``Problem.smooth_state`` offers; trial steps are then corrected for their curvature.
+        is_smooth: whether the rows are always the same, smooth in the variables and measured on
+            ``Problem.smooth_state``; trial steps are then corrected for their curvature.
     """
 
     is_smooth: bool = False
 
     @abstractmethod
     def value(self, state: StateT) -> Float[np.ndarray, "m"]:
-        """Residual at the state."""
+        """Return the residual at the state."""
 
     def linearize(self, state: StateT) -> AffineRows:
-        """Residual and derivative at the state; checked finite differences unless a subclass knows better.
+        """Return residual and derivative at the state; checked finite differences unless a subclass overrides it.
 
         Raises:
-            DerivativeError: the differences cannot be made (see ``scopt.finite_difference``).
+            DerivativeError: the differences cannot be computed (see ``scopt.finite_difference``).
         """
-        return finite_differences(self.value, state, type(self).__name__)
+        return differentiate(self.value, state, type(self).__name__)
 
 
-def linearized(residual: Residual[StateT], state: StateT, term: str) -> AffineRows:
-    """The residual's affine model; finite differences speak of it by the term's name."""
+def linearize_residual(residual: Residual[StateT], state: StateT, term: str) -> AffineRows:
+    """Return the residual's affine model; messages of finite differences name the term."""
     if type(residual).linearize is Residual.linearize:
-        return finite_differences(residual.value, state, term)
+        return differentiate(residual.value, state, term)
     return residual.linearize(state)

@@ -1,4 +1,4 @@
-"""What the optimiser found and how it got there."""
+"""Result of a solve and the record of its trial steps."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ class Status(Enum):
     """Why the optimiser stopped."""
 
     CONVERGED = "converged"  # feasible within tolerance and no step improves the merit enough
-    FEASIBLE = "feasible"  # feasible within tolerance, stopped early on request of the settings
-    ACCEPTABLE = "acceptable"  # violations within what is acceptable, and several steps did not do away with them
+    ACCEPTABLE = "acceptable"  # violations within what is acceptable, and trial steps did not remove them
     STALLED = "stalled"  # infeasible: the trust region collapsed or no step improves the merit at the largest penalty
     ITERATION_LIMIT = "iteration_limit"
     TIME_LIMIT = "time_limit"
@@ -25,13 +24,13 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Iteration:
-    """One convexification or one trial step of the optimiser.
+    """One trial step of the optimiser.
 
     Attributes:
         index: counts trial steps from 0.
         penalty: mu of the outer loop.
         trust_radius: box scale of the trial.
-        merit: exact merit at the best iterate before the trial.
+        merit: exact merit at the iterate before the trial.
         trial_merit, model_merit: exact and modelled merit after the trial step.
         is_accepted: whether the step was taken.
         cost, violation: exact cost and largest violation by name after the trial (accepted) or before it (rejected).
@@ -54,7 +53,7 @@ class Iteration:
 
 @dataclass(frozen=True)
 class Result:
-    """The best trajectory found.
+    """Best trajectory of a solve.
 
     Attributes:
         x: (T, n) waypoints: of the feasible iterates the cheapest, else the one with the least violation.
@@ -64,7 +63,7 @@ class Result:
         penalty: mu at the end.
         history: one entry per trial step.
         solve_time_s: wall time [s].
-        message: one sentence for a person.
+        message: one sentence for users.
     """
 
     x: Float[np.ndarray, "T n"]

@@ -1,4 +1,4 @@
-"""Problem sets: read, run, summed up, resumed; and what a wrong file earns."""
+"""Problem sets: reading, running, summary, resuming, and errors in files."""
 
 import json
 
@@ -9,12 +9,12 @@ from planar_arm import write_planar_arm
 from service.bench.bench import failures, run_bench, table
 from service.bench.problem_set import BenchRobot, read_problems
 from service.errors import RequestError
-from service.setup.prepare import load_requested_robot
+from service.start.robot import load_requested_robot
 
 
 @pytest.fixture
 def arm(tmp_path) -> BenchRobot:
-    """Two links of 0.3 m that turn in a horizontal plane."""
+    """Return an arm of two 0.3 m links that turn in a horizontal plane."""
     return BenchRobot(write_planar_arm(tmp_path, 2, 0.3, 0.03, limit=2.9))
 
 

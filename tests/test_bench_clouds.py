@@ -1,4 +1,4 @@
-"""The judging of perception: what counts as covered, as a false obstacle, as found, and how far off."""
+"""Measures of perception: coverage, false obstacles, matches and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the service's benchmark takes for invalid, and how it counts."""
+"""Invalid messages and counting in the service's benchmark."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two-handed benchmark's claims about the problems it draws: a motion that solves each is known."""
+"""Properties of the two-handed benchmark's problems: each has a known solution."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def _robot():
 
 @pytest.fixture(scope="module", name="scenes")
 def _scenes(robot):
-    """A problem of each task."""
+    """One problem of each task."""
     return {task: next(two_handed_scenes(robot, N_BOXES, task, seed)) for task, seed in (("poses", 0), ("beam", 2))}
 
 

@@ -1,4 +1,4 @@
-"""The whole-body benchmark's claims about the problems it draws: a motion that solves each is known."""
+"""Properties of the whole-body benchmark's problems: each has a known solution."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def scenes(robot):
-    """One problem of either kind of goal."""
+    """One problem per kind of goal."""
     return [next(crowded_scenes(robot, N_BOXES, is_pose=is_pose, seed=10)) for is_pose in (False, True)]
 
 

@@ -1,4 +1,4 @@
-"""The command line: exit codes, one line for wrong input, exactly one JSON object, nothing half-written."""
+"""Command line: exit codes, one line for wrong input, exactly one JSON object, no partial output."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import signal
 import subprocess
 import sys
 import time
-import tomllib
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -36,7 +36,7 @@ def made() -> PlanResult:
 
 @pytest.fixture
 def planner(monkeypatch: pytest.MonkeyPatch, made: PlanResult) -> SimpleNamespace:
-    """Stands in for ``service.planner``; its ``plan`` can be exchanged."""
+    """Replacement of ``service.planner`` whose ``plan`` can be set."""
     stand_in = SimpleNamespace(plan=lambda request, on_progress, should_stop: made)
     monkeypatch.setitem(sys.modules, "service.planner", stand_in)
     return stand_in
@@ -184,10 +184,9 @@ def test_verify_and_view_read_what_plan_wrote(tmp_path: Path, monkeypatch: pytes
     assert _scopt("view", tmp_path).exit_code == 3
 
 
-def test_version_is_that_of_the_package() -> None:
-    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+def test_version_is_that_of_the_installed_package() -> None:
     result = _scopt("--version")
-    assert (result.exit_code, result.stdout, result.stderr) == (0, f"scopt {project['version']}\n", "")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, f"scopt {version('scopt')}\n", "")
 
 
 def test_robots_lists_atlas() -> None:
@@ -243,6 +242,7 @@ def test_a_wrong_scene_argument_is_one_line(tmp_path: Path, arguments: tuple[str
 SLOW_PLANNER = """
 import sys, time, types
 from dataclasses import replace
+from importlib.metadata import version
 sys.path.insert(0, {support!r})
 from small_plan import small_plan
 from service.result.result import Verdict
@@ -260,7 +260,7 @@ main()
 
 
 def _interrupted(tmp_path: Path, times: int) -> tuple[int, dict[str, Any]]:
-    """Exit code and JSON of a plan that gets Ctrl-C so many times."""
+    """Return exit code and JSON of a plan that receives Ctrl-C that many times."""
     program = SLOW_PLANNER.format(
         support=str(ROOT / "tests" / "support"), waits=times > 1, request=str(REQUEST), out=str(tmp_path / "plan")
     )

@@ -38,7 +38,7 @@ def _hit(kind: str, confidence: float) -> Detection:
 
 
 def _found(*kinds: str, is_late: bool = False) -> object:
-    """Stands in for the detectors: one hit of each kind, the later the surer; then perhaps the time is over."""
+    """Replace the detectors: one hit per kind with rising confidence, then optionally the end of the time."""
 
     def found(wanted: tuple[str, ...], *_: object, **__: object) -> Iterator[tuple[str, list[Detection]]]:
         assert wanted == KINDS
@@ -124,7 +124,7 @@ def test_a_stop_from_outside_is_no_time_that_is_over() -> None:
 
 
 def _failing(*kinds: str) -> dict[str, Detector]:
-    """Detectors in place of the real ones: these fail as a bug does, the others find something."""
+    """Replace the detectors: the given kinds raise an error, the others return a hit."""
 
     def broken(*_: object) -> list[Detection]:
         np.zeros(3) + np.zeros(11)

@@ -1,4 +1,4 @@
-"""Result folders: complete, atomic, and read back as the same motion."""
+"""Result folders: complete, written atomically, and read back as the same motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verdict as a person reads it."""
+"""Printed report of a verdict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``scopt scene`` and ``scopt detect``: what they write and print, what they refuse, and the page in a real browser."""
+"""``scopt scene`` and ``scopt detect``: output, refused input, and the page in a real browser."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """The bundled scan as a scene with its valve, and what was printed."""
+    """Scene of the bundled scan with its valve, and the printed text."""
     out = tmp_path_factory.mktemp("scene") / "valve.json"
     result = scopt("scene", SCAN, "--out", out, "--reach", 2, "--detect", "valve", "--json")
     assert result.exit_code == 0, result.stderr

@@ -1,4 +1,4 @@
-"""``scopt scene --mesh`` and ``--update``: known objects in a scan, and a new scan held against a written scene."""
+"""``scopt scene --mesh`` and ``--update``: known objects in a scan, and updates of a written scene."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLACE = "1 -0.3 0"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A crate's mesh with a corner at its origin, in metres and in millimetres, and scans with and without it."""
+    """Folder with the mesh of a crate in metres and in millimetres, and scans with and without it."""
     folder = tmp_path_factory.mktemp("known")
     box_obj(folder / "crate.obj", (0.0, 0.0, 0.0), SIZE)
     box_obj(folder / "crate_mm.obj", (0.0, 0.0, 0.0), SIZE, 0.001)
@@ -48,7 +48,7 @@ def plain(folder: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def matched(folder: Path) -> dict[str, Any]:
-    """The crate matched to the scan from 4 cm beside it, and another of them hanging in the air."""
+    """Scene with the crate matched from 4 cm off, and a second crate placed in the air."""
     near, at = f"{folder}/crate.obj near 1.03 -0.28 0.02 0.05 0 0", f"{folder}/crate.obj at 0 0.6 1.2 0 0 0"
     return _scene(folder, "first.npz", "matched.json", "--mesh", near, "--mesh", at)
 

@@ -9,7 +9,7 @@ from costs import terms
 from costs.state import MotionState
 from costs.terms import CentreOfMassAt, FramePose
 from scopt import AffineRows, DerivativeError, Residual, check_derivative
-from scopt.finite_difference import finite_differences
+from scopt.finite_difference import differentiate
 
 
 class ElbowHeight(Residual[MotionState]):
@@ -34,7 +34,7 @@ def iterate():
 def test_differences_on_a_floating_base_agree_with_written_derivatives(iterate):
     state = contact_free_state(atlas())(iterate)
     for residual in (FramePose(atlas(), "l_tool", [1, 3], np.eye(4)), CentreOfMassAt(np.zeros(2), range(4))):
-        by_differences = finite_differences(residual.value, state, "term")
+        by_differences = differentiate(residual.value, state, "term")
         np.testing.assert_allclose(
             by_differences.jacobian.toarray(), residual.linearize(state).jacobian.toarray(), atol=1e-8
         )

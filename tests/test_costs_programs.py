@@ -13,7 +13,7 @@ from costs.scene import ConvexPiece, Scene
 from costs.terms import AxisDirection, FramePose, JointDifference
 from scopt import Constraint, Cost, Penalty, Sense
 from scopt.convex_model import assemble, convexify
-from scopt.qp import BACKENDS, backend
+from scopt.qp import BACKENDS, select_backend
 from service.body.whole_body import Aims, WholeBody
 
 N_ITERATIONS = 3
@@ -68,7 +68,7 @@ def recorded(name: str, order: int):
         lower = np.maximum(problem.lower - x, -TRUST_RADIUS).ravel()
         upper = np.minimum(problem.upper - x, TRUST_RADIUS).ravel()
         records.append((subproblem, model, lower, upper))
-        step = subproblem.step(backend("clarabel")(subproblem.within(lower, upper)).x)
+        step = subproblem.extract_step(select_backend("clarabel")(subproblem.bound_steps(lower, upper)).x)
         x = x + np.clip(step, lower, upper).reshape(x.shape)
     return records
 
@@ -77,12 +77,12 @@ def recorded(name: str, order: int):
 @pytest.mark.parametrize("name", ["atlas", "chain"])
 def test_back_ends_agree_on_recorded_subproblems(name, order):
     for subproblem, model, lower, upper in recorded(name, order):
-        program = subproblem.within(lower, upper)
+        program = subproblem.bound_steps(lower, upper)
         merits, steps = {}, {}
         for solver in BACKENDS:
-            solution = backend(solver)(program)
+            solution = select_backend(solver)(program)
             assert solution.is_usable, solver
-            steps[solver] = np.clip(subproblem.step(solution.x), lower, upper)
+            steps[solver] = np.clip(subproblem.extract_step(solution.x), lower, upper)
             merits[solver] = model.merit(steps[solver])
         assert merits["cvxpy"] < model.merit(np.zeros(len(lower)))
         for solver, merit in merits.items():
@@ -93,7 +93,7 @@ def test_back_ends_agree_on_recorded_subproblems(name, order):
 @pytest.mark.parametrize("name", ["atlas", "chain"])
 def test_recorded_programs_couple_neighbouring_stages_only(name, order):
     subproblem, _, lower, upper = recorded(name, order)[-1]
-    program = subproblem.within(lower, upper)
+    program = subproblem.bound_steps(lower, upper)
     position = np.full(len(lower), -1)
     position[subproblem.is_free] = subproblem.step_index
     # the waypoints of a stage, `order` of them, stand together after its slacks

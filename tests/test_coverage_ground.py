@@ -52,7 +52,7 @@ def test_a_floor_that_is_not_at_the_soles_is_told_at_once(height: float, gap: fl
     side = "below" if height < 0.0 else "above"
     assert len(caught.value.problems) == 2
     for foot, line in zip(FEET, caught.value.problems, strict=True):
-        assert f"the floor is {gap:.1f} mm {side} the sole of {foot}; at most 3 mm would do" in line
+        assert f"the ground is {gap:.1f} mm {side} the sole of {foot}; at most 3 mm would do" in line
 
 
 def test_no_floor_under_planted_feet_is_told_at_once() -> None:

@@ -1,4 +1,4 @@
-"""The numbered examples run as they are and print what their first line promises."""
+"""The numbered examples run unchanged and print what their docstrings announce."""
 
 import re
 import subprocess
@@ -56,7 +56,7 @@ def test_a_convex_term_leaves_joints_at_rest_and_holds_the_base(tmp_path):
 
 @pytest.fixture
 def planning_server(tmp_path):
-    """Where a server of one worker listens."""
+    """Address of a running server with one worker."""
     program = "from service.cli.app import main; main()"
     options = ["serve", "--listen", "127.0.0.1:0", "--workers", "1", "--drain", "0", "--data", str(tmp_path / "kept")]
     process = subprocess.Popen([sys.executable, "-c", program, *options], stdout=subprocess.PIPE, text=True)

@@ -280,7 +280,7 @@ def test_what_costs_and_margins_keep_from_being_found_is_found_without_them():
     assert state.contacts.distance[state.contacts.margin > 0.0].min() >= LEAST_CLEARANCE
     for constraint in solved.problem.constraints:
         if constraint.name not in CLEARANCE_TERMS:
-            short = constraint.violation(constraint.residual.value(state))
+            short = constraint.measure_violation(constraint.residual.value(state))
             assert short.max(initial=0.0) <= constraint.tolerance, constraint.name
     beyond = stuck(body, "l_tool", (0.3, 0.2, 2.4))
     assert restore_feasibility(solver, "goal pose", beyond) is beyond

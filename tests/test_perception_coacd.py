@@ -22,18 +22,18 @@ from perception.errors import MeshError
 from perception.simulate import Pose, Room, Scanner, box, scan, torus
 from perception.solids import decompose
 from perception.solids.cache import PartsCache
-from perception.solids.closed import is_closed, solid_of
+from perception.solids.closed import is_closed, make_solid
 from perception.solids.decompose import CoacdSettings, Work
 from perception.solids.pieces import make_coacd_pieces
 from perception.solids.process import COACD_LIMITS, run_coacd
-from perception.solids.voxels import surface_of
+from perception.solids.voxels import wrap_cells
 from perception.view import View
 
 OUTLINE = np.array([(0, 0), (0.5, 0), (0.5, 0.1), (0.1, 0.1), (0.1, 0.5), (0, 0.5)])
 CAPS = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)])
 SIDES = np.array([t for k in range(6) for n in [(k + 1) % 6] for t in ((k, k + 6, n), (n, k + 6, n + 6))])
 # An angle of two square bars: the outline's corners at y = 0 and at y = 0.1.
-ANGLE = solid_of(
+ANGLE = make_solid(
     Mesh(np.insert(np.tile(OUTLINE, (2, 1)), 1, np.repeat([0.0, 0.1], 6), axis=1), np.vstack([CAPS, CAPS + 6, SIDES]))
 ).closed[0]
 FAST = CoacdSettings(0.02, iterations=20, nodes=5, depth=1)
@@ -111,7 +111,7 @@ def test_a_scan_without_obstacles_has_no_pieces(view: View) -> None:
 def test_the_surface_of_any_cells_is_closed_and_wound_outwards(seed: int) -> None:
     rng = np.random.default_rng(seed)
     occupied = rng.random((6, 7, 8)) < 0.3
-    mesh = surface_of(occupied, np.array([1.0, 2.0, 3.0]), 0.1)
+    mesh = wrap_cells(occupied, np.array([1.0, 2.0, 3.0]), 0.1)
     assert is_closed(mesh)
     assert mesh.volume > 0.0
     cells = np.argwhere(occupied)
@@ -202,7 +202,7 @@ def test_cancelling_kills_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
         return started
 
     monkeypatch.setattr(sandbox.subprocess, "Popen", noted)
-    fine = solid_of(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
+    fine = make_solid(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
     asked = iter([False, False, False])
     with pytest.raises(Stopped), stops_when(lambda: next(asked, True)):
         run_coacd([fine], CoacdSettings(0.001).options(), COACD_LIMITS, "ring")
@@ -211,7 +211,7 @@ def test_cancelling_kills_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_too_long_and_too_much_memory_are_told() -> None:
-    fine = solid_of(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
+    fine = make_solid(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 80, 40)).closed[0]
     with pytest.raises(MeshError, match=r"ring: .* takes longer than 0.2 s; simplify it"):
         run_coacd([fine], CoacdSettings(0.001).options(), replace(COACD_LIMITS, max_wall_s=0.2), name="ring")
     with pytest.raises(MeshError, match="ring: splitting into convex parts needs more than 1 MB; simplify it"):
@@ -245,5 +245,5 @@ def test_what_crashes_coacd_is_an_error_here() -> None:
 
 def test_a_convex_mesh_needs_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decompose, "run_coacd", _no_process)
-    (part,) = decompose.convex_parts(solid_of(box((0, 0, 0), (1, 2, 3))), work=Work(cache=None))
+    (part,) = decompose.split_solid(make_solid(box((0, 0, 0), (1, 2, 3))), work=Work(cache=None))
     assert ConvexHull(part).volume == pytest.approx(6.0)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from perception.convex.smooth import nearby, smoothed, spacing_of
+from perception.convex.smooth import measure_spacing, select_nearby, smooth_points
 
 
 @settings(max_examples=40, deadline=None)
@@ -16,7 +16,7 @@ def test_all_points_near_the_chosen_ones_are_told(seed: int, reach: float, n_cho
     rng = np.random.default_rng(seed)
     points = rng.uniform(-2.0, 2.0, (500, 3))
     chosen = rng.choice(len(points), n_chosen, replace=False)
-    told = nearby(points, chosen, reach)
+    told = select_nearby(points, chosen, reach)
     is_near = cKDTree(points[chosen]).query(points)[0] <= reach
     assert set(np.flatnonzero(is_near)) <= set(told)
     assert (np.diff(told) > 0).all()
@@ -24,7 +24,7 @@ def test_all_points_near_the_chosen_ones_are_told(seed: int, reach: float, n_cho
 
 def test_of_a_large_cloud_few_points_are_told() -> None:
     points = np.random.default_rng(1).uniform(-2.0, 2.0, (5000, 3))
-    assert len(nearby(points, np.array([7]), 0.1)) < 50
+    assert len(select_nearby(points, np.array([7]), 0.1)) < 50
 
 
 def test_a_few_points_come_out_as_when_all_are_asked_for() -> None:
@@ -35,6 +35,8 @@ def test_a_few_points_come_out_as_when_all_are_asked_for() -> None:
     chosen = rng.choice(6000, 200, replace=False)
     everyone = np.arange(6000)
     np.testing.assert_array_equal(
-        smoothed(points, counts, starts, chosen), smoothed(points, counts, starts, everyone)[chosen]
+        smooth_points(points, counts, starts, chosen), smooth_points(points, counts, starts, everyone)[chosen]
     )
-    np.testing.assert_array_equal(spacing_of(points, starts, chosen), spacing_of(points, starts, everyone)[chosen])
+    np.testing.assert_array_equal(
+        measure_spacing(points, starts, chosen), measure_spacing(points, starts, everyone)[chosen]
+    )

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from perception import Cloud, Perceived, perceive
 from perception.cleaning.clean import half_spaces
-from perception.convex.coarse import coarsened
+from perception.convex.coarse import coarsen
 from perception.convex.freespace import carve
-from perception.convex.hulls import MAX_VERTICES, hull_of
+from perception.convex.hulls import MAX_VERTICES, make_hull
 from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.planes import Plane
-from perception.convex.slabs import attached, slabs_of
-from perception.convex.split import clusters, merge, refined, split
-from perception.simulate import Caster, Pose, Room, Scanner, scan
+from perception.convex.slabs import attach_hulls, make_slabs
+from perception.convex.split import find_clusters, merge, refine_hulls, split
+from perception.simulate import Caster, Pose, Room, Scanner, join_meshes, scan
 from perception.simulate.scenes import make_scene
 
 SENSOR = np.array([0.0, 0.0, 1.5])
@@ -75,9 +75,9 @@ def test_the_order_of_the_points_does_not_change_the_pieces(seed: int) -> None:
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_hulls_hold_all_points_and_next_to_nothing_of_what_was_seen_free(seed: int) -> None:
-    points = coarsened(cluttered(seed), SENSOR, 0.015).points
+    points = coarsen(cluttered(seed), SENSOR, 0.015).points
     free = carve(SENSOR, points, points, points.min(axis=0) - 0.1, points.max(axis=0) + 0.1)
-    parts = [hull for members in clusters(points, SENSOR) for hull in split(points, members, free)]
+    parts = [hull for members in find_clusters(points, SENSOR) for hull in split(points, members, free)]
     hulls = merge(parts, free, 0.06)
     assert len(hulls) <= len(parts)
     members = np.concatenate([hull.members for hull in hulls])
@@ -108,7 +108,7 @@ def test_voxel_means_do_not_depend_on_the_order_of_their_points() -> None:
     rng = np.random.default_rng(0)
     points, starts = rng.uniform(-0.2, 0.2, (5000, 3)), rng.choice([-1.0, 1.0], (5000, 1)) * np.ones(3)
     order = rng.permutation(5000)
-    one, other = coarsened(points, starts, 0.03), coarsened(points[order], starts[order], 0.03)
+    one, other = coarsen(points, starts, 0.03), coarsen(points[order], starts[order], 0.03)
     np.testing.assert_array_equal(one.points, other.points)
     np.testing.assert_array_equal(one.starts, other.starts)
     np.testing.assert_array_equal(one.voxel[order], other.voxel)
@@ -171,9 +171,9 @@ def test_a_hull_beside_a_slab_joins_it_in_its_plane_where_nothing_was_seen_free(
         ends = np.concatenate([ends, through])
     free = carve(SENSOR, ends, np.concatenate([main, small]), np.array([0.5, -0.2, 1.0]), np.array([1.3, 1.0, 1.8]))
     plane = Plane(np.array([-1.0, 0.0, 0.0]), -1.0, np.arange(len(main)), np.arange(0))
-    slabs = [(plane, slab) for slab in slabs_of(plane, main, SENSOR, ends, free)]
-    hull = hull_of(small, np.arange(len(small)))
-    grown, left = attached(slabs, [hull], free)
+    slabs = [(plane, slab) for slab in make_slabs(plane, main, SENSOR, ends, free)]
+    hull = make_hull(small, np.arange(len(small)))
+    grown, left = attach_hulls(slabs, [hull], free)
     assert len(slabs) == len(grown) == 1
     assert len(left) == n_left
     faces = half_spaces(grown[0][1].vertices)
@@ -184,7 +184,7 @@ def test_a_hull_beside_a_slab_joins_it_in_its_plane_where_nothing_was_seen_free(
 def test_hulls_are_neighbours_as_far_as_both_their_gaps_reach(gaps: float | list[float], n_left: int) -> None:
     points = np.concatenate([board((0.0, 0.1)), board((0.2, 0.3))])
     free = carve(SENSOR, points, points, points.min(axis=0) - 0.1, points.max(axis=0) + 0.1)
-    hulls = [hull_of(points[members], members) for members in np.split(np.arange(len(points)), 2)]
+    hulls = [make_hull(points[members], members) for members in np.split(np.arange(len(points)), 2)]
     assert len(merge(hulls, free, np.array(gaps))) == n_left
 
 
@@ -208,8 +208,8 @@ def test_a_hull_is_split_where_rays_went_through_a_narrow_gap(is_seen_through: b
     points = np.concatenate(rods)
     between = np.concatenate([np.column_stack([np.full(40, 1.0), np.full(40, y), height]) for y in (0.03, 0.035, 0.04)])
     ends = np.concatenate([points, SENSOR + 1.5 * (between - SENSOR)]) if is_seen_through else points
-    whole = hull_of(points, np.arange(len(points)))
-    hulls = refined([whole], points, points, (SENSOR, ends), 0.06)
+    whole = make_hull(points, np.arange(len(points)))
+    hulls = refine_hulls([whole], points, points, (SENSOR, ends), 0.06)
     if is_seen_through:
         assert len(hulls) == 2
         assert not any(hull.is_within(between, 0.0).any() for hull in hulls)

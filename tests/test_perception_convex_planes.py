@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jaxtyping import Bool
 
-from perception.convex.planes import Plane, PlaneSettings, noise_of
+from perception.convex.planes import Plane, PlaneSettings, find_noise
 
 _SETTINGS = PlaneSettings()
 
@@ -19,7 +19,7 @@ def _explained(before: float, share: float) -> Bool[np.ndarray, "K"]:
     hung = np.column_stack([rng.normal(before, 0.002, n_before), rng.uniform(-0.5, 0.5, (n_before, 2))])
     points = np.concatenate([wall, hung])
     plane = Plane(np.array([1.0, 0.0, 0.0]), 0.0, np.arange(n_wall), np.arange(0))
-    return noise_of(plane, points, np.ones(len(points)), np.arange(n_wall, len(points)), _SETTINGS)
+    return find_noise(plane, points, np.ones(len(points)), np.arange(n_wall, len(points)), _SETTINGS)
 
 
 @pytest.mark.parametrize("before", [0.035, -0.045])
@@ -42,4 +42,4 @@ def test_tails_on_both_sides_of_a_wall_are_its_noise_however_thick() -> None:
     is_member = np.abs(points[:, 0]) < 0.02
     tail = np.flatnonzero((np.abs(points[:, 0]) > 0.027) & (np.abs(points[:, 0]) < 0.06))
     plane = Plane(np.array([1.0, 0.0, 0.0]), 0.0, np.flatnonzero(is_member), tail[:0])
-    assert noise_of(plane, points, np.ones(len(points)), tail, _SETTINGS).mean() > 0.95
+    assert find_noise(plane, points, np.ones(len(points)), tail, _SETTINGS).mean() > 0.95

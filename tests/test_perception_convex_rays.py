@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from costs.scene import ConvexPiece
 from perception import Cloud, perceive
 from perception.cleaning.clean import half_spaces
-from perception.convex.coarse import coarsened
+from perception.convex.coarse import coarsen
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.planes import Plane, find_planes
-from perception.convex.slabs import slabs_of
+from perception.convex.slabs import make_slabs
 from perception.simulate import Mesh, box, cast, join_meshes
 
 LOWER, UPPER = np.full(3, -0.2), np.full(3, 1.2)
@@ -77,7 +77,7 @@ def test_every_cell_that_is_carved_has_a_ray_through_it_or_beside_it(seed: int, 
     starts = np.broadcast_to(starts, (40, 3))
     ends = rng.uniform(-1.0, 2.0, (40, 3))
     free = carve(starts, ends, NOWHERE, LOWER, UPPER, size=0.05)
-    cells = free.cells_in(LOWER, UPPER)
+    cells = free.list_cells(LOWER, UPPER)
     rays = ends - starts
     t = ((cells[:, None] - starts) * rays).sum(axis=2) / (rays**2).sum(axis=1)
     closest = starts + np.clip(t, 0.0, 1.0)[:, :, None] * rays
@@ -92,7 +92,7 @@ def test_many_rays_side_by_side_leave_no_gap_in_what_they_carve() -> None:
     ends = np.column_stack([*(axis.ravel() for axis in np.meshgrid(grid, grid)), np.full(160_000, -0.3)])
     free = carve(origin, ends, NOWHERE, LOWER, UPPER)
     # Between sensor and square: the pyramid of the rays.
-    z = free.cells_in(LOWER, UPPER)[:, 2]
+    z = free.list_cells(LOWER, UPPER)[:, 2]
     for height in (0.1, 0.6, 1.1):
         layer = np.abs(z - height) < 0.011
         width = (2.0 - height) / 2.3
@@ -122,18 +122,18 @@ def test_rays_through_an_opening_cut_a_slab_whichever_side_they_come_from() -> N
     holes = np.column_stack([np.full((~frame).sum(), 1.0), 0.9 * y[~frame], 0.9 * z[~frame]])
     nothing = FreeSpace(np.full(3, -2.0), 0.02, np.zeros((1, 1, 1), dtype=bool))
     before, behind = np.array([0.0, 0.0, 0.1]), np.array([2.0, 0.1, 0.0])
-    assert len(slabs_of(plane, points, before, points, nothing)) == 1
+    assert len(make_slabs(plane, points, before, points, nothing)) == 1
     for origin in (before, behind):
         ends = origin + 2.0 * (holes - origin)
-        assert len(slabs_of(plane, points, origin, ends, nothing)) >= 4
+        assert len(make_slabs(plane, points, origin, ends, nothing)) >= 4
     starts = np.concatenate([np.broadcast_to(before, points.shape), np.broadcast_to(behind, ends.shape)])
-    assert len(slabs_of(plane, points, starts, np.concatenate([points, ends]), nothing)) >= 4
+    assert len(make_slabs(plane, points, starts, np.concatenate([points, ends]), nothing)) >= 4
 
 
 def test_both_faces_of_a_thin_wall_are_planes_that_face_their_sensors() -> None:
     wall = [box((1.0, -1.0, 0.0), (1.12, 1.0, 2.0))]
     cloud = merged(scanned(wall, (0.0, 0.0, 1.0), seed=1), scanned(wall, (2.2, 0.0, 1.0), seed=2))
-    coarse = coarsened(cloud.points, cloud.starts, 0.015)
+    coarse = coarsen(cloud.points, cloud.starts, 0.015)
     planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(0))
     facing = sorted((round(float(plane.normal[0])), round(plane.offset, 2)) for plane in planes[:2])
     assert facing == [(-1, pytest.approx(-1.0, abs=0.01)), (1, pytest.approx(1.12, abs=0.01))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from perception.convex.pieces import make_pieces
-from perception.convex.smooth import smoothed
+from perception.convex.smooth import smooth_points
 
 EYE = np.array([0.1, 0.0, 1.6])
 NOISE = 0.01
@@ -28,7 +28,7 @@ def slanted(rng: np.random.Generator, n: int = 3000) -> tuple[np.ndarray, np.nda
 
 def moved(points: np.ndarray, start: np.ndarray = EYE) -> np.ndarray:
     every = np.arange(len(points))
-    return smoothed(points, np.ones(len(points), dtype=np.int64), np.broadcast_to(start, points.shape), every)
+    return smooth_points(points, np.ones(len(points), dtype=np.int64), np.broadcast_to(start, points.shape), every)
 
 
 def test_noise_of_a_slanted_wall_is_less_than_half_after_smoothing() -> None:
@@ -64,10 +64,10 @@ def test_rays_from_elsewhere_bear_no_witness() -> None:
     there = EYE + np.array([0.0, 3.0, 0.0])
     points = np.concatenate([seen(one, rng), seen(other, rng, there)])
     starts = np.repeat([EYE, there], 500, axis=0)
-    together = smoothed(points, np.ones(1000, dtype=np.int64), starts, np.arange(1000))
+    together = smooth_points(points, np.ones(1000, dtype=np.int64), starts, np.arange(1000))
     np.testing.assert_allclose(together[:500], moved(points[:500]), atol=1e-9)
     np.testing.assert_allclose(together[500:], moved(points[500:], there), atol=1e-9)
-    few = smoothed(points, np.ones(1000, dtype=np.int64), starts, np.array([3, 700]))
+    few = smooth_points(points, np.ones(1000, dtype=np.int64), starts, np.array([3, 700]))
     np.testing.assert_allclose(few, together[[3, 700]], atol=1e-12)
 
 

@@ -52,11 +52,11 @@ def test_every_ray_that_passes_a_ball_is_told(seed: int, radius: float, distance
     along = (ends - start) / np.linalg.norm(ends - start, axis=1, keepdims=True)
     nearest = start + along * (along @ (centre - start)).clip(0.0, np.linalg.norm(ends - start, axis=1))[:, None]
     passes = np.flatnonzero(np.linalg.norm(nearest - centre, axis=1) <= radius)
-    told = Sheaf.of(start, ends).about(centre, radius)
+    told = Sheaf.of(start, ends).select_about(centre, radius)
     assert set(passes) <= set(told)
     assert (np.diff(told) > 0).all()
 
 
 def test_few_rays_are_told_of_a_small_ball() -> None:
     ends = 3.0 * np.random.default_rng(0).normal(size=(2000, 3))
-    assert len(Sheaf.of(np.zeros(3), ends).about(np.array([2.0, 0.5, 0.3]), 0.1)) < 100
+    assert len(Sheaf.of(np.zeros(3), ends).select_about(np.array([2.0, 0.5, 0.3]), 0.1)) < 100

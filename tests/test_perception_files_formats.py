@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from perception import CloudError, read_cloud, read_clouds
 from perception.files import read as reading
-from perception.files.bag import _scan as scan_of_message
-from perception.files.e57 import _cartesian
+from perception.files.bag import _parse_message as scan_of_message
+from perception.files.e57 import _to_cartesian
 from perception.files.las import read_las
 from perception.files.parse import parse_file
 
@@ -152,7 +152,7 @@ def test_an_e57_direction_without_range_is_a_ray_that_met_nothing(tmp_path: Path
 
 def test_spherical_coordinates_become_cartesian() -> None:
     ranges = np.array([[2.0, np.pi / 2, 0.0], [2.0, 0.0, np.pi / 6]])
-    np.testing.assert_allclose(_cartesian(ranges), [[0, 2, 0], [np.sqrt(3), 0, 1]], atol=1e-12)
+    np.testing.assert_allclose(_to_cartesian(ranges), [[0, 2, 0], [np.sqrt(3), 0, 1]], atol=1e-12)
 
 
 def test_an_e57_without_points_is_refused(tmp_path: Path) -> None:
@@ -241,7 +241,7 @@ def test_a_bag_without_clouds_lists_what_it_has(tmp_path: Path) -> None:
 
 def test_a_message_without_points_is_told_or_merged(tmp_path: Path) -> None:
     path = bag(tmp_path, (POINTS[:0], "lidar"), (POINTS, "lidar"))
-    with pytest.raises(CloudError, match="message 0 of 2 holds no points; another one, or all, would do"):
+    with pytest.raises(CloudError, match="message 0 of 2 holds no points; choose another one, or all"):
         read_cloud(path)
     np.testing.assert_allclose(read_cloud(path, message="all").points, POINTS, atol=1e-6)
     (tmp_path / "none").mkdir()

@@ -17,7 +17,7 @@ from perception.files import content, pcd, text, thinning
 from perception.files.parse import parse_file
 from perception.files.pcd import read_pcd
 from perception.files.table import read_text
-from perception.files.thinning import taken
+from perception.files.thinning import pick_rows
 
 N, STEP = 1003, 11
 POINTS = np.round(np.random.default_rng(0).uniform(-2, 2, (N, 3)), 3).astype(np.float32)
@@ -72,7 +72,7 @@ def test_all_kinds_are_thinned_to_the_same_rows(kind: str, tmp_path: Path, monke
     monkeypatch.setattr(thinning, "MAX_POINTS", 100)
     scan = parse_file(path)
     assert len(scan.points) <= 100
-    np.testing.assert_allclose(scan.points, POINTS[taken(N, STEP)], atol=1e-6)
+    np.testing.assert_allclose(scan.points, POINTS[pick_rows(N, STEP)], atol=1e-6)
     assert scan.notes == (NOTE,)
 
 
@@ -93,16 +93,16 @@ def test_a_file_that_is_mapped_or_read_in_blocks_reads_the_same(
 @given(st.integers(0, 400), st.integers(1, 50), st.integers(1, 60))
 def test_blocks_of_rows_give_what_all_rows_at_once_give(n_rows: int, step: int, block: int) -> None:
     numbers = np.arange(n_rows)
-    whole = numbers[taken(n_rows, step)]
+    whole = numbers[pick_rows(n_rows, step)]
     starts = range(0, n_rows, block)
-    parts = [numbers[first : first + block][taken(min(block, n_rows - first), step, first)] for first in starts]
+    parts = [numbers[first : first + block][pick_rows(min(block, n_rows - first), step, first)] for first in starts]
     np.testing.assert_array_equal(np.concatenate([numbers[:0], *parts]), whole)
     assert np.unique(whole // step).size == len(whole) >= n_rows // step
 
 
 def test_all_rings_of_a_scanner_stay() -> None:
     ring = np.arange(16_000) % 16
-    counts = np.bincount(ring[taken(len(ring), 16)], minlength=16)
+    counts = np.bincount(ring[pick_rows(len(ring), 16)], minlength=16)
     assert counts.min() > 0.8 * counts.mean()
 
 
@@ -129,14 +129,14 @@ def test_text_that_is_too_long_for_memory_is_thinned_further(monkeypatch: pytest
     body = rows(" ").encode()
     monkeypatch.setattr(text, "MAX_WHOLE_BYTES", len(body) // 3)
     scan = read_text(body, "a.xyz")
-    np.testing.assert_allclose(scan.points, POINTS[taken(N, 4)], atol=1e-6)
+    np.testing.assert_allclose(scan.points, POINTS[pick_rows(N, 4)], atol=1e-6)
     assert scan.notes == (f"took 1 of every 4 of its {N} points, since at most 2000000 are used",)
 
 
 def test_a_word_in_a_row_that_is_taken_is_told_with_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(thinning, "MAX_POINTS", 100)
     lines = rows(" ").splitlines()
-    row = int(np.arange(N)[taken(N, STEP)][7])
+    row = int(np.arange(N)[pick_rows(N, STEP)][7])
     lines[row] = "1 2 here"
     with pytest.raises(CloudError, match=rf"line {row + 2}: 'here' is not a number"):
         read_text("\n".join(["x y z", *lines]).encode(), "a.xyz")
@@ -185,5 +185,5 @@ def test_two_million_rows_and_more_come_through_the_worker(tmp_path: Path) -> No
     places = np.random.default_rng(0).uniform(-2, 2, (2_400_000, 3)).astype(np.float32)
     path.write_bytes(saved(places))
     cloud = read_cloud(path)
-    np.testing.assert_array_equal(cloud.points, places[taken(len(places), 2)])
+    np.testing.assert_array_equal(cloud.points, places[pick_rows(len(places), 2)])
     assert "took 1 of every 2 of its 2400000 points, since at most 2000000 are used" in cloud.notes

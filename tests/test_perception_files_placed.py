@@ -17,7 +17,7 @@ from perception.files import read as reading
 from perception.files.npz import read_npz
 from perception.files.parse import parse_file
 from perception.files.pcd import read_pcd
-from perception.files.placing import METRES_BY_UNIT, moved
+from perception.files.placing import METRES_BY_UNIT, move_points
 
 ROOM = np.random.default_rng(0).uniform([-2, -2, 0], [2, 2, 2], (500, 3)).astype(np.float32).astype(float)
 HIGH = ROOM[:3] + np.array([0.0, 0.0, 5.0])
@@ -191,11 +191,11 @@ def test_merged_files_know_where_each_ray_started(tmp_path: Path) -> None:
     write_npz(b, Cloud(ROOM[:20], np.array([0.0, 0.0, 1.0]), (), ROOM[:5]))
     pose = rigid_pose([3.0, 0, 0, np.pi / 2, 0, 0])
     cloud = read_clouds([(a, None), (b, pose)])
-    np.testing.assert_allclose(cloud.points, np.concatenate([ROOM, moved(pose, ROOM[:20])]), atol=1e-6)
+    np.testing.assert_allclose(cloud.points, np.concatenate([ROOM, move_points(pose, ROOM[:20])]), atol=1e-6)
     np.testing.assert_allclose(cloud.starts[:500], np.broadcast_to(SENSOR, (500, 3)))
     np.testing.assert_allclose(cloud.starts[500:], np.broadcast_to([3.0, 0.0, 1.0], (20, 3)))
     starts, ends = cloud.rays
-    np.testing.assert_allclose(ends[520:], np.concatenate([HIGH, moved(pose, ROOM[:5])]), atol=1e-6)
+    np.testing.assert_allclose(ends[520:], np.concatenate([HIGH, move_points(pose, ROOM[:5])]), atol=1e-6)
     np.testing.assert_allclose(starts[520:523], np.broadcast_to(SENSOR, (3, 3)))
     np.testing.assert_allclose(starts[523:], np.broadcast_to([3.0, 0.0, 1.0], (5, 3)))
 

@@ -17,11 +17,10 @@ from perception.errors import MeshError
 from perception.perceive import drop_explained
 from perception.simulate import Pose, Room, Scanner, box, join_meshes, scan, torus
 from perception.solids.cache import PartsCache
-from perception.solids.closed import is_closed, solid_of, united
-from perception.solids.decompose import CoacdSettings, Work, convex_parts
-from perception.solids.fit import Pose as FitPose
-from perception.solids.fit import Region, Surface, fitted
-from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, located, match_mesh
+from perception.solids.closed import is_closed, make_solid, unite_solids
+from perception.solids.decompose import CoacdSettings, Work, split_solid
+from perception.solids.fit import MeshPose, Region, Surface, fit_pose
+from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, locate, match_mesh
 from perception.solids.read import read_mesh
 from perception.view import View
 
@@ -70,7 +69,7 @@ def _ply(mesh: Mesh) -> bytes:
 )
 def test_every_format_gives_the_same_solid(tmp_path: Path, name: str, written: object) -> None:
     (tmp_path / name).write_bytes(written(RING))  # type: ignore[operator]
-    solid = solid_of(read_mesh(tmp_path / name, scale=2.0))
+    solid = make_solid(read_mesh(tmp_path / name, scale=2.0))
     assert (len(solid.closed), len(solid.open)) == (1, 0)
     assert solid.closed[0].volume == pytest.approx(8.0 * abs(RING.volume), rel=1e-4)
 
@@ -78,7 +77,7 @@ def test_every_format_gives_the_same_solid(tmp_path: Path, name: str, written: o
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
-        ("a.dae", b"<x/>", "a.dae: format '.dae' is not read; .stl, .obj, .ply would do"),
+        ("a.dae", b"<x/>", "a.dae: format '.dae' is not read; expected .stl, .obj, .ply"),
         ("a.obj", b"rubbish\n", "a.obj: has 0 triangles; a solid with 4 to"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999\n", "a.obj: is no readable OBJ file ("),
         ("a.stl", b"", "a.stl: "),
@@ -116,35 +115,35 @@ def test_a_vertex_that_is_not_a_number_is_refused() -> None:
     vertices = RING.vertices.copy()
     vertices[3] = np.nan
     with pytest.raises(MeshError, match="ring: 1 of 128 vertices are not finite; repair it"):
-        solid_of(Mesh(vertices, RING.triangles), "ring")
+        make_solid(Mesh(vertices, RING.triangles), "ring")
 
 
 def test_an_empty_and_a_flat_mesh_are_refused() -> None:
     with pytest.raises(MeshError, match="ring: has no triangles"):
-        solid_of(Mesh(RING.vertices, RING.triangles[:0]), "ring")
+        make_solid(Mesh(RING.vertices, RING.triangles[:0]), "ring")
     with pytest.raises(MeshError, match="ring: lies in a plane"):
-        solid_of(Mesh(RING.vertices * [1, 1, 0], RING.triangles), "ring")
+        make_solid(Mesh(RING.vertices * [1, 1, 0], RING.triangles), "ring")
 
 
 def test_a_corner_that_is_not_there_is_refused() -> None:
     with pytest.raises(MeshError, match="a triangle names vertex 500, and there are 128"):
-        solid_of(Mesh(RING.vertices, np.vstack([RING.triangles, [[0, 1, 500]]])), "ring")
+        make_solid(Mesh(RING.vertices, np.vstack([RING.triangles, [[0, 1, 500]]])), "ring")
 
 
 @pytest.mark.parametrize("turned", [slice(None), slice(None, None, 3)], ids=["all", "a third"])
 def test_triangles_wound_inside_out_are_turned_and_told(turned: slice) -> None:
-    right = solid_of(RING).closed[0]
+    right = make_solid(RING).closed[0]
     triangles = right.triangles.copy()
     triangles[turned] = triangles[turned, ::-1]
-    solid = solid_of(Mesh(right.vertices, triangles), "ring")
+    solid = make_solid(Mesh(right.vertices, triangles), "ring")
     assert solid.closed[0].volume == pytest.approx(right.volume)
     n = len(triangles[turned])
     assert solid.notes == (f"ring: turned {n} of {len(triangles)} triangles that were wound inside out",)
 
 
 def test_a_small_hole_is_filled_and_told() -> None:
-    right = solid_of(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 32, 12)).closed[0]
-    solid = solid_of(Mesh(right.vertices, right.triangles[1:]), "ring")
+    right = make_solid(torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 32, 12)).closed[0]
+    solid = make_solid(Mesh(right.vertices, right.triangles[1:]), "ring")
     assert is_closed(solid.closed[0])
     assert "ring: filled 1 small holes" in solid.notes
 
@@ -152,9 +151,9 @@ def test_a_small_hole_is_filled_and_told() -> None:
 def test_a_box_without_a_lid_is_a_shell_that_can_be_reached_into(tmp_path: Path) -> None:
     whole = box((0, 0, 0), (0.4, 0.3, 0.2))
     lid = (np.abs(whole.vertices[whole.triangles][:, :, 2] - 0.2) < 1e-9).all(axis=1)
-    solid = solid_of(Mesh(whole.vertices, whole.triangles[~lid]), "bin")
+    solid = make_solid(Mesh(whole.vertices, whole.triangles[~lid]), "bin")
     assert "1 of 1 parts are not closed (4 open edges)" in solid.notes[-1]
-    parts = convex_parts(solid, CoacdSettings(0.04, iterations=10, nodes=3, depth=1), Work(PartsCache(tmp_path)))
+    parts = split_solid(solid, CoacdSettings(0.04, iterations=10, nodes=3, depth=1), Work(PartsCache(tmp_path)))
     hulls = [ConvexHull(part).equations for part in parts]
     inside = np.array([[0.2, 0.15, 0.1], [0.2, 0.15, 0.19], [0.05, 0.05, 0.1]])
     assert min((inside @ h[:, :3].T + h[:, 3]).max(axis=1).min() for h in hulls) > 0.0
@@ -164,13 +163,13 @@ def test_a_box_without_a_lid_is_a_shell_that_can_be_reached_into(tmp_path: Path)
 
 def test_boxes_that_share_an_edge_are_two_solids() -> None:
     pair = join_meshes([box((0, 0, 0), (1, 1, 1)), box((1, 1, 0), (2, 2, 1))])
-    solid = solid_of(pair)
+    solid = make_solid(pair)
     assert [mesh.volume for mesh in solid.closed] == pytest.approx([1.0, 1.0])
     assert not solid.open
 
 
 def test_parts_contain_the_surface_and_leave_the_hole(tmp_path: Path) -> None:
-    parts = convex_parts(solid_of(RING), work=Work(PartsCache(tmp_path)))
+    parts = split_solid(make_solid(RING), work=Work(PartsCache(tmp_path)))
     assert max(len(part) for part in parts) <= 64
     hulls = [ConvexHull(part).equations for part in parts]
     surface = np.concatenate([RING.vertices, RING.vertices[RING.triangles].mean(axis=1)])
@@ -249,7 +248,7 @@ def test_a_wall_is_no_evidence_of_an_object_whose_side_would_lie_in_it() -> None
     view = make_view(scan(Room(wall_x=2.2).meshes(), Pose(pitch=0.4), Scanner(n_lines=120, sigma=0.003), seed=3))
     flush = np.eye(4)
     flush[:3, :3], flush[:3, 3] = Rotation.from_euler("z", -np.pi / 2).as_matrix(), (2.2, 0.2, 1.0)
-    placed = located(KnownMesh("tool", solid_of(TOOL), flush, is_placed=True), view)
+    placed = locate(KnownMesh("tool", make_solid(TOOL), flush, is_placed=True), view)
     assert placed.confidence < CONFIDENT
 
 
@@ -259,13 +258,13 @@ def test_a_placed_mesh_stays_and_the_scan_says_how_well_it_agrees(
     view, rotation, middle = tool_on_a_table
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, middle - rotation @ MIDDLE
-    there = located(KnownMesh("tool", solid_of(TOOL), pose, is_placed=True), view)
+    there = locate(KnownMesh("tool", make_solid(TOOL), pose, is_placed=True), view)
     np.testing.assert_array_equal(there.pose_world_mesh, pose)
     assert there.confidence >= CONFIDENT
     assert "rival" not in there.residuals
     beside = pose.copy()
     beside[1, 3] -= 0.5
-    elsewhere = located(KnownMesh("tool", solid_of(TOOL), beside, is_placed=True), view)
+    elsewhere = locate(KnownMesh("tool", make_solid(TOOL), beside, is_placed=True), view)
     np.testing.assert_array_equal(elsewhere.pose_world_mesh, beside)
     assert elsewhere.confidence < CONFIDENT
     assert elsewhere.residuals["seen_through"] > 0.5
@@ -276,7 +275,7 @@ def test_a_mesh_placed_where_no_point_is_has_no_confidence(
 ) -> None:
     pose = np.eye(4)
     pose[:3, 3] = -1.5, -1.5, 1.8
-    assert located(KnownMesh("tool", solid_of(TOOL), pose, is_placed=True), tool_on_a_table[0]).confidence == 0.0
+    assert locate(KnownMesh("tool", make_solid(TOOL), pose, is_placed=True), tool_on_a_table[0]).confidence == 0.0
 
 
 def test_where_nothing_is_nothing_is_found(tool_on_a_table: tuple[View, np.ndarray, np.ndarray]) -> None:
@@ -289,7 +288,7 @@ def test_a_tool_that_is_found_makes_no_pieces_of_its_own(tool_on_a_table: tuple[
     view, rotation, middle = tool_on_a_table
     expected = np.eye(4)
     expected[:3, :3], expected[:3, 3] = rotation, middle + np.array([0.03, -0.02, 0.01]) - rotation @ MIDDLE
-    known = KnownMesh("tool", solid_of(TOOL), expected)
+    known = KnownMesh("tool", make_solid(TOOL), expected)
     seen, without = perceive(view.cloud, known=[known]), perceive(view.cloud)
     match = seen.matches["tool"]
     assert match.confidence >= CONFIDENT
@@ -311,12 +310,12 @@ def test_a_tool_that_is_found_makes_no_pieces_of_its_own(tool_on_a_table: tuple[
 def test_a_mesh_found_with_little_confidence_takes_no_points() -> None:
     points, kept = np.array([[0.15, 0, 0], [0, 0, 0], [0.185, 0, 0]]), np.array([0, 2])
     for confidence, left in ((CONFIDENT - 0.01, [0, 2]), (CONFIDENT, [])):
-        match = MeshMatch(np.eye(4), confidence, {}, solid_of(RING), 0.01)
+        match = MeshMatch(np.eye(4), confidence, {}, make_solid(RING), 0.01)
         np.testing.assert_array_equal(drop_explained(points, kept, {"ring": match}), left)
 
 
 def test_noise_about_a_mesh_is_explained_unless_something_is_near_to_it() -> None:
-    match = MeshMatch(np.eye(4), 1.0, {}, solid_of(RING), 0.012)
+    match = MeshMatch(np.eye(4), 1.0, {}, make_solid(RING), 0.012)
     fringe, beside_it = [0.198, 0, 0], [0.22, 0, 0]
     for others, left in (([], []), ([beside_it], [0, 1])):
         points = np.array([fringe, *others])
@@ -324,13 +323,13 @@ def test_noise_about_a_mesh_is_explained_unless_something_is_near_to_it() -> Non
 
 
 def test_points_inside_a_closed_mesh_are_explained_and_those_in_a_ring_s_hole_are_not() -> None:
-    match = MeshMatch(np.eye(4), 1.0, {}, solid_of(RING), 0.01)
+    match = MeshMatch(np.eye(4), 1.0, {}, make_solid(RING), 0.01)
     inside, hole, near, far = [0.15, 0, 0], [0, 0, 0], [0.185, 0, 0], [0.2, 0, 0]
     np.testing.assert_array_equal(match.explains(np.array([inside, hole, near, far])), [True, False, True, False])
 
 
 def test_bodies_that_overlap_have_their_inside_in_common() -> None:
-    pair = united([solid_of(box((0, 0, 0), (2, 1, 1))), solid_of(box((1, 0, 0), (3, 1, 1)))])
+    pair = unite_solids([make_solid(box((0, 0, 0), (2, 1, 1))), make_solid(box((1, 0, 0), (3, 1, 1)))])
     points = np.array([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5], [2.5, 0.5, 0.5], [3.5, 0.5, 0.5]])
     explained = MeshMatch(np.eye(4), 1.0, {}, pair, 0.01).explains(points)
     np.testing.assert_array_equal(explained, [True, True, True, False])
@@ -338,9 +337,9 @@ def test_bodies_that_overlap_have_their_inside_in_common() -> None:
 
 def test_points_all_nearest_to_one_corner_leave_the_mesh_turned_as_it_is() -> None:
     corner = -np.abs(np.random.default_rng(0).normal(0.0, 0.004, (200, 3))) - 5e-4
-    surface = Surface(solid_of(box((0, 0, 0), (0.3, 0.5, 0.6))).closed[0])
-    start = FitPose(np.eye(3), np.zeros(3))
-    found = fitted(surface, Region(corner, np.full((200, 3), -1.0)), start, [0.1])
+    surface = Surface(make_solid(box((0, 0, 0), (0.3, 0.5, 0.6))).closed[0])
+    start = MeshPose(np.eye(3), np.zeros(3))
+    found = fit_pose(surface, Region(corner, np.full((200, 3), -1.0)), start, [0.1])
     np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-12)
     assert np.isfinite(found.shift).all()
 
@@ -349,7 +348,7 @@ def test_points_all_nearest_to_one_corner_leave_the_mesh_turned_as_it_is() -> No
 def test_a_scan_much_smaller_than_a_mesh_that_it_is_to_show_is_refused(unit_m: float) -> None:
     cloud = little_scan()
     tiny = Cloud(unit_m * cloud.points, unit_m * np.asarray(cloud.origin))
-    crate = KnownMesh("crate", solid_of(box((0, 0, 0), (0.3, 0.5, 0.6))))
+    crate = KnownMesh("crate", make_solid(box((0, 0, 0), (0.3, 0.5, 0.6))))
     with pytest.raises(MeshError, match=r"spans only 0\.\d+ m, and crate, which it is to show, 0.6 m; is its unit"):
         perceive(tiny, known=[crate])
     placed = KnownMesh("crate", crate.solid, np.eye(4), is_placed=True)

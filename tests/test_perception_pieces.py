@@ -12,7 +12,7 @@ from costs.scene import ConvexPiece
 from perception import Cloud, CloudError, Perceived, perceive, read_cloud
 from perception.cleaning.clean import half_spaces
 from perception.convex.freespace import carve
-from perception.convex.hulls import MAX_VERTICES, limited
+from perception.convex.hulls import MAX_VERTICES, limit_vertices
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, cylinder, join_meshes, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.3)
@@ -115,7 +115,7 @@ def test_thin_bars_do_not_fill_the_space_between_them() -> None:
 def test_rays_carve_what_they_pass_and_nothing_else() -> None:
     ends = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     free = carve(np.zeros(3), ends, ends, np.full(3, -0.5), np.full(3, 2.5))
-    cells = free.cells_in(np.full(3, -0.5), np.full(3, 2.5))
+    cells = free.list_cells(np.full(3, -0.5), np.full(3, 2.5))
     along_x = cells[np.abs(cells[:, 1:]).max(axis=1) < 0.03]
     assert along_x[:, 0].max() < 0.96
     assert along_x[:, 0].max() > 0.9
@@ -128,7 +128,7 @@ def test_a_hull_of_many_vertices_is_replaced_by_one_that_contains_it() -> None:
     for scale in ([1, 1, 1], [1, 0.2, 0.02]):
         points = rng.normal(size=(3000, 3))
         points = points / np.linalg.norm(points, axis=1, keepdims=True) * scale
-        coarse = limited(points)
+        coarse = limit_vertices(points)
         assert len(coarse) <= MAX_VERTICES
         faces = half_spaces(coarse)
         assert (points @ faces[:, :3].T + faces[:, 3]).max() < 1e-6

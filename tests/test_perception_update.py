@@ -13,8 +13,8 @@ from perception.cleaning.clean import half_spaces
 from perception.cleaning.locally import LocalJudge
 from perception.cleaning.outliers import surface_points
 from perception.convex.freespace import Crossing
-from perception.convex.hulls import hull_of
-from perception.convex.updated import updated_pieces
+from perception.convex.hulls import make_hull
+from perception.convex.updated import update_pieces
 from perception.ground.floor import FloorPlane
 from perception.ground.levels_again import are_there, may_be_level
 from perception.memory import Memory, content_key
@@ -122,24 +122,24 @@ def test_what_is_as_thin_as_the_noise_of_points_is_new(before: Perceived, thickn
 def test_a_plate_that_rays_go_through_is_gone_wherever_it_lies_between_cells(height: float, thickness: float) -> None:
     corners = np.array(list(np.ndindex(2, 2, 2))) * (0.4, 0.4, thickness) + (0.8, -0.2, height)
     shape = ConvexPiece("clutter/0", corners, "clutter")
-    plate = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), hull_of(corners, np.arange(0)).simplified)
+    plate = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), make_hull(corners, np.arange(0)).simplified)
     ends = np.stack(np.meshgrid(np.arange(0.6, 1.6, 0.02), np.arange(-0.5, 0.5, 0.02), [0.0]), axis=-1).reshape(-1, 3)
     through = np.array([0.0, 0.0, 1.6]), ends
-    assert not updated_pieces([plate], np.zeros((0, 3)), np.zeros((0, 3)), through).pieces
-    assert updated_pieces([plate], np.zeros((0, 3)), np.zeros((0, 3)), (through[0], ends[:0])).pieces
+    assert not update_pieces([plate], np.zeros((0, 3)), np.zeros((0, 3)), through).pieces
+    assert update_pieces([plate], np.zeros((0, 3)), np.zeros((0, 3)), (through[0], ends[:0])).pieces
 
 
 def test_a_piece_goes_when_only_mixed_pixels_hide_that_rays_went_through_it() -> None:
     corners = np.array(list(np.ndindex(2, 2, 2))) * 0.3 + (0.8, -0.15, 0.5)
     shape = ConvexPiece("clutter/0", corners, "clutter")
-    body = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), hull_of(corners, np.arange(0)).simplified)
+    body = Piece(shape, np.arange(0), Evidence(0, 0.0, 0.5), make_hull(corners, np.arange(0)).simplified)
     ends = np.stack(np.meshgrid(np.arange(1.0, 2.4, 0.02), np.arange(-0.5, 0.5, 0.02), [0.0]), axis=-1).reshape(-1, 3)
     start, inner = np.array([0.0, 0.0, 1.6]), np.stack(np.meshgrid(*[np.arange(0.01, 0.3, 0.02)] * 3), axis=-1)
     pixels = inner.reshape(-1, 3) + corners[0]
     starts = np.broadcast_to(start, pixels.shape)
     for is_surface in (False, True):
         judge = lambda asked, told=is_surface: np.full(len(asked), told)  # noqa: E731
-        made = updated_pieces([body], pixels, starts, (start, ends), judge=judge)
+        made = update_pieces([body], pixels, starts, (start, ends), judge=judge)
         assert [piece.name for piece in made.pieces] == ["clutter/0"] * is_surface
 
 
@@ -147,11 +147,11 @@ def test_it_is_left_off_where_what_is_new_asks_for_something_else_first() -> Non
     points = flat(0.3, 0.03)
     starts = np.broadcast_to(np.array([0.0, 0.0, 1.6]), points.shape)
     asked = []
-    made = updated_pieces([], points, starts, (starts, points), is_enough=lambda new: not asked.append(len(new)))
+    made = update_pieces([], points, starts, (starts, points), is_enough=lambda new: not asked.append(len(new)))
     assert asked == [len(points)]
     assert made.is_left_off
     assert not made.pieces
-    whole = updated_pieces([], points, starts, (starts, points))
+    whole = update_pieces([], points, starts, (starts, points))
     assert whole.pieces
     assert not whole.is_left_off
 
@@ -354,7 +354,7 @@ def test_what_is_flat_and_low_may_be_a_level_unless_the_floor_is_seen_under_it()
 
 def test_what_an_earlier_piece_stands_for_is_no_new_level() -> None:
     floor = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.005, 4.0)
-    low = hull_of(np.array(list(np.ndindex(2, 2, 2))) * (0.8, 0.8, 0.3) + (1.0, 0.0, 0.0), np.arange(0))
+    low = make_hull(np.array(list(np.ndindex(2, 2, 2))) * (0.8, 0.8, 0.3) + (1.0, 0.0, 0.0), np.arange(0))
     assert may_be_level(flat(0.3, 0.03), [floor], np.zeros((0, 3)))
     assert not may_be_level(flat(0.3, 0.03), [floor], np.zeros((0, 3)), [low])
 
@@ -386,9 +386,9 @@ def test_cells_in_boxes_are_told_as_when_all_are() -> None:
     cloud = scanned(3)
     lower, upper = np.array([0.0, -1.5, 0.0]), np.array([1.5, 1.8, 2.0])
     crossing = Crossing.of(cloud.starts, cloud.points, lower, upper, 0.02)
-    whole = crossing.seen_free(cloud.points)
+    whole = crossing.mark_free(cloud.points)
     box = np.array([[[0.6, -0.4, 0.5], [1.1, 0.4, 1.0]]])
-    some = crossing.seen_free(cloud.points, box)
+    some = crossing.mark_free(cloud.points, box)
     first, last = np.rint((box[0] - lower) / 0.02).astype(int)
     within = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
     assert whole.free[within].any()

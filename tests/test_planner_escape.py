@@ -205,7 +205,7 @@ def test_a_planted_foot_cannot_leave_the_floor():
     with pytest.raises(RequestError) as caught:
         prepare(request)
     assert caught.value.problems == tuple(
-        f"start is out of balance: the floor is 50.0 mm above the sole of {foot}; at most 3 mm would do: "
+        f"start is out of balance: the ground is 50.0 mm above the sole of {foot}; at most 3 mm would do: "
         "move start.base, or leave it out"
         for foot in ("l_foot", "r_foot")
     )

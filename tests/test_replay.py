@@ -230,13 +230,13 @@ def _by_whom(data: dict[str, Any]) -> None:
 
 TURN_EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "the circle": (_circle, "targets of phase 'turn' are not those of the request"),
-    "the valve": (_valve, "what the task moves does not move as the request has it"),
-    "the wheel's axis": (_wheel, "what the task moves does not move as the request has it"),
+    "the valve": (_valve, "the task's mechanism does not move as the request demands"),
+    "the wheel's axis": (_wheel, "the task's mechanism does not move as the request demands"),
     "the sense": (lambda data: data["request"]["task"]["valve"].update(turn_deg=-60.0), "targets of phase 'turn'"),
     "the hand": (lambda data: data["request"]["task"]["valve"].update(hand="right"), "no hand that the task permits"),
     "how deep the hook may be": (_deeper, "allowances of phase 'reach' are not those of the request"),
     "when the hook may touch": (_by_whom, "allowances of phase 'reach' are not those of the request"),
-    "the angle it tells": (lambda data: data["figures"].update(turned_deg=360.0), "figures.turned_deg is 360"),
+    "the angle of its figures": (lambda data: data["figures"].update(turned_deg=360.0), "figures.turned_deg is 360"),
     "the turn's name": (lambda data: data["phases"][2].update(name="hold"), "the wheel moves in phase 'hold'"),
 }
 

@@ -166,11 +166,11 @@ def test_scale_is_metres_per_unit_of_all_of_a_urdf(tmp_path: Path) -> None:
         ("<!DOCTYPE a>", "file: thing.urdf: "),
         (
             '<link name="a">' + _collision('<mesh filename="flat.obj"/>') + "</link>",
-            "file: thing.urdf: link 'a': lies in a plane or on a line; a solid would do",
+            "file: thing.urdf: link 'a': lies in a plane or on a line; expected a solid",
         ),
         (
             '<link name="a">' + _collision('<mesh filename="thing.urdf"/>') + "</link>",
-            "file: thing.urdf: format '.urdf' is not read; .stl, .obj, .ply would do",
+            "file: thing.urdf: format '.urdf' is not read; expected .stl, .obj, .ply",
         ),
         (
             '<link name="a">' + _collision('<mesh filename="../deck.obj"/>') + "</link>",

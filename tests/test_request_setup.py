@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 import perception
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
-from service.demands.world import flat_floor
+from service.demands.scene import flat_floor
 from service.errors import RequestError
 from service.request.file import parse_request
 from service.result.motion_json import file_positions
 from service.setup.prepare import PlanSetup, prepare
 from service.setup.world import build_obstacles
-from service.start.configuration import make_start
+from service.start.configuration import make_start_configuration
 from service.start.overlaps import describe_collisions
 from service.start.standing import find_standing_problems, sole_corners
 
@@ -69,7 +69,7 @@ def test_a_start_base_is_where_the_pelvis_is(atlas: RobotModel) -> None:
     pose = Rotation.from_euler("z", 0.7) * Rotation.from_euler("y", 0.3) * Rotation.from_euler("x", -0.2)
     base = {"position": [1.0, 2.0, 3.0], "quaternion_wxyz": pose.as_quat(scalar_first=True).tolist()}
     request = parse_request({"robot": {"name": "atlas"}, "goal": GOAL, "start": {"base": base}})
-    q, notes = make_start(atlas, request.start)
+    q, notes = make_start_configuration(atlas, request.start)
     np.testing.assert_allclose(q[:6], [1.0, 2.0, 3.0, 0.7, 0.3, -0.2], atol=1e-9)
     assert notes == ()
     np.testing.assert_allclose(file_positions(atlas, q[None])[0, 3:7], base["quaternion_wxyz"], atol=1e-9)
@@ -196,7 +196,7 @@ def test_one_planted_foot_under_a_middle_stance_is_refused() -> None:
 def test_feet_in_the_air_are_refused(atlas: RobotModel) -> None:
     height = float(atlas.postures["stand"][2]) + 0.1
     lines = _problems(start={"base": {"position": [0, 0, height]}})
-    assert "start is out of balance: the floor is 100.0 mm below the sole of l_foot; at most 3 mm would do" in lines[0]
+    assert "start is out of balance: the ground is 100.0 mm below the sole of l_foot; at most 3 mm would do" in lines[0]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from quadratic_terms import Affine, Function, identity_state
 
 from scopt import Constraint, ConvexExpression, Cost, Penalty, Problem, ProblemError, Sense, Settings, TrustRegionSQP
-from scopt.multipliers import multipliers
+from scopt.multipliers import compute_multipliers
 
 T, N = 4, 3
 RNG = np.random.default_rng(7)
@@ -139,12 +139,12 @@ def test_what_is_no_convex_expression_of_the_waypoint_is_refused(expression, mes
 @pytest.mark.parametrize(
     ("terms", "message"),
     [
-        ({"costs": [Cost("own", ConvexExpression(N + 1, cvxpy.norm1))]}, "'own' is of 4 variables, a waypoint has 3"),
+        ({"costs": [Cost("own", ConvexExpression(N + 1, cvxpy.norm1))]}, "'own' has 4 variables, a waypoint has 3"),
         ({"costs": [Cost("own", ConvexExpression(N, cvxpy.norm1, [4]))]}, "waypoint 4 .* outside the 4"),
         ({"costs": [Cost("own", ConvexExpression(N, lambda q: cvxpy.exp(q[0]) - 1.0))]}, "SQUARED of an expression"),
         (
             {"costs": [], "constraints": [Constraint("own", ConvexExpression(N, cvxpy.norm1), Sense.EQUAL_ZERO)]},
-            "'own' asks a curved expression to be zero",
+            "'own' requires a curved expression to be zero",
         ),
     ],
 )
@@ -187,7 +187,7 @@ def test_an_expression_that_holds_an_iterate_has_its_multiplier():
     cost = near_target()
     problem = Problem(np.full((T, N), -5.0), np.full((T, N), 5.0), (cost,), (disc,), identity_state)
     x = solve([cost], [disc]).x
-    found = multipliers(problem, x, penalty=10.0)
+    found = compute_multipliers(problem, x, mu=10.0)
     expected = 2.0 * np.linalg.norm(TARGET[1] - x[1])
     np.testing.assert_allclose(found.constraints["disc"], [expected], rtol=1e-3)
 

@@ -19,7 +19,7 @@ from scopt import (
     TrustRegionSQP,
     check_derivative,
 )
-from scopt.finite_difference import finite_differences, independent
+from scopt.finite_difference import differentiate, group_waypoints
 
 X = np.random.default_rng(3).normal(size=(6, 3))
 
@@ -63,15 +63,15 @@ def test_smooth_functions_are_differentiated_with_few_values(name):
     if name not in ("constants", "no rows"):
         check_jacobian(OfFunction(function), identity_state, X)
     counting = Counting(function)
-    rows = finite_differences(counting, X, name)
+    rows = differentiate(counting, X, name)
     assert rows.jacobian.shape == (len(function(X)), X.size)
     assert counting.calls <= 3 + 2 * len(X) + 2 * 3 * n_groups
 
 
 def test_a_flat_spot_and_strong_curvature_are_no_kinks():
-    flat = finite_differences(lambda x: 1e4 * (x[:, 0] - X[2, 0]) ** 2, X, "parabola")
+    flat = differentiate(lambda x: 1e4 * (x[:, 0] - X[2, 0]) ** 2, X, "parabola")
     assert abs(flat.jacobian[2, 6]) < 1e-6
-    finite_differences(lambda x: np.cos(x).ravel(), np.zeros((4, 2)), "cosine")
+    differentiate(lambda x: np.cos(x).ravel(), np.zeros((4, 2)), "cosine")
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_a_flat_spot_and_strong_curvature_are_no_kinks():
 )
 def test_a_kink_is_told_with_its_row_waypoint_and_variable(function):
     with pytest.warns(DerivativeWarning, match=r"row 2 of 'fold' along waypoint 2, variable 0 ") as caught:
-        finite_differences(function, X, "fold")
+        differentiate(function, X, "fold")
     warning = caught[0].message
     assert (warning.term, warning.row, warning.waypoint, warning.variable) == ("fold", 2, 2, 0)
 
@@ -101,7 +101,7 @@ def test_a_kink_is_told_with_its_row_waypoint_and_variable(function):
 )
 def test_a_slope_that_depends_on_the_step_is_told(function):
     with pytest.warns(DerivativeWarning, match="of 'rough' along waypoint"):
-        finite_differences(function, X, "rough")
+        differentiate(function, X, "rough")
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_a_slope_that_depends_on_the_step_is_told(function):
 )
 def test_what_cannot_be_differentiated_is_refused_with_the_place(function, message):
     with pytest.raises(DerivativeError, match=message):
-        finite_differences(function, X, "term")
+        differentiate(function, X, "term")
 
 
 def test_a_state_that_cannot_be_moved_is_refused():
@@ -131,7 +131,7 @@ def test_waypoints_are_grouped_so_that_no_row_sees_two():
     rng = np.random.default_rng(0)
     for _ in range(50):
         touched = rng.random((8, 7)) < 0.2
-        groups = independent(touched)
+        groups = group_waypoints(touched)
         moved = np.concatenate([group.waypoints for group in groups]) if groups else np.zeros(0, dtype=int)
         assert set(np.flatnonzero(touched.any(axis=0))) <= set(moved)
         for group in groups:

@@ -6,7 +6,7 @@ import pytest
 from quadratic_terms import Affine, Function, identity_state
 
 from scopt import Constraint, Cost, Problem, Sense, Settings, SolverError, TrustRegionSQP
-from scopt.multipliers import multipliers
+from scopt.multipliers import compute_multipliers
 
 FREE = np.full((1, 2), 1e3)
 
@@ -20,7 +20,7 @@ def test_a_parabola_leaning_on_a_row_and_on_a_bound_is_held_by_its_slope():
     costs = [Cost("x", Affine([[1.0, 0.0]], 3.0)), Cost("y", Affine([[0.0, 1.0]], -1.0), weight=2.0)]
     at_most_one = Constraint("x at most 1", Affine([[1.0, 0.0]], 1.0))
     problem = problem_of(costs, [at_most_one], lower=np.array([[-1e3, 0.5]]))
-    found = multipliers(problem, np.array([[1.0, 0.5]]), penalty=100.0)
+    found = compute_multipliers(problem, np.array([[1.0, 0.5]]), mu=100.0)
     assert found.constraints["x at most 1"] == pytest.approx([4.0], abs=1e-5)
     np.testing.assert_allclose(found.lower, [[0.0, 6.0]], atol=1e-5)
     np.testing.assert_allclose(found.upper, 0.0, atol=1e-5)
@@ -31,7 +31,7 @@ def test_a_row_that_cannot_be_kept_has_all_its_weight_and_the_sign_says_which_wa
     # x = 2 against x <= 1: held at x = 1 from both sides, the equation's row is negative there
     equation = Constraint("x is 2", Affine([[1.0, 0.0]], 2.0), Sense.EQUAL_ZERO, scale=0.5)
     bounded = problem_of([], [equation], upper=np.array([[1.0, 1e3]]))
-    found = multipliers(bounded, np.array([[1.0, 0.0]]), penalty=10.0)
+    found = compute_multipliers(bounded, np.array([[1.0, 0.0]]), mu=10.0)
     assert found.constraints["x is 2"] == pytest.approx([-5.0], abs=1e-5)
     np.testing.assert_allclose(found.upper, [[5.0, 0.0]], atol=1e-5)
 
@@ -42,7 +42,7 @@ def test_without_costs_two_rows_that_exclude_each_other_share_their_weight_and_t
         Constraint("at most 0", Affine([[1.0, 0.0]], 0.0)),
         Constraint("far", Affine([[0.0, 1.0]], 5.0)),
     ]
-    found = multipliers(problem_of([], rows), np.array([[0.5, 0.0]]), penalty=1.0)
+    found = compute_multipliers(problem_of([], rows), np.array([[0.5, 0.0]]), mu=1.0)
     assert found.constraints["at least 1"] == pytest.approx([1.0], abs=1e-5)
     assert found.constraints["at most 0"] == pytest.approx([1.0], abs=1e-5)
     assert found.constraints["far"] == pytest.approx([0.0], abs=1e-5)
@@ -52,14 +52,14 @@ def test_a_bound_beyond_the_box_does_not_count():
     cost = Cost("far", Affine([[1.0, 0.0]], 9.0))
     problem = problem_of([cost], [], upper=np.array([[1.0, 1e3]]))
     for x, is_held in ((1.0, True), (0.5, False)):
-        found = multipliers(problem, np.array([[x, 0.0]]), penalty=1.0, radius=0.1)
+        found = compute_multipliers(problem, np.array([[x, 0.0]]), mu=1.0, radius=0.1)
         assert bool(found.upper[0, 0] > 1.0) is is_held
 
 
 def test_a_fixed_variable_has_no_multiplier():
     fixed = np.array([[1.0, 0.0]])
     held = Constraint("x at most 0", Affine([[1.0, 0.0]], 0.0))
-    found = multipliers(problem_of([], [held], lower=fixed, upper=fixed), fixed, penalty=1.0)
+    found = compute_multipliers(problem_of([], [held], lower=fixed, upper=fixed), fixed, mu=1.0)
     assert not found.upper.any()
     assert not found.lower.any()
     assert found.rows["x at most 0"].value == pytest.approx([1.0])
@@ -84,7 +84,7 @@ def test_a_multiplier_is_how_fast_the_optimal_merit_grows_with_its_row(seed):
     constraints = [Constraint("hinge", Affine(A, b)), Constraint("equal", Affine(C, d), Sense.EQUAL_ZERO)]
     bounds = np.full((1, n), 2.0)
     problem = problem_of([Cost("goal", Affine(np.eye(n), goal))], constraints, -bounds, bounds)
-    found = multipliers(problem, best, penalty)
+    found = compute_multipliers(problem, best, penalty)
     slopes = [(merit(row) - merit(-row)) / (2 * step) for row in step * np.eye(6)]
     joined = np.concatenate([found.constraints["hinge"], found.constraints["equal"]])
     np.testing.assert_allclose(joined, slopes, atol=5e-3)
@@ -100,7 +100,7 @@ def test_where_the_violation_is_least_the_forces_of_the_rows_are_in_balance():
         problem, np.array([[2.0, 0.3]]), on_iteration=lambda record, x: visited.append(x)
     )
     np.testing.assert_allclose(visited[-1], np.full((1, 2), np.sqrt(0.5)), atol=1e-3)
-    found = multipliers(problem, visited[-1], penalty=1.0, radius=1e-2)
+    found = compute_multipliers(problem, visited[-1], mu=1.0, radius=1e-2)
     assert found.constraints["line"] == pytest.approx([1.0], abs=1e-4)
     assert found.constraints["disc"] == pytest.approx([np.sqrt(0.5)], abs=5e-3)
 
@@ -113,8 +113,8 @@ def test_back_ends_that_hand_multipliers_over_agree(name):
         [Cost("goal", Affine(np.eye(3), rng.normal(size=3)))], rows, np.full((1, 3), -1), np.ones((1, 3))
     )
     x = np.array([[0.3, -0.2, 1.0]])
-    reference = multipliers(problem, x, 2.0, radius=0.5)
-    found = multipliers(problem, x, 2.0, radius=0.5, qp=name)
+    reference = compute_multipliers(problem, x, 2.0, radius=0.5)
+    found = compute_multipliers(problem, x, 2.0, radius=0.5, qp=name)
     np.testing.assert_allclose(found.constraints["rows"], reference.constraints["rows"], atol=1e-5)
     np.testing.assert_allclose(found.upper, reference.upper, atol=1e-5)
 
@@ -122,4 +122,4 @@ def test_back_ends_that_hand_multipliers_over_agree(name):
 def test_a_back_end_without_multipliers_is_refused():
     problem = problem_of([Cost("x", Affine([[1.0, 0.0]], 3.0))], [])
     with pytest.raises(SolverError, match="QP back end 'piqp' gave no multipliers"):
-        multipliers(problem, np.zeros((1, 2)), 1.0, qp="piqp")
+        compute_multipliers(problem, np.zeros((1, 2)), 1.0, qp="piqp")

@@ -8,7 +8,7 @@ from scipy import sparse
 
 from scopt import AffineRows, SolverError
 from scopt.convex_model import ConvexModel, WeightedRows, assemble
-from scopt.qp import BACKENDS, QPStatus, QuadraticProgram, backend
+from scopt.qp import BACKENDS, QPStatus, QuadraticProgram, select_backend
 
 
 def random_model(rng, n_waypoints, n, span):
@@ -30,9 +30,9 @@ def random_model(rng, n_waypoints, n, span):
 
 def best_step(model, name, lower, upper):
     problem = assemble(model, np.ones(len(lower), dtype=bool))
-    solution = backend(name)(problem.within(lower, upper))
+    solution = select_backend(name)(problem.bound_steps(lower, upper))
     assert solution.is_usable
-    return problem.step(solution.x)
+    return problem.extract_step(solution.x)
 
 
 @given(seed=st.integers(0, 10_000), span=st.integers(1, 3), n_waypoints=st.integers(4, 9))
@@ -54,13 +54,13 @@ def test_back_ends_agree_with_cvxpy_where_rows_are_equalities(seed, n_waypoints)
     model.absolute.rows.value[is_hard] *= 1e-3  # all but met, or they could not be met in the box
     box = np.ones(n_waypoints * 3)
     subproblem = assemble(model, np.ones(len(box), dtype=bool), is_hard)
-    solutions = {name: backend(name)(subproblem.within(-box, box)) for name in BACKENDS}
+    solutions = {name: select_backend(name)(subproblem.bound_steps(-box, box)) for name in BACKENDS}
     if not solutions["cvxpy"].is_usable:
         return
     objective = subproblem.program.objective
     scale = 2e-5 * model.merit(np.zeros(len(box)))  # the objective is a difference of numbers of this size
     for name, solution in solutions.items():
-        step = subproblem.step(solution.x)
+        step = subproblem.extract_step(solution.x)
         np.testing.assert_allclose(model.absolute.rows.at(step)[is_hard], 0.0, atol=1e-5, err_msg=name)
         assert objective(solution.x) == pytest.approx(objective(solutions["cvxpy"].x), abs=scale), name
 
@@ -71,11 +71,11 @@ def test_an_equality_is_what_a_great_penalty_comes_to():
     model.absolute.weight[:] = 1e4
     box, every = np.ones(15), np.ones(6, dtype=bool)
     hard = assemble(model, box > 0, every)
-    soft = hard.softened()
+    soft = hard.soften()
     assert soft.program.E is None
     assert hard.program.E.shape[0] == 6
     assert len(soft.program.c) == len(hard.program.c) + 6
-    steps = [one.step(backend("clarabel")(one.within(-box, box)).x) for one in (hard, soft)]
+    steps = [p.extract_step(select_backend("clarabel")(p.bound_steps(-box, box)).x) for p in (hard, soft)]
     np.testing.assert_allclose(steps[0], steps[1], atol=1e-5)
 
 
@@ -116,11 +116,11 @@ def test_fixed_variables_do_not_move():
     is_free[[0, 1, 6]] = False
     problem = assemble(model, is_free)
     box = np.full(8, 0.5)
-    step = problem.step(backend("clarabel")(problem.within(-box, box)).x)
+    step = problem.extract_step(select_backend("clarabel")(problem.bound_steps(-box, box)).x)
     assert not step[~is_free].any()
     full = assemble(model, np.ones(8, dtype=bool))
     pinned = np.where(is_free, 0.5, 0.0)
-    reference = full.step(backend("cvxpy")(full.within(-pinned, pinned)).x)
+    reference = full.extract_step(select_backend("cvxpy")(full.bound_steps(-pinned, pinned)).x)
     np.testing.assert_allclose(step, reference, atol=1e-5)
 
 
@@ -134,9 +134,9 @@ def test_an_infeasible_program_is_called_infeasible_by_all_back_ends():
         upper=np.array([5.0]),
     )
     for name in BACKENDS:
-        assert backend(name)(program).status is QPStatus.INFEASIBLE, name
+        assert select_backend(name)(program).status is QPStatus.INFEASIBLE, name
 
 
 def test_unknown_back_end_is_refused_by_name():
-    with pytest.raises(SolverError, match="unknown QP back end 'gurobi'; there are piqp, clarabel, cvxpy"):
-        backend("gurobi")
+    with pytest.raises(SolverError, match="unknown QP back end 'gurobi'; expected one of piqp, clarabel, cvxpy"):
+        select_backend("gurobi")

@@ -1,4 +1,4 @@
-"""The optimiser on problems with known answers, and what it says of its end."""
+"""The optimiser on problems with known answers: its steps, its boxes and the status it ends with."""
 
 import itertools
 
@@ -7,6 +7,7 @@ import pytest
 from quadratic_terms import Affine, Function, identity_state
 
 from scopt import Constraint, Cost, Penalty, Problem, ProblemError, Sense, Settings, Status, TrustRegionSQP
+from scopt.qp import BACKENDS, QPSolution, QPStatus
 
 FREE = np.full((1, 2), 1e3)
 
@@ -123,6 +124,124 @@ def test_merit_never_rises_while_the_penalty_stands():
             assert after.merit <= before.merit + 1e-12
     for step in result.history:
         assert step.model_merit < step.merit
+
+
+def minimise_well(**settings):
+    """Minimise an arctangent squared, whose linear model promises more than long steps bring."""
+    well = Function(lambda x: 3.0 * np.arctan(2.0 * x[0]), lambda x: [[6.0 / (1.0 + 4.0 * x[0] ** 2), 0.0]])
+    return solve([Cost("well", well), Cost("slope", Affine([[0.3, 0.0]], 0.0))], [], [1.3, 0.0], **settings)
+
+
+def test_steps_are_taken_exactly_when_they_bring_a_quarter_of_what_the_model_promised():
+    history = minimise_well(trust_radius=2.0).history
+    brought = [(i.merit - i.trial_merit) / (i.merit - i.model_merit) for i in history]
+    assert any(0.0 < ratio < 0.25 for ratio in brought), "the problem must try the rule"
+    assert [i.is_accepted for i in history] == [ratio >= 0.25 for ratio in brought]
+
+
+def test_the_box_follows_the_steps_that_were_taken_and_rejected():
+    history = minimise_well(trust_radius=50.0).history
+    rejected = [(i, j) for i, j in itertools.pairwise(history) if not i.is_accepted]
+    accepted = [(i, j) for i, j in itertools.pairwise(history) if i.is_accepted]
+    assert history[1].trust_radius < 0.3 * 50.0  # the first step went not nearly as far as the box
+    for before, after in rejected:
+        assert after.trust_radius <= 0.3 * before.trust_radius
+    factors = {round(after.trust_radius / before.trust_radius, 9) for before, after in accepted}
+    assert factors == {1.0, 1.5}
+
+
+def test_a_box_that_has_shrunk_is_reopened_when_the_penalty_rises():
+    # The first penalty is too weak against the cost; the bent constraint shrinks the box before it rises.
+    costs = [Cost("pull", Affine([[1.0, 0.0], [0.0, 1.0]], [3.0, 0.0]), weight=30.0)]
+    bent = Function(lambda x: np.abs(np.sin(9.0 * x[0])) + x[0], lambda x: [[9.0 * np.cos(9.0 * x[0]) + 1.0, 0.0]])
+    result = solve(costs, [Constraint("bent", bent)], [2.0, 1.0], trust_radius=1.0, is_corrected=False)
+    raises = [(i, j) for i, j in itertools.pairwise(result.history) if j.penalty > i.penalty]
+    assert any(before.trust_radius < 0.05 for before, _ in raises), "the problem must try the rule"
+    assert all(after.trust_radius >= 0.1 for _, after in raises)
+
+
+def test_a_solve_ends_where_violations_are_acceptable():
+    # x <= -1 and x >= 1 cannot both hold; off by 1 each is acceptable.
+    constraints = [
+        Constraint("low", Affine([[1.0, 0.0]], -1.0), acceptable=1.1),
+        Constraint("high", Affine([[-1.0, 0.0]], -1.0), acceptable=1.1),
+    ]
+    result = solve([Cost("f", Affine([[0.0, 1.0]], 0.0))], constraints, [0.05, 50.0], acceptable_steps=2)
+    assert result.status is Status.ACCEPTABLE
+    assert len(result.history) == 2
+
+
+def test_a_solve_without_progress_ends_where_patience_does():
+    constraints = [Constraint("low", Affine([[1.0, 0.0]], -1.0)), Constraint("high", Affine([[-1.0, 0.0]], -1.0))]
+    cost = Cost("f", Affine([[0.0, 1.0]], 0.0))
+    result = solve([cost], constraints, [0.0, 50.0], patience=3)
+    assert result.status is Status.STALLED
+    assert len(result.history) == 4
+    assert len(solve([cost], constraints, [0.0, 50.0]).history) > 4
+
+
+def curved_constraint(**changes):
+    """An arctangent to be zero: from 1.3 the first long step goes too far and is rejected."""
+    curve = Function(lambda x: 3.0 * np.arctan(2.0 * x[0]), lambda x: [[6.0 / (1.0 + 4.0 * x[0] ** 2), 0.0]])
+    return Constraint("curve", curve, Sense.EQUAL_ZERO, **changes)
+
+
+def test_a_rejected_step_ends_a_solve_whose_violations_are_acceptable():
+    result = solve([], [curved_constraint(acceptable=4.0)], [1.3, 0.0], trust_radius=50.0, is_corrected=False)
+    assert result.status is Status.ACCEPTABLE
+    assert [i.is_accepted for i in result.history] == [False]
+    np.testing.assert_array_equal(result.x, [[1.3, 0.0]])
+
+
+def test_patience_follows_the_iterate_and_not_rejected_steps():
+    # 3.6 before both steps, 4.3 at the rejected one, 3.3 at the end: less than a tenth below 3.6.
+    stuck = Constraint("stuck", Affine([[0.0, 0.0]], -3.3), tolerance=1.0)
+    constraints = [curved_constraint(tolerance=1.0), stuck]
+    result = solve([], constraints, [1.3, 0.0], trust_radius=50.0, is_corrected=False, patience=1)
+    assert [i.is_accepted for i in result.history] == [False, True]
+    assert result.status is Status.STALLED
+
+
+def test_a_feasible_solve_ends_after_a_rejected_step_when_little_is_to_be_gained():
+    well = Function(lambda x: 3.0 * np.arctan(2.0 * x[0]), lambda x: [[6.0 / (1.0 + 4.0 * x[0] ** 2), 0.0]])
+    costs = [Cost("well", well), Cost("constant", Affine([[0.0, 0.0]], 16.0))]
+    result = solve(costs, [], [1.3, 0.0], trust_radius=50.0, min_improvement_feasible=0.02)
+    assert result.status is Status.CONVERGED
+    assert [i.is_accepted for i in result.history] == [False]
+
+
+def test_the_result_is_the_best_iterate_and_not_the_last_one_tried():
+    result = minimise_well(trust_radius=50.0, max_iterations=1)
+    assert result.history[0].trial_merit > result.history[0].merit
+    np.testing.assert_array_equal(result.x, [[1.3, 0.0]])
+
+
+def test_the_time_of_a_model_counts_for_its_first_trial_step():
+    history = minimise_well(trust_radius=2.0).history
+    assert [i.convexify_s > 0.0 for i in history] == [True, *(i.is_accepted for i in history[:-1])]
+
+
+def test_the_iteration_limit_ends_a_solve():
+    result = minimise_well(max_iterations=3)
+    assert result.status is Status.ITERATION_LIMIT
+    assert len(result.history) == 3
+
+
+def test_a_solve_without_any_solved_subproblem_says_so(monkeypatch):
+    def fail(program):
+        return QPSolution(np.full(len(program.c), np.nan), QPStatus.FAILED)
+
+    monkeypatch.setitem(BACKENDS, "piqp", fail)
+    monkeypatch.setitem(BACKENDS, "clarabel", fail)
+    result = solve([Cost("f", Affine([[1.0, 0.0]], 0.0))], [Constraint("c", Affine([[1.0, 0.0]], 0.0))], [1.0, 0.0])
+    assert result.status is Status.SUBPROBLEM_FAILED
+    assert not result.history
+
+
+def test_default_settings_accept_a_quarter_of_the_promise_and_shrink_below_the_step():
+    solver = TrustRegionSQP()
+    assert not solver.trust_region.accept(promised=1.0, actual=0.2)
+    assert solver.trust_region.step(1.0, 0.1, is_accepted=False) < 0.1
 
 
 def test_bounds_that_fix_variables_are_kept_exactly():

@@ -121,6 +121,6 @@ def test_mesh_that_is_not_here_or_cannot_be_sent_is_told_here(
     with pytest.raises(RequestError) as caught:
         client.build_scene("first.npz", meshes=["nowhere.obj", "crate.urdf"], update="gone.json")
     nowhere, gone, urdf = caught.value.problems
-    assert nowhere == "meshes[0].file: 'nowhere.obj' is not there; name a file that is"
-    assert gone == "update: 'gone.json' is not there; name a file that is"
+    assert nowhere == "meshes[0].file: 'nowhere.obj' does not exist; expected an existing file"
+    assert gone == "update: 'gone.json' does not exist; expected an existing file"
     assert urdf.startswith("meshes[1].file: 'crate.urdf': it is not uploaded")

@@ -48,7 +48,7 @@ def violated(terms: list, x: np.ndarray = X, scene: Scene | None = None) -> dict
     """By how much each constraint of a problem is off, by name."""
     builder, _ = builder_of(document("joint1+joint2", len(x), constraints=terms), scene)
     state = state_of(builder, x)
-    return {each.name: each.violation(each.residual.value(state)) for each in builder.constraints()}
+    return {each.name: each.measure_violation(each.residual.value(state)) for each in builder.constraints()}
 
 
 def test_joint_velocity_costs_the_squares_of_the_steps():

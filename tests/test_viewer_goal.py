@@ -1,4 +1,4 @@
-"""What a page shows of a goal that cannot be had, of links without shapes, and how it fits on a phone."""
+"""Viewer page of an infeasible goal, of links without shapes, and on a phone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What pages print, read in a browser and held against the certificates they speak of."""
+"""Numbers on viewer pages, read in a browser and compared with the certificates."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NEAR = 2e-6  # of a line drawn from single-precision numbers [m, s]
 
 @dataclass(frozen=True)
 class Page:
-    """A result, and what its page prints."""
+    """A result and the text of its page."""
 
     result: PlanResult
     read: dict
@@ -61,7 +61,7 @@ class Page:
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory) -> Mapping[str, Page]:
-    """Every result's page as one browser reads it, in a small window, since nothing is looked at."""
+    """Pages of all results, read by one browser in a small window."""
     program = find_chromium()
     if program is None:
         pytest.skip("no chromium on this machine")
@@ -83,7 +83,7 @@ def _read(browser: Browser, result: PlanResult, folder: Path) -> dict:
 
 
 def number(text: str) -> float:
-    """The first number in a text that has a unit of length, angle or share."""
+    """Return the first number in a text with a unit of length, angle or share."""
     found = re.search(r"(−?[\d.]+(?:e[−\d.]+)?) ?(?:mm|°|%|m\b|rad)", text)
     assert found, text
     return float(found[1].replace("−", "-"))

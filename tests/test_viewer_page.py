@@ -1,4 +1,4 @@
-"""The viewer in a real browser: what it draws, what it says, and that it talks to nobody."""
+"""The viewer in a real browser: drawing, text, and no network access."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def browser(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
-    """Addresses of a certified result, an unsolved one, and a scene without a trajectory."""
+    """Addresses of the pages of a certified result, an unsolved one, and a scene without a trajectory."""
     folder = tmp_path_factory.mktemp("pages")
     scene, _ = make_result(verdict="INFEASIBLE")
     for key in ("trajectory", "phases", "waypoints", "support_polygons", "com", "zmp", "movables", "cloud", "checks"):
@@ -58,7 +58,7 @@ def pages(tmp_path_factory):
 
 
 def colour_at(browser, what, width=3):
-    """Mean colour of the picture around the projected place."""
+    """Return the mean colour of the picture around the projected point."""
     browser.settle()
     x, y = (round(value) for value in browser.run(f"window.__viewer.project({json.dumps(what)})"))
     return browser.picture()[y - width : y + width + 1, x - width : x + width + 1].reshape(-1, 3).mean(axis=0)

@@ -1,4 +1,4 @@
-"""What the viewer page is given: hulls, thinned frames, packed numbers, and nothing that could run."""
+"""Data of the viewer page: hulls, thinned frames, packed numbers, and no executable content."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from service.viewer.payload import json_safe, make_payload
 
 
 def unpack(entry):
-    """A packed array as numpy reads it."""
+    """Return a packed array as a numpy array."""
     array = np.frombuffer(base64.b64decode(entry["data"]), dtype=np.dtype(entry["dtype"]).newbyteorder("<"))
     array = array.reshape(entry["shape"])
     if "lower" not in entry:

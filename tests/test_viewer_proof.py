@@ -1,4 +1,4 @@
-"""The clearance proof over time, as the viewer draws it."""
+"""Clearance proof over time as drawn by the viewer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from service.viewer.proof import clearance_track
 
 
 def proven_result():
-    """A certificate with two broad stretches, one near pair, and the hand allowed to touch the rim during the turn.
+    """Return a certificate with two broad stretches, one near pair, and a hand that may touch the rim during the turn.
 
     The path runs from 0 to 1 within 6 s at constant speed.
     """

@@ -1,1 +1,1 @@
-"""Lies told to the public faces of scopt, and cancels at random moments: ``make attack``."""
+"""Attacks with false data on scopt's commands, and cancels at random moments: ``make attack``."""

@@ -1,6 +1,6 @@
-"""Lie to scopt and cancel it: ``python -m benchmarks.attack [--short] [--only KIND ...] [--json FILE] [--seed N]``.
+"""Attack scopt: ``python -m benchmarks.attack [--short] [--only KIND ...] [--json FILE] [--seed N]``.
 
-Exit code 1 where a lie was believed, an honest deed refused, or something crashed.
+The exit code is 1 if false data was believed, honest data was refused, or anything crashed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def main() -> int:
 
 
 def attacks_of(parts: tuple[str, ...] | list[str], is_short: bool, seed: int = 0) -> list[Attack]:
-    """The attacks of some parts, without the cancels."""
+    """Return the attacks of some parts, without the cancels."""
     found: list[Attack] = []
     for part in parts:
         if part == "cancels":

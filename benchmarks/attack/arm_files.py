@@ -1,4 +1,4 @@
-"""A small arm on a pedestal, written as files: boxes, a cylinder and a mesh, honest in every number."""
+"""Files of a small arm on a pedestal: boxes, a cylinder and a mesh, all numbers correct."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ NEIGHBOURS = (
 
 
 def box_obj(size: tuple[float, float, float], lift: float = 0.0) -> str:
-    """A closed box as OBJ text, its bottom at a height [m]."""
+    """Return a closed box as OBJ text, its bottom at the given height [m]."""
     x, y, z = size
     corners = [(a * x / 2, b * y / 2, lift + c * z) for a in (-1, 1) for b in (-1, 1) for c in (0, 1)]
     faces = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
@@ -81,12 +81,12 @@ def box_obj(size: tuple[float, float, float], lift: float = 0.0) -> str:
 
 
 def honest_urdf() -> str:
-    """The arm as it is."""
+    """Return the correct URDF of the arm."""
     return _ARM
 
 
 def srdf(pairs: Iterable[tuple[str, str]] = NEIGHBOURS) -> str:
-    """An SRDF that disables pairs of links."""
+    """Return an SRDF that disables pairs of links."""
     rows = "".join(f'<disable_collisions link1="{a}" link2="{b}" reason="Never"/>' for a, b in pairs)
     return f'<robot name="arm">{rows}</robot>'
 
@@ -96,10 +96,10 @@ def write_arm(
     lie: Callable[[ET.Element], object] | None = None,
     disabled: Iterable[tuple[str, str]] | None = NEIGHBOURS,
 ) -> dict[str, Any]:
-    """Write URDF, mesh and SRDF; the ``robot`` of a request comes back.
+    """Write URDF, mesh and SRDF; return the ``robot`` section of a request.
 
     Args:
-        folder: that exists.
+        folder: an existing one.
         lie: changes the parsed URDF.
         disabled: pairs of the SRDF; None for no SRDF.
     """
@@ -116,7 +116,7 @@ def write_arm(
 
 
 def arm_request(robot: dict[str, Any], **more: Any) -> dict[str, Any]:
-    """A reach of the arm past a post."""
+    """Return a request for a reach of the arm past a post."""
     request = {
         "robot": robot,
         "start": {"joints": START},

@@ -1,4 +1,4 @@
-"""Honest result folders that liars start from: planned once, checked, and copied for every edit."""
+"""Correct result folders that attacks start from: planned once, checked, and copied for every edit."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ VALVE = {
 
 
 def request_of(name: str, folder: Path) -> dict[str, Any]:
-    """The request of a base, as plain data of its own; ``folder`` gets the files it names."""
+    """Return the request of a base as new plain data; write the files it names to ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
     return copy.deepcopy(_request(name, folder))
 
@@ -75,7 +75,7 @@ def original(name: str) -> Path:
     """Folder with ``result`` (as ``scopt plan`` writes it), ``request.yaml`` and ``files`` of a base.
 
     Raises:
-        RuntimeError: the base, which nobody has edited, is not certified.
+        RuntimeError: the unedited base is not certified.
     """
     folder = _scratch() / name
     request = request_of(name, folder / "files")
@@ -88,7 +88,7 @@ def original(name: str) -> Path:
 
 
 def write_plan(request: dict[str, Any], folder: Path) -> str:
-    """Plan a request; ``folder`` gets ``result`` and ``request.yaml``. The verdict comes back."""
+    """Plan a request, write ``result`` and ``request.yaml`` to ``folder``, and return the verdict."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "request.yaml").write_text(json.dumps(request), encoding="utf-8")
     result = plan(parse_request(request, folder))
@@ -97,7 +97,7 @@ def write_plan(request: dict[str, Any], folder: Path) -> str:
 
 
 def copy_of(name: str, scratch: Path) -> Path:
-    """A fresh copy of a base's result folder."""
+    """Return a fresh copy of a base's result folder."""
     target = scratch / "result"
     shutil.copytree(original(name) / "result", target)
     return target
@@ -120,7 +120,7 @@ def _atlas(posture: str, obstacles: list[dict[str, Any]], **more: Any) -> dict[s
 
 
 def _program() -> dict[str, Any]:
-    """A TrajOpt document: joint values at the end, a tool that is slow, a start that is fixed."""
+    """Return a TrajOpt document with joint values at the end, a slow tool and a fixed start."""
     goal = [GOAL[name] for name in START]
     return {
         "basic_info": {"n_steps": 8, "manip": "active", "start_fixed": True},

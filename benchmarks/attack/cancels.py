@@ -1,7 +1,7 @@
 """Cancels at random moments: scene, detection, plan and verify calls in one worker of a server's pool.
 
-A worker that crashes (its faulthandler tells where), a job without an answer, or a plan after a cancel that differs
-from the plan of a fresh process has failed.
+These are failures: a worker that crashes (its faulthandler prints where), a job without an answer, and a plan after a
+cancel that differs from the plan of a fresh process.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ CRASHES = ("Fatal Python error", "Segmentation fault", " ended: ")
 
 @dataclass
 class Report:
-    """What cancels did.
+    """Effects of all cancels so far.
 
     Attributes:
         outcomes: by kind of job, how often it was ``stopped`` (by itself), ``killed``, ``answered`` (before it heard).
-        crashes: lines of the pool's log that tell of a worker's death.
-        wrong: jobs that ended otherwise than they may, and plans that differ from those of a fresh process.
+        crashes: lines of the pool's log that report a dead worker.
+        wrong: jobs with a wrong ending, and plans that differ from those of a fresh process.
         n_compared: plans that were compared.
         slowest_s: longest time from a cancel to the job's end [s].
     """
@@ -61,7 +61,7 @@ class Report:
 
     @property
     def n_cancels(self) -> int:
-        """Jobs that were cancelled."""
+        """Number of jobs that were cancelled."""
         return sum(counter.total() for counter in self.outcomes.values())
 
     @property
@@ -85,9 +85,9 @@ def run(
     """Cancel ``count`` jobs at random moments.
 
     Args:
-        count: of cancels.
-        seed: of which jobs, and when; when a worker hears of it differs from run to run all the same.
-        on_cancel: gets the report so far after each cancel.
+        count: number of cancels.
+        seed: of the choice of jobs and moments; the moment at which a worker sees the cancel varies between runs.
+        on_cancel: called with the report so far after each cancel.
         is_short: leave out the denser scan, detections of all kinds at once, and half of the comparisons.
     """
     rng, report = np.random.default_rng(seed), Report()
@@ -133,7 +133,7 @@ def _attacks(
 
 
 def _denser_scan(folder: Path) -> Path:
-    """The scan with many times the points, whose searches for neighbours take long."""
+    """Return the scan with many times the points, so that searches for neighbours take long."""
     cloud, rng = read_cloud(SCAN), np.random.default_rng(0)
     points = np.concatenate([cloud.points + rng.normal(0.0, 0.004, cloud.points.shape) for _ in range(DENSER)])
     write_npz(folder / "dense.npz", Cloud(points, np.median(np.atleast_2d(cloud.origin), axis=0)))
@@ -169,7 +169,7 @@ def _cancel(pool: LocalPool, attack: _Attack, share: float, typical: dict[str, f
 
 
 def _fresh_plans(requests: list[PlanRequest]) -> list[PlanAnswer]:
-    """Plans of processes that have done nothing else."""
+    """Return plans of processes that have done nothing else."""
     with LocalPool(1, preload=PRELOAD, warm_up=warm_up, recycle_after=1) as pool:
         answers = [pool.submit(run_plan, PlanTask(one, with_files=True)).result(AT_LONGEST_S) for one in requests]
     refused = [answer for answer in answers if not isinstance(answer, PlanAnswer)]
@@ -185,7 +185,7 @@ def _hashes(answer: object) -> tuple[str, ...]:
 
 
 def _files(answer: PlanAnswer) -> dict[str, bytes]:
-    """The files of a plan's result folder, by their path in it."""
+    """Return the files of a plan's result folder by their path in it."""
     with tarfile.open(fileobj=io.BytesIO(answer.archive)) as archive:
         members = [(member.name, archive.extractfile(member)) for member in archive.getmembers()]
         return {name: stream.read() for name, stream in members if stream is not None}
@@ -193,7 +193,7 @@ def _files(answer: PlanAnswer) -> dict[str, bytes]:
 
 @contextmanager
 def deaths(report: Report) -> Iterator[None]:
-    """Have what the pool's log says of workers that died added to the report."""
+    """Add the dead workers in the pool's log to the report."""
 
     class Listener(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -213,7 +213,7 @@ def deaths(report: Report) -> Iterator[None]:
 
 
 def outcomes(count: int, seed: int = 0, *, is_short: bool = False) -> Iterator[Outcome]:
-    """Cancel jobs, and tell what came of each kind of job and of the pool as rows of the attacks' table."""
+    """Cancel jobs; yield the outcome of each kind of job and of the pool as rows of the attacks' table."""
     report = run(count, seed, _tell, is_short)
     for kind, counter in sorted(report.outcomes.items()):
         text = ", ".join(f"{how} {number}" for how, number in counter.most_common())

@@ -1,4 +1,4 @@
-"""Edits of the certificate, the verdict and what is printed beside them; and edits that change nothing."""
+"""Edits of the certificate, the verdict and the printed figures, and edits without effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Edits of who stands where and what may touch: planted feet, balance, allowances, the certificate remade."""
+"""Edits of planted feet, balance and allowances, with the certificate computed again."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ STANDING = ("reach", "carry", "valve")
 def allowance(
     first: tuple[str, str | None, str | None], second: tuple[str, str | None, str | None], depth: float
 ) -> Any:
-    """An allowance as a result holds it; each of the two is owner, link and body."""
+    """Return an allowance in the format of a result; each of the two is owner, link and body."""
     one, other = (dict(zip(("owner", "link", "body"), names, strict=True)) for names in (first, second))
     return {"first": one, "second": other, "depth": depth}
 
 
 def hand_of(folder: Folder) -> tuple[str, str | None, str | None]:
-    """The link at the end of the robot's arm."""
+    """Return the link at the end of the robot's arm."""
     return ("robot", "l_hook" if folder.data["robot"]["root"] == "floating" else "hand", None)
 
 

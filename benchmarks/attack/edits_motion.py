@@ -1,4 +1,4 @@
-"""Edits of what is executed: samples, table, curve and time law."""
+"""Edits of the executed motion: samples, table, curve and time law."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def a_nan_in_the_table(folder: Folder) -> None:
 
 @MOTION.lie("arm", level=RAW)
 def a_comment_in_the_table(folder: Folder) -> None:
-    # Readers of tables differ in what they skip: to some this row is part of the motion.
+    # Readers of tables skip different rows: some read this one as part of the motion.
     folder.edit_text("trajectory.csv", lambda text: text.replace("\n", "\n#9,9,9,9,9,9\n", 3))
 
 
@@ -131,7 +131,7 @@ def tangents_edited(folder: Folder) -> None:
 
 @MOTION.lie("arm", "untimed")
 def hand_led_through_the_post_between_knots(folder: Folder) -> None:
-    """Straight to the goal, past no knot that lies clear of the post."""
+    """Lead the hand straight to the goal, through the post between two knots."""
     positions = np.array(folder.curve["positions"])
     straight = np.linspace(positions[0], positions[-1], len(positions))
     folder.curve.update(positions=straight.tolist(), tangents=np.gradient(straight, axis=0).tolist())
@@ -173,7 +173,7 @@ def law_sped_up_tenfold_and_remade(folder: Folder) -> None:
 
 @MOTION.lie("arm")
 def law_sped_up_beyond_what_was_asked(folder: Folder) -> None:
-    """Within the robot's limits, beyond the share of them that the request allows."""
+    """Exceed the share of the robot's limits that the request allows, but not the limits."""
     law = folder.curve["law"]
     law.update(times=[t / 1.7 for t in law["times"]], speed=[1.7 * v for v in law["speed"]])
 

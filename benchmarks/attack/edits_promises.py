@@ -1,4 +1,4 @@
-"""Edits of what the phases promise to do, and where they begin and end, the certificate remade."""
+"""Edits of the promises and borders of phases, with the certificate computed again."""
 
 from __future__ import annotations
 

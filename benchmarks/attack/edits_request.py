@@ -1,4 +1,4 @@
-"""Edits of what the request in a folder demands, its public hash computed anew."""
+"""Edits of the request in a folder, with its hash computed again."""
 
 from __future__ import annotations
 

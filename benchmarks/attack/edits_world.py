@@ -1,4 +1,4 @@
-"""Edits of the world and the robot that were checked: pieces, what the task moves, URDF, SRDF, meshes."""
+"""Edits of scene and robot: pieces, movables, URDF, SRDF and meshes."""
 
 from __future__ import annotations
 

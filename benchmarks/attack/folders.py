@@ -1,4 +1,4 @@
-"""All edits of result folders, and lies that only the user's own request or scan can bring to light."""
+"""All edits of result folders, and false data that only the user's own request or scan reveals."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HAND_POSE = {"link": "l_hand", "position": [0.55, 0.25, 1.2], "position_toleranc
 
 
 def attacks() -> list[Attack]:
-    """Edits by kind, texts that are no JSON of ours, substitutes, and scans that show something else."""
+    """Return edits by kind, texts that are not valid results, replaced files, and scans of something else."""
     edits: list[Edit] = [
         edit for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, WORLD, MOTION) for edit in registry.edits
     ]
@@ -80,7 +80,7 @@ def _indent(scratch: Path) -> tuple[Answer, str]:
     return judges.harmless(*judges.verify(folder))
 
 
-# What is planned honestly, and then handed over as the answer to a request of which it does less.
+# Correct results, submitted as the answer to a request that demands more.
 SUBSTITUTES: dict[str, tuple[str, dict[str, Any]]] = {
     "a goal 30 cm away": ("reach", {"goal.poses.0.position": [0.60, 0.25, 1.35]}),
     "a goal with a wide tolerance": ("reach", {"goal.poses.0.position_tolerance_m": 0.1}),
@@ -123,7 +123,7 @@ def _substitute(base: str, changes: dict[str, Any]) -> Callable[[Path], tuple[An
 
 
 def _set(data: Any, path: list[str], value: object) -> None:
-    """Put a value at a path into nested data; ``ABSENT`` takes away what is there."""
+    """Set a value at a path in nested data; ``ABSENT`` removes the value there."""
     *way, last = path
     for step in way:
         data = data[int(step)] if isinstance(data, list) else data.setdefault(step, {})
@@ -136,7 +136,7 @@ def _set(data: Any, path: list[str], value: object) -> None:
 
 
 def _as_it_is(base: str) -> Callable[[Path], tuple[Answer, str]]:
-    """The stranger must confirm what nobody has edited."""
+    """Check that the independent program confirms an unedited folder."""
 
     def run(scratch: Path) -> tuple[Answer, str]:
         answer, text = judges.ask_stranger(bases.copy_of(base, scratch))
@@ -148,7 +148,7 @@ def _as_it_is(base: str) -> Callable[[Path], tuple[Answer, str]]:
 
 
 def _with_request(edit: Edit, scratch: Path) -> tuple[Answer, str]:
-    """What an edit of the arm's folder earns when the user's request is at hand."""
+    """Verify an edited folder of the arm against the user's own request."""
     return edit.run(
         "arm", scratch, lambda folder: judges.verify(folder, request=bases.original("arm") / "request.yaml")
     )
@@ -163,7 +163,7 @@ def _own(base: str) -> Callable[[Path], tuple[Answer, str]]:
 
 
 def _another_scan(scratch: Path) -> tuple[Answer, str]:
-    """The scan of a door for that of a valve."""
+    """Replace the scan of a valve by the scan of a door."""
     scan = scratch / "scan.pcd"
     shutil.copyfile(bases.ROOT / "examples" / "data" / "door_scan.pcd", scan)
     return judges.verify(bases.copy_of("scan", scratch), cloud=scan)

@@ -1,6 +1,6 @@
-"""A result folder in a liar's hands: edits, and the public hashes and claims made anew so that they fit.
+"""Forged result folders: edits, with hashes and claims computed again so that they fit.
 
-The liar has scopt's source code: ``REMADE`` runs the verifier on the edited motion and writes its certificate, its
+The forger has scopt's source code: ``REMADE`` runs the verifier on the edited motion and writes its certificate, its
 samples and its table as scopt would have, every check green.
 """
 
@@ -41,7 +41,7 @@ SHORT = (
 
 
 class Level(enum.Enum):
-    """How much of the folder a liar makes fit the edit."""
+    """How much of the folder is made consistent with the edit."""
 
     RAW = "as it is"
     HASHED = "hashed"
@@ -78,7 +78,7 @@ class Folder:
         return found
 
     def targets(self, kind: str) -> list[dict[str, Any]]:
-        """All targets of a kind, of all phases."""
+        """Return all targets of a kind in all phases."""
         return [target for phase in self.phases for target in phase["targets"] if target["kind"] == kind]
 
     def piece(self, name: str) -> dict[str, Any]:
@@ -103,7 +103,7 @@ class Folder:
         np.savetxt(path, change(np.loadtxt(path, delimiter=",", skiprows=1)), "%.10g", ",", header=header, comments="")
 
     def save(self, level: Level) -> None:
-        """Write ``result.json``, with everything that the level makes fit, as far as the edit leaves it readable."""
+        """Write ``result.json`` with everything that the level makes consistent, as far as it is still readable."""
         canonical = json.dumps(self.data["request"], sort_keys=True, separators=(",", ":"))
         if level is not Level.RAW:
             self.data["request_hash"] = "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
@@ -112,7 +112,7 @@ class Folder:
         (self.path / "result.json").write_text(json.dumps(self.data), encoding="utf-8")
 
     def robot(self) -> RobotModel:
-        """The robot of the folder's own files."""
+        """Return the robot read from the files of the folder."""
         robot = self.data["robot"]
         srdf = None if robot["srdf"] is None else self.path / robot["srdf"]
         packages = [self.path / name for name in robot["package_dirs"]]
@@ -151,15 +151,15 @@ Change = Callable[[Folder], object]
 
 @dataclass(frozen=True)
 class Edit:
-    """What is done to copies of some bases' folders.
+    """Edit of copies of some bases' folders.
 
     Attributes:
-        name: what is done.
+        name: of the edit.
         bases: names in :mod:`benchmarks.attack.bases`.
-        change: does it.
-        level: how much is made to fit.
+        change: makes the edit.
+        level: how much is made consistent.
         is_harmless: whether the folder must still be certified.
-        asks_stranger: whether the stranger's program must notice it too.
+        asks_stranger: whether the independent program must notice it too.
         asks_verifier: whether ``scopt verify`` must notice it.
         is_of_robot: whether only the robot's files are edited. Where the request names them by path, a verdict that
             says it rests on the folder's copy is honest, and with the user's own request there must be none.
@@ -175,7 +175,7 @@ class Edit:
     is_of_robot: bool = False
 
     def attacks(self) -> list[Attack]:
-        """One for every base and judge."""
+        """Return one attack for every base and judge."""
         found = []
         for base in self.bases:
             label = f"{base}: {self.name}" + ("" if self.level is Level.RAW else f" [{self.level.value}]")
@@ -190,7 +190,7 @@ class Edit:
     def run(
         self, base: str, scratch: Path, judge: Callable[[Path], tuple[Answer, str]] = judges.verify
     ) -> tuple[Answer, str]:
-        """Edit a fresh copy and have it judged."""
+        """Edit a fresh copy and judge it."""
         folder = Folder(bases.copy_of(base, scratch))
         before = fingerprint(folder.path)
         self.change(folder)
@@ -199,13 +199,13 @@ class Edit:
             raise AssertionError(f"the edit {self.name!r} changed nothing in {base}")
         answer, text = judge(folder.path)
         if self.is_of_robot and answer is Answer.BELIEVED and ROBOT_HERE in text:
-            # The verdict says whose robot it rests on; who gives the user's own request is told more.
+            # The verdict names the robot it is for; a check against the user's own request reveals more.
             answer, text = judges.verify(folder.path, request=bases.original(base) / "request.yaml")
         return judges.harmless(answer, text) if self.is_harmless else (answer, text)
 
 
 def fingerprint(folder: Path) -> str:
-    """Digest of all files of a folder."""
+    """Return a digest of all files of a folder."""
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         if path.is_file():
@@ -215,7 +215,7 @@ def fingerprint(folder: Path) -> str:
 
 
 class Registry:
-    """Edits in the order in which they are written down."""
+    """Edits in the order of their definitions."""
 
     def __init__(self) -> None:
         self.edits: list[Edit] = []
@@ -232,7 +232,7 @@ class Registry:
         return register
 
     def for_stranger(self, *bases: str) -> Callable[[Change], Change]:
-        """Register an edit of what only the stranger's program reads."""
+        """Register an edit of data that only the independent program reads."""
 
         def register(change: Change) -> Change:
             self.edits.append(Edit(_name(change), bases, change, Level.RAW, False, True, False))

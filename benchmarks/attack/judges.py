@@ -1,4 +1,4 @@
-"""The public faces that are lied to: ``scopt verify``, ``scopt plan`` and the stranger's program."""
+"""Programs under attack: ``scopt verify``, ``scopt plan`` and the independent checker."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STRANGER_TIME_S = 300.0
 
 
 def verify(folder: Path, **seen: Path) -> tuple[Answer, str]:
-    """What ``scopt verify`` says of an edited folder; ``seen`` are the user's own ``request`` and ``cloud``."""
+    """Run ``scopt verify`` on an edited folder; ``seen`` holds the user's own ``request`` and ``cloud``."""
     if seen:
         return _ask_command(folder, seen)
     try:
@@ -51,7 +51,7 @@ def _ask_command(folder: Path, seen: Mapping[str, Path]) -> tuple[Answer, str]:
 
 
 def ask_stranger(folder: Path) -> tuple[Answer, str]:
-    """What ``examples/check_certificate.py`` says of an edited folder."""
+    """Run ``examples/check_certificate.py`` on an edited folder."""
     done = subprocess.run(
         [sys.executable, str(STRANGER), str(folder)],
         capture_output=True,
@@ -71,7 +71,7 @@ def ask_stranger(folder: Path) -> tuple[Answer, str]:
 
 
 def harmless(answer: Answer, text: str) -> tuple[Answer, str]:
-    """The same answer to an edit that changes nothing that matters."""
+    """Return the answer for an edit that must not change the verdict."""
     if answer is Answer.CRASHED:
         return answer, text
     return (Answer.TRUE, text) if answer is Answer.BELIEVED and text.startswith(CERTIFIED) else (Answer.ALARM, text)

@@ -1,4 +1,4 @@
-"""Time laws that lie, put before the verifier: faster than their speeds say, where only dense differences show it."""
+"""False time laws for the verifier: faster than their stated speeds, which only dense differences show."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from costs.scene import Scene
 from service.verify import JointTarget, Motion, Phase, Status, VerifyError, verify
 
 SPEED, ACCELERATION = 0.5, 10.0  # limits of the slide
-EXCESS = 1.0 + 1e-3  # times a limit that refutes it
+EXCESS = 1.0 + 1e-3  # multiple of a limit that refutes a law
 _SLIDE = """<robot name="slide">
   <link name="base"><collision><origin xyz="0 0 -1"/><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
   <link name="arm"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
@@ -39,7 +39,7 @@ def _robot() -> RobotModel:
 
 
 def _motion(law: TimeLaw, curve: Curve | None = None, samples: np.ndarray | None = None) -> Motion:
-    """Two radians of the first joint along ``s`` from 0 to 2, at rest at both ends by the law alone."""
+    """Return a motion of the first joint by 2 rad along ``s`` from 0 to 2, at rest at both ends by the law alone."""
     curve = curve or Curve(np.array([0.0, 2.0]), np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[1.0, 0.0]] * 2))
     last = float(curve.knots[-1])
     end = tuple(
@@ -50,7 +50,7 @@ def _motion(law: TimeLaw, curve: Curve | None = None, samples: np.ndarray | None
 
 
 def true_peaks(law: TimeLaw, curve: Curve) -> tuple[float, float]:
-    """Largest speed and acceleration in multiples of the limits, as who replays the table of times sees them.
+    """Return the largest speed and acceleration of the table of times, in multiples of the limits.
 
     Times and path alone say where the robot is when: speeds are differences over windows of at least a millisecond,
     accelerations second differences over 50 ms.
@@ -69,7 +69,7 @@ def true_peaks(law: TimeLaw, curve: Curve) -> tuple[float, float]:
 
 
 def _ramps(peak: float, ramp_s: float, told: float = 1.0, steps: int = 400, length: float = 2.0) -> TimeLaw:
-    """Speed up, cruise, slow down; ``told`` times the true speed is what the law says of itself."""
+    """Speed up, cruise, slow down; the law states ``told`` times its true speed."""
     distance = peak * ramp_s
     cruise = (length - distance) / peak
     times = np.linspace(0.0, 2.0 * ramp_s + cruise, steps + 1)
@@ -80,13 +80,13 @@ def _ramps(peak: float, ramp_s: float, told: float = 1.0, steps: int = 400, leng
 
 
 def many_tiny_steps() -> Motion:
-    """Each step longer than its speed says by half of what a tolerance relative to the whole path forgives."""
+    """Make each step too long by half of a tolerance relative to the whole path."""
     law = _ramps(0.49, 0.3, steps=199_998, length=1.8)
     return _motion(TimeLaw(law.times, np.linspace(0.0, 0.2, len(law.path)) + law.path, law.speed))
 
 
 def tiny_steps_at_0605() -> Motion:
-    """4e5 steps at 0.605 rad/s that say 0.4999."""
+    """Make 4e5 steps at 0.605 rad/s with a stated speed of 0.4999."""
     n, fast, told = 400_000, 0.605, 0.4999
     times = np.linspace(0.0, 2.0 / fast, n + 1)
     path = np.linspace(0.0, 2.0, n + 1)
@@ -100,7 +100,7 @@ def _lied(peak: float, told: float, steps: int) -> Callable[[], Motion]:
 
 
 def jitter() -> Motion:
-    """Steps that are alternately much longer and shorter than they say, all within a rounding of the whole."""
+    """Make steps alternately much longer and shorter than stated, all within a rounding of the whole path."""
     law = _ramps(0.49, 0.3, steps=200_000)
     path = law.path + np.where(np.arange(len(law.path)) % 2 == 1, 0.9e-6, -0.9e-6)
     path[0], path[-1] = 0.0, 2.0
@@ -108,7 +108,7 @@ def jitter() -> Motion:
 
 
 def burst() -> Motion:
-    """A thousand steps in the middle that are 50 % longer than they say."""
+    """Make a thousand steps in the middle 50 % longer than stated."""
     law = _ramps(0.45, 0.3, steps=200_000)
     step = np.diff(law.path)
     step[90_000:110_000] *= 1.5
@@ -117,7 +117,7 @@ def burst() -> Motion:
 
 
 def time_stands_still() -> Motion:
-    """Two grid points at the same time."""
+    """Put two grid points at the same time."""
     law = _ramps(0.49, 0.3)
     times = law.times.copy()
     times[200] = times[199]
@@ -125,7 +125,7 @@ def time_stands_still() -> Motion:
 
 
 def nearly_no_time() -> Motion:
-    """A tenth of a radian within a picosecond, told as rest at both ends of it."""
+    """Move by 0.1 rad within a picosecond, with a stated rest at both ends."""
     law = _ramps(0.49, 0.3, length=1.9)
     k = int(np.searchsorted(law.path, 1.0))
     times = np.insert(law.times, k, law.times[k - 1] + 1e-12)
@@ -135,7 +135,7 @@ def nearly_no_time() -> Motion:
 
 
 def path_runs_back() -> Motion:
-    """The law goes back a little in the middle."""
+    """Let the path run back a little in the middle."""
     law = _ramps(0.49, 0.3)
     path = law.path.copy()
     path[200:220] = path[200:220][::-1]
@@ -143,26 +143,26 @@ def path_runs_back() -> Motion:
 
 
 def path_jumps() -> Motion:
-    """A step of the path that no speed explains."""
+    """Add a step of the path that no speed explains."""
     law = _ramps(0.49, 0.3, length=1.9)
     path = np.where(np.arange(len(law.path)) > 200, law.path + 0.1, law.path)
     return _motion(TimeLaw(law.times, path, law.speed))
 
 
 def ends_too_early() -> Motion:
-    """The law stops before the curve's end."""
+    """Stop the law before the end of the curve."""
     law = _ramps(0.49, 0.3, length=1.99)
     return _motion(law)
 
 
 def starts_at_full_speed() -> Motion:
-    """No rest at the start."""
+    """Start at full speed."""
     times = np.linspace(0.0, 2.0 / 0.49, 101)
     return _motion(TimeLaw(times, 0.49 * times, np.full(101, 0.49)))
 
 
 def law_with_nan() -> Motion:
-    """A speed that is no number."""
+    """Set a speed to NaN."""
     law = _ramps(0.49, 0.3)
     speed = law.speed.copy()
     speed[100] = np.nan
@@ -170,18 +170,18 @@ def law_with_nan() -> Motion:
 
 
 def negative_speeds() -> Motion:
-    """Speeds below zero."""
+    """Set speeds below zero."""
     law = _ramps(0.49, 0.3)
     return _motion(TimeLaw(law.times, law.path, -law.speed))
 
 
 def jerky_acceleration() -> Motion:
-    """From rest to full speed within 20 ms: 25 rad/s^2 where 10 are allowed."""
+    """Accelerate to full speed within 20 ms: 25 rad/s^2 where 10 are allowed."""
     return _motion(_ramps(0.49, 0.02))
 
 
 def acceleration_between_grid_points() -> Motion:
-    """The curve bends most where the law has no grid point."""
+    """Bend the curve most where the law has no grid point."""
     curve = Curve(np.array([0.0, 1.0, 2.0]), np.array([[0.0, 0.0], [1.0, 0.4], [2.0, 0.0]]),
         np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]))  # fmt: skip
     law = _ramps(0.499, 0.3, steps=4)
@@ -189,31 +189,31 @@ def acceleration_between_grid_points() -> Motion:
 
 
 def overshooting_tangents() -> Motion:
-    """A curve whose tangents are far steeper between its knots than its law allows for."""
+    """Give the curve much steeper tangents between its knots than its law allows for."""
     curve = Curve(np.array([0.0, 1.0, 2.0]), np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]),
         np.array([[0.2, 0.0], [3.0, 0.0], [0.2, 0.0]]))  # fmt: skip
     return _motion(_ramps(0.49, 0.3), curve)
 
 
 def overlapping_samples() -> Motion:
-    """Samples that go back."""
+    """Let the samples go back."""
     samples = np.linspace(0.0, 2.0, 201)
     samples[100] = samples[90]
     return _motion(_ramps(0.49, 0.3), samples=samples)
 
 
 def repeated_samples() -> Motion:
-    """One sample twice."""
+    """Repeat a sample."""
     return _motion(_ramps(0.49, 0.3), samples=np.sort(np.append(np.linspace(0.0, 2.0, 201), 1.0)))
 
 
 def samples_beyond_the_curve() -> Motion:
-    """Samples past the end."""
+    """Put samples past the end."""
     return _motion(_ramps(0.49, 0.3), samples=np.linspace(0.0, 2.5, 201))
 
 
 def honest() -> Motion:
-    """Within all limits, and says so."""
+    """Return a law within all limits that states its true speeds."""
     return _motion(_ramps(0.49, 0.3))
 
 
@@ -250,7 +250,7 @@ SLOW = (
 
 
 def attacks() -> list[Attack]:
-    """The lies, and the honest law that they are made of."""
+    """Return the false laws, and the correct law that they are made from."""
     found = [Attack("laws", name, _judged(make), name not in SLOW) for name, make in LAWS.items()]
     return [*found, Attack("harmless", "an honest law", _honest)]
 

@@ -1,4 +1,4 @@
-"""An attack and what came of it."""
+"""An attack and its outcome."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_S = 90  # that an attack may take; nothing here asks for more than 20 s of 
 
 
 class Answer(enum.Enum):
-    """How a lie, or an honest deed that looks like one, was answered."""
+    """Answer to false data, or to honest data that looks false."""
 
     REFUSED = "refused"
     """An error that names what is wrong."""
@@ -37,12 +37,12 @@ FAILED = (Answer.BELIEVED, Answer.ALARM, Answer.CRASHED)
 
 @dataclass(frozen=True)
 class Attack:
-    """One lie.
+    """One attack.
 
     Attributes:
         kind: row of the table.
-        name: what is done.
-        run: does it in a folder of its own; returns the answer and one sentence.
+        name: of the attack.
+        run: carries it out in a given folder; returns the answer and one sentence.
         is_short: whether the short version has it.
     """
 
@@ -59,7 +59,7 @@ class Attack:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of an attack, in one sentence, and the processor time it took."""
+    """Outcome of an attack in one sentence, and its processor time."""
 
     kind: str
     name: str
@@ -69,12 +69,12 @@ class Outcome:
 
     @property
     def has_failed(self) -> bool:
-        """Whether scopt was fooled, cried wolf or crashed."""
+        """Whether scopt believed false data, refused honest data or crashed."""
         return self.answer in FAILED
 
 
 def carry_out(attack: Attack) -> Outcome:
-    """Run an attack in a folder of its own; an error that it does not expect is a crash."""
+    """Run an attack in a new folder; an unexpected error counts as a crash."""
     began = time.process_time()
     with tempfile.TemporaryDirectory(prefix="attack-") as scratch:
         try:
@@ -90,7 +90,7 @@ def carry_out(attack: Attack) -> Outcome:
 
 @contextmanager
 def _no_longer_than(seconds: int) -> Iterator[None]:
-    """Raise ``TimeoutError`` in what takes longer."""
+    """Raise ``TimeoutError`` in the body once the time is up."""
 
     def ring(number: int, frame: object) -> None:
         raise TimeoutError(f"no answer within {seconds} s")

@@ -1,8 +1,8 @@
-"""Random edits: one number of a result folder moved by a relevant amount, everything else made to fit.
+"""Random edits: one number of a result folder changed by a relevant amount, the rest made consistent.
 
-What is edited decides who judges.  Pieces, promises, samples and what the task moves are stated elsewhere too (in the
-request, on the curve), so a folder that states them otherwise must not be certified.  A motion or a demand that was
-edited may still be met: then dense samples, pinocchio and coal's exact shapes decide (the arm alone, whose shapes
+The edited part decides which judge is used.  Pieces, promises, samples and movables are stated elsewhere too (in the
+request, on the curve), so a folder with other values must not be certified.  An edited motion or demand may still be
+met: then dense samples, pinocchio and coal's exact shapes decide (only for the arm, whose shapes
 :mod:`benchmarks.attack.truth` reads).
 """
 
@@ -39,8 +39,8 @@ class Part:
         name: of the part.
         bases: whose folders have it.
         root: where the numbers are.
-        level: how much is made to fit.
-        is_stated_twice: whether any change is a lie; else truth decides.
+        level: how much is made consistent.
+        is_stated_twice: whether any change is false; else the true motion decides.
     """
 
     name: str
@@ -71,7 +71,7 @@ PARTS = (
 
 
 def attacks(seed: int, count: int) -> list[Attack]:
-    """That many random edits, of all parts in turn."""
+    """Return that many random edits, of all parts in turn."""
     return [Attack("random", f"edit {index} of seed {seed}", partial(_run, seed, index)) for index in range(count)]
 
 
@@ -99,7 +99,7 @@ def _run(seed: int, index: int, scratch: Path) -> tuple[Answer, str]:
 
 
 def _leaves(data: Any, path: str) -> Iterator[tuple[Any, Any, str]]:
-    """Every number that matters, as its holder, its key there, and its path."""
+    """Yield every relevant number as its container, its key there, and its path."""
     entries = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for key, value in entries:
         if key in FREE:
@@ -110,7 +110,7 @@ def _leaves(data: Any, path: str) -> Iterator[tuple[Any, Any, str]]:
 
 
 def _wrong(base: str, folder: Folder) -> str:
-    """What a motion of the arm does not do of what the folder's request demands; empty where all is well."""
+    """Return which demands of the folder's request a motion of the arm misses; empty if none."""
     curve = folder.curve
     path = Curve(*(np.array(curve[key], dtype=float) for key in ("knots", "positions", "tangents")))
     names, rows = curve["joint_names"], path(np.linspace(path.knots[0], path.knots[-1], 1500))

@@ -1,4 +1,4 @@
-"""Requests that lie about a robot or a scene, and what may come of them."""
+"""Requests with false data about a robot or a scene, and their correct answers."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from service import RequestError, parse_request, plan
 from service.result.result import PlanResult
 
 CHECKED = ("links_with_shape", "left_out")  # of a certificate's coverage: what was checked, or is named as a pair
-DEEPER_M = 1e-3  # than this two things must not be inside each other in a certified motion
+DEEPER_M = 1e-3  # deepest allowed overlap in a certified motion
 
 
 class Expected(enum.Enum):
-    """What is right."""
+    """Correct answer."""
 
     NO_CERTIFICATE = "refused, or a verdict other than CERTIFIED"
     NAMED = "that, or CERTIFIED with notes that name all of the words"
@@ -29,16 +29,16 @@ class Expected(enum.Enum):
 
 @dataclass(frozen=True)
 class Lie:
-    """A request that lies.
+    """A request with false data.
 
     Attributes:
         request: as plain data.
-        expected: what is right.
+        expected: the correct answer.
         words: regular expressions that notes must hold (``NAMED``), or that excuse what the truth is (``TRUTH``).
         urdf: honest text of the robot, in whose folder its meshes are; of a fixed base.
         folder: of its meshes.
         tag: which of its shapes count.
-        may_touch: pairs of links that do not matter.
+        may_touch: pairs of links whose contact is ignored.
     """
 
     request: dict[str, Any]
@@ -51,7 +51,7 @@ class Lie:
 
 
 def answer_of(lie: Lie, folder: Path) -> tuple[Answer, str]:
-    """Plan what is asked, and hold what comes back against the truth."""
+    """Plan the request and compare the result with the truth."""
     try:
         result = plan(parse_request(lie.request, folder))
     except RequestError as error:
@@ -76,11 +76,11 @@ def answer_of(lie: Lie, folder: Path) -> tuple[Answer, str]:
 
 
 def told_beside(result: PlanResult) -> str:
-    """Everything that is said beside the verdict: notes and the certificate without the columns of its proof."""
+    """Return the text beside the verdict: notes and the certificate without the columns of its proof."""
     certificate = {} if result.certificate is None else result.certificate.to_dict()
     for name in ("stretches", "checks", "exempt", "min_clearance_pair"):
         certificate.pop(name, None)
-    # Links and pairs that were checked are no excuse for those that were not.
+    # Mentions of checked links and pairs do not count as notes on unchecked ones.
     coverage = certificate.get("coverage")
     if isinstance(coverage, dict):
         certificate["coverage"] = {name: value for name, value in coverage.items() if name not in CHECKED}

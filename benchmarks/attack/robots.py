@@ -1,4 +1,4 @@
-"""Dishonest robots: what their files leave out, shrink, overlap or make up."""
+"""Robots with false files: shapes left out, shrunk, overlapping or invented."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SLOW = ("origin of a million metres", "hand's mesh in kilometres")
 
 
 def attacks() -> list[Attack]:
-    """One for each robot."""
+    """Return one attack for each robot."""
 
     def run(make: Make) -> Callable[[Path], tuple[Answer, str]]:
         return lambda scratch: answer_of(make(scratch), scratch)
@@ -39,13 +39,13 @@ def _arm(
     """Register the arm with a change to its URDF.
 
     Args:
-        name: what is dishonest.
-        change: to the parsed URDF.
+        name: what is false.
+        change: applied to the parsed URDF.
         expected, words: as of :class:`Lie`.
         disabled: pairs of its SRDF; None for no SRDF.
-        is_changed_honest: whether the changed URDF is the truth; else the unchanged one is.
-        files: further ones beside the URDF.
-        more: of the request.
+        is_changed_honest: whether the changed URDF is correct; else the unchanged one is.
+        files: further files beside the URDF.
+        more: further parts of the request.
     """
 
     def make(folder: Path) -> Lie:
@@ -105,7 +105,7 @@ def _all(*changes: Change) -> Change:
 
 
 def _box(name: str, size: str, xyz: str, mass: str = "1") -> str:
-    """A link with one box, and mass."""
+    """Return a link with one box, and mass."""
     return (
         f'<link name="{name}"><inertial><mass value="{mass}"/>'
         '<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
@@ -128,7 +128,7 @@ def _slide(name: str, parent: str, child: str, axis: str, lower: float = 0.0, up
 
 
 def _machine(name: str, text: str, goal: dict[str, float], expected: Expected = TRUTH, disabled: str = "") -> None:
-    """Register a machine of its own, whose URDF holds all of the truth."""
+    """Register another machine, whose URDF is correct."""
 
     def make(folder: Path) -> Lie:
         urdf = f'<robot name="machine">{text}</robot>'
@@ -147,7 +147,7 @@ def _machine(name: str, text: str, goal: dict[str, float], expected: Expected = 
 BASE = _box("base", "0.2 0.2 0.2", "0 0 0")
 CARRIAGE = _box("carriage", "0.2 0.2 0.2", "0 0 0.3")
 MAST = _box("mast", "0.1 0.1 0.1", "0 0 0.6")
-# What is missing or too small.
+# Missing or too small shapes.
 _arm("no shapes at all, inside a box of 3 m", _drop("collision"), NO, scene={"obstacles": [
     {"name": "block", "type": "box", "size": [3.0, 3.0, 3.0], "position": [0.0, 0.0, 0.5]}]})  # fmt: skip
 _arm("no shapes at all, and nothing around", _drop("collision"), NO, scene={"obstacles": []})
@@ -169,7 +169,7 @@ _arm(
 )
 _arm("missing mesh", _set("link[@name='hand']/collision/geometry/mesh", filename="gone.obj"), NO)
 _arm("mesh outside the package", _set("link[@name='hand']/collision/geometry/mesh", filename="../../etc/passwd"), NO)
-# What the loader takes for neighbours, or leaves out.
+# Pairs that the loader treats as neighbours or leaves out.
 _machine("rail through a wall of its own", BASE + _box("wall", "0.1 1 1", "0.7 0 0.3") + CARRIAGE
     + _fixed("w", "base", "wall") + _slide("rail", "base", "carriage", "1 0 0"), {"rail": 1.4})  # fmt: skip
 _machine("lift through a ceiling of its own", BASE + _box("ceiling", "1 1 0.1", "0 0 1.0") + CARRIAGE
@@ -201,7 +201,7 @@ BEHIND_THE_BASE = (*NEIGHBOURS, ("base", "hand"), ("base", "forearm"), ("base", 
 _arm(
     "SRDF that disables hand and base", lambda root: None, disabled=BEHIND_THE_BASE, is_changed_honest=True, goal=FOLDED
 )
-# Numbers that cannot be.
+# Impossible numbers.
 _arm("effort 0 everywhere", _set("joint/limit", effort="0"), NAMED, "not checked: torques")
 _arm("effort 0 on the shoulder", _set("joint[@name='shoulder']/limit", effort="0"), NAMED, "shoulder")
 _arm("effort without bound", _set("joint/limit", effort="inf"), NO)

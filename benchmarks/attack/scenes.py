@@ -1,4 +1,4 @@
-"""Scenes and names that lie: obstacles called like parts of the robot, floors that are not there, millimetres."""
+"""False scenes and names: obstacles named like parts of the robot, missing floors, millimetres."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Box = dict[str, Any]
 
 
 def attacks() -> list[Attack]:
-    """One for each scene."""
+    """Return one attack for each scene."""
     return [replace(attack, is_short=attack.is_short and attack.name not in SLOW) for attack in ATTACKS + STANDING]
 
 
@@ -131,7 +131,7 @@ SHOULDER, REACH_M = np.array([0.0, 0.0, 0.41]), 0.97
 
 
 def _near(kind: str, radius: float, direction: tuple[float, float, float]) -> Attack:
-    """A round thing 0.13 m beyond anything that the arm reaches, which must not stop it."""
+    """Return a sphere or cylinder 0.13 m beyond the reach of the arm, which must not prevent the plan."""
 
     def run(scratch: Path) -> tuple[Answer, str]:
         unit = np.array(direction) / np.linalg.norm(direction)
@@ -194,7 +194,7 @@ for _what, _change in {
 
 
 def _stranger_meets(name: str) -> Callable[[Path], tuple[Answer, str]]:
-    """An honest result whose obstacle is called like a link must be replayed, not stumbled over."""
+    """Check that the independent program accepts a correct result with an obstacle named like a link."""
 
     def run(scratch: Path) -> tuple[Answer, str]:
         request = arm_request(write_arm(scratch), scene={"obstacles": [{**POST, "name": name}]})

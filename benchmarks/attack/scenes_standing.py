@@ -1,4 +1,4 @@
-"""Scenes that lie to who stands in them: floors that are not there, rods called like a valve's rim, valves nowhere."""
+"""False scenes for a standing robot: missing floors, rods named like the rim of a valve, valves that are not there."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ STANDING: list[Attack] = []
 
 
 def box(name: str, size: list[float], position: list[float], **more: Any) -> Box:
-    """An obstacle of a request."""
+    """Return an obstacle of a request."""
     return {"name": name, "type": "box", "size": size, "position": position, **more}
 
 
 def _atlas(name: str, request: Callable[[], dict[str, Any]], expected: Expected = NO, *words: str) -> None:
-    """Register a request of the bundled Atlas, for which nothing but a word beside the verdict excuses CERTIFIED."""
+    """Register a request of the bundled Atlas that may be CERTIFIED only with a note on the false data."""
     run = lambda scratch: answer_of(Lie(request(), expected, words), scratch)  # noqa: E731
     STANDING.append(Attack("scenes", name, run))
 
@@ -71,7 +71,7 @@ SHIFT = np.array([0.0, 0.0, 0.0])
 
 
 def _rods(prefix: str, turn_deg: float) -> tuple[Box, ...]:
-    """Rods fixed in the world across the circle that the hook must follow, wherever it is put in."""
+    """Return fixed rods across the circle that the hook follows, for every place of insertion."""
     centre, radius = np.array(bases.VALVE["centre"]), bases.VALVE["radius"]
     angles = np.deg2rad(np.arange(0.0, 360.0, 0.9 * turn_deg))
     places = [centre + radius * np.array([0.0, np.cos(a), np.sin(a)]) for a in angles]

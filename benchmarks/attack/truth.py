@@ -1,4 +1,4 @@
-"""The truth about a motion, by code that shares nothing with scopt: dense samples, pinocchio, coal's exact shapes.
+"""Independent check of a motion without code of scopt: dense samples, pinocchio, coal's exact shapes.
 
 The robot is read from an honest URDF by this module alone (collision shapes, or visual ones where a lie is about the
 former); links that one joint connects may touch, all else must keep clear.
@@ -35,14 +35,14 @@ class Solid:
 
 @dataclass(frozen=True)
 class Depth:
-    """How deep two things are inside each other [m]; negative: apart."""
+    """Overlap of two shapes [m]; negative if they are apart."""
 
     metres: float
     pair: tuple[str, str]
 
 
 class Truth:
-    """An honest robot among the obstacles of a request."""
+    """The correct robot among the obstacles of a request."""
 
     def __init__(self, urdf: str, folder: Path, tag: str = "collision") -> None:
         root = ET.fromstring(urdf)
@@ -62,13 +62,13 @@ class Truth:
         obstacles: Iterable[Mapping[str, Any]],
         may_touch: Iterable[tuple[str, str]] = (),
     ) -> Depth:
-        """The deepest overlap of a motion; ``positions`` has a column for each of ``names``.
+        """Return the deepest overlap of a motion; ``positions`` has a column for each of ``names``.
 
         Args:
             names: of joints.
             positions: (S, n) [rad, m].
             obstacles: of a request.
-            may_touch: further pairs that are none of anybody's business.
+            may_touch: further pairs that are ignored.
         """
         world = [Solid(str(o["name"]), 0, _primitive(o), _pose(o)) for o in obstacles]
         columns = [int(self.model.joints[self.model.getJointId(name)].idx_q) for name in names]
@@ -103,7 +103,7 @@ def _without_shapes(root: ET.Element) -> str:
 
 
 def _neighbours(root: ET.Element) -> set[frozenset[str]]:
-    """Links that one joint connects; links that are fixed to each other count as one."""
+    """Return pairs of links connected by one joint; links fixed to each other count as one."""
     joints = [
         (j.find("parent").get("link"), j.find("child").get("link"), j.get("type"))  # type: ignore[union-attr]
         for j in root.findall("joint")
@@ -171,5 +171,5 @@ def _distance(a: Solid, at_a: pin.SE3, b: Solid, at_b: pin.SE3) -> float:
 
 
 def dense(curve: Any) -> np.ndarray:
-    """Configurations along a curve."""
+    """Return dense configurations along a curve."""
     return np.asarray(curve(np.linspace(curve.knots[0], curve.knots[-1], SAMPLES)))

@@ -1,1 +1,1 @@
-"""What the planning service does under load and whatever is sent to it: ``python -m benchmarks.service``."""
+"""Measurements of the planning service under load and hostile input: ``python -m benchmarks.service``."""

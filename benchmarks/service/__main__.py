@@ -27,7 +27,7 @@ PARTS = (
 
 
 def main() -> int:
-    """Run the parts, each with a server of its own; 1 where a target is missed."""
+    """Run the parts, each with a new server; return 1 if a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--part", action="append", choices=PARTS, help="only this one; may be given again")
     parser.add_argument("--seconds", type=float, help="of overload and of killing workers, instead of 600 and 300")
@@ -51,7 +51,7 @@ def main() -> int:
 
 
 def _measured(name: str, options: Options, folder: Path) -> list[Figure]:
-    """The figures of a part; one that could not be measured takes none of the others with it."""
+    """Return the figures of a part; a part that cannot be measured does not affect the others."""
     try:
         found: list[Figure] = import_module(f"benchmarks.service.{name}").measure(options, folder)
     except Exception as error:
@@ -61,7 +61,7 @@ def _measured(name: str, options: Options, folder: Path) -> list[Figure]:
 
 
 def _machine() -> str:
-    """Processor, cores and what else keeps them busy."""
+    """Return processor, number of cores and present load."""
     lines = Path("/proc/cpuinfo").read_text().splitlines()
     said = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
     speed = f"{float(said.get('cpu MHz', 'nan')):.0f} MHz"

@@ -1,4 +1,4 @@
-"""What the load generators ask for: plans of about 25, 50 and 140 ms of one core, one that has no end, and a robot."""
+"""Requests of the load generators: plans of about 25, 50 and 140 ms of one core, one without end, and a robot."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ OVER_A_TABLE: Mapping[str, Any] = {
     },
     "goal": {"poses": [{"link": "l_tool", "position": [0.60, 0.25, 1.05]}]},
 }
-# A grate that no arm gets through: all starts of the optimiser and the sampling planner are tried, in vain.
+# A grate that blocks every arm: all starts of the optimiser and the sampling planner fail.
 ENDLESS: Mapping[str, Any] = {
     **_STAND,
     "scene": {
@@ -46,17 +46,17 @@ ENDLESS: Mapping[str, Any] = {
 
 
 def motion(asked: Mapping[str, Any]) -> MotionRequest:
-    """A request as the wire says it."""
+    """Return a request as a message."""
     return request_to_message(parse_request(asked))
 
 
 def plan_request(asked: Mapping[str, Any], request_id: str = "", **more: bool) -> PlanRequest:
-    """A request to plan."""
+    """Return a ``PlanRequest``."""
     return PlanRequest(request=motion(asked), request_id=request_id, **more)
 
 
 def robots(folder: Path) -> Path:
-    """A folder for ``--robots`` that knows ``ARM``."""
+    """Write a folder for ``--robots`` that contains ``ARM``."""
     (folder / ARM).mkdir(parents=True, exist_ok=True)
     (folder / ARM / "robot.urdf").write_text(_arm_urdf(7), encoding="utf-8")
     return folder

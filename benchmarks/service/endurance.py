@@ -15,13 +15,13 @@ from service.executor.linux import rss_bytes
 
 WORKERS, CLIENTS = 2, 3
 SAMPLE_EVERY_S = 0.5
-WARM_SHARE = 0.3  # of the solves, before memory is looked at
+WARM_SHARE = 0.3  # of the solves, before memory is measured
 MOST_GROWTH = 0.02  # of a worker's memory over all solves of a run: the slope of a straight line through the samples
-ATLAS_SHARE = 10  # one solve in so many is one of Atlas
+ATLAS_SHARE = 10  # one solve in this number is of Atlas
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Ten thousand solves, one in ten of Atlas, the others of an arm."""
+    """Run 10,000 solves, one in ten of Atlas, the others of an arm."""
     n = options.solves or options.count(10_000, 200)
     found = []
     with started(folder, workers=WORKERS) as server:
@@ -49,7 +49,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
             Figure(
                 f"  memory of worker {pid} over {values[-1][0]:.0f} solves",
                 f"no slope (within {MOST_GROWTH:.0%} of {mean:.0f} MiB)",
-                f"{1024 * slope:+.2f} KiB a solve, {growth:+.2%} in all",
+                f"{1024 * slope:+.2f} KiB per solve, {growth:+.2%} in all",
                 growth < MOST_GROWTH,
             )
         )
@@ -58,19 +58,19 @@ def measure(options: Options, folder: Path) -> list[Figure]:
                failed == 0 and restarts == 0),
         *found,
         Figure("  memory of the server at the end", "", f"{server_mib:.0f} MiB"),
-        Figure(f"  {len(took) / seconds:.1f} solves a second; time of an answer", "", spread(took)),
+        Figure(f"  {len(took) / seconds:.1f} solves per second; time of an answer", "", spread(took)),
     ]  # fmt: skip
 
 
 def _sample(server: Server, samples: dict[int, list[tuple[float, float]]]) -> None:
-    """Jobs done and memory [MiB] of every worker."""
+    """Record the finished jobs and the memory [MiB] of every worker."""
     for worker in server.status().workers:
         if worker.pid:
             samples.setdefault(worker.pid, []).append((float(worker.jobs_done), worker.resident_bytes / MIB))
 
 
 def _slope(values: np.ndarray) -> tuple[float, float]:
-    """Of a line through the later samples [MiB a solve], and their mean [MiB]."""
+    """Return the slope of a line through the later samples [MiB per solve], and their mean [MiB]."""
     jobs, memory = values[values[:, 0] >= WARM_SHARE * values[-1, 0]].T
     if np.ptp(jobs) == 0.0:
         return 0.0, float(memory.mean())

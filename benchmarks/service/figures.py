@@ -1,4 +1,4 @@
-"""One row of the table: what was to be reached, what was measured, and whether it holds."""
+"""Rows of the table: target, measurement, and whether the target is met."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ class Figure:
     """A target and what was measured of it.
 
     Attributes:
-        what: is measured.
-        target: as it was set, in words.
+        what: the measured quantity.
+        target: in words.
         measured: with units.
-        is_met: None where nothing was set: it is there to be known.
+        is_met: None for figures without a target.
     """
 
     what: str
@@ -26,16 +26,16 @@ class Figure:
 
     @property
     def word(self) -> str:
-        """How it stands."""
+        """State of the target as a word."""
         return "" if self.is_met is None else "met" if self.is_met else "MISSED"
 
 
 @dataclass(frozen=True)
 class Options:
-    """How long to measure.
+    """Amount of measuring.
 
     Attributes:
-        is_short: a look at whether all parts work; its figures mean little.
+        is_short: only check that all parts work; the figures are not meaningful.
         seconds: of overload and of killing workers, where they differ from what the targets say.
         solves: in a row.
         messages: malformed or hostile ones.
@@ -58,23 +58,23 @@ class Options:
 
 
 def percentile(values: Sequence[float], share: float) -> float:
-    """The value that ``share`` percent do not exceed; nan of none."""
+    """Return the value that ``share`` percent do not exceed; NaN without values."""
     if not values:
         return float("nan")
     return sorted(values)[min(int(0.01 * share * len(values)), len(values) - 1)]
 
 
 def ms(seconds: float) -> str:
-    """In milliseconds, as precise as it makes sense."""
+    """Format a time in milliseconds with a sensible precision."""
     value = 1e3 * seconds
     return f"{value:.2f} ms" if abs(value) < 10 else f"{value:.1f} ms" if abs(value) < 100 else f"{value:.0f} ms"
 
 
 def spread(values: Sequence[float]) -> str:
-    """Median and upper percentiles of times [s]."""
+    """Format the median and upper percentiles of times [s]."""
     return ", ".join(f"p{share} {ms(percentile(values, share))}" for share in (50, 90, 99))
 
 
 def print_figures(title: str, figures: Sequence[Figure]) -> None:
-    """As a table."""
+    """Print the figures as a table."""
     print_table(title, ("", "target", "measured", ""), [(f.what, f.target, f.measured, f.word) for f in figures])

@@ -1,4 +1,4 @@
-"""Files made to harm whoever reads them: clouds that lie about their size or are bombs, robots that lead astray."""
+"""Hostile files: clouds with a false size or decompression bombs, robots that name harmful files."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from random import Random
 import numpy as np
 
 GIB = 2**30
-CLAIMED = 2_000_000_000  # points that are not there
+CLAIMED = 2_000_000_000  # points claimed by a header, not in the file
 CHAIN, DEEP = 5000, 200_000
 
 
 def clouds(seed: int) -> Mapping[str, tuple[str, bytes]]:
-    """By what is wrong with them: the format they are sent as, and their bytes."""
+    """Return format and bytes of each hostile cloud, by what is wrong with it."""
     random = Random(seed)
     nan = np.full((2000, 3), np.nan, dtype=np.float32)
     found = {
@@ -46,7 +46,7 @@ def clouds(seed: int) -> Mapping[str, tuple[str, bytes]]:
 
 
 def robots(folder: Path) -> Mapping[str, Path]:
-    """Written to a folder; by what is wrong with them."""
+    """Write hostile robots to a folder; return them by what is wrong with them."""
     box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
     links = "".join(f'<link name="l{k}">{box}</link>' for k in range(CHAIN))
     joints = "".join(
@@ -125,7 +125,7 @@ def _pickled() -> bytes:
 
 
 def _las() -> bytes:
-    """A header of version 1.4 whose count of points is not that of the file."""
+    """Return a header of version 1.4 whose point count is wrong."""
     head = bytearray(375)
     head[0:4] = b"LASF"
     head[24:26] = bytes((1, 4))

@@ -1,4 +1,4 @@
-"""Messages that look valid and are as large as they may be: as many names, parts and points as one can hold."""
+"""Valid-looking messages of the largest size, with as many names, parts and points as possible."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ HEADER = b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 
 
 
 def large(cloud_id: str) -> Mapping[str, tuple[str, list[bytes]]]:
-    """Method and messages of one call each, by what they are large in.
+    """Return method and messages of one call each, by the field that is large.
 
     Args:
-        cloud_id: of a small cloud that the server has.
+        cloud_id: of a small cloud on the server.
     """
     text = "n" * TEXT_BYTES
     clouds = wire.CloudsSpec(clouds=[{"file": cloud_id}], sensor=[0, 0, 1])  # type: ignore[list-item]
@@ -63,7 +63,7 @@ def large(cloud_id: str) -> Mapping[str, tuple[str, list[bytes]]]:
 
 
 def _plan(change: Callable[[Any], object]) -> wire.PlanRequest:
-    """A request that can be planned, but for one field."""
+    """Return a request that can be planned except for one field."""
     message = asks.plan_request(asks.ARM_TURNS)
     change(message.request)
     return message

@@ -1,4 +1,4 @@
-"""The load generator: asynchronous clients in a process of their own, which tell what came of every request."""
+"""Load generator: asynchronous clients in a separate process, which report the outcome of every request."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ TIMEOUT_S = 120.0
 
 @dataclass(frozen=True)
 class Load:
-    """What is sent.
+    """Requests to send.
 
     Attributes:
         address: of the server.
         request: a serialized ``PlanRequest`` without an id.
         prefix: of the request ids.
-        clients: that each send the next request as soon as the one before is answered; 0 where ``rate`` is given.
-        rate: of requests that come as they like, whatever becomes of those before [1/s].
-        seconds: for which requests are sent; those under way are then waited for.
-        requests: that are sent at most.
+        clients: number of clients that send a request as soon as the last is answered; 0 if ``rate`` is given.
+        rate: of requests with random intervals, independent of earlier answers [1/s].
+        seconds: duration of sending; open requests are then awaited.
+        requests: largest number of requests.
         seed: of the times between requests.
     """
 
@@ -48,15 +48,15 @@ class Load:
 
 @dataclass(frozen=True)
 class Call:
-    """What came of one request.
+    """Outcome of one request.
 
     Attributes:
         request_id: its own.
         began: on the clock of ``time.monotonic`` [s]; took: until the call's end [s].
         code: how the call ended.
-        plans: results that came.
-        verdict: of the last of them; empty where none came.
-        planned_s: what the planner says it took [s].
+        plans: number of results received.
+        verdict: of the last result; empty without one.
+        planned_s: the planner's own time [s].
     """
 
     request_id: str

@@ -1,4 +1,4 @@
-"""Malformed and hostile messages to every method: nothing falls over, and what is invalid is told field by field."""
+"""Malformed and hostile messages to every method: no crash, and every invalid field is named."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from service.wire.unknown import unknown_fields
 
 AT_A_TIME = 4
 TIMEOUT_S = 20.0
-NO_MESSAGE = "the bytes are no "  # how a violation begins that can name no field
-# What holds all fields is the one that is wrong only where none of them is: how such a violation begins.
+NO_MESSAGE = "the bytes are no "  # beginning of a violation that cannot name a field
+# Beginnings of violations in which a message as a whole is wrong, not one of its fields.
 HOLDERS: Mapping[str, tuple[str, ...]] = {
     "request": ("exactly one of goal, task is needed", "request: is missing"),
     "clouds": (),
 }
 CRASHES = ("UNKNOWN", "INTERNAL", "UNAVAILABLE", "DATA_LOSS")
-LARGE_CODES = ("INVALID_ARGUMENT", "NOT_FOUND", "OK")  # a cloud that lies of its points is read when it is looked at
+LARGE_CODES = ("INVALID_ARGUMENT", "NOT_FOUND", "OK")  # a cloud with a false point count is read only when it is used
 DETAILS_KEY = "grpc-status-details-bin"
 
 
@@ -46,8 +46,8 @@ class Answer:
 
     Attributes:
         sent: method and messages.
-        is_invalid: whether it had to be refused; None where only the server can tell.
-        code: the status; text: what it says.
+        is_invalid: whether it must be refused; None if only the server knows.
+        code: the status; text: its message.
         violations: field and description.
         took: wall time [s].
     """
@@ -62,14 +62,14 @@ class Answer:
 
     @property
     def is_named(self) -> bool:
-        """Whether it says which field is wrong, where there are fields."""
+        """Whether it names the wrong field, if there are fields."""
         return bool(self.violations) and all(
             words.startswith(HOLDERS.get(field, "") if field else NO_MESSAGE) for field, words in self.violations
         )
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Ten thousand of them, and some that are as large as they may be."""
+    """Send 10,000 random messages, and some of the largest size."""
     n = options.messages or options.count(10_000, 300)
     with started(folder, "--requests-per-s", "100000") as server:
         answers = asyncio.run(_ask(server, n, options.seed))
@@ -97,7 +97,7 @@ async def _ask(server: Server, n: int, seed: int) -> list[Answer]:
 
 
 async def _ask_large(server: Server, rounds: int) -> dict[str, list[Answer]]:
-    """Answers to what is as large as it may be, by its name, two at a time."""
+    """Return the answers to messages of the largest size by name, sent two at a time."""
     async with grpc.aio.insecure_channel(server.address) as channel:
         calls = large(await _uploaded(channel))
         answers: dict[str, list[Answer]] = {name: [] for name in calls}
@@ -112,7 +112,7 @@ async def _ask_large(server: Server, rounds: int) -> dict[str, list[Answer]]:
 
 
 async def _uploaded(channel: grpc.aio.Channel) -> str:
-    """The id of a cloud of a few points."""
+    """Upload a cloud of a few points; return its id."""
     points = b"".join(b"%d %d 0.5\n" % (x, y) for x in range(10) for y in range(10))
     parts = [wire.UploadCloudRequest(header={"format": "xyz"}), wire.UploadCloudRequest(chunk=points)]  # type: ignore[arg-type]
     data = await channel.stream_unary("/planner.v1.PlannerService/UploadCloud")(it.SerializeToString() for it in parts)
@@ -120,7 +120,7 @@ async def _uploaded(channel: grpc.aio.Channel) -> str:
 
 
 async def _call(channel: grpc.aio.Channel, name: str, messages: list[bytes]) -> Answer:
-    """Ask, and once more where this side lost the answer."""
+    """Call, and repeat once if this side lost the answer."""
     answer = await _asked(channel, name, messages)
     if (answer.code, answer.text) == (ANSWER_LOST[0].name, ANSWER_LOST[1]):
         answer = await _asked(channel, name, messages)
@@ -151,7 +151,7 @@ async def _asked(channel: grpc.aio.Channel, name: str, messages: list[bytes]) ->
 
 
 def violations(metadata: Sequence[tuple[str, bytes]] | None) -> tuple[tuple[str, str], ...]:
-    """Field and description of everything that a refused call says is wrong."""
+    """Return field and description of each violation of a refused call."""
     for key, value in metadata or ():
         if key == DETAILS_KEY:
             detail = BadRequest()
@@ -162,7 +162,7 @@ def violations(metadata: Sequence[tuple[str, bytes]] | None) -> tuple[tuple[str,
 
 
 def is_invalid(method: str, sent: list[bytes]) -> bool | None:
-    """Whether a call's messages have to be refused as INVALID_ARGUMENT; None where that takes what the server knows."""
+    """Return whether a call must be refused as INVALID_ARGUMENT; None if that depends on the server's data."""
     kind = GetMessageClass(wire_type(method))
     messages = []
     for data in sent:
@@ -238,7 +238,7 @@ def _figures_of_large(answers: dict[str, list[Answer]], pings: list[float]) -> l
     codes = ", ".join(f"{code} {n}" for code, n in Counter(it.code for it in every).most_common())
     return [
         Figure(
-            f"{len(every)} messages that are as large as they may be, in {len(answers)} ways: other answers than "
+            f"{len(every)} messages of the largest size, in {len(answers)} ways: answers other than "
             "OK, NOT_FOUND and INVALID_ARGUMENT with the field named",
             "0",
             str(len(wrong)),
@@ -256,6 +256,6 @@ def _figures_of_large(answers: dict[str, list[Answer]], pings: list[float]) -> l
 
 
 def _show(what: str, answers: list[Answer], most: int = 5) -> None:
-    """A few of those that went wrong, so that they can be looked at."""
+    """Print a few of the failures for inspection."""
     for it in answers[:most]:
         print(f"  {what}: {it.method} {it.code} {it.text[:200]!r} {it.violations[:2]} {[d[:200] for d in it.sent]}")

@@ -1,4 +1,4 @@
-"""What a request takes beyond its plan: the client's wall time less the planner's own, one request after the other."""
+"""Overhead of a request: the client's wall time minus the planner's own, one request after the other."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WARM_UP = 20
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Overhead on plans of 50 ms."""
+    """Measure the overhead on plans of 50 ms."""
     n = WARM_UP + options.count(400, 30)
     with started(folder, workers=1) as server:
         request = asks.plan_request(asks.ELBOW).SerializeToString()

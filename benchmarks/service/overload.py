@@ -1,4 +1,4 @@
-"""Twice as many requests as the workers can do: those let in are answered in time, the others refused at once."""
+"""Twice as many requests as the workers can handle: admitted ones are answered in time, others refused at once."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from benchmarks.service.servers import Server, started
 WORKERS, QUEUE = 2, 4  # QUEUE for each worker
 OVER, SLACK, REFUSED_S, GROWTH = 2.0, 1.2, 10e-3, 0.05
 SAMPLE_EVERY_S = 2.0
-WARM_SHARE = 0.2  # of the time, before memory is looked at
+WARM_SHARE = 0.2  # of the time, before memory is measured
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Overload for ten minutes."""
+    """Measure an overload of ten minutes."""
     seconds = options.time_s(600.0, 20.0)
     request = asks.plan_request(asks.OVER_A_TABLE).SerializeToString()
     with started(folder, workers=WORKERS, queue=QUEUE) as server:

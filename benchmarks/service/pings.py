@@ -1,4 +1,4 @@
-"""What another client notices: how long a server takes to say that it serves."""
+"""Response times of health checks by another client."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from multiprocessing.connection import Connection
 import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-PING_S = 10e-3  # to be kept by 99 of 100
+PING_S = 10e-3  # target for the 99th percentile
 PING_EVERY_S = 10e-3
 
 
 @contextmanager
 def pinging(address: str) -> Iterator[Callable[[], list[float]]]:
-    """Ask for the server's health from another process while the body runs; what is yielded then tells the times."""
+    """Check the server's health from another process while the body runs; yield a function for the times [s]."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_ping, args=(address, theirs))

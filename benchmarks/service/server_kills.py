@@ -1,4 +1,4 @@
-"""The server itself is killed: what it told its clients is there when it comes back, and nothing of it is left over."""
+"""Kills of the server: all that it confirmed is there after a restart, and no process is left over."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 WORKERS, CLIENTS = 2, 4
 LONGEST_S = 3.0  # until the kill
 ORPHANS_S = 1.0
-UNLIMITED = ("--requests-per-s", "100000")  # all plans are asked for at once
+UNLIMITED = ("--requests-per-s", "100000")  # many plans are read at once
 
 
 @dataclass
 class _Told:
-    """What clients were told by a server before it was killed.
+    """Confirmations by a server before it was killed.
 
     Attributes:
         plans: hashes of trajectory and certificate by plan id.
@@ -38,7 +38,7 @@ class _Told:
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """``kill -9`` of the server at random times."""
+    """Kill the server (``kill -9``) at random times."""
     n, random = options.count(20, 3), Random(options.seed)
     told, back = _Told(), []
     orphans = missing = unapproved = 0
@@ -46,7 +46,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
         began = time.monotonic()
         with started(folder, *UNLIMITED, workers=WORKERS) as server:
             back.append(time.monotonic() - began)
-            missing, unapproved = _count_missing(server, told)  # of all that any server before has told
+            missing, unapproved = _count_missing(server, told)  # of all plans that earlier servers confirmed
             processes = _killed_under_load(server, told, random.uniform(0.5, LONGEST_S))
             time.sleep(ORPHANS_S)
             orphans += len(still_there(processes))
@@ -63,7 +63,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
 
 
 def _killed_under_load(server: Server, told: _Told, after_s: float) -> dict[int, str]:
-    """Plans and reviews until the server is killed; the processes that were its own."""
+    """Plan and review until the server is killed; return the processes that it had started, by id."""
     request = asks.plan_request(asks.ELBOW)
     clients = [threading.Thread(target=_plan_and_review, args=(server.address, request, told)) for _ in range(CLIENTS)]
     for client in clients:
@@ -77,7 +77,7 @@ def _killed_under_load(server: Server, told: _Told, after_s: float) -> dict[int,
 
 
 def _plan_and_review(address: str, request: wire.PlanRequest, told: _Told) -> None:
-    """One client, until its server is gone."""
+    """Plan and review as one client until the server is gone."""
     with grpc.insecure_channel(address) as channel, suppress(grpc.RpcError):
         stub: Any = PlannerServiceStub(channel)  # type: ignore[no-untyped-call]
         while True:
@@ -98,7 +98,7 @@ def _plan_and_review(address: str, request: wire.PlanRequest, told: _Told) -> No
 
 
 def _count_missing(server: Server, told: _Told) -> tuple[int, int]:
-    """Finished plans that the server does not have as they were told, and accepted ones it does not call so."""
+    """Count the finished plans that are lost or changed, and the accepted ones without their acceptance."""
     missing = unapproved = 0
     with server.stub() as stub:
         for plan_id, hashes in told.plans.items():

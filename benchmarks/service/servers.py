@@ -1,4 +1,4 @@
-"""Servers as a user starts them, and what the kernel knows of their processes."""
+"""Servers started as by a user, and their processes."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ MIB = 2.0**20
 
 @dataclass(frozen=True)
 class Server:
-    """One that answers.
+    """A running server.
 
     Attributes:
-        process: of ``scopt serve``; address: where it listens.
-        log: what it says on standard error.
+        process: of ``scopt serve``; address: its address.
+        log: file with its standard error.
     """
 
     process: subprocess.Popen[str]
@@ -37,34 +37,34 @@ class Server:
 
     @contextmanager
     def stub(self) -> Iterator[PlannerServiceStub]:
-        """A client that waits for answers."""
+        """Yield a blocking client stub."""
         with grpc.insecure_channel(self.address) as channel:
             yield PlannerServiceStub(channel)  # type: ignore[no-untyped-call]
 
     def status(self) -> GetStatusResponse:
-        """What it is doing."""
+        """Return its status."""
         with self.stub() as stub:
             status: GetStatusResponse = stub.GetStatus(GetStatusRequest(), timeout=20)
             return status
 
     def workers(self) -> list[int]:
-        """Process ids of the workers that are up."""
+        """Return the process ids of the running workers."""
         return [worker.pid for worker in self.status().workers if worker.pid]
 
     def resident_mib(self) -> tuple[float, float]:
-        """Memory of the server, and of the largest of its workers [MiB]."""
+        """Return the memory of the server and of its largest worker [MiB]."""
         return rss_bytes(self.process.pid) / MIB, max((rss_bytes(pid) for pid in self.workers()), default=0) / MIB
 
     def is_alive(self) -> bool:
-        """Whether it still runs."""
+        """Return whether it still runs."""
         return self.process.poll() is None
 
     def incident_lines(self) -> list[str]:
-        """Lines of its log that tell of something that should not have happened."""
+        """Return the lines of its log that report an incident."""
         return [line for line in self.log.read_text().splitlines() if "incident" in line or "Traceback" in line]
 
     def incidents(self) -> int:
-        """How many there were."""
+        """Return the number of incidents."""
         return len(self.incident_lines())
 
     def kill(self) -> None:
@@ -75,10 +75,10 @@ class Server:
 
 @contextmanager
 def started(folder: Path, *arguments: str, workers: int = 2, queue: int = 4) -> Iterator[Server]:
-    """``scopt serve`` in a process of its own; killed at the end.
+    """Run ``scopt serve`` in a new process; kill it at the end.
 
     Args:
-        folder: for its data, its robots and its log; what is there already is used again.
+        folder: of its data, robots and log; existing files are used again.
     """
     robots = asks.robots(folder / "robots")
     log = folder / "server.log"
@@ -105,7 +105,7 @@ def started(folder: Path, *arguments: str, workers: int = 2, queue: int = 4) -> 
 
 
 def kill(pid: int) -> bool:
-    """As ``kill -9`` does; whether there was such a process."""
+    """Kill a process (``kill -9``); return whether it existed."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
         return True
@@ -113,7 +113,7 @@ def kill(pid: int) -> bool:
 
 
 def descendants(pid: int) -> dict[int, str]:
-    """All processes that a process has started, with their times of birth: a number alone may be another's later."""
+    """Return all descendants of a process with their start times, since process ids are reused."""
     parents: dict[int, list[int]] = {}
     born: dict[int, str] = {}
     for entry in Path("/proc").iterdir():
@@ -132,7 +132,7 @@ def descendants(pid: int) -> dict[int, str]:
 
 
 def still_there(processes: dict[int, str]) -> list[int]:
-    """Those that run, zombies not counted."""
+    """Return the processes that still run, without zombies."""
     there = []
     for pid, born in processes.items():
         with suppress(OSError):

@@ -1,6 +1,6 @@
-"""How soon a worker is free that was told to stop: by a cancelled call, by a deadline, in a call that never comes back.
+"""Time until a stopped worker is free: after a cancelled call, after a deadline, in a call that never returns.
 
-One worker, and always one plan that waits behind the one that runs: free is when that one's first step is told.
+There is one worker, and one plan always waits behind the running one; the worker is free at that plan's first report.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from service.proto.planner.v1.planner_pb2 import GetStatusRequest, PlanResponse
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 
 BEYOND_ITERATION_S, STUCK_S = 20e-3, 0.3
-LONGEST_S = 2.5  # in which a solve is stopped
+LONGEST_S = 2.5  # latest time at which a solve is stopped
 SOONEST_DEADLINE_S = 0.8
 LONG_S = 60.0  # ENDLESS does not take as long
 
 
 @dataclass
 class _Iterations:
-    """How long iterations of the optimiser take, from when they are told [s]."""
+    """Durations of the optimiser's iterations, from the times of their reports [s]."""
 
     seconds: list[float] = field(default_factory=list)
     _last: tuple[str, int, float] | None = None
 
     def take(self, response: PlanResponse) -> None:
-        """Note what is told."""
+        """Record a report."""
         if not response.progress.HasField("iteration"):
             return
         step, index, now = response.progress.step, response.progress.iteration.index, time.monotonic()
@@ -49,7 +49,7 @@ class _Iterations:
 
 
 class _Solve:
-    """A plan without an end that was asked for, and its answers, which are read all the time."""
+    """A requested plan without end; its answers are read continuously."""
 
     def __init__(self, stub: PlannerServiceStub, iterations: _Iterations, timeout_s: float | None = None) -> None:
         self.call = stub.Plan(asks.plan_request(asks.ENDLESS), timeout=timeout_s)
@@ -78,14 +78,14 @@ class _Solve:
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Cancels, deadlines, and a stuck call."""
+    """Measure cancels, deadlines and a stuck call."""
     n = options.count(240, 12)
     iterations = _Iterations()
     random = Random(options.seed)
     with started(folder, workers=1, queue=4) as server:
         after_cancel = asyncio.run(_cancels(server, n, random, iterations))
         killed = server.status().worker_restarts
-    with started(folder, workers=1, queue=4) as server:  # that has not learned yet how long these plans take
+    with started(folder, workers=1, queue=4) as server:  # a new server, without estimates of these plans' durations
         after_deadline = asyncio.run(_deadlines(server, n // 2, random, iterations))
         killed_late = server.status().worker_restarts
     one = percentile(iterations.seconds, 50)
@@ -95,13 +95,13 @@ def measure(options: Options, folder: Path) -> list[Figure]:
     return [
         Figure("one iteration of the solves that are stopped", "", f"{spread(iterations.seconds)}"),
         Figure(
-            f"cancel to the next plan's begin ({len(after_cancel)} cancels; {killed} workers had to be killed)",
+            f"cancel to the start of the next plan ({len(after_cancel)} cancels; {killed} workers had to be killed)",
             rule,
             spread(after_cancel),
             percentile(after_cancel, 99) <= limit and one > 0,
         ),
         Figure(
-            f"deadline to the next plan's begin ({len(after_deadline)} deadlines; {killed_late} workers killed; "
+            f"deadline to the start of the next plan ({len(after_deadline)} deadlines; {killed_late} workers killed; "
             "before it: negative)",
             rule,
             spread(after_deadline),
@@ -114,7 +114,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
 
 
 async def _cancels(server: Server, n: int, random: Random, iterations: _Iterations) -> list[float]:
-    """From a client's cancel to the first word of the plan that waited [s]."""
+    """Return the times from a client's cancel to the first report of the waiting plan [s]."""
     found: list[float] = []
     async for stub in _stub(server):
         running = _Solve(stub, iterations)
@@ -132,7 +132,7 @@ async def _cancels(server: Server, n: int, random: Random, iterations: _Iteratio
 
 
 async def _deadlines(server: Server, n: int, random: Random, iterations: _Iterations) -> list[float]:
-    """From a deadline to the first word of the plan that waited [s]."""
+    """Return the times from a deadline to the first report of the waiting plan [s]."""
     found: list[float] = []
     async for stub in _stub(server):
         for _ in range(n):
@@ -160,7 +160,7 @@ async def _until_idle(stub: Any) -> None:
 
 
 def _stuck(n: int) -> tuple[list[float], list[float]]:
-    """From cancelling a job that holds on to its worker to the job's end, and to the next one's begin [s]."""
+    """Return the times from cancelling a stuck job to its end and to the start of the next job [s]."""
     ended, begun = [], []
     with LocalPool(1, preload=("benchmarks.service.stuck",)) as pool:
         for _ in range(n):

@@ -1,4 +1,4 @@
-"""Hostile files, half-open connections and garbage on the port, while another client asks how the server is."""
+"""Hostile files, half-open connections and garbage on the port, while another client checks the health."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ANSWERS = ("INVALID_ARGUMENT", "RESOURCE_EXHAUSTED", "OK")  # OK: it could be re
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """One after the other, each with a ping of its own."""
+    """Measure one after the other, each with its own ping."""
     allowed = folder / "allowed"
     robots = hostile_files.robots(allowed)
     clouds = hostile_files.clouds(options.seed)
@@ -86,7 +86,7 @@ def _hostile_files(
     answers: Counter[str],
     odd: list[str],
 ) -> None:
-    """Every cloud uploaded and looked at, every robot planned with, two at a time."""
+    """Upload and perceive every cloud, and plan with every robot, two at a time."""
 
     async def send() -> None:
         async with grpc.aio.insecure_channel(server.address) as channel:
@@ -109,7 +109,7 @@ def _hostile_files(
 
 
 async def _good(server: Server) -> str:
-    """What comes of files that are in order: or else nothing would be shown by refusing the others."""
+    """Check that correct files are accepted; otherwise refusing the others would prove nothing."""
     points = b"".join(b"%.2f %.2f 0.0\n" % (0.05 * x, 0.05 * y) for x in range(20, 40) for y in range(20))
     async with grpc.aio.insecure_channel(server.address) as channel:
         cloud, *_ = await _cloud(channel, "xyz", points)
@@ -118,7 +118,7 @@ async def _good(server: Server) -> str:
 
 
 async def _cloud(channel: grpc.aio.Channel, suffix: str, data: bytes) -> tuple[str, str, bool]:
-    """A scene made of a cloud."""
+    """Build a scene of a cloud."""
     try:
         cloud = await _uploaded(channel, suffix, data)
     except grpc.aio.AioRpcError as error:
@@ -128,7 +128,7 @@ async def _cloud(channel: grpc.aio.Channel, suffix: str, data: bytes) -> tuple[s
 
 
 async def _valve(channel: grpc.aio.Channel, suffix: str, data: bytes) -> tuple[str, str, bool]:
-    """A valve turned that a cloud shows."""
+    """Plan to turn the valve in a cloud."""
     try:
         cloud = await _uploaded(channel, suffix, data)
     except grpc.aio.AioRpcError as error:
@@ -151,7 +151,7 @@ async def _robot(channel: grpc.aio.Channel, path: Path) -> tuple[str, str, bool]
 
 
 async def _ended(channel: grpc.aio.Channel, method: str, message: bytes) -> tuple[str, str, bool]:
-    """How a call ends that streams its answer."""
+    """Return the status of a call with a streamed answer."""
     try:
         async for _ in channel.unary_stream(f"/planner.v1.PlannerService/{method}")(message, timeout=TIMEOUT_S):
             pass
@@ -161,13 +161,13 @@ async def _ended(channel: grpc.aio.Channel, method: str, message: bytes) -> tupl
 
 
 def _refused(error: grpc.aio.AioRpcError) -> tuple[str, str, bool]:
-    """Status, text, and whether it names the field that is at fault."""
+    """Return status, text, and whether the text names the wrong field."""
     told = violations(tuple(error.trailing_metadata()))
     return error.code().name, error.details() or "", bool(told) and all(field for field, _ in told)
 
 
 def _half_open(server: Server, seconds: float) -> None:
-    """Connections that say hello, or half of it, and no more."""
+    """Open connections that send all or half of the preface and nothing else."""
     opened = []
     for k in range(CONNECTIONS):
         opened.append(_connected(server))
@@ -178,7 +178,7 @@ def _half_open(server: Server, seconds: float) -> None:
 
 
 def _garbage(server: Server, seconds: float, seed: int) -> None:
-    """Noise, some of it after a proper hello, for as long as it takes."""
+    """Send random bytes, some after a correct preface, until stopped."""
     random, until = Random(seed), time.monotonic() + seconds
     while time.monotonic() < until:
         with _connected(server) as connection, suppress(OSError):

@@ -1,4 +1,4 @@
-"""What a worker runs that cannot be stopped from within."""
+"""A job that cannot be stopped from within."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from service.executor import Control
 
 
 def stuck_in_native_code(control: Control) -> None:
-    """Hold the interpreter's lock in a call that does not come back."""
+    """Hold the interpreter's lock in a call that never returns."""
     control.report("stuck")
     ctypes.PyDLL(None).sleep(600)
 
 
 def tell(control: Control) -> None:
-    """Say that it is one's turn."""
+    """Report that the job has started."""
     control.report("begun")

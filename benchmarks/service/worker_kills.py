@@ -1,4 +1,4 @@
-"""Workers are killed under load: every request is answered, and answered once."""
+"""Kills of workers under load: every request is answered exactly once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EVERY_S = 5.0
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """``kill -9`` of a worker every five seconds for five minutes."""
+    """Kill a worker (``kill -9``) every five seconds for five minutes."""
     request = asks.plan_request(asks.OVER_A_TABLE).SerializeToString()
     with started(folder, workers=WORKERS) as server:
         load = Load(server.address, request, "killed", clients=CLIENTS, seconds=options.time_s(300.0, 21.0))
@@ -58,7 +58,7 @@ def _kill_until(is_done: Callable[[], bool], server: Server, random: Random) -> 
 
 
 def _stored(folder: Path) -> Counter[str]:
-    """Finished plans in the store by request id."""
+    """Return the finished plans in the store by request id."""
     path = folder / "data" / STORE_FOLDER / DATABASE_NAME
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
         rows = database.execute("SELECT request_id FROM plans WHERE state = 'finished'")

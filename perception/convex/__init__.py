@@ -1,1 +1,1 @@
-"""Points to convex pieces that cover what is there and leave free what was seen free."""
+"""Convex pieces that cover the points of a scan and leave free what was seen free."""

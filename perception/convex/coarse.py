@@ -1,4 +1,4 @@
-"""The points thinned to one for each voxel of a grid that is fixed in the world."""
+"""Points thinned to one for each voxel of a grid that is fixed in the world."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Coarse:
     column: Int[np.ndarray, "M"]
     size: float
 
-    def within(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
-        """Indices of the points in an axis-aligned box."""
+    def select_within(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
+        """Return indices of the points in an axis-aligned box."""
         # Whole numbers: a float would have numpy turn all columns into floats.
         first = int(np.searchsorted(self.column, int(np.floor((lower[0] - _QUANTUM) / self.size))))
         last = int(np.searchsorted(self.column, int(np.floor((upper[0] + _QUANTUM) / self.size)), side="right"))
@@ -43,8 +43,8 @@ class Coarse:
         return np.asarray(first + inside)
 
 
-def coarsened(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], size: float) -> Coarse:
-    """One point for each voxel of edge ``size`` [m]; the order of the points does not matter.
+def coarsen(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], size: float) -> Coarse:
+    """Make one point for each voxel of edge ``size`` [m]; the order of the points does not matter.
 
     Args:
         points: (N, 3) [m].
@@ -65,13 +65,13 @@ def coarsened(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"
     # Sums of whole numbers do not depend on their order; sums of fractions would, in the last digit.
     sums = [np.bincount(voxel, weights=np.rint(column / _QUANTUM), minlength=len(distinct)) for column in points.T]
     means = np.stack(sums, axis=1) * _QUANTUM / counts[:, None]
-    return Coarse(means, counts, _nearest_starts(points, starts, voxel, len(distinct)), voxel, along_x, size)
+    return Coarse(means, counts, _find_nearest_starts(points, starts, voxel, len(distinct)), voxel, along_x, size)
 
 
-def _nearest_starts(
+def _find_nearest_starts(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], voxel: Int[np.ndarray, "N"], n_voxels: int
 ) -> Float[np.ndarray, "M 3"]:
-    """For each voxel the start, of all its points, of the shortest ray."""
+    """Return for each voxel the start, of all its points, of the shortest ray."""
     if starts.ndim == 1:
         return np.broadcast_to(starts, (n_voxels, 3))
     if starts.strides[0] == 0 or (starts == starts[0]).all():
@@ -84,7 +84,7 @@ def _nearest_starts(
 
 @dataclass(frozen=True)
 class Groups:
-    """Which points went into each voxel."""
+    """Points of each voxel."""
 
     order: Int[np.ndarray, "N"]
     first: Int[np.ndarray, "M+1"]
@@ -94,13 +94,13 @@ class Groups:
         order = np.argsort(coarse.voxel, kind="stable")
         return cls(order, np.concatenate([[0], np.cumsum(coarse.counts)]))
 
-    def hold(self, kept: Bool[np.ndarray, "N"]) -> Bool[np.ndarray, "M"]:
-        """Which voxels hold any of the points that are kept."""
+    def find_holding(self, kept: Bool[np.ndarray, "N"]) -> Bool[np.ndarray, "M"]:
+        """Find the voxels that hold any of the points that are kept."""
         before = np.concatenate([[0], np.cumsum(kept[self.order])])
         return np.asarray(before[self.first[1:]] > before[self.first[:-1]])
 
-    def members(self, voxels: Int[np.ndarray, "K"]) -> Int[np.ndarray, "L"]:
-        """Indices of all points in these voxels."""
+    def list_members(self, voxels: Int[np.ndarray, "K"]) -> Int[np.ndarray, "L"]:
+        """Return indices of all points in these voxels."""
         counts = self.first[voxels + 1] - self.first[voxels]
         ahead = np.repeat(self.first[voxels] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
         return np.asarray(self.order[ahead + np.arange(len(ahead))])

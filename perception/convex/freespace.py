@@ -1,4 +1,4 @@
-"""What the rays have seen to be free: a grid of cells that rays passed through."""
+"""Space seen to be free: a grid of cells that rays passed through."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FACES = 12
 # Rays that are taken along at a time: what is worked on then stays in the cache of one core.
 _MARCHING = 1024
 _MEETING = 16_384
-# Whether a ray comes near to where it matters is told in blocks of so many cells.
+# Rays that come near to where it matters are found in blocks of so many cells.
 _CELLS_OF_BLOCK = 4
 
 
@@ -40,8 +40,8 @@ class FreeSpace:
     size: float
     free: Bool[np.ndarray, "X Y Z"]
 
-    def cells_in(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Float[np.ndarray, "M 3"]:
-        """Centres of the free cells in an axis-aligned box [m]."""
+    def list_cells(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Float[np.ndarray, "M 3"]:
+        """Return centres of the free cells in an axis-aligned box [m]."""
         poll()
         first = np.maximum(np.ceil((lower - self.lower) / self.size - 0.5), 0).astype(int)
         last = np.minimum(np.floor((upper - self.lower) / self.size - 0.5), np.array(self.free.shape) - 1).astype(int)
@@ -51,7 +51,7 @@ class FreeSpace:
         return np.asarray((np.argwhere(block) + first + 0.5) * self.size + self.lower)
 
     def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-        """Which points lie in a free cell."""
+        """Find the points that lie in a free cell."""
         poll()
         cells = np.floor((points - self.lower) / self.size).astype(int)
         known = ((cells >= 0) & (cells < self.free.shape)).all(axis=1)
@@ -59,8 +59,8 @@ class FreeSpace:
         inside[known] = self.free[tuple(cells[known].T)]
         return inside
 
-    def beside(self, surface: Float[np.ndarray, "M 3"]) -> FreeSpace:
-        """The same, where cells that hold one of these points, and their six neighbours, are not free either."""
+    def clear_beside(self, surface: Float[np.ndarray, "M 3"]) -> FreeSpace:
+        """Return a copy in which cells that hold one of these points, and their six neighbours, are not free either."""
         free = self.free.copy()
         _clear_beside(surface, self.lower, self.size, free)
         return FreeSpace(self.lower, self.size, free)
@@ -75,7 +75,7 @@ class FreeSpace:
         """
         poll()
         margin = 0.25 * self.size if margin is None else margin
-        cells = self.cells_in(hull.lower, hull.upper)
+        cells = self.list_cells(hull.lower, hull.upper)
         count = 0
         # A body that holds many free cells shows it in any few of them.
         n_parts = -(-len(cells) // _CHUNK)
@@ -107,7 +107,7 @@ def carve(
         lower, upper: (3,) corners of the grid [m].
         size: edge of a cell [m].
     """
-    return Crossing.of(starts, ends, lower, upper, size).seen_free(surface)
+    return Crossing.of(starts, ends, lower, upper, size).mark_free(surface)
 
 
 @dataclass(frozen=True)
@@ -139,26 +139,26 @@ class Crossing:
         while np.prod(np.ceil((upper - lower) / size)) > _MAX_CELLS:
             size *= 1.26
         shape = np.maximum(np.ceil((upper - lower) / size).astype(int), 1)
-        rays = _Rays.within(np.broadcast_to(starts, ends.shape), ends, lower, upper, size)
+        rays = _Rays.clip(np.broadcast_to(starts, ends.shape), ends, lower, upper, size)
         return cls(rays, lower, size, shape)
 
-    def seen_free(
+    def mark_free(
         self, surface: Float[np.ndarray, "M 3"], boxes: Float[np.ndarray, "B 2 3"] | None = None
     ) -> FreeSpace:
-        """What the rays saw to be free.
+        """March the rays and return what they saw to be free.
 
         Args:
             surface: (M, 3) points whose cells and their six neighbours are never free.
-            boxes: (B, 2, 3) lower and upper corners of where it matters; of other places nothing need be told [m].
+            boxes: (B, 2, 3) lower and upper corners of where it matters; other places need not be marked [m].
         """
         free = np.zeros(int(np.prod(self.shape)), dtype=bool)
-        blocks = None if boxes is None else _blocks(boxes, self.lower, self.size, self.shape)
+        blocks = None if boxes is None else _mark_blocks(boxes, self.lower, self.size, self.shape)
         nearest = float(self.rays.enter.min(initial=np.inf))
         for near in np.arange(0.0, float(self.rays.leave.max(initial=0.0)), _BLOCK):
             poll()
             if nearest >= near + _BLOCK:
                 continue
-            chosen = self.rays.under_way(near, near + _BLOCK, self.size)
+            chosen = self.rays.select_under_way(near, near + _BLOCK, self.size)
             if blocks is not None:
                 chosen = chosen[_meet(self.rays, chosen, near, blocks)]
             _march(self.rays, chosen, near, self.size, self.shape, free)
@@ -189,7 +189,7 @@ class _Rays:
     across: Float[np.ndarray, "2 R"]
 
     @classmethod
-    def within(
+    def clip(
         cls,
         starts: Float[np.ndarray, "N 3"],
         ends: Float[np.ndarray, "N 3"],
@@ -199,8 +199,8 @@ class _Rays:
     ) -> _Rays:
         """The rays clipped to the grid (slab method), without the last 5 cm of each."""
         poll()
-        one = bool(len(starts)) and (starts.strides[0] == 0 or bool((starts == starts[0]).all()))
-        start = starts[:1].T if one else starts.T
+        is_one_start = bool(len(starts)) and (starts.strides[0] == 0 or bool((starts == starts[0]).all()))
+        start = starts[:1].T if is_one_start else starts.T
         direction = np.subtract(ends.T, start, order="C")
         length = np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
         enter, beyond = np.zeros(len(length)), np.full(len(length), np.inf)
@@ -208,26 +208,26 @@ class _Rays:
             direction /= length
             for axis in range(3):
                 a, b = (lower[axis] - start[axis]) / direction[axis], (upper[axis] - start[axis]) / direction[axis]
-                # A ray along a side of the grid gives NaN there, which says nothing.
+                # A ray along a side of the grid gives NaN there, which is no bound.
                 np.fmax(enter, np.minimum(a, b), out=enter)
                 np.fmin(beyond, np.maximum(a, b), out=beyond)
         enter += _FUZZ
         leave = np.minimum(beyond - _FUZZ, length - _END_MARGIN)
         crossing = np.flatnonzero(leave > enter)
-        crossing = crossing[_ascending(leave[crossing])]
-        direction, start = np.take(direction, crossing, axis=1), start if one else start[:, crossing]
-        facing, across = _on_cube(direction)
+        crossing = crossing[_sort_ascending(leave[crossing])]
+        direction, start = np.take(direction, crossing, axis=1), start if is_one_start else start[:, crossing]
+        facing, across = _project_on_cube(direction)
         return cls(
             ((start - lower[:, None]) / size).astype(np.float32),
             (direction / size).astype(np.float32),
             enter[crossing].astype(np.float32),
             leave[crossing].astype(np.float32),
-            np.zeros(len(crossing), dtype=np.int64) if one else _bundles(start, size),
+            np.zeros(len(crossing), dtype=np.int64) if is_one_start else _number_bundles(start, size),
             facing,
             across,
         )
 
-    def under_way(self, near: float, far: float, size: float) -> Int[np.ndarray, "K"]:
+    def select_under_way(self, near: float, far: float, size: float) -> Int[np.ndarray, "K"]:
         """Rays in the grid between two distances, of those less than a cell apart there only the longest."""
         poll()
         first = int(np.searchsorted(self.leave, np.float32(near), side="right"))
@@ -244,8 +244,8 @@ class _Rays:
         return np.asarray(longest[longest >= 0])
 
 
-def _ascending(values: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
-    """A stable order of positive numbers, 16 bits at a time: numpy sorts those in linear time."""
+def _sort_ascending(values: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
+    """Return a stable order of positive numbers, 16 bits at a time: numpy sorts those in linear time."""
     bits = np.ascontiguousarray(values, dtype=np.float64).view(np.uint64)
     order = np.arange(len(bits))
     for shift in range(0, 64, 16):
@@ -253,15 +253,15 @@ def _ascending(values: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
     return order
 
 
-def _bundles(start: Float[np.ndarray, "3 R"], size: float) -> Int[np.ndarray, "R"]:
-    """Number of the group of rays that start in the same place."""
+def _number_bundles(start: Float[np.ndarray, "3 R"], size: float) -> Int[np.ndarray, "R"]:
+    """Number the groups of rays that start in the same place."""
     keys = row_keys(np.floor(start / (_BIN * size)).T)
     if (keys == keys[:1]).all():
         return np.zeros(len(keys), dtype=np.int64)
     return np.unique(keys, return_inverse=True)[1]
 
 
-def _on_cube(direction: Float[np.ndarray, "3 R"]) -> tuple[Int[np.ndarray, "R"], Float[np.ndarray, "2 R"]]:
+def _project_on_cube(direction: Float[np.ndarray, "3 R"]) -> tuple[Int[np.ndarray, "R"], Float[np.ndarray, "2 R"]]:
     """Side of a cube of edge 2 about its start that each ray leaves it by, and where on that side, 0 to 2."""
     x, y, z = direction
     size_x, size_y, size_z = np.abs(direction)
@@ -275,10 +275,10 @@ def _on_cube(direction: Float[np.ndarray, "3 R"]) -> tuple[Int[np.ndarray, "R"],
     return 2 * axis + (along > 0.0), across
 
 
-def _blocks(
+def _mark_blocks(
     boxes: Float[np.ndarray, "B 2 3"], lower: Float[np.ndarray, "3"], size: float, shape: Int[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "X Y Z"]:
-    """Blocks of cells that lie no farther from any of the boxes than a ray goes before and behind where it is told."""
+    """Mark blocks of cells that lie no farther from any of the boxes than a ray goes before and behind its sample."""
     blocks = np.zeros(-(-shape // _CELLS_OF_BLOCK), dtype=bool)
     cells = (boxes - lower) / size
     reach = 0.5 * _BLOCK / size
@@ -292,7 +292,7 @@ def _blocks(
 def _meet(
     rays: _Rays, chosen: Int[np.ndarray, "K"], near: float, blocks: Bool[np.ndarray, "X Y Z"]
 ) -> Bool[np.ndarray, "K"]:
-    """Which of the chosen rays pass any of these blocks in one block of distances, told by its middle."""
+    """Find the chosen rays that pass any of these blocks in one block of distances, by its middle."""
     poll()
     is_there = np.zeros(len(chosen), dtype=bool)
     middle = np.float32(near + _BLOCK / 2)
@@ -335,7 +335,7 @@ def _march(
 def _clear_beside(
     surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], size: float, free: Bool[np.ndarray, "X Y Z"]
 ) -> None:
-    """Cells that hold a surface point, and their six neighbours, are not free."""
+    """Mark cells that hold a surface point, and their six neighbours, as not free."""
     cells = [np.floor((column - low) / size).astype(np.int64) for column, low in zip(surface.T, lower, strict=True)]
     inside = np.ones(len(surface), dtype=bool)
     for column, length in zip(cells, free.shape, strict=True):

@@ -54,7 +54,7 @@ class Hull:
         return replace(self, faces=faces, triangles=self.triangles[:0])
 
     def is_within(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
-        """Which points lie behind all faces or at most ``margin`` before them."""
+        """Find the points behind all faces or at most ``margin`` before them."""
         poll()
         left = np.arange(len(points))
         # Few points are left after few faces.
@@ -66,26 +66,26 @@ class Hull:
         return inside
 
 
-def hull_of(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"]) -> Hull:
-    """Hull of the points; flat ones are given a skin of 5 mm."""
+def make_hull(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"]) -> Hull:
+    """Make the hull of the points; flat ones are given a skin of 5 mm."""
     poll()
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
-        points = thickened(points, SKIN)
+        points = thicken(points, SKIN)
         hull = ConvexHull(points)
     number = np.zeros(len(points), dtype=np.int64)
     number[hull.vertices] = np.arange(len(hull.vertices))
     return Hull(points[hull.vertices], number[hull.simplices], hull.equations, float(hull.volume), members)
 
 
-def thickened(points: Float[np.ndarray, "N 3"], skin: float) -> Float[np.ndarray, "M 3"]:
-    """The points moved by ``skin`` along each axis both ways: their hull holds all of them with a margin."""
+def thicken(points: Float[np.ndarray, "N 3"], skin: float) -> Float[np.ndarray, "M 3"]:
+    """Return the points moved by ``skin`` along each axis both ways: their hull holds all of them with a margin."""
     return np.asarray((points[:, None, :] + skin * _OCTAHEDRON).reshape(-1, 3))
 
 
-def limited(vertices: Float[np.ndarray, "V 3"], most: int = MAX_VERTICES) -> Float[np.ndarray, "W 3"]:
-    """A hull of at most ``most`` vertices that contains the given one.
+def limit_vertices(vertices: Float[np.ndarray, "V 3"], most: int = MAX_VERTICES) -> Float[np.ndarray, "W 3"]:
+    """Return the vertices of a hull of at most ``most`` that contains the given hull.
 
     The extreme vertices in evenly spread directions are kept and scaled about their centre until they hold the rest.
     """

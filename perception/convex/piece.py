@@ -19,7 +19,7 @@ _SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the rays of a scan say about a piece.
+    """Evidence of the rays of a scan for a piece.
 
     Attributes:
         free_cells: cells inside the piece that rays went through.
@@ -40,7 +40,7 @@ class Piece:
     Attributes:
         shape: name, vertices and kind (``plane``, ``wall``, ``clutter``).
         points: indices of the obstacle points within 1 cm of it that no piece before it has.
-        evidence: what the rays of the scan it was made from say.
+        evidence: of the rays of the scan it was made from.
         hull: its half-spaces, each once.
         plane: (4,) unit normal and offset of the plane it is a slab of; None for other shapes.
     """
@@ -62,7 +62,7 @@ class Piece:
         return self.shape.kind
 
     def summary(self) -> dict[str, object]:
-        """Name, kind, number of points and evidence, JSON-ready."""
+        """Return name, kind, number of points and evidence, JSON-ready."""
         return {
             "name": self.name,
             "kind": self.kind,
@@ -73,17 +73,17 @@ class Piece:
         }
 
 
-def evidence_of(hull: Hull, free: FreeSpace) -> Evidence:
-    """Free cells in the hull, and how much of its surface borders free ones."""
+def measure_evidence(hull: Hull, free: FreeSpace) -> Evidence:
+    """Count free cells in the hull, and how much of its surface borders free ones."""
     inside = free.count_inside(hull)
-    around = _around(hull)
+    around = _sample_around(hull)
     near = np.concatenate([around, *(around + sign * free.size * axis for axis in np.eye(3) for sign in (-1.0, 1.0))])
     is_open = free.contains(near).reshape(7, -1).any(axis=0)
     return Evidence(inside, inside * free.size**3 / hull.volume, float(is_open.mean()))
 
 
-def _around(hull: Hull) -> Float[np.ndarray, "K 3"]:
-    """Places 5 cm off the hull, spread evenly over its surface."""
+def _sample_around(hull: Hull) -> Float[np.ndarray, "K 3"]:
+    """Return places 5 cm off the hull, spread evenly over its surface."""
     corners = hull.vertices[hull.triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(across, axis=1)

@@ -1,4 +1,4 @@
-"""A cleaned cloud to convex pieces that cover what is there and leave free what was seen free."""
+"""Convex pieces of a cleaned cloud, which cover its points and leave free what was seen free."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece
 from perception.convex.clock import Clock
-from perception.convex.coarse import Coarse, Groups, coarsened
+from perception.convex.coarse import Coarse, Groups, coarsen
 from perception.convex.freespace import Crossing, FreeSpace
-from perception.convex.hulls import SKIN, Hull, hull_of, limited, thickened
-from perception.convex.piece import Piece, evidence_of
+from perception.convex.hulls import SKIN, Hull, limit_vertices, make_hull, thicken
+from perception.convex.piece import Piece, measure_evidence
 from perception.convex.planes import Plane, PlaneSettings, find_planes
-from perception.convex.slabs import FRONT, Slab, attached, slabs_of
-from perception.convex.smooth import smoothed, spacing_of
-from perception.convex.split import clusters, merge, refined, split
+from perception.convex.slabs import FRONT, Slab, attach_hulls, make_slabs
+from perception.convex.smooth import measure_spacing, smooth_points
+from perception.convex.split import find_clusters, merge, refine_hulls, split
 
 VOXEL = 0.015
 _CELL = 0.02
@@ -55,7 +55,7 @@ def make_pieces(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     seed: int = 0,
 ) -> Pieces:
-    """Planes become thin slabs; what is left becomes hulls that hold no seen-free space.
+    """Make thin slabs of planes, and of what is left hulls that hold no seen-free space.
 
     Args:
         points: (N, 3) obstacle points, cleaned [m].
@@ -67,18 +67,18 @@ def make_pieces(
     if not len(points):
         return Pieces((), {})
     clock = Clock()
-    rays = from_one_place(rays)
-    coarse = coarsened(points, starts, VOXEL)
-    free = crossing_of(coarse.points, rays).seen_free(coarse.points)
+    rays = share_start(rays)
+    coarse = coarsen(points, starts, VOXEL)
+    free = make_crossing(coarse.points, rays).mark_free(coarse.points)
     clock.lap("free space")
-    bodies = bodies_of(coarse, np.arange(len(coarse.points)), rays, free, seed, clock)
+    bodies = make_bodies(coarse, np.arange(len(coarse.points)), rays, free, seed, clock)
     kept = np.ones(len(points), dtype=bool)
-    pieces = with_points(named(bodies, {}, free), points, kept, Groups.of(coarse), coarse)
+    pieces = assign_points(name_bodies(bodies, {}, free), points, kept, Groups.of(coarse), coarse)
     clock.lap("evidence")
     return Pieces(pieces, clock.timings)
 
 
-def bodies_of(
+def make_bodies(
     coarse: Coarse,
     left: Int[np.ndarray, "K"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
@@ -86,58 +86,58 @@ def bodies_of(
     seed: int,
     clock: Clock,
 ) -> list[Body]:
-    """Slabs and hulls for the points that are left."""
+    """Make slabs and hulls for the points that are left."""
     if not len(left):
         return []
     points, starts = coarse.points[left], coarse.starts[left]
     planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), _PLANES)
     clock.lap("planes")
-    apart = spacing_of(coarse.points, coarse.starts, left)
-    slabs = [(plane, slab) for plane in planes for slab in slabs_of(plane, points, *rays, free, apart)]
+    apart = measure_spacing(coarse.points, coarse.starts, left)
+    slabs = [(plane, slab) for plane in planes for slab in make_slabs(plane, points, *rays, free, apart)]
     clock.lap("slabs")
-    points = smoothed(coarse.points, coarse.counts, coarse.starts, left)
-    rest = ~_covered(points, slabs)
-    hulls = _clutter(points[rest], starts[rest], free)
-    hulls = refined(hulls, points[rest], coarse.points, rays, _GAP)
-    slabs, hulls = attached(slabs, hulls, free)
+    points = smooth_points(coarse.points, coarse.counts, coarse.starts, left)
+    rest = ~_find_covered(points, slabs)
+    hulls = _make_clutter(points[rest], starts[rest], free)
+    hulls = refine_hulls(hulls, points[rest], coarse.points, rays, _GAP)
+    slabs, hulls = attach_hulls(slabs, hulls, free)
     bodies = [
-        Body(_kind_of(plane, slab), slab.vertices, np.append(plane.normal, plane.offset)) for plane, slab in slabs
+        Body(_choose_kind(plane, slab), slab.vertices, np.append(plane.normal, plane.offset)) for plane, slab in slabs
     ]
-    bodies += [Body("clutter", _skinned(hull, apart[rest], free), None) for hull in hulls]
+    bodies += [Body("clutter", _add_skin(hull, apart[rest], free), None) for hull in hulls]
     clock.lap("clutter")
     return bodies
 
 
-def from_one_place(
+def share_start(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
 ) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]:
-    """The rays with their start told once, (3,), where it is the same for all."""
+    """Return the rays with one start (3,) if it is the same for all."""
     starts, ends = rays
     return (starts[0] if starts.ndim == 2 and len(starts) and (starts == starts[0]).all() else starts), ends
 
 
-def crossing_of(
+def make_crossing(
     held: Float[np.ndarray, "H 3"], rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]
 ) -> Crossing:
-    """The rays in a grid around places [m], whose cells are aligned with the world's origin."""
+    """Put the rays into a grid around places [m], whose cells are aligned with the world's origin."""
     lower = _CELL * np.floor((held.min(axis=0) - AROUND) / _CELL)
     return Crossing.of(*rays, lower, held.max(axis=0) + AROUND, _CELL)
 
 
-def _clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], free: FreeSpace) -> list[Hull]:
-    """Hulls of what no plane explains, merged while they stay free."""
+def _make_clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], free: FreeSpace) -> list[Hull]:
+    """Make hulls of what no plane explains, merged while they stay free."""
     if not len(points):
         return []
-    hulls = [hull for members in clusters(points, starts) for hull in split(points, members, free)]
+    hulls = [hull for members in find_clusters(points, starts) for hull in split(points, members, free)]
     ranges = np.linalg.norm(points - starts, axis=1)
     gaps = np.array([max(_GAP, _GAP_OF_RANGE * float(np.median(ranges[hull.members]))) for hull in hulls])
     return merge(hulls, free, gaps)
 
 
-def _covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Slab]]) -> Bool[np.ndarray, "N"]:
-    """Points that a slab stands for: inside it, its noise, and what seems to lie up to 2 cm behind it.
+def _find_covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Slab]]) -> Bool[np.ndarray, "N"]:
+    """Find points that a slab stands for: inside it, its noise, and what seems to lie up to 2 cm behind it.
 
-    What stands out of a plane by more than its slab is a thing of its own, as buttons are.
+    What protrudes from a plane by more than its slab is an object of its own, as buttons are.
 
     Args:
         points: (N, 3) freed of noise [m].
@@ -154,27 +154,27 @@ def _covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Slab]]) 
     return covered
 
 
-def _skinned(hull: Hull, apart: Float[np.ndarray, "N"], free: FreeSpace) -> Float[np.ndarray, "V 3"]:
-    """The hull with a skin, which covers the surface between points, and at most 64 vertices.
+def _add_skin(hull: Hull, apart: Float[np.ndarray, "N"], free: FreeSpace) -> Float[np.ndarray, "V 3"]:
+    """Give the hull a skin, which covers the surface between points, and at most 64 vertices.
 
     The skin is 5 mm, or where points lie far apart two fifths of that if it holds no more seen-free space.
 
     Args:
-        hull: of points that ``apart`` is told of.
+        hull: its members index ``apart``.
         apart: (N,) distance of the points from those beside them [m].
         free: what was seen free.
     """
-    skinned = hull_of(thickened(hull.vertices, SKIN), hull.members)
+    skinned = make_hull(thicken(hull.vertices, SKIN), hull.members)
     skin = min(_SKIN_OF_SPACING * float(np.median(apart[hull.members])), _MOST_SKIN)
     if skin > SKIN:
-        thick = hull_of(thickened(hull.vertices, skin), hull.members)
+        thick = make_hull(thicken(hull.vertices, skin), hull.members)
         if free.count_inside(thick) <= free.count_inside(skinned):
             skinned = thick
-    return limited(skinned.vertices)
+    return limit_vertices(skinned.vertices)
 
 
-def _kind_of(plane: Plane, slab: Slab) -> str:
-    """``wall`` for what stands upright and is larger than a person is wide and half a person high."""
+def _choose_kind(plane: Plane, slab: Slab) -> str:
+    """Return ``wall`` for what is upright and larger than a person is wide and half a person high."""
     width, height = np.ptp(slab.outline, axis=0)
     is_wall = abs(plane.normal[2]) < _UPRIGHT and width >= _WALL[0] and height >= _WALL[1]
     return "wall" if is_wall else "plane"
@@ -189,31 +189,31 @@ class Body:
     plane: Float[np.ndarray, "4"] | None
 
 
-def named(bodies: Sequence[Body], first: Mapping[str, int], free: FreeSpace) -> list[Piece]:
-    """Pieces without points, numbered from ``first`` by kind."""
+def name_bodies(bodies: Sequence[Body], first: Mapping[str, int], free: FreeSpace) -> list[Piece]:
+    """Make pieces without points, numbered from ``first`` by kind."""
     serial, nothing = Counter(first), np.zeros(0, dtype=np.int64)
     pieces = []
     for body in bodies:
-        hull = hull_of(body.vertices, nothing)
+        hull = make_hull(body.vertices, nothing)
         shape = ConvexPiece(f"{body.kind}/{serial[body.kind]}", body.vertices, kind=body.kind)
         serial[body.kind] += 1
-        pieces.append(Piece(shape, nothing, evidence_of(hull, free), hull.simplified, body.plane))
+        pieces.append(Piece(shape, nothing, measure_evidence(hull, free), hull.simplified, body.plane))
     return pieces
 
 
-def with_points(
+def assign_points(
     pieces: Sequence[Piece],
     points: Float[np.ndarray, "N 3"],
     kept: Bool[np.ndarray, "N"],
     groups: Groups,
     coarse: Coarse,
 ) -> tuple[Piece, ...]:
-    """The pieces with those of the kept points that lie at most 1 cm from each and in none before it."""
+    """Give each piece the kept points that lie at most 1 cm from it and in no piece before it."""
     taken = ~kept
     made = []
     for piece in pieces:
         hull = piece.hull
-        mine = groups.members(coarse.within(hull.lower - (_WITHIN + VOXEL), hull.upper + (_WITHIN + VOXEL)))
+        mine = groups.list_members(coarse.select_within(hull.lower - (_WITHIN + VOXEL), hull.upper + (_WITHIN + VOXEL)))
         mine = mine[~taken[mine]]
         mine = np.sort(mine[hull.is_within(points[mine], _WITHIN)])
         taken[mine] = True

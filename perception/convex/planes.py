@@ -18,7 +18,7 @@ _AT_A_TIME = 16
 
 @dataclass(frozen=True)
 class PlaneSettings:
-    """What counts as one plane.
+    """Criteria of a plane.
 
     Attributes:
         distance: farthest a member lies from the plane [m].
@@ -84,10 +84,10 @@ class Plane:
         return np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]])
 
 
-def point_normals(
+def estimate_normals(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], n_neighbours: int
 ) -> Float[np.ndarray, "N 3"]:
-    """Unit normals by principal components of the nearest neighbours, turned to where each point's ray started."""
+    """Estimate unit normals by principal components of the nearest neighbours, turned to the starts of the rays."""
     k = min(n_neighbours, len(points))
     _, neighbours = nearest(cKDTree(points), points, k)
     poll()
@@ -107,32 +107,32 @@ def find_planes(
     rng: np.random.Generator,
     settings: PlaneSettings | None = None,
 ) -> tuple[Plane, ...]:
-    """Flat connected regions, largest first as found; their members are disjoint.
+    """Find flat connected regions, in order of search; their members are disjoint.
 
     Args:
         points: (N, 3) downsampled [m].
         counts: (N,) measured points each stands for.
         starts: (3,) or (N, 3), where the points' rays started [m].
         rng: for the hypotheses.
-        settings: what counts as one plane.
+        settings: criteria of a plane.
     """
     settings = settings or PlaneSettings()
     planes: list[Plane] = []
     if len(points) < settings.min_points:
         return ()
     starts = np.broadcast_to(starts, points.shape)
-    normals = point_normals(points, starts, settings.n_neighbours)
+    normals = estimate_normals(points, starts, settings.n_neighbours)
     left = np.arange(len(points))
     misses = 0
     while len(planes) < settings.max_planes and len(left) >= settings.min_points and misses < 4:
-        members = _best_region(points, counts, normals, starts, left, rng, settings)
+        members = _find_best_region(points, counts, normals, starts, left, rng, settings)
         if members is None:
             misses += 1
             continue
         misses = 0
         plane = Plane(*_fit(points[members], starts[members]), members, members[:0])
         left = np.setdiff1d(left, members, assume_unique=True)
-        noise = noise_of(plane, points, counts, left, settings)
+        noise = find_noise(plane, points, counts, left, settings)
         distance = np.abs(points[left] @ plane.normal - plane.offset)
         # Close noise is the surface itself, whatever its normal; it belongs to the outline.
         grown = np.concatenate([members, left[noise & (distance < settings.distance)]])
@@ -141,7 +141,7 @@ def find_planes(
     return tuple(planes)
 
 
-def _best_region(
+def _find_best_region(
     points: Float[np.ndarray, "N 3"],
     counts: Int[np.ndarray, "N"],
     normals: Float[np.ndarray, "N 3"],
@@ -150,20 +150,20 @@ def _best_region(
     rng: np.random.Generator,
     settings: PlaneSettings,
 ) -> Int[np.ndarray, "M"] | None:
-    """The connected members of the plane that most of a sample agrees on; None when too few or too thin."""
+    """Return the connected members of the plane that most of a sample agrees on; None when too few or too thin."""
     poll()
     sample = left if len(left) <= 3000 else rng.choice(left, 3000, replace=False)
     seeds = rng.choice(left, min(settings.n_candidates, len(left)), replace=False)
-    agree = _agreeing(points, normals, sample, seeds, settings)
+    agree = _find_agreeing(points, normals, sample, seeds, settings)
     best = np.argsort(-np.count_nonzero(agree, axis=1), kind="stable")[: settings.n_refined]
-    settled = [_settled(points, normals, starts, sample[agree[i]], sample, settings) for i in best]
-    region = _settled(points, normals, starts, max(settled, key=len), left, settings)
+    settled = [_refit(points, normals, starts, sample[agree[i]], sample, settings) for i in best]
+    region = _refit(points, normals, starts, max(settled, key=len), left, settings)
     if len(region) < 10:
         return None
     normal, offset = _fit(points[region], starts[region])
     aligned = left[normals[left] @ normal > 0.5]
-    region = _consistent(points, counts, aligned, Plane(normal, offset, region, region[:0]), settings)
-    region = _largest_connected(points, region, Plane(normal, offset, region, region[:0]), starts)
+    region = _drop_biased(points, counts, aligned, Plane(normal, offset, region, region[:0]), settings)
+    region = _select_largest(points, region, Plane(normal, offset, region, region[:0]), starts)
     if len(region) < settings.min_points:
         return None
     flat = points[region] @ Plane(normal, offset, region, region[:0]).basis.T
@@ -172,14 +172,14 @@ def _best_region(
     return region
 
 
-def _agreeing(
+def _find_agreeing(
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
     sample: Int[np.ndarray, "K"],
     seeds: Int[np.ndarray, "S"],
     settings: PlaneSettings,
 ) -> Bool[np.ndarray, "S K"]:
-    """Which of the sample lie on the plane through each seed, with a normal like its own."""
+    """Find those of the sample that lie on the plane through each seed, with a normal like its own."""
     places, directions = np.ascontiguousarray(points[sample].T), np.ascontiguousarray(normals[sample].T)
     through, offsets = normals[seeds], (points[seeds] * normals[seeds]).sum(axis=1)
     agree = np.zeros((len(seeds), len(sample)), dtype=bool)
@@ -194,7 +194,7 @@ def _agreeing(
     return agree
 
 
-def _settled(
+def _refit(
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "N 3"],
@@ -202,7 +202,7 @@ def _settled(
     among: Int[np.ndarray, "L"],
     settings: PlaneSettings,
 ) -> Int[np.ndarray, "M"]:
-    """Members of the plane fitted to the region, fitted again until they no longer become more.
+    """Return members of the plane fitted to the region, fitted again until their number no longer grows.
 
     A single normal is off by many degrees where points are few, and its plane is a strip of the true one.
     """
@@ -221,14 +221,14 @@ def _settled(
     return region
 
 
-def _consistent(
+def _drop_biased(
     points: Float[np.ndarray, "N 3"],
     counts: Int[np.ndarray, "N"],
     around: Int[np.ndarray, "K"],
     plane: Plane,
     settings: PlaneSettings,
 ) -> Int[np.ndarray, "M"]:
-    """Members where the points around, near the plane or not, scatter about it.
+    """Return members where the points around, near the plane or not, scatter about it.
 
     Half of the noise of a face 3 cm behind lies within 2 cm of the plane; its mean gives it away.
     """
@@ -240,14 +240,14 @@ def _consistent(
     raster = _Raster.over(points[plane.members] @ plane.basis.T)
     weights, cells = counts[around], raster.cells(points[around] @ plane.basis.T)
     inside = ((cells >= 0) & (cells < raster.shape)).all(axis=1)
-    total = _counts(cells[inside], weights[inside], raster.shape)
-    mean = _counts(cells[inside], (weights * distance)[inside], raster.shape) / np.maximum(total, 1e-9)
+    total = _count_cells(cells[inside], weights[inside], raster.shape)
+    mean = _count_cells(cells[inside], (weights * distance)[inside], raster.shape) / np.maximum(total, 1e-9)
     mine = raster.cells(points[plane.members] @ plane.basis.T)
     return np.asarray(plane.members[np.abs(mean[tuple(mine.T)]) < settings.bias])
 
 
 def _fit(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "3"], float]:
-    """Least-squares plane; its normal points to where most of the rays came from."""
+    """Fit a plane by least squares; its normal points to where most of the rays came from."""
     poll()
     centre = points.mean(axis=0)
     relative = points - centre
@@ -257,14 +257,14 @@ def _fit(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> 
     return (-normal, -offset) if 2 * np.count_nonzero(is_behind) > len(is_behind) else (normal, offset)
 
 
-def noise_of(
+def find_noise(
     plane: Plane,
     points: Float[np.ndarray, "N 3"],
     counts: Int[np.ndarray, "N"],
     left: Int[np.ndarray, "K"],
     settings: PlaneSettings,
 ) -> Bool[np.ndarray, "K"]:
-    """Which of the points left are the plane's noise: near it, and few beside the members around them
+    """Find those of the points left that are the plane's noise: near it, and few beside the members around them
     or evenly on both sides; farther off than a slab covers, no more on one side than the tail of the noise,
     or than some times what lies on the other side: noise has two tails.
 
@@ -278,16 +278,16 @@ def noise_of(
     valid = ((cells >= 0) & (cells < raster.shape)).all(axis=1)
     near, cells = near[valid], cells[valid]
     weights = counts[left[near]]
-    others = _counts(cells, weights, raster.shape)
-    members = _counts(raster.cells(mine), counts[plane.members], raster.shape)
+    others = _count_cells(cells, weights, raster.shape)
+    members = _count_cells(raster.cells(mine), counts[plane.members], raster.shape)
     distance = points[left[near]] @ plane.normal - plane.offset
-    bias = _counts(cells, weights * distance, raster.shape) / np.maximum(members + others, 1e-9)
+    bias = _count_cells(cells, weights * distance, raster.shape) / np.maximum(members + others, 1e-9)
     few = (others < settings.noise_share * members) | (np.abs(bias) < settings.bias / 2)
     few &= members > 0.0
     is_noise = few[tuple(cells.T)]
     most = np.maximum(settings.tail_share * members, settings.tail_points / 9)
     sides = [distance > settings.covered, distance < -settings.covered]
-    tails = [_counts(cells[side], weights[side], raster.shape) for side in sides]
+    tails = [_count_cells(cells[side], weights[side], raster.shape) for side in sides]
     for side, tail, opposite in zip(sides, tails, tails[::-1], strict=True):
         # What is to be fewer than whole points comes out of sums of fractions.
         is_tail = tail < np.maximum(most, settings.tail_ratio * opposite) - 1e-9
@@ -313,20 +313,20 @@ class _Raster:
         return np.asarray(np.floor((flat - self.lower) / _CELL).astype(int))
 
 
-def _counts(
+def _count_cells(
     cells: Int[np.ndarray, "N 2"], weights: np.ndarray, shape: Int[np.ndarray, "2"]
 ) -> Float[np.ndarray, "U V"]:
-    """Points per cell, averaged over the cell and its eight neighbours."""
+    """Count points per cell, averaged over the cell and its eight neighbours."""
     poll()
     flat = np.ravel_multi_index(tuple(cells.T), tuple(shape))
     counts = np.bincount(flat, weights, minlength=int(np.prod(shape))).reshape(shape)
     return np.asarray(ndimage.uniform_filter(counts, size=3, mode="constant"))
 
 
-def _largest_connected(
+def _select_largest(
     points: Float[np.ndarray, "N 3"], region: Int[np.ndarray, "K"], plane: Plane, starts: Float[np.ndarray, "N 3"]
 ) -> Int[np.ndarray, "M"]:
-    """Members of the largest patch, linked over max(5 cm, 4.5 % of range) in the plane."""
+    """Return members of the largest patch, linked over max(5 cm, 4.5 % of range) in the plane."""
     poll()
     if not len(region):
         return region

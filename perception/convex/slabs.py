@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from costs.stopping import poll
 from perception.convex.freespace import FreeSpace
-from perception.convex.hulls import Hull, hull_of
+from perception.convex.hulls import Hull, make_hull
 from perception.convex.planes import Plane
 
 _CELL = 0.02
@@ -48,7 +48,7 @@ class Slab:
     @property
     def area(self) -> float:
         """Of the outline [m^2]."""
-        return _area(self.outline)
+        return _measure_area(self.outline)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class _Region:
     pierced: Bool[np.ndarray, "U V"]
 
 
-def slabs_of(
+def make_slabs(
     plane: Plane,
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "*R 3"],
@@ -69,7 +69,7 @@ def slabs_of(
     apart: Float[np.ndarray, "N"] | None = None,
     gaps: Float[np.ndarray, "G 2"] | None = None,
 ) -> list[Slab]:
-    """Convex slabs that cover the plane's members and no opening.
+    """Make convex slabs that cover the plane's members and no opening.
 
     Args:
         plane: the flat region.
@@ -81,34 +81,38 @@ def slabs_of(
         gaps: further places that are not to be covered, in the plane's basis [m].
     """
     flat = points[plane.members] @ plane.basis.T
-    openings = [_crossings(plane, starts, ends), _free_within(plane, flat, free), *([] if gaps is None else [gaps])]
-    region = _picture(flat, np.concatenate(openings))
+    openings = [
+        _find_crossings(plane, starts, ends),
+        _find_free_cells(plane, flat, free),
+        *([] if gaps is None else [gaps]),
+    ]
+    region = _make_region(flat, np.concatenate(openings))
     parts: list[Int[np.ndarray, "K"]] = []
     todo = [np.arange(len(flat))]
     while todo:
         indices = todo.pop()
-        open_cells = _open_cells(region, _outline(flat[indices]))
+        open_cells = _find_open_cells(region, _make_outline(flat[indices]))
         if len(indices) < 4 or not len(open_cells):
             parts.append(indices)
         else:
             todo.extend(indices[side] for side in _cut(flat[indices], open_cells))
-    parts = _merged(region, parts)
+    parts = _merge_parts(region, parts)
     spacing = np.zeros(len(flat)) if apart is None else apart[plane.members]
-    return [_slab(plane, region, part, float(np.median(spacing[part]))) for part in parts]
+    return [_make_slab(plane, region, part, float(np.median(spacing[part]))) for part in parts]
 
 
-def _picture(flat: Float[np.ndarray, "N 2"], opened: Float[np.ndarray, "H 2"]) -> _Region:
-    """Cells of the region's rectangle that hold openings and no member, nor does a neighbour."""
+def _make_region(flat: Float[np.ndarray, "N 2"], opened: Float[np.ndarray, "H 2"]) -> _Region:
+    """Mark cells of the region's rectangle that hold openings and no member, nor does a neighbour."""
     lower = flat.min(axis=0) - 2 * _CELL
     shape = np.ceil((flat.max(axis=0) + 2 * _CELL - lower) / _CELL).astype(int) + 1
-    hit = ndimage.binary_dilation(_raster(flat, lower, shape), structure=np.ones((3, 3), dtype=bool))
-    return _Region(flat, lower, _raster(opened, lower, shape) & ~hit)
+    hit = ndimage.binary_dilation(_rasterise(flat, lower, shape), structure=np.ones((3, 3), dtype=bool))
+    return _Region(flat, lower, _rasterise(opened, lower, shape) & ~hit)
 
 
-def _crossings(
+def _find_crossings(
     plane: Plane, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"]
 ) -> Float[np.ndarray, "K 2"]:
-    """Where rays went through the plane, either way: a scan from behind sees an opening as well."""
+    """Return where rays went through the plane, either way: a scan from behind sees an opening as well."""
     poll()
     before, after = starts @ plane.normal - plane.offset, ends @ plane.normal - plane.offset
     through = np.flatnonzero((np.minimum(before, after) < -_BEHIND) & (np.maximum(before, after) > _BEHIND))
@@ -120,21 +124,21 @@ def _crossings(
     return np.stack([u, v], axis=1)
 
 
-def _free_within(plane: Plane, flat: Float[np.ndarray, "N 2"], free: FreeSpace) -> Float[np.ndarray, "K 2"]:
-    """Free cells that a slab over the whole region would hold behind its plane: there the surface bends away from it.
+def _find_free_cells(plane: Plane, flat: Float[np.ndarray, "N 2"], free: FreeSpace) -> Float[np.ndarray, "K 2"]:
+    """Return free cells that a slab over the whole region would hold behind its plane, where the surface bends away.
 
     Those before it are what rays that graze the surface always leave.
     """
     low, high = flat.min(axis=0), flat.max(axis=0)
     corners = np.array([[u, v] for u in (low[0], high[0]) for v in (low[1], high[1])]) @ plane.basis
     corners = corners + plane.offset * plane.normal
-    cells = free.cells_in(corners.min(axis=0) - FRONT, corners.max(axis=0) + FRONT)
+    cells = free.list_cells(corners.min(axis=0) - FRONT, corners.max(axis=0) + FRONT)
     distance = cells @ plane.normal - plane.offset
     inside = (distance < -0.25 * free.size) & (distance > 0.25 * free.size - _BACK)
     return np.asarray(cells[inside] @ plane.basis.T)
 
 
-def _raster(
+def _rasterise(
     flat: Float[np.ndarray, "N 2"], lower: Float[np.ndarray, "2"], shape: np.ndarray
 ) -> Bool[np.ndarray, "U V"]:
     grid = np.zeros(shape, dtype=bool)
@@ -144,38 +148,38 @@ def _raster(
     return grid
 
 
-def _outline(
+def _make_outline(
     flat: Float[np.ndarray, "N 2"], pad: float = 0.0
 ) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "F 3"]]:
-    """Corners, counter-clockwise, and half-planes of the hull; ``pad`` is added on all sides."""
+    """Return corners, counter-clockwise, and half-planes of the hull; ``pad`` is added on all sides."""
     poll()
     if pad > 0.0:
-        flat = _padded(flat, pad)
+        flat = _pad_points(flat, pad)
     try:
         hull = ConvexHull(flat)
     except (QhullError, ValueError):
-        return _outline(flat, 0.002)
+        return _make_outline(flat, 0.002)
     return flat[hull.vertices], hull.equations
 
 
-def _padded(flat: Float[np.ndarray, "N 2"], pad: float) -> Float[np.ndarray, "M 2"]:
+def _pad_points(flat: Float[np.ndarray, "N 2"], pad: float) -> Float[np.ndarray, "M 2"]:
     return np.asarray((flat[:, None, :] + pad * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])).reshape(-1, 2))
 
 
-def _open_cells(
+def _find_open_cells(
     region: _Region, outline: tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "F 3"]]
 ) -> Float[np.ndarray, "H 2"]:
-    """Centres of the pierced cells inside the outline; empty when they are so few that noise explains them."""
+    """Return centres of the pierced cells inside the outline; empty when they are so few that noise explains them."""
     corners, faces = outline
     first = np.floor((corners.min(axis=0) - region.lower) / _CELL).astype(int).clip(0)
     last = np.ceil((corners.max(axis=0) - region.lower) / _CELL).astype(int)
     cells = np.argwhere(region.pierced[first[0] : last[0] + 1, first[1] : last[1] + 1]) + first
     centres = (cells + 0.5) * _CELL + region.lower
     inside = centres[(centres @ faces[:, :2].T + faces[:, 2] <= 0.0).all(axis=1)]
-    return np.asarray(inside if len(inside) * _CELL**2 > _NOISE * _area(corners) else inside[:0])
+    return np.asarray(inside if len(inside) * _CELL**2 > _NOISE * _measure_area(corners) else inside[:0])
 
 
-def _area(corners: Float[np.ndarray, "K 2"]) -> float:
+def _measure_area(corners: Float[np.ndarray, "K 2"]) -> float:
     x, y = corners.T
     return 0.5 * abs(float(x[:-1] @ y[1:] - y[:-1] @ x[1:] + x[-1] * y[0] - y[-1] * x[0]))
 
@@ -183,7 +187,7 @@ def _area(corners: Float[np.ndarray, "K 2"]) -> float:
 def _cut(
     flat: Float[np.ndarray, "N 2"], open_cells: Float[np.ndarray, "H 2"]
 ) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
-    """Two groups of points: the largest that one straight cut frees of all open cells, and the rest.
+    """Cut the points in two groups: the largest that one straight cut frees of all open cells, and the rest.
 
     Cuts run along the outermost open cells, upright or turned with the points.  When they would free little, the
     points are halved across their longest side instead.
@@ -202,17 +206,17 @@ def _cut(
     return order[: len(flat) // 2], order[len(flat) // 2 :]
 
 
-def _merged(region: _Region, parts: list[Int[np.ndarray, "K"]]) -> list[Int[np.ndarray, "K"]]:
-    """Parts joined, the smallest with the neighbour that adds least area, while the joint outline is closed."""
+def _merge_parts(region: _Region, parts: list[Int[np.ndarray, "K"]]) -> list[Int[np.ndarray, "K"]]:
+    """Join parts, the smallest with the neighbour that adds least area, while the joint outline is closed."""
     waiting = sorted((_Part.of(region, part) for part in parts), key=_Part.rank)
     kept: list[Int[np.ndarray, "K"]] = []
     while waiting:
         part = waiting.pop(0)
         options = []
-        for i in map(int, part.beside(waiting)):
+        for i in map(int, part.find_beside(waiting)):
             joint = np.concatenate([part.members, waiting[i].members])
-            outline = _outline(region.flat[joint])
-            if not len(_open_cells(region, outline)):
+            outline = _make_outline(region.flat[joint])
+            if not len(_find_open_cells(region, outline)):
                 options.append((float(np.prod(np.ptp(outline[0], axis=0))), i, joint))
         if options:
             _, i, joint = min(options, key=lambda option: option[:2])
@@ -240,42 +244,42 @@ class _Part:
         """The smallest first."""
         return len(self.members), int(self.members[0])
 
-    def beside(self, others: list[_Part]) -> Int[np.ndarray, "J"]:
-        """Which of the others have rectangles at most 6 cm away."""
+    def find_beside(self, others: list[_Part]) -> Int[np.ndarray, "J"]:
+        """Find those of the others whose rectangles are at most 6 cm away."""
         lower = np.array([other.lower for other in others]).reshape(-1, 2)
         upper = np.array([other.upper for other in others]).reshape(-1, 2)
         near = (lower <= self.upper + _BESIDE) & (upper >= self.lower - _BESIDE)
         return np.flatnonzero(near.all(axis=1))
 
 
-def joined(plane: Plane, slab: Slab, flat: Float[np.ndarray, "K 2"]) -> Slab:
-    """The slab of the hull of a slab's outline and further places in its plane [m]."""
-    corners, faces = _outline(np.concatenate([slab.outline, _padded(flat, _PAD)]))
-    return _thickened(plane, corners, faces)
+def join_slab(plane: Plane, slab: Slab, flat: Float[np.ndarray, "K 2"]) -> Slab:
+    """Make the slab of the hull of a slab's outline and further places in its plane [m]."""
+    corners, faces = _make_outline(np.concatenate([slab.outline, _pad_points(flat, _PAD)]))
+    return _thicken_outline(plane, corners, faces)
 
 
-def _slab(plane: Plane, region: _Region, part: Int[np.ndarray, "K"], apart: float) -> Slab:
-    """The slab of some members, half their distance from each other larger all round unless it is open there."""
+def _make_slab(plane: Plane, region: _Region, part: Int[np.ndarray, "K"], apart: float) -> Slab:
+    """Make the slab of some members, half their distance from each other larger all round unless it is open there."""
     flat = region.flat[part]
     pad = min(0.5 * apart, _MOST_PAD)
     if pad > _PAD:
-        outline = _outline(flat, pad)
-        if not len(_open_cells(region, outline)):
-            return _thickened(plane, *outline)
-    return _thickened(plane, *_outline(flat, _PAD))
+        outline = _make_outline(flat, pad)
+        if not len(_find_open_cells(region, outline)):
+            return _thicken_outline(plane, *outline)
+    return _thicken_outline(plane, *_make_outline(flat, _PAD))
 
 
-def _thickened(plane: Plane, corners: Float[np.ndarray, "K 2"], faces: Float[np.ndarray, "F 3"]) -> Slab:
-    """Thickened outline, its corners thinned to at most 32."""
+def _thicken_outline(plane: Plane, corners: Float[np.ndarray, "K 2"], faces: Float[np.ndarray, "F 3"]) -> Slab:
+    """Thicken an outline, its corners thinned to at most 32."""
     if len(corners) > _MOST_CORNERS:
-        corners, faces = _coarser(corners)
+        corners, faces = _drop_corners(corners)
     middle = corners @ plane.basis + plane.offset * plane.normal
     vertices = np.concatenate([middle + FRONT * plane.normal, middle - _BACK * plane.normal])
     return Slab(corners, vertices, faces)
 
 
-def _coarser(corners: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "M 2"], Float[np.ndarray, "F 3"]]:
-    """Outline of 32 corners that holds the given one: side by side goes whose neighbours meet nearest beyond it."""
+def _drop_corners(corners: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "M 2"], Float[np.ndarray, "F 3"]]:
+    """Return an outline of 32 corners around the given one; sides whose neighbours meet near beyond them go first."""
     while len(corners) > _MOST_CORNERS:
         before, last, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0), np.roll(corners, -2, axis=0)
         ahead, back, side = corners - before, last - after, last - corners
@@ -288,21 +292,21 @@ def _coarser(corners: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "M 2"
         corners = corners.copy()
         corners[least] += meet[least] * ahead[least]
         corners = np.delete(corners, (least + 1) % len(corners), axis=0)
-    return _outline(corners)
+    return _make_outline(corners)
 
 
 def _cross(a: Float[np.ndarray, "K 2"], b: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "K"]:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def attached(
+def attach_hulls(
     slabs: Sequence[tuple[Plane, Slab]], hulls: Sequence[Hull], free: FreeSpace
 ) -> tuple[list[tuple[Plane, Slab]], list[Hull]]:
-    """The slabs with the hulls that became part of them, and the hulls that did not.
+    """Return the slabs with the hulls that became part of them, and the hulls that did not.
 
-    Where scan lines lie far apart, the ends of a surface are too few points to be found as part of its plane.  A hull
+    Where scan lines lie far apart, the ends of a surface are too few points to count as part of its plane.  A hull
     joins when it lies in a slab's plane, at most 12 cm beside it, and the slab of both holds no more seen-free space
-    than the slab did; of several slabs the one that grows least takes it.
+    than the slab did; of several slabs the slab that grows least takes it.
 
     Args:
         slabs: with their planes.
@@ -310,18 +314,18 @@ def attached(
         free: what was seen free.
     """
     grown, left = list(slabs), []
-    free_before = [_free_cells(slab, free) for _, slab in slabs]
+    free_before = [_count_free_cells(slab, free) for _, slab in slabs]
     lower = np.array([slab.vertices.min(axis=0) for _, slab in slabs]).reshape(-1, 3)
     upper = np.array([slab.vertices.max(axis=0) for _, slab in slabs]).reshape(-1, 3)
-    for hull in sorted(hulls, key=lambda one: one.volume):
+    for hull in sorted(hulls, key=lambda hull: hull.volume):
         options = []
         is_beside = (hull.lower <= upper + _ASIDE).all(axis=1) & (hull.upper >= lower - _ASIDE).all(axis=1)
         for i in map(int, np.flatnonzero(is_beside)):
             plane, slab = grown[i]
             if np.abs(hull.vertices @ plane.normal - plane.offset).max() > _IN_PLANE:
                 continue
-            joint = joined(plane, slab, hull.vertices @ plane.basis.T)
-            if _free_cells(joint, free) <= free_before[i] + _FEW:
+            joint = join_slab(plane, slab, hull.vertices @ plane.basis.T)
+            if _count_free_cells(joint, free) <= free_before[i] + _FEW:
                 options.append((joint.area - slab.area, i, joint))
         if options:
             _, i, joint = min(options, key=lambda option: option[:2])
@@ -332,5 +336,5 @@ def attached(
     return grown, left
 
 
-def _free_cells(slab: Slab, free: FreeSpace) -> int:
-    return free.count_inside(hull_of(slab.vertices, np.zeros(0, dtype=np.int64)).simplified)
+def _count_free_cells(slab: Slab, free: FreeSpace) -> int:
+    return free.count_inside(make_hull(slab.vertices, np.zeros(0, dtype=np.int64)).simplified)

@@ -26,13 +26,13 @@ _MOST_CELLS = 4_000_000
 _MANY = 0.5
 
 
-def smoothed(
+def smooth_points(
     points: Float[np.ndarray, "N 3"],
     counts: Int[np.ndarray, "N"],
     starts: Float[np.ndarray, "N 3"],
     chosen: Int[np.ndarray, "C"],
 ) -> Float[np.ndarray, "C 3"]:
-    """The chosen points, each where its ray meets the plane of those seen beside it.
+    """Move the chosen points, each to where its ray meets the plane of those seen beside it.
 
     Those count that lie at most 2 cm aside and at most so far ahead or behind as the noise of ranges explains; the
     nearer to the ray the more, as a Gaussian of 8 mm.
@@ -45,12 +45,12 @@ def smoothed(
     """
     if len(points) < 2 or not len(chosen):
         return np.asarray(points[chosen])
-    near = nearby(points, chosen, _reach(points[chosen] - starts[chosen]))
+    near = select_nearby(points, chosen, _find_reach(points[chosen] - starts[chosen]))
     points, counts, starts, chosen = points[near], counts[near], starts[near], np.searchsorted(near, chosen)
     rays = points - starts
     ranges = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
     along = rays / ranges[:, None]
-    neighbours = _beside(along, ranges, starts, chosen)
+    neighbours = _find_beside(along, ranges, starts, chosen)
     poll()
     mine, along = points[chosen], along[chosen]
     apart = np.append(points, points[:1], axis=0)[neighbours] - mine[:, None]
@@ -77,19 +77,19 @@ def smoothed(
     return np.asarray(mine + (depth - slope_u * mean_u - slope_v * mean_v)[:, None] * along)
 
 
-def _reach(rays: Float[np.ndarray, "C 3"]) -> float:
-    """How far from the ends of rays it matters what lies there: neither what counts nor what is nearer to them [m]."""
+def _find_reach(rays: Float[np.ndarray, "C 3"]) -> float:
+    """Return how far from the ends of rays points can influence them [m]."""
     ahead = _AHEAD * depth_noise(np.linalg.norm(rays, axis=1)).max()
     return float(_LENGTHWISE * np.hypot(_FAR_ASIDE, ahead / _LENGTHWISE)) + _FAR_ASIDE
 
 
-def _beside(
+def _find_beside(
     along: Float[np.ndarray, "N 3"],
     ranges: Float[np.ndarray, "N"],
     starts: Float[np.ndarray, "N 3"],
     chosen: Int[np.ndarray, "C"],
 ) -> Int[np.ndarray, "C K"]:
-    """For each chosen point those, itself included, whose rays started where its own did and ended near it, or N."""
+    """Return for each chosen point those, itself included, whose rays share its sensor and end near it, or N."""
     # A small step along the ray is so much shorter here than an equal one aside.
     places = along * (ranges ** (1.0 / _LENGTHWISE))[:, None]
     sensors = row_keys(np.floor(starts / STARTS_APART))
@@ -100,30 +100,30 @@ def _beside(
     return nearest(tree, places[chosen], k, within=0.5 * _APART)[1]
 
 
-def spacing_of(
+def measure_spacing(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"]
 ) -> Float[np.ndarray, "C"]:
-    """Distance of each chosen point to its fourth nearest, at most 2.5 % of its range: what is farther is alone [m].
+    """Measure the distance of each chosen point to its fourth nearest, at most 2.5 % of its range [m].
 
     Args:
         points: (N, 3) [m].
         starts: (N, 3) where their rays started [m].
-        chosen: which are asked about.
+        chosen: indices of the points to measure.
     """
     if len(points) <= _FOURTH:
         return np.zeros(len(chosen))
     mine = points[chosen]
     most = _MOST_OF_RANGE * np.linalg.norm(mine - starts[chosen], axis=1)
-    near = points[nearby(points, chosen, float(most.max(initial=0.0)) + 1e-6)]
+    near = points[select_nearby(points, chosen, float(most.max(initial=0.0)) + 1e-6)]
     tree = cKDTree(near, balanced_tree=False, compact_nodes=False)
     fourth = nearest(tree, mine, [_FOURTH + 1])[0][:, 0]
     return np.asarray(np.minimum(fourth, most))
 
 
-def nearby(points: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"], reach: float) -> Int[np.ndarray, "K"]:
-    """Indices, ascending, of points among which are all that lie at most ``reach`` [m] from any of the chosen ones.
+def select_nearby(points: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"], reach: float) -> Int[np.ndarray, "K"]:
+    """Return ascending indices of points; all that lie at most ``reach`` [m] from a chosen one are among them.
 
-    All points are told where it would not pay to look closer.
+    All points are returned if a closer search would not pay.
     """
     if not len(chosen) or len(chosen) > _MANY * len(points):
         return np.arange(len(points))

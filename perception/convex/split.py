@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from perception.cleaning.neighbours import nearest
 from perception.convex.freespace import FreeSpace, carve
-from perception.convex.hulls import SKIN, Hull, hull_of, thickened
+from perception.convex.hulls import SKIN, Hull, make_hull, thicken
 from perception.convex.towards import Sheaf
 
 _SMALLEST = 0.03
@@ -47,10 +47,10 @@ _DEFAULT = Allowance()
 _REFINED = Allowance(share=0.03, skin=SKIN)
 
 
-def clusters(
+def find_clusters(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], floor_of_link: float = 0.05
 ) -> list[Int[np.ndarray, "K"]]:
-    """Indices of connected points, linked over max(5 cm, 4.5 % of range)."""
+    """Return indices of connected points, linked over max(5 cm, 4.5 % of range)."""
     if len(points) == 1:
         return [np.array([0])]
     k = min(_NEIGHBOURS, len(points))
@@ -70,12 +70,12 @@ def split(
     free: FreeSpace,
     allowed: Allowance = _DEFAULT,
 ) -> list[Hull]:
-    """Hulls of the members, cut in two until none holds seen-free space (or is as small as the noise)."""
+    """Make hulls of the members, cut in two until none holds seen-free space (or is as small as the noise)."""
     done: list[Hull] = []
     todo = [members]
     while todo:
         indices = todo.pop()
-        hull = hull_of(points[indices], indices)
+        hull = make_hull(points[indices], indices)
         if len(indices) < 4 or (hull.upper - hull.lower).max() <= _SMALLEST or is_free_of(hull, free, allowed):
             done.append(hull)
         else:
@@ -86,13 +86,13 @@ def split(
 def is_free_of(hull: Hull, free: FreeSpace, allowed: Allowance = _DEFAULT) -> bool:
     """Whether the hull holds no more seen-free space than noise explains."""
     if allowed.skin > 0.0:
-        hull = hull_of(thickened(hull.vertices, allowed.skin), hull.members)
+        hull = make_hull(thicken(hull.vertices, allowed.skin), hull.members)
     most = int(min(allowed.volume, allowed.share * hull.volume) / free.size**3 + 1e-6)
     return free.count_inside(hull, most) <= most
 
 
 def _may_be_free(hull: Hull, free: FreeSpace, allowed: Allowance) -> bool:
-    """What ``is_free_of`` cannot say of a hull of which this is not so; without a skin, which takes longer to make."""
+    """Whether ``is_free_of`` may hold; a quick test without a skin, which takes longer to make."""
     most = int(allowed.volume / free.size**3 + 1e-6)
     return free.count_inside(hull, most) <= most
 
@@ -171,20 +171,20 @@ class _Merger:
         """Queue the joints of hull ``i`` with its neighbours among the first ones."""
         gap = np.minimum(self._gap[i], self._gap[:before])[:, None]
         near = (self._lower[:before] <= self._upper[i] + gap) & (self._upper[:before] >= self._lower[i] - gap)
-        one = self.hulls[i]
+        hull = self.hulls[i]
         for j in np.flatnonzero(near.all(axis=1) & self.is_alive[:before]):
             other = self.hulls[j]
-            if _is_open_between(one, other, self._free):
+            if _is_open_between(hull, other, self._free):
                 continue
-            members = np.concatenate([one.members, other.members])
-            joint = hull_of(np.concatenate([one.vertices, other.vertices]), members)
+            members = np.concatenate([hull.members, other.members])
+            joint = make_hull(np.concatenate([hull.vertices, other.vertices]), members)
             if _may_be_free(joint, self._free, self._allowed):
-                heapq.heappush(self.queue, (joint.volume - one.volume - other.volume, i, int(j), joint))
+                heapq.heappush(self.queue, (joint.volume - hull.volume - other.volume, i, int(j), joint))
 
 
-def _is_open_between(one: Hull, other: Hull, free: FreeSpace) -> bool:
+def _is_open_between(hull: Hull, other: Hull, free: FreeSpace) -> bool:
     """Whether free cells half-way between the two show without a joint hull that there can be none."""
-    a, b = (hull.vertices[:: -(-len(hull.vertices) // _PROBES)] for hull in (one, other))
+    a, b = (hull.vertices[:: -(-len(hull.vertices) // _PROBES)] for hull in (hull, other))
     centre = 0.5 * (a.mean(axis=0) + b.mean(axis=0))
     halfway = 0.5 * (a[:, None] + b).reshape(-1, 3)
     # Drawn in a little, so that none lies on the surface of the joint hull.
@@ -196,14 +196,14 @@ def _is_open_between(one: Hull, other: Hull, free: FreeSpace) -> bool:
     return len(np.unique(np.ravel_multi_index(tuple(cells.T), free.free.shape))) > _MOST_FREE_CELLS
 
 
-def refined(
+def refine_hulls(
     hulls: Sequence[Hull],
     points: Float[np.ndarray, "N 3"],
     surface: Float[np.ndarray, "M 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     gap: float,
 ) -> list[Hull]:
-    """The hulls, those that with a skin hold seen-free space more than 2 cm from any point split until they do not.
+    """Split hulls that with a skin hold seen-free space more than 2 cm from any point until they do not.
 
     The points of a single scan line round a corner span no volume, but with a skin their hull is a sheet through the
     air before them.
@@ -215,15 +215,15 @@ def refined(
         rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays [m].
         gap: parts whose boxes are farther apart are not joined again [m].
     """
-    is_large = [hull_of(thickened(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]
+    is_large = [make_hull(thicken(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]
     passing = _Passing.of(*rays, sum(is_large))
     done: list[Hull] = []
-    for hull, is_asked in zip(hulls, is_large, strict=True):
-        if not is_asked:
+    for hull, is_split in zip(hulls, is_large, strict=True):
+        if not is_split:
             done.append(hull)
             continue
         lower = _CELL * np.floor((hull.lower - _AROUND) / _CELL)
-        fine = _seen_free(passing, surface, lower, hull.upper + _AROUND)
+        fine = _carve_fine(passing, surface, lower, hull.upper + _AROUND)
         if is_free_of(hull, fine, _REFINED):
             done.append(hull)
         else:
@@ -231,10 +231,10 @@ def refined(
     return done
 
 
-def _seen_free(
+def _carve_fine(
     passing: _Passing, surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
 ) -> FreeSpace:
-    """Cells in a box that rays passed, more than about 2 cm from any surface."""
+    """Mark cells in a box that rays passed, more than about 2 cm from any surface."""
     near = passing.near(lower, upper)
     inside = surface
     for axis in range(3):
@@ -248,11 +248,11 @@ def _seen_free(
 
 @dataclass(frozen=True)
 class _Passing:
-    """Rays, to be asked which pass a place.
+    """Rays prepared for a search of those that pass a place.
 
     Attributes:
         starts, ends: (R, 3) [m].
-        sheaf: the same, if all start in one place and many are asked for.
+        sheaf: the same, if all start in one place and many places are searched.
     """
 
     starts: Float[np.ndarray, "R 3"]
@@ -260,19 +260,19 @@ class _Passing:
     sheaf: Sheaf | None
 
     @classmethod
-    def of(cls, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], n_asked: int) -> _Passing:
-        """To be asked so often."""
-        sheaf = Sheaf.of(starts, ends) if starts.ndim == 1 and n_asked > _FEW else None
+    def of(cls, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], n_places: int) -> _Passing:
+        """Prepare rays for so many places."""
+        sheaf = Sheaf.of(starts, ends) if starts.ndim == 1 and n_places > _FEW else None
         return cls(np.broadcast_to(starts, ends.shape), ends, sheaf)
 
     def near(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
-        """Rays that pass the ball about a box."""
+        """Return rays that pass the ball about a box."""
         centre, radius = 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
-        asked = slice(None) if self.sheaf is None else self.sheaf.about(centre, radius)
-        starts, along = self.starts[asked], self.ends[asked] - self.starts[asked]
+        chosen = slice(None) if self.sheaf is None else self.sheaf.select_about(centre, radius)
+        starts, along = self.starts[chosen], self.ends[chosen] - self.starts[chosen]
         length = np.maximum(np.sqrt(np.einsum("ij,ij->i", along, along)), 1e-9)
         along /= length[:, None]
         ahead = np.einsum("ij,ij->i", centre - starts, along).clip(0.0, length)
         apart = starts + ahead[:, None] * along - centre
         near = np.flatnonzero(np.einsum("ij,ij->i", apart, apart) <= radius**2 + 1e-9)
-        return near if isinstance(asked, slice) else asked[near]
+        return near if isinstance(chosen, slice) else chosen[near]

@@ -1,4 +1,4 @@
-"""Which pieces of an earlier scan a new one leaves standing, and which of its points they do not explain."""
+"""Pieces of an earlier scan that a new scan does not contradict, and its points that they do not explain."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from perception.convex.coarse import Coarse, coarsened
+from perception.convex.coarse import Coarse, coarsen
 from perception.convex.freespace import FreeSpace
 from perception.convex.hulls import Hull
 from perception.convex.piece import Piece
-from perception.convex.smooth import smoothed
-from perception.convex.split import clusters
+from perception.convex.smooth import smooth_points
+from perception.convex.split import find_clusters
 
 _WITHIN = 0.01
 _FUZZ = 0.015
@@ -51,7 +51,7 @@ class Ground:
 
 @dataclass(frozen=True)
 class Standing:
-    """Pieces that stand.
+    """Pieces that the new scan does not contradict.
 
     Attributes:
         pieces: as they were.
@@ -61,29 +61,29 @@ class Standing:
     pieces: list[Piece]
     held: list[Int[np.ndarray, "K"]]
 
-    def hidden(self, passed: FreeSpace) -> list[int]:
-        """Which of them may stand only since points in them hide that rays went through: few points for many cells.
+    def find_hidden(self, passed: FreeSpace) -> list[int]:
+        """Find those that may stand only since points in them hide that rays went through: few points for many cells.
 
         Args:
             passed: what rays went through, whatever points lie there.
         """
         hidden = []
         for i, (piece, held) in enumerate(zip(self.pieces, self.held, strict=True)):
-            most = max(_grazed(piece, passed), int(_CELLS_OF_POINT * len(held)))
+            most = max(_count_grazed(piece, passed), int(_CELLS_OF_POINT * len(held)))
             if passed.count_inside(piece.hull, most) > most:
                 hidden.append(i)
         return hidden
 
-    def beside(self, chosen: Sequence[int], passed: FreeSpace, coarse: Coarse) -> Int[np.ndarray, "K"]:
-        """Points in cells that rays went through, in or right beside some of the pieces."""
+    def select_beside(self, chosen: Sequence[int], passed: FreeSpace, coarse: Coarse) -> Int[np.ndarray, "K"]:
+        """Return points in cells that rays went through, in or right beside some of the pieces."""
         is_there = np.zeros(len(coarse.points), dtype=bool)
         for hull in (self.pieces[i].hull for i in chosen):
-            is_there[coarse.within(hull.lower - 2.0 * passed.size, hull.upper + 2.0 * passed.size)] = True
+            is_there[coarse.select_within(hull.lower - 2.0 * passed.size, hull.upper + 2.0 * passed.size)] = True
         there = np.flatnonzero(is_there)
         return np.asarray(there[passed.contains(coarse.points[there])])
 
-    def without(self, chosen: Sequence[int], but: Standing) -> Standing:
-        """Those that stand, of the chosen ones only some."""
+    def drop(self, chosen: Sequence[int], but: Standing) -> Standing:
+        """Return the pieces without the chosen ones, except those in ``but``."""
         gone = {id(self.pieces[i]) for i in chosen} - {id(piece) for piece in but.pieces}
         left = [(piece, held) for piece, held in zip(self.pieces, self.held, strict=True) if id(piece) not in gone]
         return Standing([piece for piece, _ in left], [held for _, held in left])
@@ -101,23 +101,23 @@ class Left:
     members: Int[np.ndarray, "K"]
     is_far: Bool[np.ndarray, "K"]
 
-    def among(self, kept: Bool[np.ndarray, "M"]) -> Left:
-        """Those that are kept."""
+    def keep(self, kept: Bool[np.ndarray, "M"]) -> Left:
+        """Return those that are kept."""
         mine = kept[self.members]
         return Left(self.members[mine], self.is_far[mine])
 
-    def new(self, coarse: Coarse) -> Int[np.ndarray, "L"]:
-        """Those of clusters of which part lies beyond the noise."""
+    def find_new(self, coarse: Coarse) -> Int[np.ndarray, "L"]:
+        """Return those of clusters of which part lies beyond the noise."""
         left = self.members
         if not self.is_far.any():
             return left[:0]
-        groups = clusters(coarse.points[left], coarse.starts[left])
+        groups = find_clusters(coarse.points[left], coarse.starts[left])
         new = [left[group] for group in groups if _is_new(self.is_far[group], coarse, left[group])]
         return np.sort(np.concatenate(new)) if new else left[:0]
 
 
-def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> Standing:
-    """Pieces that the new rays do not pass through.
+def find_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> Standing:
+    """Find pieces that the new rays do not pass through.
 
     Rays may graze a piece about as much as they did before, but hardly any may pass deep inside: of a thing that is
     gone, a sparse scan sees no more than some cells.  What is so small that it holds only some, as what noise had
@@ -127,20 +127,20 @@ def still_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> 
     for piece in pieces:
         hull = piece.hull
         n_cells = hull.volume / free.size**3
-        grazed = _grazed(piece, free)
+        grazed = _count_grazed(piece, free)
         deep = max(_DEEP_CELLS, int(_DEEP_SHARE * n_cells))
         count = free.count_inside(hull, grazed)
         # What is deep inside is among what was counted.
         if count <= grazed and (count <= deep or free.count_inside(hull, deep, _DEEP) <= deep):
-            held = _held(hull, coarse)
+            held = _find_held(hull, coarse)
             if len(held) or not _is_passed(hull, free, grazed):
                 standing.pieces.append(piece)
                 standing.held.append(held)
     return standing
 
 
-def _grazed(piece: Piece, free: FreeSpace) -> int:
-    """In how many of its cells rays may graze a piece that stands."""
+def _count_grazed(piece: Piece, free: FreeSpace) -> int:
+    """Count the cells of a piece that rays may graze though it stands."""
     n_cells = piece.hull.volume / free.size**3
     return piece.evidence.free_cells + max(1, min(_FREE_CELLS, int(0.4 * n_cells)), int(_FREE_SHARE * n_cells))
 
@@ -152,22 +152,22 @@ def _is_passed(hull: Hull, free: FreeSpace, grazed: int) -> bool:
     margin = 0.25 * free.size * float(np.clip(thickness / free.size - 1.0, 0.0, 1.0))
     if free.count_inside(hull, grazed, margin) > grazed:
         return True
-    return bool(free.contains(_within(hull)).mean() > _FREE_WITHIN)
+    return bool(free.contains(_probe_inside(hull)).mean() > _FREE_WITHIN)
 
 
-def _held(hull: Hull, coarse: Coarse) -> Int[np.ndarray, "K"]:
-    """Points at most 1 cm before each of its faces."""
-    near = coarse.within(hull.lower - _AROUND, hull.upper + _AROUND)
+def _find_held(hull: Hull, coarse: Coarse) -> Int[np.ndarray, "K"]:
+    """Return points at most 1 cm before each of its faces."""
+    near = coarse.select_within(hull.lower - _AROUND, hull.upper + _AROUND)
     return np.asarray(near[hull.is_within(coarse.points[near], _WITHIN)])
 
 
-def _within(hull: Hull) -> Float[np.ndarray, "V 3"]:
-    """Places half-way between the hull's middle and its vertices."""
+def _probe_inside(hull: Hull) -> Float[np.ndarray, "V 3"]:
+    """Return places half-way between the hull's middle and its vertices."""
     return np.asarray(0.5 * (hull.vertices + hull.vertices.mean(axis=0)))
 
 
-def unexplained(standing: Standing, coarse: Coarse, ground: Ground) -> Left:
-    """Points that lie neither in pieces that stand, nor on the floor, nor are noise about them.
+def find_unexplained(standing: Standing, coarse: Coarse, ground: Ground) -> Left:
+    """Find points that lie neither in pieces that stand, nor on the floor, nor are noise about them.
 
     Pieces are made of points whose noise along their rays is averaged out, and are held against such points: what is
     as thin as the noise of single points would be missed otherwise.
@@ -180,27 +180,27 @@ def unexplained(standing: Standing, coarse: Coarse, ground: Ground) -> Left:
         return Left(left, left > 0)
     hulls = [*(piece.hull for piece in standing.pieces), *ground.hulls]
     fuzz = _FUZZ + _FUZZ_OF_RANGE * np.linalg.norm(coarse.points[left] - coarse.starts[left], axis=1)
-    distance = _distance(hulls, _smoothed_with(ground, coarse, left), float(fuzz.max()))
+    distance = _measure_distance(hulls, _smooth_with(ground, coarse, left), float(fuzz.max()))
     is_far, is_left = distance > fuzz, distance > _WITHIN
     return Left(left[is_left], is_far[is_left])
 
 
-def _smoothed_with(ground: Ground, coarse: Coarse, left: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
-    """The points that are left with their noise averaged out, the floor's beside them being of those that count."""
+def _smooth_with(ground: Ground, coarse: Coarse, left: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
+    """Average the noise out of the points left, with the floor's points beside them among their neighbours."""
     points, counts, starts = coarse.points, coarse.counts, coarse.starts
     low = np.zeros(len(left), dtype=bool)
     for hull in ground.hulls:
         low |= hull.is_within(points[left], _LOW)
     if low.any():
-        beside = _beside(ground.points[:, :2], points[left[low], :2])
-        floor = coarsened(ground.points[beside], ground.starts[beside], coarse.size)
+        beside = _select_beside(ground.points[:, :2], points[left[low], :2])
+        floor = coarsen(ground.points[beside], ground.starts[beside], coarse.size)
         points, starts = np.concatenate([points, floor.points]), np.concatenate([starts, floor.starts])
         counts = np.concatenate([counts, floor.counts])
-    return smoothed(points, counts, starts, left)
+    return smooth_points(points, counts, starts, left)
 
 
-def _beside(places: Float[np.ndarray, "N 2"], others: Float[np.ndarray, "K 2"]) -> Bool[np.ndarray, "N"]:
-    """Which places lie in a cell that holds one of the others, or beside one."""
+def _select_beside(places: Float[np.ndarray, "N 2"], others: Float[np.ndarray, "K 2"]) -> Bool[np.ndarray, "N"]:
+    """Find the places in a cell that holds one of the others, or beside one."""
     lower = np.floor(others.min(axis=0) / _LOW).astype(int) - 1
     cells = np.floor(others / _LOW).astype(int) - lower
     picture = np.zeros(cells.max(axis=0) + 2, dtype=bool)
@@ -212,8 +212,8 @@ def _beside(places: Float[np.ndarray, "N 2"], others: Float[np.ndarray, "K 2"]) 
     return np.asarray(inside)
 
 
-def _distance(hulls: Sequence[Hull], points: Float[np.ndarray, "K 3"], most: float) -> Float[np.ndarray, "K"]:
-    """How far before the nearest hull each point lies, negative inside; infinite where more than ``most`` [m]."""
+def _measure_distance(hulls: Sequence[Hull], points: Float[np.ndarray, "K 3"], most: float) -> Float[np.ndarray, "K"]:
+    """Return how far before the nearest hull each point lies, negative inside; infinite beyond ``most`` [m]."""
     distance, columns = np.full(len(points), np.inf), np.ascontiguousarray(points.T)
     for hull in hulls:
         near = np.arange(len(points))
@@ -234,10 +234,10 @@ def _is_new(is_far: Bool[np.ndarray, "K"], coarse: Coarse, group: Int[np.ndarray
     return bool(is_far.any() and coarse.counts[group].sum() >= _LEAST_POINTS)
 
 
-def boxes_of(
+def make_boxes(
     points: Float[np.ndarray, "K 3"], starts: Float[np.ndarray, "K 3"], around: float
 ) -> Float[np.ndarray, "B 2 3"]:
-    """Boxes, lower and upper corners, about groups of points so far apart that no piece is made of two of them [m].
+    """Make boxes (lower, upper corner) about groups of points so far apart that no piece is made of two groups [m].
 
     Args:
         points: (K, 3) [m].

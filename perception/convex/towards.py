@@ -1,4 +1,4 @@
-"""Which rays of a scan may pass some places, soon told by their directions and lengths."""
+"""Fast search of the rays of a scan that may pass some places, by their directions and lengths."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy import ndimage
 _WIDTH = 0.05  # of a cell of directions
 _N_CELLS = int(np.ceil(2.0 / _WIDTH)) + 1
 _BLOCK = 0.08
-# Of what is told of places, rays up to so far beside them have a say.
+# Rays up to so far beside a place count as passing it.
 _AROUND = 0.06
 _NEAREST = 0.3
 _SHELL = 1.6
@@ -20,7 +20,7 @@ _AT_A_TIME = 16_384
 
 @dataclass(frozen=True)
 class Bearings:
-    """Where rays that start in one place go.
+    """Directions and lengths of rays that start in one place.
 
     Attributes:
         start: (3,) that place [m].
@@ -40,22 +40,22 @@ class Bearings:
             some = slice(first, first + _AT_A_TIME)
             ahead = np.subtract(ends[some].T, start[:, None], dtype=np.float32, casting="same_kind", order="C")
             length[some] = np.sqrt(ahead[0] ** 2 + ahead[1] ** 2 + ahead[2] ** 2)
-            cell[some] = _cells(ahead / np.maximum(length[some], np.float32(1e-6)))
+            cell[some] = _number_cells(ahead / np.maximum(length[some], np.float32(1e-6)))
         return cls(start, cell, length)
 
     def may_pass(self, boxes: Float[np.ndarray, "B 2 3"]) -> Bool[np.ndarray, "R"]:
-        """Which rays may pass any of these boxes, lower and upper corners [m], or at most 6 cm beside it.
+        """Find rays that may pass any of these boxes, lower and upper corners [m], or at most 6 cm beside it.
 
-        All that do are told, and some that do not.
+        All that do are among them, and some that do not.
         """
         if not len(boxes):
             return np.zeros(len(self.cell), dtype=bool)
-        ahead = _blocks_in(boxes) - self.start
+        ahead = _find_blocks(boxes) - self.start
         distance = np.sqrt(np.einsum("ij,ij->i", ahead, ahead))
         radius = 0.5 * np.sqrt(3.0) * _BLOCK + _AROUND
         if distance.min() < _NEAREST:
             return np.ones(len(self.cell), dtype=bool)
-        cell = _cells((ahead / distance[:, None]).astype(np.float32).T)
+        cell = _number_cells((ahead / distance[:, None]).astype(np.float32).T)
         shell = np.floor(np.log(distance / _NEAREST) / np.log(_SHELL)).astype(int)
         nearest = np.full(_N_CELLS**3, np.inf, dtype=np.float32)
         for number in np.unique(shell):
@@ -65,26 +65,26 @@ class Bearings:
             picture[cell[mine]] = 1
             # Directions whose angle has the sine radius / near lie no farther apart than this.
             steps = int(1.1 * radius / near / _WIDTH) + 1
-            seen = _grown(picture.reshape(3 * (_N_CELLS,)), steps).ravel() > 0
+            seen = _grow(picture.reshape(3 * (_N_CELLS,)), steps).ravel() > 0
             nearest[seen] = np.minimum(nearest[seen], near - radius)
         return np.asarray(self.length >= nearest[self.cell])
 
 
-def _cells(directions: Float[np.ndarray, "3 N"]) -> Int[np.ndarray, "N"]:
-    """Number of the cell that each unit vector lies in."""
+def _number_cells(directions: Float[np.ndarray, "3 N"]) -> Int[np.ndarray, "N"]:
+    """Return the number of the cell that each unit vector lies in."""
     x, y, z = ((directions + np.float32(1.0)) * np.float32(1.0 / _WIDTH)).astype(np.int32)
     return np.asarray((x * _N_CELLS + y) * _N_CELLS + z)
 
 
-def _grown(picture: np.ndarray, steps: int) -> np.ndarray:
-    """The picture with so many cells more to all sides."""
+def _grow(picture: np.ndarray, steps: int) -> np.ndarray:
+    """Return the picture with so many cells more to all sides."""
     for axis in range(3):
         picture = ndimage.maximum_filter1d(picture, 2 * steps + 1, axis=axis, mode="constant")
     return picture
 
 
-def _blocks_in(boxes: Float[np.ndarray, "B 2 3"]) -> Float[np.ndarray, "K 3"]:
-    """Middles of the cells of a grid that any of the boxes meets [m]."""
+def _find_blocks(boxes: Float[np.ndarray, "B 2 3"]) -> Float[np.ndarray, "K 3"]:
+    """Return middles of the cells of a grid that any of the boxes meets [m]."""
     cells = np.floor(boxes / _BLOCK).astype(int)
     lowest = cells[:, 0].min(axis=0)
     cells -= lowest
@@ -115,8 +115,8 @@ class Sheaf:
         counts = np.bincount(bearings.cell, minlength=_N_CELLS**3)
         return cls(bearings, np.argsort(bearings.cell), np.concatenate([[0], np.cumsum(counts)]))
 
-    def about(self, centre: Float[np.ndarray, "3"], radius: float) -> Int[np.ndarray, "K"]:
-        """Indices, ascending, of rays that may pass a ball; all that do are among them."""
+    def select_about(self, centre: Float[np.ndarray, "3"], radius: float) -> Int[np.ndarray, "K"]:
+        """Return indices, ascending, of rays that may pass a ball; all that do are among them."""
         ahead = centre - self.bearings.start
         distance = float(np.linalg.norm(ahead))
         if distance < 2.0 * radius:

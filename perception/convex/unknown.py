@@ -1,4 +1,4 @@
-"""Space that no ray has seen, as few convex pieces: behind things and inside them is where a robot bumps."""
+"""Space that no ray has seen, behind things and inside them, as few convex pieces."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from costs.scene import ConvexPiece
 from costs.stopping import poll
 from perception.cleaning.clean import Reach, inside_hulls
 from perception.convex.freespace import FreeSpace, carve
-from perception.convex.hulls import MAX_VERTICES, Hull, hull_of
+from perception.convex.hulls import MAX_VERTICES, Hull, make_hull
 
 _CELL = 0.05
 _MOST_CELLS = 1_500_000
@@ -42,17 +42,17 @@ class Level(Protocol):
         ...
 
 
-def unknown_pieces(
+def make_unknown_pieces(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     reach: Reach,
     floors: Sequence[Level],
     robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
 ) -> tuple[ConvexPiece, ...]:
-    """Pieces ``unknown/i`` in what lies in reach, above the floor, and more than a cell (5 cm) from every ray.
+    """Make pieces ``unknown/i`` in what lies in reach, above the floor, and more than a cell (5 cm) from every ray.
 
     They hold no place that a ray has seen.  Shadows narrower than three cells are left out, and so are 10 cm about
-    the robot, which knows where itself is.
+    the robot.
 
     Args:
         rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan [m].
@@ -65,19 +65,19 @@ def unknown_pieces(
         np.asarray(sole) + np.array([0.0, 0.0, height]) for sole in soles for height in (-_CLEARANCE, _OVER_SOLE)
     ]
     own = [*robot_hulls, *(np.concatenate(over_soles[i : i + 2]) for i in range(0, len(over_soles), 2))]
-    hidden, seen = _hidden(rays, reach, floors, own)
+    hidden, seen = _find_hidden(rays, reach, floors, own)
     return tuple(
-        ConvexPiece(f"unknown/{i}", vertices, kind="unknown") for i, vertices in enumerate(_bodies(hidden, seen))
+        ConvexPiece(f"unknown/{i}", vertices, kind="unknown") for i, vertices in enumerate(_make_bodies(hidden, seen))
     )
 
 
-def _hidden(
+def _find_hidden(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     reach: Reach,
     floors: Sequence[Level],
     own: Sequence[Float[np.ndarray, "V 3"]],
 ) -> tuple[Bool[np.ndarray, "X Y Z"], FreeSpace]:
-    """Cells that count as unknown, and those that must not be covered."""
+    """Mark cells that count as unknown, and those that must not be covered."""
     lower = np.array([reach.x - reach.radius, reach.y - reach.radius, reach.bottom])
     upper = np.array([reach.x + reach.radius, reach.y + reach.radius, reach.top])
     rim = np.array([[x, y] for x in (lower[0], upper[0]) for y in (lower[1], upper[1])])
@@ -98,8 +98,8 @@ def _hidden(
     return hidden, FreeSpace(lower, passed.size, avoided)
 
 
-def _bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Float[np.ndarray, "V 3"]]:
-    """Convex bodies in the hidden cells, the thickest first; they may overlap."""
+def _make_bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Float[np.ndarray, "V 3"]]:
+    """Make convex bodies in the hidden cells, the thickest first; they may overlap."""
     # Edge lengths of the largest cube about each cell: 2 d - 1.
     poll()
     depth = ndimage.distance_transform_cdt(np.pad(hidden, 1), metric="chessboard")[1:-1, 1:-1, 1:-1].astype(np.int64)
@@ -112,10 +112,10 @@ def _bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Float[np
         at = np.array(np.unravel_index(int(np.argmax(score)), score.shape))
         if len(bodies) == _MOST_PIECES or score[tuple(at)] == 0:
             break
-        first, last = _grown(hidden, at - depth[tuple(at)] + 1, at + depth[tuple(at)] - 1)
+        first, last = _grow_box(hidden, at - depth[tuple(at)] + 1, at + depth[tuple(at)] - 1)
         box = seen.lower + seen.size * np.where(_CORNERS == 0, first, last + 1)
-        body = _inflated(hull_of(box, np.zeros(0, dtype=np.int64)), walls, seen)
-        block, inside = _cells_of(body, seen)
+        body = _inflate(make_hull(box, np.zeros(0, dtype=np.int64)), walls, seen)
+        block, inside = _find_cells(body, seen)
         if (left[block] & inside).sum() * seen.size**3 >= _LEAST_GAIN:
             bodies.append(body.vertices)
             left[block] &= ~inside
@@ -124,8 +124,8 @@ def _bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Float[np
     return bodies
 
 
-def _inflated(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hull:
-    """A polytope about the ellipsoid in the box that no wall cell's middle lies in; the box where none will do.
+def _inflate(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hull:
+    """Make a polytope about the ellipsoid in the box that no wall cell's middle lies in; the box where none will do.
 
     The nearest wall cell, by the ellipsoid's measure, gives a face, which hides what lies behind it, and so on: the
     inflation of a sphere in Deits and Tedrake, WAFR 2014, with a given ellipsoid.
@@ -136,7 +136,7 @@ def _inflated(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hu
     scaled = (walls - centre) / half
     ahead = np.concatenate([(upper - centre) / half, (centre - lower) / half])
     normals, offsets = [*np.eye(3), *-np.eye(3)], list(ahead)
-    # What the box's sight does not reach is behind the faces of what it does.
+    # What is not visible from the box is behind the faces of what is.
     scaled = scaled[(np.abs(scaled) <= _FARTHEST).all(axis=1)]
     normals += [*np.eye(3), *-np.eye(3)]
     offsets += [_FARTHEST] * 6
@@ -154,13 +154,13 @@ def _inflated(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hu
         return box
     faces = np.column_stack([np.array(normals), -np.array(offsets)])
     corners = HalfspaceIntersection(faces, np.zeros(3)).intersections
-    body = hull_of(centre + half * corners, box.members)
+    body = make_hull(centre + half * corners, box.members)
     is_fit = len(body.vertices) <= MAX_VERTICES and seen.count_inside(body, 0, margin=0.0) == 0
     return body if is_fit else box
 
 
-def _cells_of(body: Hull, seen: FreeSpace) -> tuple[tuple[slice, ...], Bool[np.ndarray, "A B C"]]:
-    """Cells whose middle is in the body: a block of the grid, and which of its cells."""
+def _find_cells(body: Hull, seen: FreeSpace) -> tuple[tuple[slice, ...], Bool[np.ndarray, "A B C"]]:
+    """Find cells whose middle is in the body: a block of the grid, and which of its cells."""
     poll()
     first = np.maximum(np.floor((body.lower - seen.lower) / seen.size).astype(int), 0)
     last = np.minimum(np.ceil((body.upper - seen.lower) / seen.size).astype(int), seen.free.shape)
@@ -179,10 +179,10 @@ def _cells_of(body: Hull, seen: FreeSpace) -> tuple[tuple[slice, ...], Bool[np.n
     return tuple(slice(a, b) for a, b in zip(first, last, strict=True)), mask
 
 
-def _grown(
+def _grow_box(
     hidden: Bool[np.ndarray, "X Y Z"], first: Int[np.ndarray, "3"], last: Int[np.ndarray, "3"]
 ) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
-    """The box moved outwards side by side, a layer at a time, as long as a layer is hidden."""
+    """Move the box outwards side by side, a layer at a time, as long as a layer is hidden."""
     poll()
     first, last = first.copy(), last.copy()
     growing = [(axis, sign) for axis in range(3) for sign in (-1, 1)]

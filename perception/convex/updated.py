@@ -1,4 +1,4 @@
-"""The pieces of a new scan, of which those that it does not contradict keep their very shape and name."""
+"""Pieces of a new scan; earlier ones that it does not contradict keep their shape and name."""
 
 from __future__ import annotations
 
@@ -10,11 +10,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from perception.convex.clock import Clock
-from perception.convex.coarse import Coarse, Groups, coarsened
+from perception.convex.coarse import Coarse, Groups, coarsen
 from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.piece import Piece
-from perception.convex.pieces import AROUND, VOXEL, Pieces, bodies_of, crossing_of, from_one_place, named, with_points
-from perception.convex.standing import Ground, Standing, boxes_of, still_standing, unexplained
+from perception.convex.pieces import (
+    AROUND,
+    VOXEL,
+    Pieces,
+    assign_points,
+    make_bodies,
+    make_crossing,
+    name_bodies,
+    share_start,
+)
+from perception.convex.standing import Ground, Standing, find_standing, find_unexplained, make_boxes
 from perception.convex.towards import Bearings
 
 _MOST = 0.7
@@ -27,15 +36,15 @@ class Updated(Pieces):
     """Convex pieces of a new scan.
 
     Attributes:
-        is_surface: (N,) which points are no strays: explained by a piece, its noise, or part of a surface.
-        is_left_off: whether it was left off without any piece.
+        is_surface: (N,) points that are no strays: explained by a piece, its noise, or part of a surface.
+        is_left_off: whether the update ended without pieces.
     """
 
     is_surface: Bool[np.ndarray, "N"]
     is_left_off: bool = False
 
 
-def updated_pieces(
+def update_pieces(
     before: Sequence[Piece],
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "*N 3"],
@@ -45,7 +54,7 @@ def updated_pieces(
     judge: Judge | None = None,
     is_enough: Callable[[Float[np.ndarray, "K 3"]], bool] = lambda _: False,
 ) -> Updated:
-    """The pieces of a new scan, of which those that it does not contradict keep their very shape and name.
+    """Make the pieces of a new scan; earlier ones that it does not contradict keep their shape and name.
 
     A piece goes when rays of the new scan pass through it; where the new scan cannot see it, it stays.  New pieces are
     made of the points that none of those left explains, noise about their surfaces taken as explained.
@@ -54,9 +63,9 @@ def updated_pieces(
         before: pieces of the scan before.
         points, starts, rays, seed: see ``make_pieces``; the points need not be cleaned if there is a judge.
         ground: what else explains points.
-        judge: tells which of the points of these indices surfaces stand for; it is asked only about those that no
-            piece explains.
-        is_enough: told the points that new pieces would be made of, says whether to leave off without any piece.
+        judge: returns which of the points of these indices lie on surfaces; called only with those that no piece
+            explains.
+        is_enough: whether to end without pieces, given the points that new pieces would be made of.
     """
     if not len(points) and not len(before):
         return Updated((), {}, np.ones(0, dtype=bool))
@@ -64,18 +73,18 @@ def updated_pieces(
     scan = _Scan.of(points, starts, rays, before)
     passed, crossing = scan.passed_by(before)
     clock.lap("free space")
-    standing, kept = _standing(before, scan, passed, judge, clock)
-    left = unexplained(standing, scan.coarse, ground or Ground())
+    standing, kept = _judge_standing(before, scan, passed, judge, clock)
+    left = find_unexplained(standing, scan.coarse, ground or Ground())
     clock.lap("unexplained")
     if judge is not None:
-        kept = _judged(kept, judge, scan.groups.members(left.members))
-        left = left.among(scan.groups.hold(kept))
+        kept = _judge_points(kept, judge, scan.groups.list_members(left.members))
+        left = left.keep(scan.groups.find_holding(kept))
         clock.lap("cleaning")
-    new = left.new(scan.coarse)
-    if is_enough(points[scan.groups.members(new)]):
+    new = left.find_new(scan.coarse)
+    if is_enough(points[scan.groups.list_members(new)]):
         return Updated((), clock.timings, kept, is_left_off=True)
-    pieces = [*standing.pieces, *_new_pieces(scan, new, kept, crossing, _first_numbers(before), seed, clock)]
-    made = with_points(pieces, points, kept, scan.groups, scan.coarse)
+    pieces = [*standing.pieces, *_make_new_pieces(scan, new, kept, crossing, _number_kinds(before), seed, clock)]
+    made = assign_points(pieces, points, kept, scan.groups, scan.coarse)
     clock.lap("evidence")
     return Updated(made, clock.timings, kept)
 
@@ -88,7 +97,7 @@ class _Scan:
         coarse: its points thinned.
         groups: which points went into each of them.
         rays: starts, (3,) or (R, 3), and ends (R, 3) [m].
-        bearings: where the rays go, if they start in one place.
+        bearings: directions of the rays, if they start in one place.
         held: places that the grid of what they saw has to hold [m].
     """
 
@@ -106,8 +115,8 @@ class _Scan:
         rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
         before: Sequence[Piece],
     ) -> _Scan:
-        coarse = coarsened(points, starts, VOXEL)
-        rays = from_one_place(rays)
+        coarse = coarsen(points, starts, VOXEL)
+        rays = share_start(rays)
         bearings = Bearings.of(*rays) if rays[0].ndim == 1 else None
         held = np.concatenate([coarse.points, *(piece.shape.vertices for piece in before)])
         return cls(coarse, Groups.of(coarse), rays, bearings, held)
@@ -115,7 +124,7 @@ class _Scan:
     def rays_towards(
         self, boxes: Float[np.ndarray, "B 2 3"]
     ) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "K 3"]]:
-        """Rays that may pass any of the boxes; all where most do."""
+        """Return rays that may pass any of the boxes; all where most do."""
         if self.bearings is None:
             return self.rays
         chosen = self.bearings.may_pass(boxes)
@@ -123,40 +132,40 @@ class _Scan:
         return self.rays if most else (self.rays[0], self.rays[1][chosen])
 
     def passed_by(self, pieces: Sequence[Piece]) -> tuple[FreeSpace, Crossing | None]:
-        """What rays went through in and about the pieces, whatever points lie there; all rays, if they were asked."""
+        """Return what rays went through in and about the pieces, also beside points, and the rays if all were used."""
         boxes = np.array([(piece.hull.lower, piece.hull.upper) for piece in pieces]).reshape(-1, 2, 3)
         rays = self.rays_towards(boxes)
-        crossing = crossing_of(self.held, rays)
-        return crossing.seen_free(self.coarse.points[:0], boxes), crossing if rays is self.rays else None
+        crossing = make_crossing(self.held, rays)
+        return crossing.mark_free(self.coarse.points[:0], boxes), crossing if rays is self.rays else None
 
 
-def _standing(
+def _judge_standing(
     before: Sequence[Piece], scan: _Scan, passed: FreeSpace, judge: Judge | None, clock: Clock
 ) -> tuple[Standing, Bool[np.ndarray, "N"]]:
-    """Pieces that the scan leaves standing, and which points are kept once those were judged that may hide rays."""
+    """Find the pieces that still stand, and the points kept after judging those that may hide rays."""
     coarse, kept = scan.coarse, np.ones(len(scan.coarse.voxel), dtype=bool)
-    standing = still_standing(before, passed.beside(coarse.points), coarse)
+    standing = find_standing(before, passed.clear_beside(coarse.points), coarse)
     clock.lap("contradicted")
     if judge is None:
         return standing, kept
     # A mixed pixel in a piece that is gone hides that rays went through it.
-    hidden = standing.hidden(passed)
-    kept = _judged(kept, judge, scan.groups.members(standing.beside(hidden, passed, coarse)))
+    hidden = standing.find_hidden(passed)
+    kept = _judge_points(kept, judge, scan.groups.list_members(standing.select_beside(hidden, passed, coarse)))
     clock.lap("cleaning")
-    seen = coarse.points[scan.groups.hold(kept)]
-    again = still_standing([standing.pieces[i] for i in hidden], passed.beside(seen), coarse)
+    seen = coarse.points[scan.groups.find_holding(kept)]
+    again = find_standing([standing.pieces[i] for i in hidden], passed.clear_beside(seen), coarse)
     clock.lap("contradicted")
-    return standing.without(hidden, again), kept
+    return standing.drop(hidden, again), kept
 
 
-def _judged(kept: Bool[np.ndarray, "N"], judge: Judge, asked: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "N"]:
-    """The same, of the points asked about those that surfaces stand for."""
+def _judge_points(kept: Bool[np.ndarray, "N"], judge: Judge, chosen: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "N"]:
+    """Keep of the chosen points those that the judge finds on surfaces."""
     kept = kept.copy()
-    kept[asked] = judge(asked)
+    kept[chosen] = judge(chosen)
     return kept
 
 
-def _new_pieces(
+def _make_new_pieces(
     scan: _Scan,
     new: Int[np.ndarray, "K"],
     kept: Bool[np.ndarray, "N"],
@@ -165,19 +174,19 @@ def _new_pieces(
     seed: int,
     clock: Clock,
 ) -> list[Piece]:
-    """Pieces, without points, for what nothing explains."""
+    """Make pieces, without points, for what nothing explains."""
     if not len(new):
         return []
-    boxes = boxes_of(scan.coarse.points[new], scan.coarse.starts[new], AROUND)
+    boxes = make_boxes(scan.coarse.points[new], scan.coarse.starts[new], AROUND)
     rays = scan.rays_towards(boxes)
-    crossing = crossing_of(scan.held, rays) if whole is None else whole
-    free = crossing.seen_free(scan.coarse.points[scan.groups.hold(kept)], boxes)
+    crossing = make_crossing(scan.held, rays) if whole is None else whole
+    free = crossing.mark_free(scan.coarse.points[scan.groups.find_holding(kept)], boxes)
     clock.lap("free space")
-    return named(bodies_of(scan.coarse, new, rays, free, seed, clock), first, free)
+    return name_bodies(make_bodies(scan.coarse, new, rays, free, seed, clock), first, free)
 
 
-def _first_numbers(before: Sequence[Piece]) -> dict[str, int]:
-    """For each kind of piece the number of the first new one."""
+def _number_kinds(before: Sequence[Piece]) -> dict[str, int]:
+    """Return for each kind of piece the number of the first new piece."""
     named = sorted((piece.kind, int(piece.name.rpartition("/")[2])) for piece in before)
     return {
         kind: 1 + max(number for _, number in of_kind) for kind, of_kind in groupby(named, key=lambda name: name[0])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from perception.errors import CloudError
-from perception.files.scan import Scan, missing_coordinate, places, scan_of, shown
+from perception.files.scan import Scan, find_missing_axis, index_columns, make_scan, quote
 from perception.limits import MAX_POINTS
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 
 def read_bag(path: Path, name: str, topic: str | None, message: Message) -> Scan:
-    """One message of a topic, or all of them merged, in the frame they were recorded in.
+    """Read one message of a topic, or all of them merged, in the frame they were recorded in.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
@@ -55,30 +55,30 @@ def _read(path: Path, name: str, topic: str | None, message: Message) -> Scan:
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     read = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
     with Reader1(path) if is_ros1 else Reader2(path) as reader:
-        connections = _of_topic(reader.connections, topic, name)
-        where = f"{name}: topic {shown(connections[0].topic)}"
+        connections = _select_topic(reader.connections, topic, name)
+        where = f"{name}: topic {quote(connections[0].topic)}"
         n_messages = sum(int(connection.msgcount) for connection in connections)
-        raw = (_plain(bytes(data), where) for _, _, data in reader.messages(connections=connections))
-        clouds = (read(data, _TYPE) for data in _wanted(raw, message, n_messages, where))
-        return _merged(clouds, message, n_messages, where)
+        raw = (_check_unpacked(bytes(data), where) for _, _, data in reader.messages(connections=connections))
+        clouds = (read(data, _TYPE) for data in _select_messages(raw, message, n_messages, where))
+        return _merge_messages(clouds, message, n_messages, where)
 
 
-def _of_topic(connections: Sequence[Any], topic: str | None, name: str) -> list[Any]:
-    """The connections of the topic that is asked for, or of the only one with clouds."""
+def _select_topic(connections: Sequence[Any], topic: str | None, name: str) -> list[Any]:
+    """Return the connections of the requested topic, or of the only topic with clouds."""
     clouds = [connection for connection in connections if connection.msgtype == _TYPE]
     topics = sorted({connection.topic for connection in clouds})
     if not topics:
         held = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in connections}))
-        raise CloudError(f"{name}: has no PointCloud2; its topics are {shown(held) or 'none'}")
+        raise CloudError(f"{name}: has no PointCloud2; its topics are {quote(held) or 'none'}")
     if topic is None and len(topics) > 1:
-        raise CloudError(f"{name}: has clouds on {len(topics)} topics; name one: {shown(', '.join(topics))}")
+        raise CloudError(f"{name}: has clouds on {len(topics)} topics; name one: {quote(', '.join(topics))}")
     if topic is not None and topic not in topics:
-        raise CloudError(f"{name}: has no clouds on topic '{shown(topic)}'; it has some on {shown(', '.join(topics))}")
+        raise CloudError(f"{name}: has no clouds on topic '{quote(topic)}'; it has some on {quote(', '.join(topics))}")
     return [connection for connection in clouds if connection.topic == (topic or topics[0])]
 
 
-def _wanted(raw: Iterator[bytes], message: Message, n_messages: int, where: str) -> Iterator[bytes]:
-    """The raw messages that are asked for."""
+def _select_messages(raw: Iterator[bytes], message: Message, n_messages: int, where: str) -> Iterator[bytes]:
+    """Yield the requested raw messages."""
     if message == "all":
         yield from raw
         return
@@ -91,8 +91,8 @@ def _wanted(raw: Iterator[bytes], message: Message, n_messages: int, where: str)
     yield chosen
 
 
-def _plain(data: bytes, where: str) -> bytes:
-    """The message, which a reader has unpacked where the bag says that its messages are packed.
+def _check_unpacked(data: bytes, where: str) -> bytes:
+    """Return the message, which the reader unpacks if the bag's metadata says that messages are packed.
 
     Raises:
         CloudError: it is packed still.
@@ -102,11 +102,11 @@ def _plain(data: bytes, where: str) -> bytes:
     return data
 
 
-def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str) -> Scan:
+def _merge_messages(clouds: Iterator[Any], message: Message, n_messages: int, where: str) -> Scan:
     scans, frames = [], set()
     for cloud in clouds:
-        scans.append(_scan(cloud, where))
-        frames.add(shown(str(cloud.header.frame_id)))
+        scans.append(_parse_message(cloud, where))
+        frames.add(quote(str(cloud.header.frame_id)))
         if len(frames) > 1:
             frame_list = ", ".join(sorted(frames))
             raise CloudError(f"{where}: its messages are in different frames ({frame_list}); choose one message")
@@ -119,7 +119,7 @@ def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str
     if not any(len(scan.points) + len(scan.misses) for scan in scans):
         if message == "all" or n_messages == 1:
             raise CloudError(f"{where}: its {len(scans)} messages hold no points; at least one is needed")
-        raise CloudError(f"{where}: message {message} of {n_messages} holds no points; another one, or all, would do")
+        raise CloudError(f"{where}: message {message} of {n_messages} holds no points; choose another one, or all")
     notes = [
         f"the points are in the frame '{frames.pop()}'; transforms recorded in the bag are not read, only one that is "
         "given with it"
@@ -127,7 +127,7 @@ def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str
     if len(scans) > 1:
         notes.append(f"merged {len(scans)} messages as they stand; that is right for a sensor that stood still")
     elif n_messages > 1:
-        notes.append(f"message {message} of {n_messages} was read; another one or all can be asked for")
+        notes.append(f"message {message} of {n_messages} was read; another one or all can be requested")
     return Scan(
         np.concatenate([scan.points for scan in scans]),
         misses=np.concatenate([scan.misses for scan in scans]),
@@ -135,8 +135,8 @@ def _merged(clouds: Iterator[Any], message: Message, n_messages: int, where: str
     )
 
 
-def _scan(cloud: Any, where: str) -> Scan:
-    """Rows of one PointCloud2."""
+def _parse_message(cloud: Any, where: str) -> Scan:
+    """Make a scan of one PointCloud2."""
     width, height, stride, row = (int(n) for n in (cloud.width, cloud.height, cloud.point_step, cloud.row_step))
     n_points, there = width * height, int(cloud.data.nbytes)
     if not n_points:
@@ -146,8 +146,8 @@ def _scan(cloud: Any, where: str) -> Scan:
     row = max(row, width * stride)
     if (height - 1) * row + width * stride > there:
         raise CloudError(f"{where}: {n_points} points of {stride} bytes are announced, {there} bytes are there")
-    found = places([str(field.name) for field in cloud.fields])
-    if missing := missing_coordinate(found):
+    found = index_columns([str(field.name) for field in cloud.fields])
+    if missing := find_missing_axis(found):
         raise CloudError(f"{where}: its fields have no '{missing}'; x, y and z are needed")
     order = ">" if cloud.is_bigendian else "<"
     data = np.ascontiguousarray(cloud.data)
@@ -161,4 +161,4 @@ def _scan(cloud: Any, where: str) -> Scan:
             raise CloudError(f"{where}: field '{key}' at byte {field.offset} lies outside points of {stride} bytes")
         grid: Shaped[np.ndarray, "H W"] = np.ndarray((height, width), kind, data.data, int(field.offset), (row, stride))
         columns[key] = grid.ravel()
-    return scan_of(columns, None)
+    return make_scan(columns, None)

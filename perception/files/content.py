@@ -1,4 +1,4 @@
-"""What is in a file: read at once where it is small, else mapped, so that a large one needs no memory of its own."""
+"""Content of a file: read at once if it is small, else mapped, so that a large file needs no memory of its own."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from perception.limits import MAX_WHOLE_BYTES
 Content = bytes | mmap.mmap
 
 
-def content_of(path: Path) -> Content:
-    """The file's bytes; find, slices and the buffer protocol work on them either way."""
+def open_content(path: Path) -> Content:
+    """Return the file's bytes; find, slices and the buffer protocol work on them either way."""
     if path.stat().st_size <= MAX_WHOLE_BYTES:
         return path.read_bytes()
     with path.open("rb") as file:
         return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 
-def stream_of(content: Content) -> IO[bytes]:
-    """The content as a file that is open for reading."""
+def open_stream(content: Content) -> IO[bytes]:
+    """Return the content as a file that is open for reading."""
     return io.BytesIO(content) if isinstance(content, bytes) else io.BufferedReader(_Mapped(content))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from perception.errors import CloudError
 from perception.files.pcd import IDENTITY_VIEWPOINT
 from perception.files.scan import Scan
-from perception.files.thinning import step_of, taken, thinning_note
+from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_POINTS
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _BLOCK = 500_000
 
 
 def read_e57(path: Path, name: str) -> Scan:
-    """Points of all scans in the file's frame, thinned to as many as are used.
+    """Read the points of all scans in the file's frame, thinned to as many as are used.
 
     Where only a ray's direction is valid, it met nothing.  The file does not say how far such a ray would have seen; it
     counts up to the median range of its scan's points.
@@ -43,15 +43,15 @@ def read_e57(path: Path, name: str) -> Scan:
             raise CloudError(
                 f"{name}: its {len(headers)} scans announce {n_points} points; at most {MAX_FILE_POINTS} are read"
             )
-        step = step_of(n_points)
+        step = choose_step(n_points)
         headers = [header for header in headers if header.point_count]
-        stations = [_station(libe57, file, header, step, name) for header in headers]
-        is_placed = any(_is_placed(*_pose(header, name)) for header in headers)
+        stations = [_read_station(libe57, file, header, step, name) for header in headers]
+        is_placed = any(_is_placed(*_read_pose(header, name)) for header in headers)
     finally:
         file.close()
     points = np.concatenate([points for points, _, _ in stations])
     misses = np.concatenate([misses for _, misses, _ in stations])
-    notes = thinning_note(n_points, step)
+    notes = note_thinning(n_points, step)
     if len(misses):
         notes = (*notes, f"{len(misses)} rays without a return count as free up to their scan's median range")
     if not is_placed:
@@ -63,13 +63,13 @@ def read_e57(path: Path, name: str) -> Scan:
     return Scan(points, misses=misses, starts=starts, miss_starts=miss_starts, notes=notes)
 
 
-def _station(
+def _read_station(
     libe57: Any, file: Any, header: Any, step: int, name: str
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "M 3"], Float[np.ndarray, "3"]]:
-    """Points, misses and the sensor's position of one scan in the file's frame."""
-    rotation, position = _pose(header, name)
-    columns, state = _columns(libe57, file, header, step, name)
-    local = columns if all(field in header.point_fields for field in _CARTESIAN) else _cartesian(columns)
+    """Read points, misses and the sensor's position of one scan in the file's frame."""
+    rotation, position = _read_pose(header, name)
+    columns, state = _read_columns(libe57, file, header, step, name)
+    local = columns if all(field in header.point_fields for field in _CARTESIAN) else _to_cartesian(columns)
     points = local[state == _VALID]
     directions = local[state == _DIRECTION_ONLY]
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
@@ -78,10 +78,10 @@ def _station(
     return points @ rotation.T + position, misses @ rotation.T + position, position
 
 
-def _columns(
+def _read_columns(
     libe57: Any, file: Any, header: Any, step: int, name: str
 ) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N"]]:
-    """Coordinates as they stand, one of every ``step``, and which of them are valid."""
+    """Read coordinates as they stand, one of every ``step``, and which of them are valid."""
     system = next((s for s in (_CARTESIAN, _SPHERICAL) if all(field in header.point_fields for field in s)), None)
     if system is None:
         raise CloudError(f"{name}: a scan has neither cartesian nor spherical coordinates")
@@ -96,7 +96,7 @@ def _columns(
     reader = header.points.reader(buffers)
     blocks, states, n_read = [], [], 0
     while n := int(reader.read()):
-        rows = taken(n, step, n_read)
+        rows = pick_rows(n, step, n_read)
         blocks.append(np.stack([arrays[field][:n][rows] for field in system], axis=1))
         states.append(state[:n][rows].astype(np.int64))
         n_read += n
@@ -110,19 +110,19 @@ def _columns(
 
 
 def _is_placed(rotation: Float[np.ndarray, "3 3"], position: Float[np.ndarray, "3"]) -> bool:
-    """Whether a pose says anything; writers that know none leave it out or write the identity."""
+    """Whether a pose is known; writers without one leave it out or write the identity."""
     return bool(position.any()) or not np.array_equal(rotation, np.eye(3))
 
 
-def _cartesian(spherical: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Range, azimuth and elevation to x y z."""
+def _to_cartesian(spherical: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Convert range, azimuth and elevation to x y z."""
     distance, azimuth, elevation = spherical.T
     flat = distance * np.cos(elevation)
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
 
 
-def _pose(header: Any, name: str) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Rotation and position of a scan in the file's frame; where it has none, its points stand in that frame."""
+def _read_pose(header: Any, name: str) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Read rotation and position of a scan in the file's frame; where it has none, its points stand in that frame."""
     if not header.has_pose():
         return np.eye(3), np.zeros(3)
     pose = header.node["pose"]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from perception.files.bag import Message, read_bag
-from perception.files.content import Content, content_of
+from perception.files.content import Content, open_content
 from perception.files.e57 import read_e57
 from perception.files.las import read_las
 from perception.files.npz import read_npy, read_npz
@@ -50,7 +50,7 @@ class Format:
 
 
 def _of_content(read: Callable[[Content, str], Scan]) -> Callable[[Path, str | None, Message], Scan]:
-    return lambda path, topic, message: read(content_of(path), str(path))
+    return lambda path, topic, message: read(open_content(path), str(path))
 
 
 def _of_bag(suffix: str, beginning: bytes) -> Format:
@@ -88,27 +88,28 @@ _PAGES = (b"<!doctype", b"<html")
 _SHEETS = (b"[Content_Types].xml", b"xl/", b"mimetypeapplication/vnd.oasis.opendocument.spreadsheet")
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MESHES = (".stl", ".obj", ".dae", ".off", ".glb", ".gltf")
-_OF_MAKERS = "is a maker's own kind of file; export it as .e57 or .las"
+_PROPRIETARY = "is a manufacturer's own kind of file; export it as .e57 or .las"
 _REMEDIES = {
     ".bin": "has no header that says what its numbers are; if they are KITTI's x y z and reflectance, give the file "
     "that np.save('cloud.npy', np.fromfile(FILE, 'f4').reshape(-1, 4)) writes",
-    ".pcap": "holds packets of a sensor, not points; give a bag of its driver, or a cloud exported by its maker's tool",
-    **dict.fromkeys((".fls", ".fws", ".lsproj", ".rcp", ".rcs", ".zfs", ".rdbx", ".rxp", ".imp"), _OF_MAKERS),
+    ".pcap": "holds packets of a sensor, not points; "
+    "give a bag of its driver, or a cloud that its maker's tool exports",
+    **dict.fromkeys((".fls", ".fws", ".lsproj", ".rcp", ".rcs", ".zfs", ".rdbx", ".rxp", ".imp"), _PROPRIETARY),
 }
 
 
-def format_of_suffix(suffix: str) -> Format | None:
-    """The format of files so named; None: it is not read."""
+def find_format_by_suffix(suffix: str) -> Format | None:
+    """Return the format that has this suffix; None: none has."""
     return next((kind for kind in FORMATS if suffix in kind.suffixes), None)
 
 
-def format_of_head(head: bytes) -> Format | None:
-    """The format of files that begin so, whatever their name; None: the beginning does not show it."""
+def find_format_by_head(head: bytes) -> Format | None:
+    """Return the format of a file with these first bytes; None: they do not show it."""
     return next((kind for kind in FORMATS if kind.beginning and re.match(kind.beginning, head)), None)
 
 
-def other_kind_of(head: bytes) -> str:
-    """The kind of a file that begins so, if that is a known kind without a cloud; else empty."""
+def describe_other_kind(head: bytes) -> str:
+    """Name the kind of a file with these first bytes if it is a known kind without a cloud; else return ''."""
     if head.lstrip()[:16].lower().startswith(_PAGES):
         return "a web page"
     if head.startswith(b"PK\3\4") and any(entry in head for entry in _SHEETS):
@@ -116,15 +117,15 @@ def other_kind_of(head: bytes) -> str:
     return next((words for magic, words in _OTHERS if head.startswith(magic)), "")
 
 
-def not_text(head: bytes) -> str:
-    """The sign that a file which begins so is no text; empty where it may be text."""
+def describe_binary(head: bytes) -> str:
+    """Describe why a file with these first bytes is no text; empty if it may be text."""
     if head.startswith(_UTF16) or b"\0" not in head:
         return ""
     return f"holds the byte 00 at {head.index(0)}, after {head[:4].hex(' ').upper()} at its beginning"
 
 
 def explain_suffix(suffix: str) -> str:
-    """What is wrong with a suffix that is not read, and what is expected."""
+    """Say what is wrong with a suffix that is not read, and what is expected."""
     if suffix.lower() in _REMEDIES:
         return _REMEDIES[suffix.lower()]
     wrong = f"suffix '{suffix}' is unknown" if suffix else "has no suffix"

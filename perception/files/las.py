@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perception.errors import CloudError
-from perception.files.content import Content, stream_of
+from perception.files.content import Content, open_stream
 from perception.files.scan import Scan
-from perception.files.thinning import step_of, taken, thinning_note
+from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_POINTS
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _DEGREE = 0.0174533
 
 
 def read_las(data: Content, name: str) -> Scan:
-    """Points, thinned to as many as are used, with scale and offset applied in double.
+    """Read points, thinned to as many as are used, with scale and offset applied in double.
 
     Those marked as withheld or as noise are left out.
 
@@ -47,33 +47,33 @@ def read_las(data: Content, name: str) -> Scan:
         raise CloudError(f"{name}: {n_records} records of {_RECORD_BYTES} bytes are announced in {len(data)} bytes")
     selection = laspy.DecompressionSelection
     source = laspy.open(
-        stream_of(data),
+        open_stream(data),
         laz_backend=laspy.LazBackend.Lazrs,  # on one thread, which needs no more memory than its chunk
         read_evlrs=False,
         decompression_selection=selection.XY_RETURNS_CHANNEL | selection.Z | selection.CLASSIFICATION | selection.FLAGS,
     )
     with source as reader:
-        n_points = _checked_count(reader.header, len(data), name)
-        unit = _unit(reader.header)
-        step, n_read, chunks = step_of(n_points), 0, []
+        n_points = _check_count(reader.header, len(data), name)
+        unit = _find_unit(reader.header)
+        step, n_read, chunks = choose_step(n_points), 0, []
         for chunk in reader.chunk_iterator(_CHUNK):
-            chunks.append(_valid_points(chunk, taken(len(chunk), step, n_read)))
+            chunks.append(_select_valid(chunk, pick_rows(len(chunk), step, n_read)))
             n_read += len(chunk)
     points = np.concatenate([valid for valid, _ in chunks])
     n_dropped = sum(n for _, n in chunks)
     if n_read < n_points:
         raise CloudError(f"{name}: {n_points} points are announced, {n_read} are there")
     notes = (f"left out {n_dropped} points marked as withheld or noise",) if n_dropped else ()
-    return Scan(points, notes=(*thinning_note(n_points, step), *notes), unit=unit)
+    return Scan(points, notes=(*note_thinning(n_points, step), *notes), unit=unit)
 
 
-def _unit(header: Any) -> str:
-    """Of lengths, where the coordinate system says one that is known; feet of the survey differ by 2e-6."""
+def _find_unit(header: Any) -> str:
+    """Return the unit of lengths if the coordinate system names a known one; survey feet differ by 2e-6."""
     units: set[str] = set()
     for record in header.vlrs:
         words = getattr(record, "string", None)
         if isinstance(words, str):
-            units.update(_unit_of(number) for number in _UNIT_IN_WORDS.findall(words))
+            units.update(_parse_unit(number) for number in _UNIT_IN_WORDS.findall(words))
         units.update(
             _UNIT_BY_CODE.get(k.value_offset, "?") for k in getattr(record, "geo_keys", ()) if k.id == _LINEAR_UNITS
         )
@@ -82,8 +82,8 @@ def _unit(header: Any) -> str:
     return unit.removesuffix("?")
 
 
-def _unit_of(number: str) -> str:
-    """The unit of so many metres; empty where it is that of angles, ``?`` where none that is known."""
+def _parse_unit(number: str) -> str:
+    """Return the unit with this length in metres; empty for the unit of angles, ``?`` for an unknown one."""
     try:
         metres = float(number)
     except ValueError:
@@ -93,8 +93,8 @@ def _unit_of(number: str) -> str:
     return next((unit for known, unit in _UNIT_BY_METRES.items() if abs(metres - known) < 1e-5), "?")
 
 
-def _checked_count(header: Any, n_bytes: int, name: str) -> int:
-    """How many points the header announces, when the file can hold them."""
+def _check_count(header: Any, n_bytes: int, name: str) -> int:
+    """Return the number of points in the header, checked against the file's size."""
     n_points, stride = int(header.point_count), int(header.point_format.size)
     if n_points == 0:
         raise CloudError(f"{name}: the header announces no points; at least one is needed")
@@ -108,8 +108,8 @@ def _checked_count(header: Any, n_bytes: int, name: str) -> int:
     return n_points
 
 
-def _valid_points(chunk: Any, rows: Int[np.ndarray, "K"] | slice) -> tuple[Float[np.ndarray, "C 3"], int]:
-    """The points that count among these of a chunk, and how many do not."""
+def _select_valid(chunk: Any, rows: Int[np.ndarray, "K"] | slice) -> tuple[Float[np.ndarray, "C 3"], int]:
+    """Return the valid ones among these points of a chunk, and the number of invalid ones."""
     points = np.stack([np.asarray(axis, dtype=np.float64)[rows] for axis in (chunk.x, chunk.y, chunk.z)], axis=1)
     invalid: Bool[np.ndarray, "C"] = np.isin(np.asarray(chunk.classification)[rows], _NOISE_CLASSES)
     invalid |= np.asarray(chunk.withheld)[rows] != 0

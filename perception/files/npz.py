@@ -13,18 +13,18 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from perception.errors import CloudError
-from perception.files.content import Content, stream_of
+from perception.files.content import Content, open_stream
 from perception.files.scan import (
     COORDINATES,
     NO_RETURN,
     STARTS,
     Scan,
-    missing_coordinate,
+    find_missing_axis,
+    index_columns,
     parse_viewpoint,
-    places,
-    shown,
+    quote,
 )
-from perception.files.thinning import step_of, taken, thinning_note
+from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_BYTES, MAX_FILE_POINTS
 
 if TYPE_CHECKING:
@@ -36,15 +36,15 @@ _POINTS = ("points", "xyz", "positions", "arr_0")
 _ORIGIN = ("viewpoint", "origin")
 _BLOCK = 2**24
 # Wider arrays are pictures: of depth, or with the axis of the coordinates in front.
-MOST_OF_GRID, _MOST_COLUMNS = 8, 64
+_MOST_OF_GRID, _MOST_COLUMNS = 8, 64
 _OTHERS = ("no_return", "misses", "miss_origin")
 
 
 def read_npz(data: Content, name: str) -> Scan:
-    """The array ``points`` (or ``xyz``, ``positions``, ``arr_0``), or arrays ``x``, ``y`` and ``z`` of one shape.
+    """Read the array ``points`` (or ``xyz``, ``positions``, ``arr_0``), or arrays ``x``, ``y`` and ``z`` of one shape.
 
     Its shape is (N, 3 or more) or (H, W, 3 or more), or it has columns x, y and z by name, and perhaps others of
-    ``columns.scan_of``.
+    ``scan.make_scan``.
 
     Beside it may stand ``viewpoint`` or ``origin``: x y z, x y z qw qx qy qz, or (N, 3) where each ray started;
     ``no_return`` (N,): other than 0 where a row is a place up to which a ray met nothing; ``misses`` (M, 3): more such
@@ -55,55 +55,55 @@ def read_npz(data: Content, name: str) -> Scan:
         CloudError: naming ``name`` and what is wrong.
     """
     try:
-        with zipfile.ZipFile(stream_of(data)) as archive:
+        with zipfile.ZipFile(open_stream(data)) as archive:
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            keys = _coordinate_keys(list(members))
+            keys = _find_coordinates(list(members))
             if not keys:
-                held = shown(", ".join(members)) or "nothing"
+                held = quote(", ".join(members)) or "nothing"
                 raise CloudError(f"{name}: holds {held}; an array 'points' of shape (N, 3) is needed")
             origin_key = next((key for key in _ORIGIN if key in members), "")
             wanted = [key for key in (*keys, origin_key, *_OTHERS) if key in members]
-            loaded = {key: _member(archive, members[key], name) for key in wanted}
+            loaded = {key: _load_member(archive, members[key], name) for key in wanted}
     except (zipfile.BadZipFile, ValueError, EOFError, OSError, NotImplementedError, RuntimeError, zlib.error) as error:
         if isinstance(error, CloudError):
             raise
-        raise CloudError(f"{name}: is not a readable npz archive ({shown(str(error))})") from None
+        raise CloudError(f"{name}: is not a readable npz archive ({quote(str(error))})") from None
     parts = [loaded.pop(key) for key in keys]
     n_rows = parts[0][0]
     others = {key: array for key, (_, array) in loaded.items()}
     if len(keys) == 1:
-        points, more = columns_of(parts[0][1], keys[0], name)
+        points, more = _split_columns(parts[0][1], keys[0], name)
     else:
-        points, more = stacked([array for _, array in parts], ", ".join(keys), name), {}
+        points, more = _stack_axes([array for _, array in parts], ", ".join(keys), name), {}
     origin = others.pop(origin_key, more.pop("origin", None))
-    scan = _scan(points, origin, more | others, name)
-    return replace(scan, notes=thinning_note(n_rows, step_of(n_rows)))
+    scan = _make_scan(points, origin, more | others, name)
+    return replace(scan, notes=note_thinning(n_rows, choose_step(n_rows)))
 
 
 def read_npy(data: Content, name: str) -> Scan:
-    """One array, its rows thinned to as many as are used, shaped as ``points`` of an archive.
+    """Read one array, its rows thinned to as many as are used, shaped as ``points`` of an archive.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
     try:
-        n_rows, array = _load(stream_of(data), len(data), "", name)
+        n_rows, array = _load_array(open_stream(data), len(data), "", name)
     except (ValueError, EOFError, OSError) as error:
         if isinstance(error, CloudError):
             raise
-        raise CloudError(f"{name}: is not a readable npy array ({shown(str(error))})") from None
-    points, more = columns_of(array, "", name)
-    scan = _scan(points, more.pop("origin", None), more, name)
-    return replace(scan, notes=thinning_note(n_rows, step_of(n_rows)))
+        raise CloudError(f"{name}: is not a readable npy array ({quote(str(error))})") from None
+    points, more = _split_columns(array, "", name)
+    scan = _make_scan(points, more.pop("origin", None), more, name)
+    return replace(scan, notes=note_thinning(n_rows, choose_step(n_rows)))
 
 
-def _coordinate_keys(members: Sequence[str]) -> tuple[str, ...]:
-    """The array of points, or those of x, y and z; none when there are none."""
-    one = next((key for key in _POINTS if key in members), "")
-    if one:
-        return (one,)
-    axes = places(members)
-    return () if missing_coordinate(axes) else tuple(members[axes[axis]] for axis in COORDINATES)
+def _find_coordinates(members: Sequence[str]) -> tuple[str, ...]:
+    """Return the name of the array of points, or those of x, y and z; empty if there are none."""
+    points = next((key for key in _POINTS if key in members), "")
+    if points:
+        return (points,)
+    axes = index_columns(members)
+    return () if find_missing_axis(axes) else tuple(members[axes[axis]] for axis in COORDINATES)
 
 
 def write_npz(path: Path | str, cloud: Cloud) -> None:
@@ -117,7 +117,7 @@ def write_npz(path: Path | str, cloud: Cloud) -> None:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
-def _scan(
+def _make_scan(
     rows: Float[np.ndarray, "N 3"],
     origin: Shaped[np.ndarray, "..."] | None,
     others: Mapping[str, Shaped[np.ndarray, "..."]],
@@ -125,7 +125,7 @@ def _scan(
 ) -> Scan:
     starts = viewpoint = None
     if origin is not None and origin.ndim == 2 and len(origin) == len(rows):
-        starts = rows_of(origin, "origin", name)
+        starts = _take_coordinates(origin, "origin", name)
     elif origin is not None and origin.ndim == 2 and len(origin) > 1:
         raise CloudError(
             f"{name}: {len(rows)} points but {len(origin)} rows of origin; one each, or one x y z, is needed"
@@ -135,37 +135,37 @@ def _scan(
     if "no_return" in others:
         if "misses" in others:
             raise CloudError(f"{name}: holds both no_return and misses; one of them is needed")
-        missed = _flags(others["no_return"], len(rows), name)
+        missed = _check_flags(others["no_return"], len(rows), name)
         if starts is None:
             return Scan(rows[~missed], viewpoint, rows[missed])
         return Scan(rows[~missed], viewpoint, rows[missed], starts[~missed], starts[missed])
     if "misses" not in others:
         return Scan(rows, viewpoint, starts=starts)
-    misses = rows_of(others["misses"], "misses", name)
+    misses = _take_coordinates(others["misses"], "misses", name)
     if "miss_origin" not in others:
         if starts is not None:
             raise CloudError(f"{name}: misses need a miss_origin, since each point has an origin of its own")
         return Scan(rows, viewpoint, misses)
-    behind = rows_of(np.atleast_2d(others["miss_origin"]), "miss_origin", name)
+    behind = _take_coordinates(np.atleast_2d(others["miss_origin"]), "miss_origin", name)
     if len(behind) not in (1, len(misses)):
         raise CloudError(f"{name}: {len(misses)} misses but {len(behind)} rows of miss_origin; one each is needed")
     return Scan(rows, viewpoint, misses, starts, np.broadcast_to(behind, misses.shape))
 
 
-def _flags(array: Shaped[np.ndarray, "..."], n_rows: int, name: str) -> Bool[np.ndarray, "N"]:
+def _check_flags(array: Shaped[np.ndarray, "..."], n_rows: int, name: str) -> Bool[np.ndarray, "N"]:
     array = array.ravel()
     if array.shape != (n_rows,) or array.dtype.kind not in "biuf":
         raise CloudError(f"{name}: array 'no_return' is {array.dtype} of shape {array.shape}; ({n_rows},) is needed")
     return np.asarray(array != 0)
 
 
-def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> tuple[int, Shaped[np.ndarray, "..."]]:
+def _load_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> tuple[int, Shaped[np.ndarray, "..."]]:
     with archive.open(info) as file:
-        return _load(file, info.file_size, info.filename, name)
+        return _load_array(file, info.file_size, info.filename, name)
 
 
-def _load(file: IO[bytes], n_bytes: int, key: str, name: str) -> tuple[int, Shaped[np.ndarray, "..."]]:
-    """How many rows an array has and those that are taken, its declared size checked before any of it is read."""
+def _load_array(file: IO[bytes], n_bytes: int, key: str, name: str) -> tuple[int, Shaped[np.ndarray, "..."]]:
+    """Return the number of rows of an array and the rows taken; the declared size is checked before reading."""
     version = np.lib.format.read_magic(file)
     reader = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
     if reader is None:
@@ -175,84 +175,86 @@ def _load(file: IO[bytes], n_bytes: int, key: str, name: str) -> tuple[int, Shap
     except Exception as error:  # the header is Python source: numpy's reader of it raises of every kind
         raise ValueError(f"header of '{key}': {error}") from None
     if dtype.hasobject:
-        raise CloudError(f"{name}: {named(key)} holds pickled objects; plain numbers are needed")
+        raise CloudError(f"{name}: {_name_array(key)} holds pickled objects; plain numbers are needed")
     if min(shape, default=0) < 0:
         raise ValueError(f"shape {shape}")
     size = math.prod(shape) * dtype.itemsize
     if max(size, n_bytes) > MAX_FILE_BYTES:
-        raise CloudError(f"{name}: {named(key)} claims {max(size, n_bytes)} bytes; at most {MAX_FILE_BYTES}")
-    if len(shape) == 3 and not is_fortran and shape[2] <= MOST_OF_GRID:
+        raise CloudError(f"{name}: {_name_array(key)} claims {max(size, n_bytes)} bytes; at most {MAX_FILE_BYTES}")
+    if len(shape) == 3 and not is_fortran and shape[2] <= _MOST_OF_GRID:
         shape = (shape[0] * shape[1], shape[2])  # a grid's points are thinned one by one
     n_rows = shape[0] if shape else 1
     if n_rows > MAX_FILE_POINTS:
-        raise CloudError(f"{name}: {named(key)} has {n_rows} rows; at most {MAX_FILE_POINTS} are read")
+        raise CloudError(f"{name}: {_name_array(key)} has {n_rows} rows; at most {MAX_FILE_POINTS} are read")
     if is_fortran and len(shape) > 1:
-        columns = [_taken_rows(file, n_rows, dtype, (), key) for _ in range(math.prod(shape[1:]))]
+        columns = [_load_rows(file, n_rows, dtype, (), key) for _ in range(math.prod(shape[1:]))]
         return n_rows, np.stack(columns, axis=-1).reshape((-1, *shape[1:]), order="F")
-    rows = _taken_rows(file, n_rows, dtype, shape[1:], key)
+    rows = _load_rows(file, n_rows, dtype, shape[1:], key)
     return n_rows, rows if shape else rows.reshape(())
 
 
-def _taken_rows(
+def _load_rows(
     file: IO[bytes], n_rows: int, dtype: np.dtype[Any], shape: tuple[int, ...], key: str
 ) -> Shaped[np.ndarray, "..."]:
-    """Rows of this shape that follow in a file, thinned to as many as are used."""
+    """Read rows of this shape that follow in a file, thinned to as many as are used."""
     stride = math.prod(shape) * dtype.itemsize
-    step, block = step_of(n_rows), max(1, _BLOCK // max(stride, 1))
+    step, block = choose_step(n_rows), max(1, _BLOCK // max(stride, 1))
     parts = [np.zeros((0, *shape), dtype)]
     for first in range(0, n_rows, block):
         n_wanted = min(block, n_rows - first)
         content = file.read(n_wanted * stride)
         if len(content) < n_wanted * stride:
-            raise ValueError(f"{named(key)} has {first * stride + len(content)} of {n_rows * stride} bytes")
+            raise ValueError(f"{_name_array(key)} has {first * stride + len(content)} of {n_rows * stride} bytes")
         rows = np.frombuffer(content, dtype=dtype).reshape((n_wanted, *shape))
-        parts.append(rows[taken(n_wanted, step, first)])
+        parts.append(rows[pick_rows(n_wanted, step, first)])
     return np.concatenate(parts)
 
 
-def rows_of(array: Shaped[np.ndarray, "..."], key: str, name: str) -> Float[np.ndarray, "N 3"]:
-    """The first three columns of an array (N, 3 or more) or (H, W, 3 or more).
+def _take_coordinates(array: Shaped[np.ndarray, "..."], key: str, name: str) -> Float[np.ndarray, "N 3"]:
+    """Return the first three columns of an array (N, 3 or more) or (H, W, 3 or more).
 
     Raises:
         CloudError: it has another shape, or holds no numbers.
     """
     if array.ndim == 2 and array.shape[0] == len(COORDINATES) < array.shape[1]:
         raise CloudError(
-            f"{name}: {named(key)} has shape {array.shape}, which looks turned; save its transpose {array.shape[::-1]}"
+            f"{name}: {_name_array(key)} has shape {array.shape}, which looks turned; "
+            f"save its transpose {array.shape[::-1]}"
         )
-    most = MOST_OF_GRID if array.ndim == 3 else _MOST_COLUMNS
+    most = _MOST_OF_GRID if array.ndim == 3 else _MOST_COLUMNS
     if array.ndim not in (2, 3) or not 3 <= array.shape[-1] <= most or array.dtype.kind not in "fiu":
         raise CloudError(
-            f"{name}: {named(key)} is {array.dtype} of shape {array.shape}; numbers (N, 3) or (H, W, 3) are needed"
+            f"{name}: {_name_array(key)} is {array.dtype} of shape {array.shape}; "
+            "numbers (N, 3) or (H, W, 3) are needed"
         )
     return array.reshape(-1, array.shape[-1])[:, :3].astype(np.float64)
 
 
-def columns_of(
+def _split_columns(
     array: Shaped[np.ndarray, "..."], key: str, name: str
 ) -> tuple[Float[np.ndarray, "N 3"], dict[str, Shaped[np.ndarray, "..."]]]:
-    """Coordinates, and by name what a structured array holds beside them that is read: ``origin``, ``no_return``.
+    """Return coordinates, and by name the other columns of a structured array that are read: ``origin``, ``no_return``.
 
     Raises:
         CloudError: coordinates are missing, or no numbers.
     """
     if array.dtype.names is None:
-        return rows_of(array, key, name), {}
-    found = places(array.dtype.names)
-    if missing := missing_coordinate(found):
-        held = shown(", ".join(array.dtype.names))
-        raise CloudError(f"{name}: {named(key)} has columns {held}, and no '{missing}'; x, y and z are needed")
+        return _take_coordinates(array, key, name), {}
+    found = index_columns(array.dtype.names)
+    if missing := find_missing_axis(found):
+        held = quote(", ".join(array.dtype.names))
+        raise CloudError(f"{name}: {_name_array(key)} has columns {held}, and no '{missing}'; x, y and z are needed")
     columns = {column: array[array.dtype.names[at]] for column, at in found.items()}
     more: dict[str, Shaped[np.ndarray, "..."]] = {}
     if NO_RETURN in columns:
         more[NO_RETURN] = columns[NO_RETURN]
     if all(axis in columns for axis in STARTS):
-        more["origin"] = stacked([columns[axis] for axis in STARTS], key, name)
-    return stacked([columns[axis] for axis in COORDINATES], key, name), more
+        more["origin"] = _stack_axes([columns[axis] for axis in STARTS], key, name)
+    return _stack_axes([columns[axis] for axis in COORDINATES], key, name), more
 
 
-def stacked(columns: list[Shaped[np.ndarray, "..."]], key: str, name: str) -> Float[np.ndarray, "N 3"]:
-    """Arrays of x, y and z, of one shape, as rows.
+def _stack_axes(columns: list[Shaped[np.ndarray, "..."]], key: str, name: str) -> Float[np.ndarray, "N 3"]:
+    """Stack arrays of x, y and z, of one shape, to rows.
 
     Raises:
         CloudError: their shapes differ, or they hold no numbers.
@@ -264,6 +266,6 @@ def stacked(columns: list[Shaped[np.ndarray, "..."]], key: str, name: str) -> Fl
     return np.stack([column.ravel().astype(np.float64) for column in columns], axis=1)
 
 
-def named(key: str) -> str:
-    """An array as a sentence names it; ``key`` is empty for the only one of a file."""
+def _name_array(key: str) -> str:
+    """Name an array in a sentence; ``key`` is empty for the only array of a file."""
     return f"array '{key}'" if key else "array"

@@ -1,4 +1,4 @@
-"""A path to a scan in this process, and one clear line for all that can go wrong with the file."""
+"""Parsing of a file in this process, with one clear line for each thing that can be wrong with the file."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from perception.files.formats import (
     HEAD_BYTES,
     SUFFIXES,
     Format,
+    describe_binary,
+    describe_other_kind,
     explain_suffix,
-    format_of_head,
-    format_of_suffix,
-    not_text,
-    other_kind_of,
+    find_format_by_head,
+    find_format_by_suffix,
 )
-from perception.files.scan import Scan, shown
-from perception.files.thinning import bounded
+from perception.files.scan import Scan, quote
+from perception.files.thinning import limit_scan
 from perception.limits import MAX_FILE_BYTES
 
 # Where the optional library of a kind is missing: what to install.
@@ -57,12 +57,12 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
             raise
         raise CloudError(f"{path}: reading this kind of file needs a further library: pip install '{extra}'") from None
     except BaseException as error:  # libraries raise of every kind on damaged files; a panic is not even an Exception
-        words = shown(str(error).partition("****")[0]) or type(error).__name__
+        words = quote(str(error).partition("****")[0]) or type(error).__name__
         raise CloudError(f"{path}: is damaged, or no {suffix.removeprefix('.') or 'bag'} file ({words})") from None
 
 
 def parse_to_values(path: str, topic: str | None, message: Message) -> dict[str, Any]:
-    """The attributes of the file's ``Scan`` by name, or ``error``: what is wrong with the file."""
+    """Return the attributes of the file's ``Scan`` by name, or ``error``: what is wrong with the file."""
     try:
         return vars(parse_file(Path(path), topic, message))
     except CloudError as error:
@@ -70,7 +70,7 @@ def parse_to_values(path: str, topic: str | None, message: Message) -> dict[str,
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is one of a bag: of its file, or of the folder of a ROS 2 bag."""
+    """Whether a path is a bag's file or the folder of a ROS 2 bag."""
     return path.suffix.lower() in BAG_SUFFIXES or (os.path.isdir(path) and (path / BAG_FOLDER_HAS).is_file())
 
 
@@ -82,21 +82,21 @@ def _read(path: Path, topic: str | None, message: Message) -> Scan:
         return read_bag(path, str(path), topic, message)
     kind, notes = _check_format(path)
     scan = kind.read(path, topic, message)
-    return scan if kind.is_bag else bounded(replace(scan, notes=(*notes, *scan.notes)))
+    return scan if kind.is_bag else limit_scan(replace(scan, notes=(*notes, *scan.notes)))
 
 
 def _check_format(path: Path) -> tuple[Format, tuple[str, ...]]:
-    """The format of the file by what it holds, and a note where its name says something else.
+    """Return the format of the file by its content, and a note if its name says another one.
 
     Raises:
         CloudError: it is not there, too large, no regular file, of a kind that is not read, or a bag of another name.
     """
-    named = format_of_suffix(path.suffix.lower())
+    named = find_format_by_suffix(path.suffix.lower())
     is_named_bag = named is not None and named.is_bag
     _check_file(path, None if is_named_bag else MAX_FILE_BYTES)
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    held, other = format_of_head(head), other_kind_of(head)
+    held, other = find_format_by_head(head), describe_other_kind(head)
     if held is not None and held is not named:
         if is_named_bag or held.is_bag:
             what = held if is_named_bag else "a bag"
@@ -109,19 +109,19 @@ def _check_format(path: Path) -> tuple[Format, tuple[str, ...]]:
         )
     if named is None:
         raise CloudError(f"{path}: {explain_suffix(path.suffix)}")
-    if named.is_text and (sign := not_text(head)):
+    if named.is_text and (sign := describe_binary(head)):
         raise CloudError(f"{path}: {sign}, and is no text; a table of numbers is needed")
     return named, ()
 
 
 def _explain_folder(path: Path) -> str:
-    """What is wrong with a folder that is no bag, and what is expected."""
+    """Say what is wrong with a folder that is no bag, and what is expected."""
     try:
         recorded = sorted(entry.name for entry in path.iterdir() if entry.suffix.lower() in BAG_SUFFIXES)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
     if recorded:
-        return f"is a folder without {BAG_FOLDER_HAS}; give a file in it: {shown(', '.join(recorded))}"
+        return f"is a folder without {BAG_FOLDER_HAS}; give a file in it: {quote(', '.join(recorded))}"
     return f"is a folder; one of {', '.join(SUFFIXES)} or the folder of a ROS 2 bag is needed"
 
 

@@ -13,9 +13,18 @@ import numpy as np
 from perception.errors import CloudError
 from perception.files import lzf
 from perception.files.content import Content
-from perception.files.scan import NO_RETURN, Scan, missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
-from perception.files.text import read_rows, with_line_feeds
-from perception.files.thinning import step_of, taken, thinning_note
+from perception.files.scan import (
+    NO_RETURN,
+    Scan,
+    find_missing_axis,
+    index_columns,
+    make_scan,
+    parse_natural,
+    parse_viewpoint,
+    quote,
+)
+from perception.files.text import read_rows, use_line_feeds
+from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
 if TYPE_CHECKING:
@@ -33,7 +42,7 @@ IDENTITY_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class PcdHeader:
-    """What the text before the data says.
+    """Header of a PCD file.
 
     Attributes:
         fields: (name, numpy type, count) in file order.
@@ -56,20 +65,20 @@ class PcdHeader:
 
 
 def read_pcd(data: Content, name: str) -> Scan:
-    """Rows, thinned to as many as are used, as ``columns.scan_of`` takes them, NaN included, and the VIEWPOINT.
+    """Read rows, thinned to as many as are used, as ``scan.make_scan`` takes them, NaN included, and the VIEWPOINT.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
-    data = with_line_feeds(data, b"DATA ascii")
+    data = use_line_feeds(data, b"DATA ascii")
     header = _parse_header(data, name)
     names = [field for field, _, _ in header.fields]
-    found = places(names)
-    if missing := missing_coordinate(found):
-        raise CloudError(f"{name}: FIELDS '{shown(' '.join(names))}' has no '{missing}'; x, y and z are needed")
-    read = {"ascii": _ascii_columns, "binary": _binary_columns, "binary_compressed": _packed_columns}[header.encoding]
+    found = index_columns(names)
+    if missing := find_missing_axis(found):
+        raise CloudError(f"{name}: FIELDS '{quote(' '.join(names))}' has no '{missing}'; x, y and z are needed")
+    read = {"ascii": _read_ascii, "binary": _read_binary, "binary_compressed": _read_packed}[header.encoding]
     columns, notes = read(data, header, list(found.values()), name)
-    return scan_of(dict(zip(found, columns, strict=True)), header.viewpoint, notes)
+    return make_scan(dict(zip(found, columns, strict=True)), header.viewpoint, notes)
 
 
 def write_pcd(
@@ -86,7 +95,7 @@ def write_pcd(
         points: (N, 3) [m].
         viewpoint: x y z qw qx qy qz of the sensor in the frame of the points.
         encoding: one of ``ascii``, ``binary``, ``binary_compressed``.
-        misses: (M, 3) places up to which rays met nothing [m]; they follow the points, told apart by a further field
+        misses: (M, 3) places up to which rays met nothing [m]; they follow the points, marked by a further field
             ``no_return`` that is 1.
     """
     if encoding not in _ENCODINGS:
@@ -131,7 +140,7 @@ def _parse_header(data: Content, name: str) -> PcdHeader:
                 break
     encoding = " ".join(entries["DATA"]).lower()
     if encoding not in _ENCODINGS:
-        raise CloudError(f"{name}: DATA '{shown(encoding)}' is unknown; one of {', '.join(_ENCODINGS)} is needed")
+        raise CloudError(f"{name}: DATA '{quote(encoding)}' is unknown; one of {', '.join(_ENCODINGS)} is needed")
     return PcdHeader(
         _parse_fields(entries, name), _parse_count(entries, name), _parse_viewpoint(entries, name), encoding, at
     )
@@ -149,15 +158,15 @@ def _parse_fields(entries: dict[str, list[str]], name: str) -> tuple[tuple[str, 
         raise CloudError(f"{name}: {len(fields)} FIELDS but {len(counts)} COUNT; one each is needed")
     parsed = []
     for field, size, kind, count in zip(fields, entries["SIZE"], entries["TYPE"], counts, strict=True):
-        if kind not in _NUMPY_KIND or natural(size) not in _ALLOWED_SIZES[kind]:
+        if kind not in _NUMPY_KIND or parse_natural(size) not in _ALLOWED_SIZES[kind]:
             raise CloudError(
-                f"{name}: field '{shown(field)}' has TYPE {shown(kind)} SIZE {shown(size)}; "
+                f"{name}: field '{quote(field)}' has TYPE {quote(kind)} SIZE {quote(size)}; "
                 "F 4|8, I or U 1|2|4|8 are possible"
             )
-        repeats = natural(count) or 0
+        repeats = parse_natural(count) or 0
         if not 1 <= repeats <= 65536:
-            raise CloudError(f"{name}: field '{shown(field)}' has COUNT {shown(count)}; a positive number is needed")
-        parsed.append((field, f"<{_NUMPY_KIND[kind]}{natural(size)}", repeats))
+            raise CloudError(f"{name}: field '{quote(field)}' has COUNT {quote(count)}; a positive number is needed")
+        parsed.append((field, f"<{_NUMPY_KIND[kind]}{parse_natural(size)}", repeats))
     return tuple(parsed)
 
 
@@ -166,9 +175,9 @@ def _parse_count(entries: dict[str, list[str]], name: str) -> int:
     for key in ("WIDTH", "HEIGHT", "POINTS"):
         if key in entries:
             word = " ".join(entries[key])
-            number = natural(word)
+            number = parse_natural(word)
             if number is None:
-                raise CloudError(f"{name}: {key} '{shown(word)}' is not a whole number of at least 0")
+                raise CloudError(f"{name}: {key} '{quote(word)}' is not a whole number of at least 0")
             numbers[key] = number
     shape = numbers.get("WIDTH", 0) * numbers.get("HEIGHT", 1)
     n_points = numbers.get("POINTS", shape)
@@ -187,7 +196,7 @@ def _parse_viewpoint(entries: dict[str, list[str]], name: str) -> tuple[float, .
     return parse_viewpoint(entries["VIEWPOINT"], name)
 
 
-def _ascii_columns(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
+def _read_ascii(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
     offsets = np.concatenate([[0], np.cumsum([count for _, _, count in header.fields])])
     first_line = data[: header.size].count(b"\n") + 1
     columns = [int(offsets[i]) for i in fields]
@@ -199,18 +208,18 @@ def _ascii_columns(data: Content, header: PcdHeader, fields: list[int], name: st
     return list(rows.values.T), rows.notes
 
 
-def _binary_columns(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
+def _read_binary(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
     there, n, stride = len(data) - header.size, header.n_points, header.dtype.itemsize
     if there < n * stride:
         raise CloudError(
             f"{name}: {n} points of {stride} bytes are announced, but only {there} bytes follow the header"
         )
     table = np.frombuffer(data, dtype=header.dtype, count=n, offset=header.size)
-    rows = taken(n, step_of(n))
-    return [table[str(i)][rows, 0] for i in fields], thinning_note(n, step_of(n))
+    rows = pick_rows(n, choose_step(n))
+    return [table[str(i)][rows, 0] for i in fields], note_thinning(n, choose_step(n))
 
 
-def _packed_columns(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
+def _read_packed(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
     """``binary_compressed`` stores field after field, each for all points."""
     n = header.n_points
     raw = _unpack(data, header.size, n * header.dtype.itemsize, name)
@@ -219,8 +228,8 @@ def _packed_columns(data: Content, header: PcdHeader, fields: list[int], name: s
     for i in fields:
         _, kind, count = header.fields[i]
         column = np.frombuffer(raw, dtype=kind, count=n * count, offset=int(starts[i]))
-        columns.append(column.reshape(n, count)[taken(n, step_of(n)), 0])
-    return columns, thinning_note(n, step_of(n))
+        columns.append(column.reshape(n, count)[pick_rows(n, choose_step(n)), 0])
+    return columns, note_thinning(n, choose_step(n))
 
 
 def _unpack(data: Content, start: int, size: int, name: str) -> bytes:

@@ -16,7 +16,6 @@ from perception.limits import LARGEST_COORDINATE, MAX_INVALID_FRACTION
 
 # No ray is that long.
 _MAP_DISTANCE = 1_000.0
-# No coordinate is that large in any unit; drivers write such numbers, or infinity, where there was no return.
 # Rounding that hides what a robot must not touch.
 _COARSE_M = 0.001
 _SAMPLE = 10_000
@@ -24,44 +23,44 @@ METRES_BY_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254,
 _RIGID_TOLERANCE = 1e-4
 _LARGEST_ANGLE = 2.0 * np.pi + 1e-3
 
-Pose = Float[np.ndarray, "4 4"] | Sequence[float] | Sequence[Sequence[float]]
+PoseInput = Float[np.ndarray, "4 4"] | Sequence[float] | Sequence[Sequence[float]]
 
 
 def place_scan(
     scan: Scan,
     name: str,
     unit: str,
-    transform: Pose | None,
+    transform: PoseInput | None,
     apply_viewpoint: bool,
     sensor: Sequence[float] | None,
 ) -> Cloud:
-    """One file's cloud in metres in the frame that is asked for."""
-    scale = metres_per(unit)
+    """Make one file's cloud in metres in the requested frame."""
+    scale = _parse_unit(unit)
     pose = np.eye(4) if transform is None else rigid_pose(transform)
-    scan = without_empty_rows(scan, name)
-    notes = (*scan.notes, *rounding_note(scan.points, scale))
+    scan = _drop_empty_rows(scan, name)
+    notes = (*scan.notes, *_note_rounding(scan.points, scale))
     if scan.unit and scan.unit != unit:
         notes = (f"its header says {scan.unit}, but it was read as {unit}: give the unit {scan.unit}", *notes)
     viewpoint = np.eye(4)
     if scan.viewpoint is not None:
-        viewpoint = pose_of_viewpoint(scan.viewpoint)
+        viewpoint = _make_viewpoint_pose(scan.viewpoint)
         viewpoint[:3, 3] *= scale
     elif apply_viewpoint:
         raise CloudError(f"{name}: gives no viewpoint to apply; add one, or leave the points as they are")
     if transform is None and not apply_viewpoint:
-        notes = (*notes, *_frame_hint(scale * scan.points, viewpoint))
+        notes = (*notes, *_hint_at_frame(scale * scan.points, viewpoint))
     pose_world_rows = pose @ viewpoint if apply_viewpoint else pose
-    points = moved(pose_world_rows, scan.points, scale)
+    points = move_points(pose_world_rows, scan.points, scale)
     # Writers that know no sensor leave the identity for a viewpoint.
-    is_told = scan.starts is not None or not np.array_equal(viewpoint, np.eye(4))
-    if is_told and sensor is not None:
+    has_origin = scan.starts is not None or not np.array_equal(viewpoint, np.eye(4))
+    if has_origin and sensor is not None:
         notes = (*notes, "the file says where its rays started; the sensor's position that is given is not used")
     if scan.starts is not None:
-        origin = moved(pose_world_rows, scan.starts, scale)
-    elif is_told:
-        origin = moved(pose, viewpoint[:3, 3])
+        origin = move_points(pose_world_rows, scan.starts, scale)
+    elif has_origin:
+        origin = move_points(pose, viewpoint[:3, 3])
     else:
-        origin, more = _unknown_sensor(points, pose[:3, 3], sensor)
+        origin, more = _guess_sensor(points, pose[:3, 3], sensor)
         if scan.viewpoint is None or not np.array_equal(origin, pose[:3, 3]):
             notes = (*notes, *more)
     return make_cloud(
@@ -69,15 +68,15 @@ def place_scan(
         origin,
         notes,
         name,
-        misses=moved(pose_world_rows, scan.misses, scale),
-        miss_origin=None if scan.miss_starts is None else moved(pose_world_rows, scan.miss_starts, scale),
+        misses=move_points(pose_world_rows, scan.misses, scale),
+        miss_origin=None if scan.miss_starts is None else move_points(pose_world_rows, scan.miss_starts, scale),
     )
 
 
-def _unknown_sensor(
+def _guess_sensor(
     points: Float[np.ndarray, "N 3"], zero: Float[np.ndarray, "3"], sensor: Sequence[float] | None
 ) -> tuple[Float[np.ndarray, "3"], tuple[str, ...]]:
-    """Where rays are taken to start when the file does not say, and what to tell about it.
+    """Choose where rays start when the file does not say so, with a note about it.
 
     Args:
         points: in the world [m].
@@ -103,34 +102,34 @@ def _unknown_sensor(
     return zero, (f"the file gives no sensor position; rays are taken to start at ({where}), give it if they did not",)
 
 
-def _frame_hint(points: Float[np.ndarray, "N 3"], viewpoint: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:
-    """A hint when the points would lie flatter (a floor shows) if the viewpoint were applied to them."""
+def _hint_at_frame(points: Float[np.ndarray, "N 3"], viewpoint: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:
+    """Return a hint if the points would lie flatter (a floor shows) if the viewpoint were applied to them."""
     if np.allclose(viewpoint, np.eye(4), atol=1e-6):
         return ()
     sample = points[np.isfinite(points).all(axis=1)][:: max(1, len(points) // 20_000)]
     if not len(sample):
         return ()
-    if _flatness(moved(viewpoint, sample)[:, 2]) > 1.5 * _flatness(sample[:, 2]):
+    if _measure_flatness(move_points(viewpoint, sample)[:, 2]) > 1.5 * _measure_flatness(sample[:, 2]):
         return ("looks sensor-framed: a floor shows only after the viewpoint is applied to the points; ask for that",)
     return ()
 
 
-def _flatness(heights: Float[np.ndarray, "N"]) -> float:
-    """Share of points in the fullest 4 cm layer of height."""
+def _measure_flatness(heights: Float[np.ndarray, "N"]) -> float:
+    """Return the share of points in the fullest 4 cm layer of height."""
     layers = np.floor((heights - heights.min()) / 0.04)
     _, counts = np.unique(layers, return_counts=True)
     return float(counts.max() / len(heights))
 
 
-def without_empty_rows(scan: Scan, name: str) -> Scan:
-    """Rows that cannot be points are NaN afterwards; those that are exactly 0 0 0, a driver's no-return, are dropped.
+def _drop_empty_rows(scan: Scan, name: str) -> Scan:
+    """Set rows that cannot be points to NaN, and drop those that are exactly 0 0 0, a driver's no-return.
 
     A single one may be a point by chance; a scan never meets the same place twice to the last digit.
 
     Raises:
         CloudError: all are 0 0 0, or nearly all too large to be places.
     """
-    points = _bounded(scan.points)
+    points = _blank_far_rows(scan.points)
     n_beyond = int((np.isfinite(scan.points).all(axis=1) & ~np.isfinite(points).all(axis=1)).sum())
     if n_beyond > MAX_INVALID_FRACTION * len(points):
         raise CloudError(
@@ -140,9 +139,9 @@ def without_empty_rows(scan: Scan, name: str) -> Scan:
     scan = replace(
         scan,
         points=points,
-        misses=_bounded(scan.misses),
-        starts=None if scan.starts is None else _bounded(scan.starts),
-        miss_starts=None if scan.miss_starts is None else _bounded(scan.miss_starts),
+        misses=_blank_far_rows(scan.misses),
+        starts=None if scan.starts is None else _blank_far_rows(scan.starts),
+        miss_starts=None if scan.miss_starts is None else _blank_far_rows(scan.miss_starts),
     )
     zero: Bool[np.ndarray, "N"] = (points == 0.0).all(axis=1)
     n_zero = int(zero.sum())
@@ -155,12 +154,12 @@ def without_empty_rows(scan: Scan, name: str) -> Scan:
     return replace(scan, points=points[~zero], starts=starts, notes=(*scan.notes, note))
 
 
-def _bounded(rows: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+def _blank_far_rows(rows: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
     return np.where(np.abs(rows) <= LARGEST_COORDINATE, rows, np.nan)
 
 
-def rounding_note(points: Float[np.ndarray, "N 3"], metres: float) -> tuple[str, ...]:
-    """Tell coordinates so far from zero that float32, in which they all are, rounds them coarsely.
+def _note_rounding(points: Float[np.ndarray, "N 3"], metres: float) -> tuple[str, ...]:
+    """Note coordinates so far from zero that float32, in which they all are, rounds them coarsely.
 
     Args:
         points: as they stand in the file.
@@ -179,8 +178,8 @@ def rounding_note(points: Float[np.ndarray, "N 3"], metres: float) -> tuple[str,
     )
 
 
-def metres_per(unit: str) -> float:
-    """Length of one ``unit`` [m].
+def _parse_unit(unit: str) -> float:
+    """Return the length of a ``unit`` [m].
 
     Raises:
         CloudError: the unit is unknown.
@@ -190,8 +189,8 @@ def metres_per(unit: str) -> float:
     return METRES_BY_UNIT[unit]
 
 
-def rigid_pose(transform: Pose) -> Float[np.ndarray, "4 4"]:
-    """A rigid transform from what people give.
+def rigid_pose(transform: PoseInput) -> Float[np.ndarray, "4 4"]:
+    """Make a rigid transform of a matrix, angles or a quaternion.
 
     Args:
         transform: a 4x4 matrix (also as 16 numbers, row by row), or ``x y z yaw pitch roll`` [m, rad] (rotation about
@@ -212,35 +211,35 @@ def rigid_pose(transform: Pose) -> Float[np.ndarray, "4 4"]:
         )
     values = values.ravel()
     if np.abs(values).max() > LARGEST_COORDINATE:
-        raise CloudError(f"transform holds {np.abs(values).max():g}; at most {LARGEST_COORDINATE:g} m would do")
+        raise CloudError(f"transform holds {np.abs(values).max():g}; expected at most {LARGEST_COORDINATE:g} m")
     if values.size == 16:
-        return _checked(values.reshape(4, 4))
+        return _check_rigid(values.reshape(4, 4))
     if values.size == 7:
-        return pose_of_viewpoint(tuple(values.tolist()))
+        return _make_viewpoint_pose(tuple(values.tolist()))
     largest = float(values[3:][np.argmax(np.abs(values[3:]))])
     if abs(largest) > _LARGEST_ANGLE:
         raise CloudError(
             f"transform turns by {largest:g} rad, more than once around; if these are degrees, "
             f"{np.radians(largest):.5g} rad is needed"
         )
-    return _pose(Rotation.from_euler("ZYX", values[3:]), values[:3])
+    return _make_pose(Rotation.from_euler("ZYX", values[3:]), values[:3])
 
 
-def pose_of_viewpoint(viewpoint: Sequence[float]) -> Float[np.ndarray, "4 4"]:
-    """``x y z qw qx qy qz`` as a matrix; the quaternion may have any length but zero.
+def _make_viewpoint_pose(viewpoint: Sequence[float]) -> Float[np.ndarray, "4 4"]:
+    """Make a matrix of ``x y z qw qx qy qz``; the quaternion may have any length but zero.
 
     Raises:
         CloudError: the quaternion is zero.
     """
     if np.linalg.norm(viewpoint[3:]) < 1e-6:
         raise CloudError("transform has the quaternion 0 0 0 0; one of length 1 is needed")
-    return _pose(Rotation.from_quat(np.array(viewpoint[3:]), scalar_first=True), np.array(viewpoint[:3]))
+    return _make_pose(Rotation.from_quat(np.array(viewpoint[3:]), scalar_first=True), np.array(viewpoint[:3]))
 
 
-def moved(
+def move_points(
     pose: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*N 3"], scale: float = 1.0
 ) -> Float[np.ndarray, "*N 3"]:
-    """Points (N, 3), or one (3,), in units of ``scale`` metres, taken along by a pose [m]."""
+    """Move points (N, 3), or one point (3,), in units of ``scale`` metres, by a pose [m]."""
     if scale != 1.0:
         points = scale * points
     if np.array_equal(pose, np.eye(4)):
@@ -248,14 +247,14 @@ def moved(
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
-def _pose(rotation: Rotation, position: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+def _make_pose(rotation: Rotation, position: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
     pose = np.eye(4)
     pose[:3, :3] = rotation.as_matrix()
     pose[:3, 3] = position
     return pose
 
 
-def _checked(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+def _check_rigid(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     rotation = pose[:3, :3]
     if not np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]):
         raise CloudError(f"transform's last row is {pose[3].tolist()}; 0 0 0 1 is needed")

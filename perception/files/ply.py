@@ -10,9 +10,17 @@ import numpy as np
 
 from perception.errors import CloudError
 from perception.files.content import Content
-from perception.files.scan import Scan, missing_coordinate, natural, parse_viewpoint, places, scan_of, shown
-from perception.files.text import Rows, read_rows, with_line_feeds
-from perception.files.thinning import step_of, taken, thinning_note
+from perception.files.scan import (
+    Scan,
+    find_missing_axis,
+    index_columns,
+    make_scan,
+    parse_natural,
+    parse_viewpoint,
+    quote,
+)
+from perception.files.text import Rows, read_rows, use_line_feeds
+from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_POINTS
 
 if TYPE_CHECKING:
@@ -44,44 +52,44 @@ class _Element:
 
 
 def read_ply(data: Content, name: str) -> Scan:
-    """Vertices, thinned to as many as are used, as ``columns.scan_of`` takes them.
+    """Read vertices, thinned to as many as are used, as ``scan.make_scan`` takes them.
 
     A ``comment viewpoint x y z qw qx qy qz`` gives the sensor.
 
     Raises:
         CloudError: naming ``name`` and what is wrong.
     """
-    data = with_line_feeds(data, b"format ascii")
-    lines, start = _header_lines(data, name)
-    order = _byte_order(lines, name)
+    data = use_line_feeds(data, b"format ascii")
+    lines, start = _read_header(data, name)
+    order = _parse_byte_order(lines, name)
     elements = _parse_elements(lines, name)
     before, vertex = _split_at_vertex(elements, name)
-    found = places([field for field, _ in vertex.properties])
-    if missing := missing_coordinate(found):
+    found = index_columns([field for field, _ in vertex.properties])
+    if missing := find_missing_axis(found):
         raise CloudError(f"{name}: element vertex has no property '{missing}'; x, y and z are needed")
-    viewpoint = _viewpoint(lines, name)
+    viewpoint = _find_viewpoint(lines, name)
     if order is None:
-        rows = _ascii_rows(data, start, sum(e.count for e in before), vertex, found, name)
-        notes = (*_mesh_note(elements), *rows.notes)
-        return scan_of({key: rows.values[:, i] for i, key in enumerate(found)}, viewpoint, notes)
+        rows = _read_ascii(data, start, sum(e.count for e in before), vertex, found, name)
+        notes = (*_note_mesh(elements), *rows.notes)
+        return make_scan({key: rows.values[:, i] for i, key in enumerate(found)}, viewpoint, notes)
     for element in before:
-        start += _table(data, start, element, order, name).nbytes
-    table = _table(data, start, vertex, order, name)
-    step = step_of(vertex.count)
-    taken_rows = taken(vertex.count, step)
+        start += _read_table(data, start, element, order, name).nbytes
+    table = _read_table(data, start, vertex, order, name)
+    step = choose_step(vertex.count)
+    taken_rows = pick_rows(vertex.count, step)
     columns = {key: table[str(i)][taken_rows] for key, i in found.items()}
-    return scan_of(columns, viewpoint, (*_mesh_note(elements), *thinning_note(vertex.count, step)))
+    return make_scan(columns, viewpoint, (*_note_mesh(elements), *note_thinning(vertex.count, step)))
 
 
-def _mesh_note(elements: list[_Element]) -> tuple[str, ...]:
-    """What to tell of a mesh, whose corners are no scan of its faces."""
+def _note_mesh(elements: list[_Element]) -> tuple[str, ...]:
+    """Note that a file holds a mesh, whose corners are no scan of its faces."""
     n_faces = sum(element.count for element in elements if element.name in ("face", "tristrips"))
     if not n_faces:
         return ()
     return (f"holds a mesh, of whose {n_faces} faces only the corners are read; give a known object as a mesh",)
 
 
-def _header_lines(data: Content, name: str) -> tuple[list[list[str]], int]:
+def _read_header(data: Content, name: str) -> tuple[list[list[str]], int]:
     if data[:3] != b"ply":
         raise CloudError(f"{name}: does not begin with 'ply'")
     # Lines end as the first one does: in a line feed, perhaps after a carriage return, or in the latter alone.
@@ -93,12 +101,12 @@ def _header_lines(data: Content, name: str) -> tuple[list[list[str]], int]:
     return [line.split() for line in data[:end].decode("latin-1").splitlines()[1:] if line.split()], newline + 1
 
 
-def _byte_order(lines: list[list[str]], name: str) -> str | None:
+def _parse_byte_order(lines: list[list[str]], name: str) -> str | None:
     """``<`` or ``>``; None for ascii."""
     formats = [words[1] for words in lines if words[0] == "format" and len(words) > 1]
     if not formats or formats[0] not in _FORMATS:
         raise CloudError(
-            f"{name}: format '{shown(' '.join(formats))}' is unknown; one of {', '.join(_FORMATS)} is needed"
+            f"{name}: format '{quote(' '.join(formats))}' is unknown; one of {', '.join(_FORMATS)} is needed"
         )
     return _FORMATS[formats[0]] or None
 
@@ -107,15 +115,15 @@ def _parse_elements(lines: list[list[str]], name: str) -> list[_Element]:
     elements: list[_Element] = []
     for words in lines:
         if words[0] == "element":
-            if len(words) != 3 or natural(words[2]) is None:
-                raise CloudError(f"{name}: '{shown(' '.join(words))}' is not an element with a name and a count")
-            elements.append(_Element(words[1], natural(words[2]) or 0, ()))
+            if len(words) != 3 or parse_natural(words[2]) is None:
+                raise CloudError(f"{name}: '{quote(' '.join(words))}' is not an element with a name and a count")
+            elements.append(_Element(words[1], parse_natural(words[2]) or 0, ()))
         elif words[0] == "property":
             of_list = words[1:2] == ["list"] and len(words) == 5
             kinds = [_TYPES.get(word, "") for word in (words[2:4] if of_list else words[1:2])]
             kind = " ".join(kinds)
             if not elements or not all(kinds) or len(words) != (5 if of_list else 3) or (of_list and "f" in kinds[0]):
-                raise CloudError(f"{name}: '{shown(' '.join(words))}' is not a property of a known type")
+                raise CloudError(f"{name}: '{quote(' '.join(words))}' is not a property of a known type")
             last = elements[-1]
             elements[-1] = _Element(last.name, last.count, (*last.properties, (words[-1], kind)))
     return elements
@@ -134,14 +142,14 @@ def _split_at_vertex(elements: list[_Element], name: str) -> tuple[list[_Element
     for element in before:
         if element.count > MAX_FILE_POINTS:
             raise CloudError(
-                f"{name}: the header announces {element.count} rows of element {shown(element.name)} before the "
+                f"{name}: the header announces {element.count} rows of element {quote(element.name)} before the "
                 f"vertices; at most {MAX_FILE_POINTS} are read, put vertices first"
             )
     return before, vertex
 
 
-def _table(data: Content, start: int, element: _Element, order: str, name: str) -> Shaped[np.ndarray, "N"]:
-    """The rows of an element of a binary file, whose lists are as long in all rows as in the first.
+def _read_table(data: Content, start: int, element: _Element, order: str, name: str) -> Shaped[np.ndarray, "N"]:
+    """Read the rows of an element of a binary file, whose lists are as long in all rows as in the first.
 
     Raises:
         CloudError: the file is too short for them, or the lists differ in length.
@@ -150,14 +158,14 @@ def _table(data: Content, start: int, element: _Element, order: str, name: str) 
     layout: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     at = start
     for i, (_, kind) in enumerate(element.properties):
-        kinds = [np.dtype(order + one) for one in kind.split()]
+        kinds = [np.dtype(order + part) for part in kind.split()]
         if len(kinds) == 2:
             bytes_of_length = data[at : at + kinds[0].itemsize]
             is_whole = len(bytes_of_length) == kinds[0].itemsize
             length = int(np.frombuffer(bytes_of_length, kinds[0])[0]) if element.count and is_whole else 0
             if not 0 <= length * kinds[1].itemsize <= there:
                 raise CloudError(
-                    f"{name}: element {shown(element.name)} has a list of {length} entries, more than it holds"
+                    f"{name}: element {quote(element.name)} has a list of {length} entries, more than it holds"
                 )
             layout += [(f"{i} length", kinds[0].str), (str(i), kinds[1].str, (length,))]
             at += kinds[0].itemsize + length * kinds[1].itemsize
@@ -168,7 +176,7 @@ def _table(data: Content, start: int, element: _Element, order: str, name: str) 
     if not element.count or not dtype.itemsize:
         return np.zeros(0, dtype)
     if there < element.count * dtype.itemsize:
-        what = "vertices" if element.name == "vertex" else f"rows of element {shown(element.name)}"
+        what = "vertices" if element.name == "vertex" else f"rows of element {quote(element.name)}"
         raise CloudError(
             f"{name}: {element.count} {what} of {dtype.itemsize} bytes are announced, but only {there} bytes are there "
             "for them"
@@ -177,26 +185,26 @@ def _table(data: Content, start: int, element: _Element, order: str, name: str) 
     for field in dtype.names or ():
         if field.endswith("length") and (table[field] != table[field][:1]).any():
             raise CloudError(
-                f"{name}: element {shown(element.name)} has lists of differing lengths; {_remedy(element)}"
+                f"{name}: element {quote(element.name)} has lists of differing lengths; {_suggest_remedy(element)}"
             )
     return table
 
 
-def _remedy(element: _Element) -> str:
-    """What would do where the lists of an element differ in length."""
+def _suggest_remedy(element: _Element) -> str:
+    """Say what to do if the lists of an element differ in length."""
     if element.name != "vertex":
         return "put vertices first"
-    return f"leave out {shown(', '.join(name for name, kind in element.properties if ' ' in kind))}"
+    return f"leave out {quote(', '.join(name for name, kind in element.properties if ' ' in kind))}"
 
 
-def _viewpoint(lines: list[list[str]], name: str) -> tuple[float, ...] | None:
+def _find_viewpoint(lines: list[list[str]], name: str) -> tuple[float, ...] | None:
     for words in lines:
         if words[0] == "comment" and words[1:] and words[1].lower().rstrip(":") == "viewpoint":
             return parse_viewpoint(words[2:], name)
     return None
 
 
-def _ascii_rows(
+def _read_ascii(
     data: Content, start: int, n_before: int, vertex: _Element, found: Mapping[str, int], name: str
 ) -> Rows:
     first_line = data[:start].count(b"\n") + 1
@@ -205,7 +213,7 @@ def _ascii_rows(
         if not at:
             raise CloudError(f"{name}: ends before its vertices")
         start, first_line = at, first_line + 1
-    offsets = _ascii_offsets(data, start, vertex)
+    offsets = _find_offsets(data, start, vertex)
     rows = read_rows(
         data,
         [offsets[i] for i in found.values()],
@@ -220,13 +228,13 @@ def _ascii_rows(
     return rows
 
 
-def _ascii_offsets(data: Content, start: int, vertex: _Element) -> list[int]:
-    """The column each property starts at, and how many there are; lists are as long as in the first row."""
+def _find_offsets(data: Content, start: int, vertex: _Element) -> list[int]:
+    """Return the column of each property, and the number of columns; lists are as long as in the first row."""
     end = data.find(b"\n", start)
     words = data[start : end if end >= 0 else len(data)][:_HEADER_LIMIT].split() if vertex.has_list else []
     offsets = [0]
     for _, kind in vertex.properties:
         at = offsets[-1]
-        length = natural(words[at].decode("latin-1")) if " " in kind and at < len(words) else None
+        length = parse_natural(words[at].decode("latin-1")) if " " in kind and at < len(words) else None
         offsets.append(at + 1 + (length or 0))
     return offsets

@@ -11,9 +11,9 @@ import numpy as np
 from perception.errors import CloudError
 from perception.files.content import Content
 from perception.files.pcd import IDENTITY_VIEWPOINT
-from perception.files.scan import Scan, natural, shown
-from perception.files.text import after_lines, read_rows, with_line_feeds
-from perception.files.thinning import step_of, taken, thinning_note
+from perception.files.scan import Scan, parse_natural, quote
+from perception.files.text import read_rows, skip_lines, use_line_feeds
+from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import LARGEST_COORDINATE, MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class _Station:
         number: counted from 1.
         shape: columns and rows of its grid.
         rotation, position: pose of its cells in the file's frame; the scanner is at their zero.
-        told: where the header says that the scanner stood, in the file's frame.
+        header_position: position of the scanner as the header gives it, in the file's frame.
         start, stop: bytes of its cells.
         first_line: of them in the file.
     """
@@ -47,7 +47,7 @@ class _Station:
     shape: tuple[int, int]
     rotation: Float[np.ndarray, "3 3"]
     position: Float[np.ndarray, "3"]
-    told: Float[np.ndarray, "3"]
+    header_position: Float[np.ndarray, "3"]
     start: int
     stop: int
     first_line: int
@@ -58,7 +58,7 @@ class _Station:
 
 
 def read_ptx(data: Content, name: str) -> Scan:
-    """Points of all scans in the file's frame, thinned to as many as are used.
+    """Read the points of all scans in the file's frame, thinned to as many as are used.
 
     A cell of zeros is a ray that met nothing.  Where it went follows from the other cells of its column and its row;
     the file does not say how far it would have seen, so it counts up to the median range of its scan.
@@ -66,17 +66,17 @@ def read_ptx(data: Content, name: str) -> Scan:
     Raises:
         CloudError: naming ``name``, the line and what is wrong.
     """
-    data = with_line_feeds(data, b"")
-    stations = _stations(data, name)
+    data = use_line_feeds(data, b"")
+    stations = _read_stations(data, name)
     n_cells = sum(station.n_cells for station in stations)
     if not n_cells:
         raise CloudError(f"{name}: its {len(stations)} scans have no cells; at least one is needed")
     stations = [station for station in stations if station.n_cells]
-    step = max(step_of(n_cells), -(-len(data) // MAX_WHOLE_BYTES))
-    parts = [_cells(data, station, step, name) for station in stations]
+    step = max(choose_step(n_cells), -(-len(data) // MAX_WHOLE_BYTES))
+    parts = [_read_cells(data, station, step, name) for station in stations]
     points = np.concatenate([points for points, _, _ in parts])
     misses = np.concatenate([misses for _, misses, _ in parts])
-    notes = (*thinning_note(n_cells, step), *(note for station in stations for note in _doubt(station)))
+    notes = (*note_thinning(n_cells, step), *(note for station in stations for note in _note_position(station)))
     if len(misses):
         notes = (*notes, f"{len(misses)} cells without a return count as free up to their scan's median range")
     if n_silent := sum(silent for _, _, silent in parts):
@@ -91,58 +91,60 @@ def read_ptx(data: Content, name: str) -> Scan:
     return Scan(points, misses=misses, starts=starts, miss_starts=miss_starts, notes=notes)
 
 
-def _stations(data: Content, name: str) -> list[_Station]:
+def _read_stations(data: Content, name: str) -> list[_Station]:
     stations: list[_Station] = []
     at, line = len(codecs.BOM_UTF8) if data[:3] == codecs.BOM_UTF8 else 0, 1
     n_cells = 0
     while True:
-        while at < len(data) and (end := after_lines(data, at, 1)) >= 0 and not data[at:end].strip():
+        while at < len(data) and (end := skip_lines(data, at, 1)) >= 0 and not data[at:end].strip():
             at, line = end, line + 1
         if at >= len(data):
             break
         numbers: list[list[float]] = []
         for width in HEADER_WIDTHS:
-            end = after_lines(data, at, 1)
+            end = skip_lines(data, at, 1)
             if end < 0:
                 raise CloudError(f"{name}: ends in the header of scan {len(stations) + 1}, which has 10 lines")
-            numbers.append(_numbers(data[at:end], width, f"{name}: line {line}", len(stations) + 1))
+            numbers.append(_parse_numbers(data[at:end], width, f"{name}: line {line}", len(stations) + 1))
             at, line = end, line + 1
         shape = int(numbers[0][0]), int(numbers[1][0])
         n_here = shape[0] * shape[1]
         n_cells += n_here
         if n_cells > MAX_FILE_POINTS:
             raise CloudError(f"{name}: its scans announce {n_cells} cells; at most {MAX_FILE_POINTS} are read")
-        stop = after_lines(data, at, n_here)
+        stop = skip_lines(data, at, n_here)
         if stop < 0:
             there = data[at:].count(b"\n") + (data[-1:] != b"\n")
             raise CloudError(
                 f"{name}: scan {len(stations) + 1} announces {shape[0]} columns of {shape[1]} cells, {there} lines "
                 "follow its header"
             )
-        rotation, position = _pose(numbers[6:], name, line)
-        told = np.array(numbers[2])
-        stations.append(_Station(len(stations) + 1, shape, rotation, position, told, at, stop, line))
+        rotation, position = _check_pose(numbers[6:], name, line)
+        header_position = np.array(numbers[2])
+        stations.append(_Station(len(stations) + 1, shape, rotation, position, header_position, at, stop, line))
         at, line = stop, line + n_here
     if not stations:
         raise CloudError(f"{name}: holds no scan; at least one is needed")
     return stations
 
 
-def _numbers(content: bytes, width: int, where: str, scan: int) -> list[float]:
+def _parse_numbers(content: bytes, width: int, where: str, scan: int) -> list[float]:
     words = content.decode("latin-1").split()
     try:
         values = [float(word) for word in words]
     except ValueError:
         values = []
     is_right = len(values) == width and bool((np.abs(values) <= LARGEST_COORDINATE).all())
-    if not is_right or (width == 1 and natural(words[0]) is None):
+    if not is_right or (width == 1 and parse_natural(words[0]) is None):
         wanted = "a number of columns or rows" if width == 1 else f"{width} numbers"
-        raise CloudError(f"{where}: '{shown(' '.join(words))}' is not {wanted}, as the header of scan {scan} has there")
+        raise CloudError(f"{where}: '{quote(' '.join(words))}' is not {wanted}, as the header of scan {scan} has there")
     return values
 
 
-def _pose(rows: list[list[float]], name: str, line: int) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Rotation and position of the transformation, which the file has as rows to multiply points with from the left."""
+def _check_pose(
+    rows: list[list[float]], name: str, line: int
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Return rotation and position of the transformation, whose rows the file multiplies points with from the left."""
     matrix = np.array(rows).T
     rotation = matrix[:3, :3]
     is_rigid = np.abs(rotation @ rotation.T - np.eye(3)).max() < _RIGID_TOLERANCE and np.linalg.det(rotation) > 0.0
@@ -154,10 +156,10 @@ def _pose(rows: list[list[float]], name: str, line: int) -> tuple[Float[np.ndarr
     return rotation, matrix[:3, 3]
 
 
-def _cells(
+def _read_cells(
     data: Content, station: _Station, step: int, name: str
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "M 3"], int]:
-    """Points and misses of a scan in the file's frame, and how many cells say nothing."""
+    """Read points and misses of a scan in the file's frame, and count the cells that say nothing."""
     rows = read_rows(
         data,
         range(3),
@@ -174,9 +176,9 @@ def _cells(
         )
     local = rows.values
     is_point = np.isfinite(local).all(axis=1) & (np.abs(local) <= LARGEST_COORDINATE).all(axis=1) & local.any(axis=1)
-    cells = np.arange(station.n_cells)[taken(station.n_cells, step)]
+    cells = np.arange(station.n_cells)[pick_rows(station.n_cells, step)]
     points = local[is_point]
-    directions = missed_directions(points, cells[is_point], cells[~is_point], station.shape)
+    directions = _find_missed_directions(points, cells[is_point], cells[~is_point], station.shape)
     reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 0.0
     misses = reach * directions
     to_file = station.rotation.T
@@ -184,27 +186,28 @@ def _cells(
     return points @ to_file + station.position, misses @ to_file + station.position, n_silent
 
 
-def _doubt(station: _Station) -> tuple[str, ...]:
-    """What to tell when the header places the scanner elsewhere than at the zero of its cells."""
-    if np.abs(station.told - station.position).max() <= _APART_M:
+def _note_position(station: _Station) -> tuple[str, ...]:
+    """Note that the header places the scanner elsewhere than at the zero of its cells."""
+    if np.abs(station.header_position - station.position).max() <= _APART_M:
         return ()
-    told, zero = (
-        ", ".join(f"{value:g}" for value in np.round(one, 3) + 0.0) for one in (station.told, station.position)
+    stated, zero = (
+        ", ".join(f"{value:g}" for value in np.round(position, 3) + 0.0)
+        for position in (station.header_position, station.position)
     )
     return (
-        f"the header of scan {station.number} has its scanner at ({told}), its transformation at ({zero}), where rays "
-        "are taken to start",
+        f"the header of scan {station.number} has its scanner at ({stated}), its transformation at ({zero}), where "
+        "rays are taken to start",
     )
 
 
-def missed_directions(
+def _find_missed_directions(
     points: Float[np.ndarray, "N 3"], cells: Int[np.ndarray, "N"], missed: Int[np.ndarray, "K"], shape: tuple[int, int]
 ) -> Float[np.ndarray, "M 3"]:
-    """Directions of cells without a return, where the grid tells them.
+    """Find the directions of cells without a return, where they follow from the grid.
 
     A column has one azimuth and a row one elevation; both are taken from the cells of that column or row that met
     something, or follow from those of the columns and rows beside it.  Files differ in whether cells are listed column
-    by column or row by row: the order is the one that explains the points, and without one nothing is told.
+    by column or row by row: the order that explains the points is taken; without such an order there are no directions.
 
     Args:
         points: (N, 3) in the scanner's own frame, none at zero.
@@ -220,20 +223,20 @@ def missed_directions(
     rays = points / np.linalg.norm(points, axis=1, keepdims=True)
     n_columns, n_rows = shape
     orders = [
-        _Grid(rays, cells // n_rows, cells % n_rows, shape),
-        _Grid(rays, cells % n_columns, cells // n_columns, shape),
+        _AngleGrid(rays, cells // n_rows, cells % n_rows, shape),
+        _AngleGrid(rays, cells % n_columns, cells // n_columns, shape),
     ]
     best = min(orders, key=lambda grid: grid.misfit)
     if best.misfit > min(best.spacing, _LARGEST_MISFIT):
         return np.zeros((0, 3))
     if best is orders[0]:
-        directions = best.directions(missed // n_rows, missed % n_rows)
+        directions = best.compute_directions(missed // n_rows, missed % n_rows)
     else:
-        directions = best.directions(missed % n_columns, missed // n_columns)
+        directions = best.compute_directions(missed % n_columns, missed // n_columns)
     return np.asarray(directions[np.isfinite(directions).all(axis=1)])
 
 
-class _Grid:
+class _AngleGrid:
     """The azimuth of each column and the elevation of each row that explain rays best [rad].
 
     Attributes:
@@ -250,23 +253,23 @@ class _Grid:
     ) -> None:
         sums = [np.bincount(columns, rays[:, axis], shape[0]) for axis in (0, 1)]
         is_column = np.bincount(columns, minlength=shape[0]) > 0
-        self._azimuth = _between(np.unwrap(np.arctan2(sums[1], sums[0])[is_column]), is_column)
+        self._azimuth = _interpolate_lines(np.unwrap(np.arctan2(sums[1], sums[0])[is_column]), is_column)
         n_in_row = np.bincount(rows, minlength=shape[1])
         elevations = np.bincount(rows, np.arcsin(np.clip(rays[:, 2], -1.0, 1.0)), shape[1])
-        self._elevation = _between((elevations / np.maximum(n_in_row, 1))[n_in_row > 0], n_in_row > 0)
-        off = np.linalg.norm(self.directions(columns, rows) - rays, axis=1)
+        self._elevation = _interpolate_lines((elevations / np.maximum(n_in_row, 1))[n_in_row > 0], n_in_row > 0)
+        off = np.linalg.norm(self.compute_directions(columns, rows) - rays, axis=1)
         self.misfit = float(np.percentile(off, _NEARLY_ALL))
-        self.spacing = max(_step(self._azimuth), _step(self._elevation))
+        self.spacing = max(_measure_spacing(self._azimuth), _measure_spacing(self._elevation))
 
-    def directions(self, columns: Int[np.ndarray, "K"], rows: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
+    def compute_directions(self, columns: Int[np.ndarray, "K"], rows: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
         """Unit vectors; NaN where the columns and rows that met something do not tell."""
         azimuth, elevation = self._azimuth[columns], self._elevation[rows]
         flat = np.where(np.abs(elevation) <= 0.5 * np.pi, np.cos(elevation), np.nan)
         return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
 
 
-def _between(known: Float[np.ndarray, "K"], is_known: Bool[np.ndarray, "L"]) -> Float[np.ndarray, "L"]:
-    """A value for each line: its own, or one between those of the known lines about it.
+def _interpolate_lines(known: Float[np.ndarray, "K"], is_known: Bool[np.ndarray, "L"]) -> Float[np.ndarray, "L"]:
+    """Return a value for each line: its own, or one between those of the known lines about it.
 
     Before and after them it goes on in even steps where the known lines have such, else it is NaN.
     """
@@ -281,7 +284,7 @@ def _between(known: Float[np.ndarray, "K"], is_known: Bool[np.ndarray, "L"]) -> 
     return np.asarray(values)
 
 
-def _step(angles: Float[np.ndarray, "L"]) -> float:
-    """The usual angle between neighbours [rad]."""
+def _measure_spacing(angles: Float[np.ndarray, "L"]) -> float:
+    """Return the median angle between neighbours [rad]."""
     steps = np.abs(np.diff(angles[np.isfinite(angles)]))
     return float(np.median(steps)) if len(steps) else 0.0

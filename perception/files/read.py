@@ -1,4 +1,4 @@
-"""Cloud files of any supported kind to a cloud."""
+"""Reading of cloud files: each is parsed in a sandbox, placed in the world and merged with the others."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from perception.cloud import Cloud, merge_clouds
 from perception.errors import CloudError
 from perception.files.bag import Message
 from perception.files.parse import is_bag, parse_to_values
-from perception.files.placing import Pose, place_scan
+from perception.files.placing import PoseInput, place_scan
 from perception.files.scan import Scan
-from perception.files.thinning import taken
+from perception.files.thinning import pick_rows
 from perception.limits import MAX_PARSER_BYTES, MAX_PARSER_CPU_S, MAX_PARSER_WALL_S, MAX_POINTS
 from perception.sandbox import Cause, ProcessLimits, SandboxError, run_in_sandbox
 
@@ -25,7 +25,7 @@ def read_cloud(
     path: Path | str,
     *,
     unit: str = "m",
-    transform: Pose | None = None,
+    transform: PoseInput | None = None,
     apply_viewpoint: bool = False,
     sensor: Sequence[float] | None = None,
     topic: str | None = None,
@@ -33,8 +33,8 @@ def read_cloud(
 ) -> Cloud:
     """Read a cloud file; the kind follows from its suffix.
 
-    The file's numbers become metres first; then its viewpoint moves the points, if asked; then ``transform`` does.  The
-    viewpoint's translation, taken along, is where the rays started.
+    The file's numbers become metres first; then its viewpoint moves the points, if ``apply_viewpoint``; then
+    ``transform`` does.  The viewpoint's translation, moved likewise, is where the rays started.
 
     Args:
         path: the file.
@@ -47,7 +47,7 @@ def read_cloud(
         message: of a bag, the number of the message to read, the first being 0 and the last -1, or ``all``, merged.
 
     Raises:
-        CloudError: naming the file, what is wrong and what would do.
+        CloudError: naming the file, what is wrong and what is expected.
     """
     return read_clouds(
         [(path, transform)], unit=unit, apply_viewpoint=apply_viewpoint, sensor=sensor, topic=topic, message=message
@@ -55,7 +55,7 @@ def read_cloud(
 
 
 def read_clouds(
-    files: Sequence[tuple[Path | str, Pose | None]],
+    files: Sequence[tuple[Path | str, PoseInput | None]],
     *,
     unit: str = "m",
     apply_viewpoint: bool = False,
@@ -71,7 +71,7 @@ def read_clouds(
         topic, message: of all bags among them.
 
     Raises:
-        CloudError: no file, or what ``read_cloud`` has to say of one of them.
+        CloudError: no file, or as ``read_cloud`` of one of them.
     """
     if not files:
         raise CloudError("no cloud file is given; at least one is needed")
@@ -84,9 +84,9 @@ def read_clouds(
         cloud = place_scan(scan, str(path), unit, transform, apply_viewpoint, sensor)
         if len(files) > 1:
             cloud = replace(cloud, notes=tuple(f"{path}: {note}" for note in cloud.notes))
-        clouds.append(_thinned(cloud, step))
-        while sum(len(one.points) + len(one.misses) for one in clouds) > MAX_POINTS:
-            clouds, step = [_thinned(one, 2) for one in clouds], 2 * step
+        clouds.append(_thin(cloud, step))
+        while sum(len(part.points) + len(part.misses) for part in clouds) > MAX_POINTS:
+            clouds, step = [_thin(part, 2) for part in clouds], 2 * step
     whole = merge_clouds(clouds)
     if step == 1:
         return whole
@@ -94,11 +94,11 @@ def read_clouds(
     return replace(whole, notes=(*whole.notes, note))
 
 
-def _thinned(cloud: Cloud, step: int) -> Cloud:
-    """One of every ``step`` points and rays."""
+def _thin(cloud: Cloud, step: int) -> Cloud:
+    """Return one of every ``step`` points and rays."""
     if step == 1:
         return cloud
-    points, misses = (np.arange(n)[taken(n, step)] for n in (len(cloud.points), len(cloud.misses)))
+    points, misses = (np.arange(n)[pick_rows(n, step)] for n in (len(cloud.points), len(cloud.misses)))
     behind = cloud.miss_origin
     if behind is not None and behind.ndim == 2:
         behind = behind[misses]
@@ -108,7 +108,7 @@ def _thinned(cloud: Cloud, step: int) -> Cloud:
 def parse_in_sandbox(
     path: Path, topic: str | None = None, message: Message = 0, limits: ProcessLimits = PARSER_LIMITS
 ) -> Scan:
-    """As ``parse_file``, in a fresh process: whatever the file does to its reader, this process sees a ``CloudError``.
+    """Parse a file as ``parse_file`` does, in a process sandbox; a crash of the reader is a ``CloudError`` here.
 
     Raises:
         CloudError: naming the file, what is wrong and what is expected.
@@ -117,14 +117,14 @@ def parse_in_sandbox(
     try:
         values = run_in_sandbox(parse_to_values, {"path": str(path), "topic": topic, "message": message}, limits)
     except SandboxError as error:
-        raise CloudError(f"{path}: {_reason(error)}") from None
+        raise CloudError(f"{path}: {_explain(error)}") from None
     if "error" in values:
         raise CloudError(values["error"])
     viewpoint = values.pop("viewpoint")
     return Scan(viewpoint=None if viewpoint is None else tuple(viewpoint), notes=tuple(values.pop("notes")), **values)
 
 
-def _reason(error: SandboxError) -> str:
+def _explain(error: SandboxError) -> str:
     needs_memory = f"needs more than {error.limit} to read; is it damaged, or much larger than it looks?"
     if error.cause is Cause.MEMORY:
         return needs_memory

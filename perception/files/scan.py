@@ -24,7 +24,7 @@ _KNOWN = (*COORDINATES, *STARTS, NO_RETURN)
 
 @dataclass(frozen=True)
 class Scan:
-    """One file's content.
+    """Rows as they stand in a file, in its unit and frame, from its reader.
 
     Attributes:
         points: (N, 3) coordinates in the file's unit; a row with NaN is no point.
@@ -45,21 +45,21 @@ class Scan:
     unit: str = ""
 
 
-def places(names: Sequence[str]) -> dict[str, int]:
-    """Where the columns we read stand among ``names``, case aside; the first of each name counts."""
+def index_columns(names: Sequence[str]) -> dict[str, int]:
+    """Return the index of each column we read among ``names``, case aside; the first of each name counts."""
     lowered = [name.lower() for name in names]
     return {name: lowered.index(name) for name in _KNOWN if name in lowered}
 
 
-def missing_coordinate(found: Mapping[str, int]) -> str:
-    """The first of x, y, z that is not there; empty when all are."""
-    return next((axis for axis in COORDINATES if axis not in found), "")
+def find_missing_axis(columns: Mapping[str, int]) -> str:
+    """Return the first of x, y, z that is missing; empty if none is."""
+    return next((axis for axis in COORDINATES if axis not in columns), "")
 
 
-def scan_of(
+def make_scan(
     columns: Mapping[str, Shaped[np.ndarray, "N"]], viewpoint: tuple[float, ...] | None, notes: tuple[str, ...] = ()
 ) -> Scan:
-    """Rows to a scan.
+    """Make a scan of columns.
 
     Args:
         columns: x, y, z; ``vp_x``, ``vp_y``, ``vp_z``: where each ray started; ``no_return``: other than 0 where the
@@ -67,8 +67,8 @@ def scan_of(
         viewpoint: x y z qw qx qy qz.
         notes: sentences a user should read.
     """
-    rows = _stacked(columns, COORDINATES)
-    starts = _stacked(columns, STARTS) if all(name in columns for name in STARTS) else None
+    rows = _stack_columns(columns, COORDINATES)
+    starts = _stack_columns(columns, STARTS) if all(name in columns for name in STARTS) else None
     if NO_RETURN not in columns:
         return Scan(rows, viewpoint, starts=starts, notes=notes)
     missed = np.nan_to_num(columns[NO_RETURN].astype(np.float64)) != 0.0
@@ -83,7 +83,7 @@ def scan_of(
 
 
 def parse_viewpoint(words: Sequence[str], name: str) -> tuple[float, ...]:
-    """``x y z`` or ``x y z qw qx qy qz`` as seven numbers.
+    """Parse ``x y z`` or ``x y z qw qx qy qz`` to seven numbers.
 
     Raises:
         CloudError: they are not such numbers.
@@ -96,24 +96,24 @@ def parse_viewpoint(words: Sequence[str], name: str) -> tuple[float, ...]:
         numbers = (*numbers, 1.0, 0.0, 0.0, 0.0)
     if len(numbers) != 7 or not np.abs(numbers).max() <= LARGEST_COORDINATE or np.linalg.norm(numbers[3:]) < 1e-6:
         raise CloudError(
-            f"{name}: viewpoint '{shown(' '.join(words))}' is not x y z, or x y z and a quaternion w x y z"
+            f"{name}: viewpoint '{quote(' '.join(words))}' is not x y z, or x y z and a quaternion w x y z"
         )
     return numbers
 
 
-def natural(word: str) -> int | None:
-    """A whole number of at least 0 in decimal digits; None when it is none, or beyond all that a file can hold."""
+def parse_natural(word: str) -> int | None:
+    """Parse a whole number of at least 0 in decimal digits; None if it is none, or larger than any file's content."""
     return int(word) if word.isdecimal() and word.isascii() and len(word) <= 15 else None
 
 
-def shown(text: str) -> str:
-    """A piece of a file as an error may quote it: short, on one line, printable."""
+def quote(text: str) -> str:
+    """Return an extract of a file for an error message: short, on one line, printable."""
     clean = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
     clean = _UNREADABLE.sub("?", clean)
     return clean if len(clean) <= 80 else f"{clean[:77]}..."
 
 
-def _stacked(columns: Mapping[str, Shaped[np.ndarray, "N"]], names: Sequence[str]) -> Float[np.ndarray, "N 3"]:
+def _stack_columns(columns: Mapping[str, Shaped[np.ndarray, "N"]], names: Sequence[str]) -> Float[np.ndarray, "N 3"]:
     rows = np.empty((len(columns[names[0]]), len(names)))
     for i, name in enumerate(names):
         rows[:, i] = columns[name]

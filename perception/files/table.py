@@ -12,12 +12,12 @@ import numpy as np
 
 from perception.errors import CloudError
 from perception.files.content import Content
-from perception.files.scan import COORDINATES, Scan, natural, parse_viewpoint, places, scan_of, shown
-from perception.files.text import COMMENTS, Rows, cells_of, fits, read_rows, separator_of, trimmed
+from perception.files.scan import COORDINATES, Scan, index_columns, make_scan, parse_natural, parse_viewpoint, quote
+from perception.files.text import COMMENTS, Rows, find_separator, fits, read_rows, split_cells, trim
 
 _WHOLE = re.compile(r"[+-]?\d+")
 _WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
-# With which spreadsheets begin a table.
+# First line of a table from a spreadsheet.
 _SEPARATOR_TOLD = re.compile(r"sep=.", re.IGNORECASE)
 _JUDGED = 2**14
 _FEWEST_JUDGED = 10
@@ -34,16 +34,16 @@ _NUMBERED = re.compile(r"^(points[^:]*|[^:]*xyz)([:_])0$")
 
 
 def read_text(data: Content, name: str) -> Scan:
-    """Rows, thinned to as many as are used, of columns separated by blanks, tabs, commas or semicolons.
+    """Read rows, thinned to as many as are used, of columns separated by blanks, tabs, commas or semicolons.
 
     A first line that is not numbers is a header and names the columns (x y z in any case, also with a unit, or
-    ``Points:0`` ..., and those of ``columns.scan_of``); without one the first three columns are taken.  A lone number
+    ``Points:0`` ..., and those of ``scan.make_scan``); without one the first three columns are taken.  A lone number
     before the rows is how many there are at least.  A comment ``# viewpoint x y z [qw qx qy qz]`` gives the sensor.
 
     Raises:
         CloudError: naming ``name``, the line and what is wrong.
     """
-    data, at = (_as_lines(data), 0) if isinstance(data, bytes) else (data, _start_of(data, name))
+    data, at = (_clean_text(data), 0) if isinstance(data, bytes) else (data, _skip_mark(data, name))
     viewpoint: tuple[float, ...] | None = None
     header: Header | None = None
     n_announced: int | None = None
@@ -51,27 +51,27 @@ def read_text(data: Content, name: str) -> Scan:
     line = ""
     while at < len(data):
         end = data.find(b"\n", at) + 1 or len(data)
-        line = trimmed(data[at:end].decode("utf-8", errors="replace"))
+        line = trim(data[at:end].decode("utf-8", errors="replace"))
         if line.startswith(COMMENTS):
             words = line.lstrip("#/% ").split()
             if words and words[0].lower().rstrip(":") == "viewpoint":
                 viewpoint = parse_viewpoint(words[1:], name)
-        named = None if header else header_of(line.lstrip("#/% "))
+        named = None if header else _parse_header(line.lstrip("#/% "))
         if named:
             header = named
-        elif n_announced is None and natural(line) is not None:
-            n_announced = natural(line)
+        elif n_announced is None and parse_natural(line) is not None:
+            n_announced = parse_natural(line)
         elif line and not line.startswith(COMMENTS) and not _SEPARATOR_TOLD.fullmatch(line):
             break
         at, n_lines = end, n_lines + 1
     if at >= len(data):
         what = "has a header but no points" if header else "holds no points"
         raise CloudError(f"{name}: {what}; at least one is needed")
-    if header is None and names_columns(line):
-        held = ", ".join(cells_of(line, separator_of(line)))
-        raise CloudError(f"{name}: line {n_lines + 1}: the header names no x, y, z; it has {shown(held)}")
-    separator, has_decimal_commas = _separation(line)
-    cells = cells_of(line, separator)
+    if header is None and _names_columns(line):
+        held = ", ".join(split_cells(line, find_separator(line)))
+        raise CloudError(f"{name}: line {n_lines + 1}: the header names no x, y, z; it has {quote(held)}")
+    separator, has_decimal_commas = _find_separation(line)
+    cells = split_cells(line, separator)
     _check_commas(data[at : at + _JUDGED], separator, header, name, n_lines + 1)
     rows = read_rows(
         data,
@@ -80,7 +80,7 @@ def read_text(data: Content, name: str) -> Scan:
         start=at,
         separator=separator,
         has_decimal_commas=has_decimal_commas,
-        width=_width(header, cells, name, n_lines + 1) if header else None,
+        width=_choose_width(header, cells, name, n_lines + 1) if header else None,
         first_line=n_lines + 1,
     )
     if rows.n_there < (n_announced or 0):
@@ -88,12 +88,12 @@ def read_text(data: Content, name: str) -> Scan:
     columns = {key: rows.values[:, i] for i, key in enumerate(header.columns if header else COORDINATES)}
     notes = ("commas are read as decimal points", *rows.notes) if has_decimal_commas else rows.notes
     if not header:
-        notes = (*notes, *_doubt(rows, cells, name))
-    return replace(scan_of(columns, viewpoint, notes), unit=_unit(header, name) if header else "")
+        notes = (*notes, *_note_doubts(rows, cells, name))
+    return replace(make_scan(columns, viewpoint, notes), unit=_check_unit(header, name) if header else "")
 
 
-def _unit(header: Header, name: str) -> str:
-    """Of the coordinates, where the header says it of all three; else empty.
+def _check_unit(header: Header, name: str) -> str:
+    """Return the unit of the coordinates if the header gives it for all three; else an empty text.
 
     Raises:
         CloudError: it says different ones.
@@ -105,11 +105,11 @@ def _unit(header: Header, name: str) -> str:
     return header.units[0] if len(set(header.units)) == 1 else ""
 
 
-def _width(header: Header, cells: Sequence[str], name: str, number: int) -> int | None:
-    """How many columns the rows have, where the header says it; None where names with blanks in them hide it.
+def _choose_width(header: Header, cells: Sequence[str], name: str, number: int) -> int | None:
+    """Return the number of columns by the header; None if names with blanks in them hide it.
 
     Raises:
-        CloudError: which columns the names stand for cannot be told.
+        CloudError: the names cannot be assigned to columns.
     """
     if fits(cells, header.width):
         return header.width
@@ -119,17 +119,17 @@ def _width(header: Header, cells: Sequence[str], name: str, number: int) -> int 
     if len(cells) < header.width and is_first:  # only names after those that are read can be of several words
         return None
     raise CloudError(
-        f"{name}: line {number} has {len(cells)} columns, the header names {header.width}; one name for each, without "
-        "blanks, would do"
+        f"{name}: line {number} has {len(cells)} columns, the header names {header.width}; give one name for each, "
+        "without blanks"
     )
 
 
-def _separation(line: str) -> tuple[str | None, bool]:
-    """What separates the cells of a row, and whether commas in them are decimal points."""
-    mark = separator_of(line)
+def _find_separation(line: str) -> tuple[str | None, bool]:
+    """Return the separator of the cells of a row, and whether commas in them are decimal points."""
+    mark = find_separator(line)
     if mark == ",":
         for other in ("\t", None):
-            cells = cells_of(line, other)
+            cells = split_cells(line, other)
             if len(cells) >= len(COORDINATES) and all(_WITH_COMMA.fullmatch(cell) for cell in cells):
                 return other, True
     return mark, False
@@ -144,7 +144,7 @@ def _check_commas(body: bytes, separator: str | None, header: Header | None, nam
     if separator != ",":
         return
     lines = (line.strip() for line in body.decode("utf-8", errors="replace").splitlines())
-    rows = [cells_of(line, ",") for line in islice((line for line in lines if line), 100)]
+    rows = [split_cells(line, ",") for line in islice((line for line in lines if line), 100)]
     width = 2 * (header.width if header else len(COORDINATES))
     if all(len(cells) == width and _are_whole(cells) for cells in rows[: max(1, len(rows) - 1)]):
         raise CloudError(
@@ -153,8 +153,8 @@ def _check_commas(body: bytes, separator: str | None, header: Header | None, nam
         )
 
 
-def _doubt(rows: Rows, cells: Sequence[str], name: str) -> tuple[str, ...]:
-    """What to tell of a table without a header whose first three columns look like others than x, y, z.
+def _note_doubts(rows: Rows, cells: Sequence[str], name: str) -> tuple[str, ...]:
+    """Note a table without a header whose first three columns look like others than x, y, z.
 
     Raises:
         CloudError: the first of four or more columns counts the rows.
@@ -177,16 +177,16 @@ def _are_whole(cells: Sequence[str]) -> bool:
     return all(_WHOLE.fullmatch(cell) for cell in cells)
 
 
-def _as_lines(data: bytes) -> bytes:
-    """Without byte order mark, lines ending in a line feed."""
+def _clean_text(data: bytes) -> bytes:
+    """Return the text without byte order mark, lines ending in a line feed."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16", errors="replace").encode()
     data = data.removeprefix(codecs.BOM_UTF8)
     return data if b"\n" in data else data.replace(b"\r", b"\n")
 
 
-def _start_of(data: Content, name: str) -> int:
-    """Where the lines of a large file begin, which is not turned into another encoding."""
+def _skip_mark(data: Content, name: str) -> int:
+    """Return the start of the lines of a large file, which is not converted to another encoding."""
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         raise CloudError(f"{name}: is UTF-16 text of {len(data)} bytes; save so large a file as UTF-8")
     return len(codecs.BOM_UTF8) if data[:3] == codecs.BOM_UTF8 else 0
@@ -194,7 +194,7 @@ def _start_of(data: Content, name: str) -> int:
 
 @dataclass(frozen=True)
 class Header:
-    """What a line names.
+    """Columns that the first line of a table names.
 
     Attributes:
         columns: where those stand that are read, by name.
@@ -207,23 +207,23 @@ class Header:
     units: tuple[str, str, str] = ("", "", "")
 
 
-def header_of(line: str) -> Header | None:
-    """The columns that a line names; None when x, y and z are not among them."""
-    cells = cells_of(_BEFORE_BRACKET.sub("", line), separator_of(line))
+def _parse_header(line: str) -> Header | None:
+    """Return the columns that a line names; None if x, y and z are not among them."""
+    cells = split_cells(_BEFORE_BRACKET.sub("", line), find_separator(line))
     while len(cells) > 1 and not cells[-1]:
         cells = cells[:-1]
-    named = [_name_and_unit(cell.lower()) for cell in cells]
+    named = [_split_unit(cell.lower()) for cell in cells]
     names = [name for name, _ in named]
-    coordinates = _coordinates(names)
+    coordinates = _find_coordinates(names)
     if not coordinates:
         return None
     x, y, z = (named[coordinates[axis]][1] for axis in COORDINATES)
-    return Header(places(names) | coordinates, len(cells), (x, y, z))
+    return Header(index_columns(names) | coordinates, len(cells), (x, y, z))
 
 
-def names_columns(line: str) -> bool:
+def _names_columns(line: str) -> bool:
     """Whether a line looks like names of at least three columns, whatever they are."""
-    cells = cells_of(line, separator_of(line))[:3]
+    cells = split_cells(line, find_separator(line))[:3]
     return len(cells) == 3 and all(cell[:1].isalpha() and not _is_number(cell) for cell in cells)
 
 
@@ -235,8 +235,8 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _name_and_unit(cell: str) -> tuple[str, str]:
-    """``X [mm]``, ``x_mm`` and ``field.x`` as name and unit."""
+def _split_unit(cell: str) -> tuple[str, str]:
+    """Split ``X [mm]``, ``x_mm`` and ``field.x`` into name and unit."""
     bracket = _BRACKET.search(cell)
     unit = ""
     if bracket is not None:
@@ -247,7 +247,7 @@ def _name_and_unit(cell: str) -> tuple[str, str]:
     return cell, unit
 
 
-def _coordinates(names: Sequence[str]) -> dict[str, int]:
+def _find_coordinates(names: Sequence[str]) -> dict[str, int]:
     triples: list[tuple[str, ...]] = [COORDINATES]
     triples += [tuple(f"{match[1]}{match[2]}{i}" for i in range(3)) for match in map(_NUMBERED.match, names) if match]
     for triple in triples:

@@ -13,8 +13,8 @@ import numpy as np
 
 from perception.errors import CloudError
 from perception.files.content import Content
-from perception.files.scan import natural, shown
-from perception.files.thinning import row_of, step_of, taken, thinning_note
+from perception.files.scan import parse_natural, quote
+from perception.files.thinning import choose_step, note_thinning, pick_row, pick_rows
 from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class Rows:
     """Rows of numbers, thinned to as many as are used.
 
     Attributes:
-        values: (R, C) the columns that were asked for.
+        values: (R, C) the requested columns.
         n_there: how many rows the text has, as far as it was read.
         step: one of so many was taken.
     """
@@ -48,23 +48,23 @@ class Rows:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to tell a user."""
-        return thinning_note(self.n_there, self.step)
+        """Note about the thinning."""
+        return note_thinning(self.n_there, self.step)
 
 
-def separator_of(line: str) -> str | None:
-    """What separates the cells of a line; None: blanks."""
+def find_separator(line: str) -> str | None:
+    """Return the separator of the cells of a line; None: blanks."""
     return next((mark for mark in (";", ",", "\t") if mark in line), None)
 
 
-def cells_of(line: str, separator: str | None) -> list[str]:
-    """The cells of a line without quotes; what follows a separator at its end is an empty cell."""
-    row = line.strip() if separator is None else trimmed(line)
+def split_cells(line: str, separator: str | None) -> list[str]:
+    """Return the cells of a line without quotes; what follows a separator at its end is an empty cell."""
+    row = line.strip() if separator is None else trim(line)
     return [cell.strip().strip("\"'") for cell in row.split(separator)]
 
 
-def trimmed(line: str) -> str:
-    """A line without blanks around it, but with a tab at its end, which opens an empty cell."""
+def trim(line: str) -> str:
+    """Return a line without blanks around it, but with a tab at its end, which opens an empty cell."""
     return line.lstrip().rstrip(" \r\n")
 
 
@@ -73,8 +73,8 @@ def fits(cells: Sequence[str], width: int) -> bool:
     return len(cells) == width or (len(cells) == width + 1 and cells[-1] == "")
 
 
-def with_line_feeds(content: Content, mark: bytes) -> Content:
-    """A text whose lines end in carriage returns alone with line feeds; ``mark`` is in its head if it is text."""
+def use_line_feeds(content: Content, mark: bytes) -> Content:
+    """Replace lone carriage returns at line ends by line feeds; ``mark`` is in the head of the file if it is text."""
     if isinstance(content, bytes) and b"\n" not in content and mark in content[:_LONGEST_LINE]:
         return content.replace(b"\r", b"\n")
     return content
@@ -94,7 +94,7 @@ def read_rows(
     first_line: int = 1,
     step: int | None = None,
 ) -> Rows:
-    """The numbers in ``columns`` of each row; an empty cell is NaN.
+    """Read the numbers in ``columns`` of each row; an empty cell is NaN.
 
     Args:
         content: lines; empty ones and comments are skipped.
@@ -115,28 +115,30 @@ def read_rows(
     first = content.find(b"\n", start, stop)
     if (stop if first < 0 else first) - start > _LONGEST_LINE:
         raise CloudError(f"{name}: line {first_line} is longer than {_LONGEST_LINE} bytes; one row a line is needed")
-    n_lines = sum(block.count(b"\n") for block in _blocks(content, start, stop)) + (content[stop - 1 : stop] != b"\n")
+    n_lines = sum(block.count(b"\n") for block in _read_blocks(content, start, stop)) + (
+        content[stop - 1 : stop] != b"\n"
+    )
     if n_rows is None and n_lines > MAX_FILE_POINTS:
         raise CloudError(f"{name}: more than {MAX_FILE_POINTS} rows; downsample it first")
     if step is None:
-        step = max(step_of(n_lines if n_rows is None else n_rows), -(-(stop - start) // MAX_WHOLE_BYTES))
+        step = max(choose_step(n_lines if n_rows is None else n_rows), -(-(stop - start) // MAX_WHOLE_BYTES))
     n_there = None
     if step == 1:
         body = content[start:stop]
     else:
-        body, n_there = _some_lines(content, start, stop, step, n_rows)
+        body, n_there = _pick_lines(content, start, stop, step, n_rows)
         n_rows = None
     has_decimal_commas |= separator == ";"
-    table = _plain_numbers(body.replace(b",", b".") if has_decimal_commas else body, separator, n_rows)
+    table = _parse_plain(body.replace(b",", b".") if has_decimal_commas else body, separator, n_rows)
     if table is None or table.shape[1] <= max(columns) or table.shape[1] != (width or table.shape[1]):
-        table = _careful(body, columns, name, separator, has_decimal_commas, width, n_rows, first_line, step)
+        table = _parse_with_care(body, columns, name, separator, has_decimal_commas, width, n_rows, first_line, step)
     else:
         table = np.ascontiguousarray(table[:, list(columns)])
     return Rows(table, len(table) if n_there is None else n_there, step)
 
 
-def after_lines(content: Content, start: int, n_lines: int) -> int:
-    """Where the lines end that begin at ``start``, the last perhaps without its line feed; -1 where there are fewer."""
+def skip_lines(content: Content, start: int, n_lines: int) -> int:
+    """Return the end of ``n_lines`` lines from ``start``, the last perhaps without line feed; -1 if there are fewer."""
     at = start
     while n_lines:
         block = content[at : at + (_BLOCK if n_lines > 1 else _LONGEST_LINE)]
@@ -150,8 +152,8 @@ def after_lines(content: Content, start: int, n_lines: int) -> int:
     return at
 
 
-def _blocks(content: Content, start: int, stop: int) -> Iterator[bytes]:
-    """Whole lines, some megabytes at a time."""
+def _read_blocks(content: Content, start: int, stop: int) -> Iterator[bytes]:
+    """Yield whole lines, some megabytes at a time."""
     while start < stop:
         end = stop
         if end - start > _BLOCK:
@@ -160,26 +162,26 @@ def _blocks(content: Content, start: int, stop: int) -> Iterator[bytes]:
         start = end
 
 
-def _some_lines(content: Content, start: int, stop: int, step: int, n_rows: int | None) -> tuple[bytes, int]:
-    """One of every ``step`` lines that are rows, and how many of those there are among the first ``n_rows``."""
+def _pick_lines(content: Content, start: int, stop: int, step: int, n_rows: int | None) -> tuple[bytes, int]:
+    """Return one of every ``step`` lines that are rows, and the number of rows among the first ``n_rows``."""
     body, n_there = bytearray(), 0
-    for block in _blocks(content, start, stop):
+    for block in _read_blocks(content, start, stop):
         lines = [line for line in block.split(b"\n") if line and not line.isspace()]
         if any(mark in block for mark in _MARKS):
             lines = [line for line in lines if not line.lstrip().startswith(_MARKS)]
         if n_rows is not None:
             lines = lines[: n_rows - n_there]
-        body += b"".join(lines[i] + b"\n" for i in np.arange(len(lines))[taken(len(lines), step, n_there)])
+        body += b"".join(lines[i] + b"\n" for i in np.arange(len(lines))[pick_rows(len(lines), step, n_there)])
         n_there += len(lines)
     return bytes(body), n_there
 
 
-def _plain_numbers(body: bytes, separator: str | None, n_rows: int | None) -> Float[np.ndarray, "R C"] | None:
-    """All columns, when every row has as many numbers as the first."""
+def _parse_plain(body: bytes, separator: str | None, n_rows: int | None) -> Float[np.ndarray, "R C"] | None:
+    """Return all columns if every row has as many numbers as the first."""
     n_lines = body.count(b"\n") + 1  # a larger max_rows would be set aside in advance
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an empty table: whoever asked for it tells
+            warnings.simplefilter("ignore")  # the caller reports an empty table
             return np.loadtxt(
                 io.BytesIO(body),
                 comments=None,
@@ -192,7 +194,7 @@ def _plain_numbers(body: bytes, separator: str | None, n_rows: int | None) -> Fl
         return None
 
 
-def _careful(
+def _parse_with_care(
     body: bytes,
     columns: Sequence[int],
     name: str,
@@ -205,13 +207,13 @@ def _careful(
 ) -> Float[np.ndarray, "R C"]:
     numbers = array.array("d")
     n_read, n_first, is_open = 0, width, False
-    for place, line in enumerate(_lines(body)):
-        number = first_line + (place if step == 1 else int(row_of(np.array(place), step)))
+    for place, line in enumerate(_split_lines(body)):
+        number = first_line + (place if step == 1 else int(pick_row(np.array(place), step)))
         if not line or line.startswith(COMMENTS):
             continue
         if n_read == n_rows:
             break
-        cells = cells_of(line, separator)
+        cells = split_cells(line, separator)
         if n_first is None and len(cells) <= max(columns):
             raise CloudError(f"{name}: line {number} has {len(cells)} columns; at least {max(columns) + 1} are needed")
         if n_first is None:
@@ -219,28 +221,28 @@ def _careful(
             is_open = cells[-1] == "" and n_first > max(columns) + 1  # the separator at its end may open a column
         if not fits(cells, n_first) and not (is_open and fits(cells, n_first - 1)):
             needed = f"the first has {n_first - is_open}" if width is None else f"{width} are announced"
-            is_count = len(cells) == 1 and natural(cells[0]) is not None
-            more = "; if it counts the points of a further scan, a file for each scan would do" if is_count else ""
+            is_count = len(cells) == 1 and parse_natural(cells[0]) is not None
+            more = "; if it counts the points of a further scan, give a file for each scan" if is_count else ""
             raise CloudError(f"{name}: line {number} has {len(cells)} columns, {needed}{more}")
         for column in columns:
-            numbers.append(_number(cells[column], has_decimal_commas, name, number))
+            numbers.append(_parse_number(cells[column], has_decimal_commas, name, number))
         n_read += 1
     if not numbers:
         return np.zeros((0, len(columns)))
     return np.frombuffer(numbers, dtype=np.float64).reshape(-1, len(columns))
 
 
-def _lines(body: bytes) -> Iterator[str]:
+def _split_lines(body: bytes) -> Iterator[str]:
     for line in io.BytesIO(body):
-        yield trimmed(line.decode("utf-8", errors="replace"))
+        yield trim(line.decode("utf-8", errors="replace"))
 
 
-def _number(cell: str, has_decimal_commas: bool, name: str, line: int) -> float:
+def _parse_number(cell: str, has_decimal_commas: bool, name: str, line: int) -> float:
     if cell.lower() in _WORDS:
         return _WORDS[cell.lower()]
     try:
         return float(cell.replace(",", ".") if has_decimal_commas else cell)
     except ValueError:
         is_comma = "," in cell and not has_decimal_commas
-        comma = "; is the comma a decimal point? a point, or semicolons between columns, would do" if is_comma else ""
-        raise CloudError(f"{name}: line {line}: '{shown(cell)}' is not a number{comma}") from None
+        comma = "; is the comma a decimal point? use a point, or semicolons between columns" if is_comma else ""
+        raise CloudError(f"{name}: line {line}: '{quote(cell)}' is not a number{comma}") from None

@@ -9,7 +9,7 @@ from scipy import ndimage
 from perception.cleaning.clean import voxel_index
 from perception.convex.freespace import FreeSpace
 from perception.convex.planes import Plane
-from perception.convex.slabs import slabs_of
+from perception.convex.slabs import make_slabs
 from perception.ground.extent import pierced_cells
 from perception.ground.floor import FloorPlane
 
@@ -50,7 +50,7 @@ def outlines_of(
         plane = Plane(level.normal, level.offset, part, part[:0])
         beyond = _wide_gaps(places[part])
         beyond_flat = np.column_stack([beyond, level.height(beyond)]) @ plane.basis.T
-        for slab in slabs_of(plane, points, *rays, _NOTHING, gaps=beyond_flat):
+        for slab in make_slabs(plane, points, *rays, _NOTHING, gaps=beyond_flat):
             if _width(slab.outline) >= _NARROWEST:
                 corners = slab.outline @ plane.basis[:, :2] + plane.offset * plane.normal[:2]
                 outlines.append((slab.area, corners))

@@ -1,1 +1,1 @@
-"""Closed meshes: read, checked, split by CoACD into convex parts, and found in a scan; clouds made into such meshes."""
+"""Closed meshes: read, checked, split by CoACD into convex parts, and located in a scan; scans split alike."""

@@ -1,4 +1,4 @@
-"""Convex parts kept on disk by what they were made of: bounded, shared by processes, and never trusted blindly."""
+"""Convex parts kept on disk by what they were made of: bounded, shared by processes, and checked when read."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ class PartsCache:
 
     @staticmethod
     def of_user() -> PartsCache:
-        """The one in the user's cache folder (``XDG_CACHE_HOME``)."""
+        """Return the cache in the user's folder (``XDG_CACHE_HOME``)."""
         return PartsCache(_default_folder())
 
     def get(self, key: str) -> Parts | None:
-        """What was kept under ``key``; None when there is nothing, or nothing sound (which is then removed)."""
+        """Return the parts kept under ``key``; None if there are none, or the file is damaged (then it is removed)."""
         path = self._path(key)
         try:
             # Opened here: np.load leaves a broken file open.
             with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-                parts = _split(kept["vertices"], kept["counts"])
+                parts = _split_parts(kept["vertices"], kept["counts"])
             os.utime(path)
         except FileNotFoundError:
             return None
@@ -93,7 +93,7 @@ class PartsCache:
             excess -= size
 
 
-def _split(vertices: Float[np.ndarray, "N 3"], counts: Int[np.ndarray, "P"]) -> Parts:
+def _split_parts(vertices: Float[np.ndarray, "N 3"], counts: Int[np.ndarray, "P"]) -> Parts:
     sound = vertices.ndim == 2 and vertices.shape[1] == 3 and np.isfinite(vertices).all() and (counts >= 4).all()
     if not sound or counts.sum() != len(vertices):
         raise ValueError("not what was written")

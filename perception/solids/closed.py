@@ -1,4 +1,4 @@
-"""Meshes as they come to closed parts with outward faces: welded, split, turned, small holes filled, or told."""
+"""Meshes made into closed parts with outward faces: welded, split, turned, small holes filled, the rest noted."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Solid:
     notes: tuple[str, ...]
 
 
-def solid_of(mesh: Mesh, name: str = "mesh") -> Solid:
-    """Weld equal corners, part what hangs together only by corners or edges, turn every part outwards, fill holes.
+def make_solid(mesh: Mesh, name: str = "mesh") -> Solid:
+    """Weld equal corners, separate what is connected only by corners or edges, turn every part outwards, fill holes.
 
     Args:
         mesh: any triangles.
@@ -43,20 +43,20 @@ def solid_of(mesh: Mesh, name: str = "mesh") -> Solid:
         MeshError: corners that are not finite or do not exist, or nothing that spans a volume.
     """
     _check(mesh, name)
-    welded = _welded(mesh)
+    welded = _weld(mesh)
     if len(welded.triangles) < 4 or np.linalg.matrix_rank(welded.vertices - welded.vertices[0], tol=1e-9) < 3:
-        raise MeshError(f"{name}: lies in a plane or on a line; a solid would do")
+        raise MeshError(f"{name}: lies in a plane or on a line; expected a solid")
     closed, opened, notes = [], [], []
     n_dropped = len(mesh.triangles) - len(welded.triangles)
     if n_dropped:
         notes.append(f"{name}: left out {n_dropped} triangles without area or given twice")
     n_turned = n_filled = 0
-    for part in _parts(welded):
-        turned, n_wrong = _outward(part)
-        filled, n_holes = _filled(turned)
+    for part in _split_connected(welded):
+        turned, n_wrong = _turn_outward(part)
+        filled, n_holes = _fill_holes(turned)
         n_filled += n_holes
         if _is_closed(filled.triangles):
-            # Only now volume tells inside from outside.
+            # Only now the sign of the volume shows which side is inside.
             is_inverted = filled.volume < 0.0
             n_turned += len(part.triangles) - n_wrong if is_inverted else n_wrong
             closed.append(Mesh(filled.vertices, filled.triangles[:, ::-1]) if is_inverted else filled)
@@ -67,7 +67,7 @@ def solid_of(mesh: Mesh, name: str = "mesh") -> Solid:
     if n_filled:
         notes.append(f"{name}: filled {n_filled} small holes")
     if opened:
-        n_edges = sum(int((_edge_counts(part.triangles)[2] == 1).sum()) for part in opened)
+        n_edges = sum(int((_count_edges(part.triangles)[2] == 1).sum()) for part in opened)
         notes.append(
             f"{name}: {len(opened)} of {len(closed) + len(opened)} parts are not closed ({n_edges} open edges); "
             "their surface is taken for a shell"
@@ -75,11 +75,11 @@ def solid_of(mesh: Mesh, name: str = "mesh") -> Solid:
     return Solid(tuple(closed), tuple(opened), tuple(notes))
 
 
-def united(solids: Iterable[Solid], name: str = "object") -> Solid:
-    """Several solids as one; they may overlap.
+def unite_solids(solids: Iterable[Solid], name: str = "object") -> Solid:
+    """Unite several solids; they may overlap.
 
     Raises:
-        MeshError: they have more triangles than one mesh file may have; said as soon as it is known.
+        MeshError: they have more triangles than one mesh file may have.
     """
     closed: list[Mesh] = []
     opened: list[Mesh] = []
@@ -93,7 +93,7 @@ def united(solids: Iterable[Solid], name: str = "object") -> Solid:
 
 def _check(mesh: Mesh, name: str) -> None:
     if not len(mesh.triangles):
-        raise MeshError(f"{name}: has no triangles; a solid would do")
+        raise MeshError(f"{name}: has no triangles; expected a solid")
     if not np.isfinite(mesh.vertices).all():
         n_bad = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
         raise MeshError(f"{name}: {n_bad} of {len(mesh.vertices)} vertices are not finite; repair it")
@@ -102,8 +102,8 @@ def _check(mesh: Mesh, name: str) -> None:
         raise MeshError(f"{name}: a triangle names vertex {named}, and there are {len(mesh.vertices)}; repair it")
 
 
-def _welded(mesh: Mesh) -> Mesh:
-    """Corners in the same place become one; triangles without area and repeated ones go."""
+def _weld(mesh: Mesh) -> Mesh:
+    """Merge corners in the same place; drop triangles without area and repeated ones."""
     size = float(np.ptp(mesh.vertices, axis=0).max()) or 1.0
     cells = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / (_WELD * size)).astype(np.int64)
     _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -112,18 +112,18 @@ def _welded(mesh: Mesh) -> Mesh:
     has_area = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-14 * size**2
     triangles = triangles[has_area]
     _, kept = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
-    return _referenced(Mesh(vertices, triangles[np.sort(kept)]))
+    return _drop_unused(Mesh(vertices, triangles[np.sort(kept)]))
 
 
-def _referenced(mesh: Mesh) -> Mesh:
+def _drop_unused(mesh: Mesh) -> Mesh:
     used, number = np.unique(mesh.triangles, return_inverse=True)
     return Mesh(mesh.vertices[used], number.reshape(-1, 3))
 
 
-def _edge_counts(
+def _count_edges(
     triangles: Int[np.ndarray, "F 3"],
 ) -> tuple[Int[np.ndarray, "E"], Bool[np.ndarray, "E"], Int[np.ndarray, "K"]]:
-    """Number of the undirected edge for each of the 3 F directed ones, whether it runs upwards, and each one's count.
+    """Number the undirected edge of each of the 3 F directed ones, say whether it runs upwards, and count each.
 
     Directed edge ``3 f + i`` runs from corner i of triangle f to corner i + 1.
     """
@@ -133,31 +133,31 @@ def _edge_counts(
     return number.reshape(-1), start < end, counts
 
 
-def _pairs(number: Int[np.ndarray, "E"], counts: Int[np.ndarray, "K"]) -> Int[np.ndarray, "P 2"]:
-    """Directed edges that share an undirected edge of exactly two."""
+def _pair_edges(number: Int[np.ndarray, "E"], counts: Int[np.ndarray, "K"]) -> Int[np.ndarray, "P 2"]:
+    """Return directed edges that share an undirected edge of exactly two."""
     two = np.flatnonzero(counts[number] == 2)
     return two[np.argsort(number[two], kind="stable")].reshape(-1, 2)
 
 
-def _parts(mesh: Mesh) -> list[Mesh]:
-    """Triangles that hang together over edges that two of them share."""
-    number, _, counts = _edge_counts(mesh.triangles)
-    a, b = _pairs(number, counts).T // 3
+def _split_connected(mesh: Mesh) -> list[Mesh]:
+    """Group triangles that are connected over edges that two of them share."""
+    number, _, counts = _count_edges(mesh.triangles)
+    a, b = _pair_edges(number, counts).T // 3
     n = len(mesh.triangles)
     graph = sparse.coo_matrix((np.ones(len(a), dtype=bool), (a, b)), shape=(n, n))
     n_parts, label = sparse.csgraph.connected_components(graph, directed=False)
     order = np.argsort(label, kind="stable")
     groups = np.split(order, np.searchsorted(label[order], np.arange(1, n_parts)))
-    return [_referenced(Mesh(mesh.vertices, mesh.triangles[group])) for group in groups]
+    return [_drop_unused(Mesh(mesh.vertices, mesh.triangles[group])) for group in groups]
 
 
-def _outward(part: Mesh) -> tuple[Mesh, int]:
-    """All triangles wound as the greater number of them are, and how many were turned for it.
+def _turn_outward(part: Mesh) -> tuple[Mesh, int]:
+    """Wind all triangles as the greater number of them are, and count those turned.
 
     Each triangle is there twice in a graph, as it is and turned; neighbours that agree are linked like with like.
     """
-    number, upwards, counts = _edge_counts(part.triangles)
-    pairs = _pairs(number, counts)
+    number, upwards, counts = _count_edges(part.triangles)
+    pairs = _pair_edges(number, counts)
     first, second = pairs.T // 3
     agree = upwards[pairs[:, 0]] != upwards[pairs[:, 1]]
     n = len(part.triangles)
@@ -177,7 +177,7 @@ def _outward(part: Mesh) -> tuple[Mesh, int]:
 
 def _is_closed(triangles: Int[np.ndarray, "F 3"]) -> bool:
     """Whether every edge is run through once each way."""
-    number, upwards, counts = _edge_counts(triangles)
+    number, upwards, counts = _count_edges(triangles)
     return bool((counts == 2).all() and (np.bincount(number, weights=upwards) == 1).all())
 
 
@@ -186,9 +186,9 @@ def is_closed(mesh: Mesh) -> bool:
     return len(mesh.triangles) > 0 and _is_closed(mesh.triangles)
 
 
-def _filled(part: Mesh) -> tuple[Mesh, int]:
-    """Small holes closed by a fan about their middle, and how many."""
-    number, _, counts = _edge_counts(part.triangles)
+def _fill_holes(part: Mesh) -> tuple[Mesh, int]:
+    """Close small holes by a fan about their middle, and count them."""
+    number, _, counts = _count_edges(part.triangles)
     lone = np.flatnonzero(counts[number] == 1)
     start, end = part.triangles.reshape(-1)[lone], np.roll(part.triangles, -1, axis=1).reshape(-1)[lone]
     if not len(lone) or len(np.unique(start)) < len(start):

@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
-from perception.convex.hulls import MAX_VERTICES, limited
+from perception.convex.hulls import MAX_VERTICES, limit_vertices
 from perception.errors import MeshError
 from perception.sandbox import ProcessLimits
 from perception.solids.cache import Parts, PartsCache
 from perception.solids.closed import Solid
 from perception.solids.mesh import Mesh
 from perception.solids.process import COACD_LIMITS, run_coacd
-from perception.solids.voxels import shell_of, simplified
+from perception.solids.voxels import simplify_mesh, wrap_mesh
 
 CONVEX_SHARE = 0.98  # a closed mesh that fills its hull to this share is convex
 ENOUGH_TRIANGLES = 1500  # of a part; more cost time and show nothing at these thresholds
@@ -61,7 +61,7 @@ class CoacdSettings:
 
 @dataclass(frozen=True)
 class Work:
-    """Where results are kept, and what the process may use.
+    """Cache of results, and limits of the process.
 
     Attributes:
         cache: of results; None keeps none.
@@ -72,61 +72,61 @@ class Work:
     limits: ProcessLimits = COACD_LIMITS
 
 
-def convex_parts(
+def split_solid(
     solid: Solid, settings: CoacdSettings | None = None, work: Work | None = None, name: str = "mesh"
 ) -> Parts:
-    """Vertices of convex parts, at most 64 each, that together contain the solid's surface to a millimetre [m].
+    """Return vertices of convex parts, at most 64 each, that together contain the solid's surface to a millimetre [m].
 
     Args:
         solid: closed parts are split as they are, open ones as shells.
         settings: of CoACD.
         work: cache and limits.
-        name: what to call the mesh in errors.
+        name: of the mesh in errors.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
-        Stopped: it was asked to stop.
+        Stopped: the caller was asked to stop.
     """
     stray = (settings or CoacdSettings()).threshold_m / 10.0
-    whole = [simplified(mesh, ENOUGH_TRIANGLES, stray) for mesh in solid.closed]
-    found = decompose([*whole, *(shell_of(mesh) for mesh in solid.open)], settings, work, name)
+    whole = [simplify_mesh(mesh, ENOUGH_TRIANGLES, stray) for mesh in solid.closed]
+    split = decompose([*whole, *(wrap_mesh(mesh) for mesh in solid.open)], settings, work, name)
     meshes = (*solid.closed, *solid.open)
-    parts = [part for parts, mesh in zip(found, meshes, strict=True) for part in _containing(parts, mesh)]
+    parts = [part for parts, mesh in zip(split, meshes, strict=True) for part in _grow_to_contain(parts, mesh)]
     if not parts:
-        raise MeshError(f"{name}: nothing of it spans a volume; a solid would do")
+        raise MeshError(f"{name}: nothing of it spans a volume; expected a solid")
     return tuple(parts)
 
 
-def hull_part(solid: Solid) -> Float[np.ndarray, "V 3"]:
-    """At most 64 vertices of a convex body that contains the whole solid [m]."""
-    return limited(np.concatenate([mesh.vertices for mesh in (*solid.closed, *solid.open)]))
+def make_hull_part(solid: Solid) -> Float[np.ndarray, "V 3"]:
+    """Return at most 64 vertices of a convex body that contains the whole solid [m]."""
+    return limit_vertices(np.concatenate([mesh.vertices for mesh in (*solid.closed, *solid.open)]))
 
 
 def decompose(
     meshes: Sequence[Mesh], settings: CoacdSettings | None = None, work: Work | None = None, name: str = "mesh"
 ) -> list[Parts]:
-    """Convex parts of each closed mesh; what the cache does not know is asked of one process.
+    """Return convex parts of each closed mesh; one process splits those that are not in the cache.
 
     Raises:
-        MeshError, Stopped: as ``convex_parts``.
+        MeshError, Stopped: as ``split_solid``.
     """
     settings, work = settings or CoacdSettings(), work or Work()
-    answers: list[Parts | None] = [_if_convex(mesh) for mesh in meshes]
-    keys = [content_key(mesh, settings) if answer is None else "" for mesh, answer in zip(meshes, answers, strict=True)]
+    answers: list[Parts | None] = [_take_if_convex(mesh) for mesh in meshes]
+    keys = [hash_mesh(mesh, settings) if answer is None else "" for mesh, answer in zip(meshes, answers, strict=True)]
     if work.cache is not None:
         answers = [work.cache.get(key) if answer is None else answer for key, answer in zip(keys, answers, strict=True)]
     missing = [i for i, answer in enumerate(answers) if answer is None]
     if missing:
         fresh = run_coacd([meshes[i] for i in missing], settings.options(), work.limits, name)
         for i, parts in zip(missing, fresh, strict=True):
-            answers[i] = parts = _solid_ones(parts)
+            answers[i] = parts = _drop_slivers(parts)
             if work.cache is not None and parts:
                 work.cache.put(keys[i], parts)
     return [parts for parts in answers if parts is not None]
 
 
-def content_key(mesh: Mesh, settings: CoacdSettings) -> str:
-    """SHA-256 of vertices, triangles, settings and CoACD's version."""
+def hash_mesh(mesh: Mesh, settings: CoacdSettings) -> str:
+    """Return the SHA-256 of vertices, triangles, settings and CoACD's version."""
     digest = hashlib.sha256(json.dumps([version("coacd"), asdict(settings), settings.options()]).encode())
     digest.update(np.array(mesh.vertices.shape + mesh.triangles.shape).tobytes())
     digest.update(np.ascontiguousarray(mesh.vertices, dtype="<f8").tobytes())
@@ -134,13 +134,13 @@ def content_key(mesh: Mesh, settings: CoacdSettings) -> str:
     return digest.hexdigest()
 
 
-def _if_convex(mesh: Mesh) -> Parts | None:
+def _take_if_convex(mesh: Mesh) -> Parts | None:
     hull = ConvexHull(mesh.vertices)
-    return (limited(mesh.vertices),) if mesh.volume >= CONVEX_SHARE * hull.volume else None
+    return (limit_vertices(mesh.vertices),) if mesh.volume >= CONVEX_SHARE * hull.volume else None
 
 
-def _solid_ones(parts: Parts) -> Parts:
-    """Without slivers that span no volume, which now and then come along."""
+def _drop_slivers(parts: Parts) -> Parts:
+    """Drop slivers that span no volume, which CoACD sometimes returns."""
     kept = []
     for part in parts:
         try:
@@ -151,8 +151,8 @@ def _solid_ones(parts: Parts) -> Parts:
     return tuple(kept)
 
 
-def _containing(parts: Parts, mesh: Mesh) -> Parts:
-    """The parts, grown to what thinning their vertices had cut off: every corner and middle of a triangle is inside."""
+def _grow_to_contain(parts: Parts, mesh: Mesh) -> Parts:
+    """Grow the parts by what thinning their vertices had cut off: every corner and middle of a triangle is inside."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     surface = np.concatenate([mesh.vertices, (a + b + c) / 3.0, (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0])
     if not parts:
@@ -161,6 +161,8 @@ def _containing(parts: Parts, mesh: Mesh) -> Parts:
     outside = np.stack([(surface @ faces[:, :3].T + faces[:, 3]).max(axis=1) for faces in hulls])
     nearest, left = outside.argmin(axis=0), outside.min(axis=0) > _OUTSIDE
     return tuple(
-        limited(np.concatenate([part, surface[left & (nearest == i)]])) if (left & (nearest == i)).any() else part
+        limit_vertices(np.concatenate([part, surface[left & (nearest == i)]]))
+        if (left & (nearest == i)).any()
+        else part
         for i, part in enumerate(parts)
     )

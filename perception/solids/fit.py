@@ -19,10 +19,10 @@ _LEAST_SIZE = 1e-3  # of what points are held against [m]
 
 
 class Surface:
-    """Triangles prepared for many questions, in the mesh's own frame."""
+    """Triangles prepared for distances and rays, in the mesh's own frame."""
 
     def __init__(self, mesh: Mesh) -> None:
-        # open3d takes 0.7 s to import; only those who match pay for it.
+        # open3d takes 0.7 s to import.
         import open3d as o3d
 
         self._tensor = o3d.core.Tensor.from_numpy
@@ -31,17 +31,17 @@ class Surface:
         self._scene.add_triangles(self._tensor(mesh.vertices.astype(np.float32)), triangles)
 
     def nearest(self, points: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-        """The nearest place on the mesh for each point, and the unit outward normal there."""
+        """Find the nearest place on the mesh for each point, and the unit outward normal there."""
         answer = self._scene.compute_closest_points(self._tensor(points.astype(np.float32)))
         return _array(answer["points"]), _array(answer["primitive_normals"])
 
     def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-        """Which points are inside of the mesh, which must be closed; three rays vote where one may hit an edge."""
-        asked = self._tensor(points.astype(np.float32))
-        return np.asarray(_array(self._scene.compute_occupancy(asked, nsamples=3)) > 0.5)
+        """Find the points inside of the mesh, which must be closed; three rays vote, since one may hit an edge."""
+        places = self._tensor(points.astype(np.float32))
+        return np.asarray(_array(self._scene.compute_occupancy(places, nsamples=3)) > 0.5)
 
     def hits(self, starts: Float[np.ndarray, "R 3"], direction: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R"]:
-        """Distance to where each ray of unit direction first meets the mesh [m]; infinite where it does not."""
+        """Return the distance at which each ray of unit direction first meets the mesh [m]; infinite for a miss."""
         rays = np.concatenate([starts, direction], axis=1).astype(np.float32)
         return _array(self._scene.cast_rays(self._tensor(rays))["t_hit"])
 
@@ -51,7 +51,7 @@ def _array(tensor: object) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Pose:
+class MeshPose:
     """World from mesh: ``rotation`` (3, 3) and ``shift`` (3,) [m]."""
 
     rotation: Float[np.ndarray, "3 3"]
@@ -64,22 +64,22 @@ class Pose:
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.shift
         return matrix
 
-    def of(self, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    def to_world(self, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
         """Points of the mesh's frame in the world."""
         return np.asarray(points @ self.rotation.T + self.shift)
 
-    def into_mesh(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    def to_mesh(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         """Points of the world in the mesh's frame."""
         return np.asarray((points - self.shift) @ self.rotation)
 
-    def turned(self, turn: Float[np.ndarray, "3"], about: Float[np.ndarray, "3"]) -> Pose:
+    def rotate(self, turn: Float[np.ndarray, "3"], about: Float[np.ndarray, "3"]) -> MeshPose:
         """Turned by a rotation vector about a point of the world."""
         rotation = Rotation.from_rotvec(turn).as_matrix()
-        return Pose(rotation @ self.rotation, rotation @ (self.shift - about) + about)
+        return MeshPose(rotation @ self.rotation, rotation @ (self.shift - about) + about)
 
-    def shifted(self, by: Float[np.ndarray, "3"]) -> Pose:
+    def translate(self, by: Float[np.ndarray, "3"]) -> MeshPose:
         """Moved in the world."""
-        return Pose(self.rotation, self.shift + by)
+        return MeshPose(self.rotation, self.shift + by)
 
 
 @dataclass(frozen=True)
@@ -89,52 +89,52 @@ class Region:
     points: Float[np.ndarray, "N 3"]
     starts: Float[np.ndarray, "N 3"]
 
-    def thinned(self, most: int) -> Region:
+    def thin(self, most: int) -> Region:
         """Every k-th, so that at most ``most`` are left."""
         step = max(1, -(-len(self.points) // most))
         return Region(self.points[::step], self.starts[::step])
 
 
-def fitted(surface: Surface, region: Region, start: Pose, gates: Iterable[float]) -> Pose:
-    """One Gauss-Newton step of point-to-plane ICP (Chen and Medioni, 1992) for each gate.
+def fit_pose(surface: Surface, region: Region, start: MeshPose, gates: Iterable[float]) -> MeshPose:
+    """Take one Gauss-Newton step of point-to-plane ICP (Chen and Medioni, 1992) for each gate.
 
     Args:
         surface: of the mesh.
-        region: the points it shall lie on.
-        start: where it is thought to be.
-        gates: points farther from the mesh than this have no say, nearer ones by Tukey's biweight [m].
+        region: the points it is fitted to.
+        start: the first pose.
+        gates: points farther from the mesh than this have no weight, nearer ones Tukey's biweight [m].
     """
     pose = start
     for gate in gates:
-        points = pose.into_mesh(region.points)
+        points = pose.to_mesh(region.points)
         place, normal = surface.nearest(points)
         offset = points - place
         distance = np.linalg.norm(offset, axis=1)
-        sight = pose.into_mesh(region.starts) - place
+        sight = pose.to_mesh(region.starts) - place
         facing = (normal * sight).sum(axis=1) > _FACING * np.linalg.norm(sight, axis=1)
         used = (distance < gate) & facing
         if used.sum() < _FEWEST:
             return pose
         weight = (1.0 - (distance[used] / gate) ** 2) ** 2
-        pose = _step(pose, place[used], normal[used], offset[used], weight)
+        pose = _take_step(pose, place[used], normal[used], offset[used], weight)
     return pose
 
 
-def _step(
-    pose: Pose,
+def _take_step(
+    pose: MeshPose,
     place: Float[np.ndarray, "K 3"],
     normal: Float[np.ndarray, "K 3"],
     offset: Float[np.ndarray, "K 3"],
     weight: Float[np.ndarray, "K"],
-) -> Pose:
+) -> MeshPose:
     """Turn and shift the mesh so that its planes meet the points, all in its own frame."""
     middle = place.mean(axis=0)
     J = np.concatenate([np.cross(place - middle, normal), normal], axis=1)
     residual = (normal * offset).sum(axis=1)
-    # Points that are all nearest to one corner tell nothing of how the mesh is turned.
+    # Points that are all nearest to one corner do not determine the orientation.
     size = max(float(np.linalg.norm(place - middle, axis=1).mean()), _LEAST_SIZE)
     damping = _DAMPING * weight.sum() * np.diag([size**2] * 3 + [1.0] * 3)
     step = np.linalg.solve(J.T @ (weight[:, None] * J) + damping, J.T @ (weight * residual))
     turn = step[:3] * min(1.0, _MOST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))
     rotation = Rotation.from_rotvec(turn).as_matrix()
-    return Pose(pose.rotation @ rotation, pose.of(middle + step[3:] - rotation @ middle))
+    return MeshPose(pose.rotation @ rotation, pose.to_world(middle + step[3:] - rotation @ middle))

@@ -1,4 +1,4 @@
-"""Rays and points about a place, and what they say about a mesh in a pose there."""
+"""Judgement of a mesh in a pose by the rays and points of a scan about a place."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.convex.coarse import coarsened
+from perception.convex.coarse import coarsen
 from perception.convex.pieces import VOXEL
 from perception.convex.planes import find_planes
 from perception.sightlines import SightIndex, Sightlines
-from perception.solids.fit import Pose, Region, Surface
+from perception.solids.fit import MeshPose, Region, Surface
 from perception.view import View
 
 MIN_AGREEING = 30
@@ -20,8 +20,8 @@ _TOLERANCE = (0.012, 0.03)
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What the rays say about a pose, as counts."""
+class RayCounts:
+    """Counts of rays that agree with a pose and that contradict it."""
 
     agreeing: int
     through: int
@@ -38,7 +38,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Judge:
+class PoseJudge:
     """The rays and points about a place; ``wide`` are planes (P, 4) that reach farther than the object does."""
 
     surface: Surface
@@ -46,24 +46,24 @@ class Judge:
     region: Region
     wide: Float[np.ndarray, "P 4"]
 
-    def verdict(self, pose: Pose, most_rays: int, most_points: int) -> Verdict:
-        """Hold a pose against the rays."""
+    def count(self, pose: MeshPose, most_rays: int, most_points: int) -> RayCounts:
+        """Count what the rays say about a pose."""
         rays = self.rays.thinned(most_rays)
-        hit = self.surface.hits(pose.into_mesh(rays.start), rays.direction @ pose.rotation)
+        hit = self.surface.hits(pose.to_mesh(rays.start), rays.direction @ pose.rotation)
         met = np.isfinite(hit)
         beyond = rays.length[met] - hit[met]
-        region = self.region.thinned(most_points)
-        place, _ = self.surface.nearest(pose.into_mesh(region.points))
-        offset = pose.into_mesh(region.points) - place
+        region = self.region.thin(most_points)
+        place, _ = self.surface.nearest(pose.to_mesh(region.points))
+        offset = pose.to_mesh(region.points) - place
         distance = np.linalg.norm(offset, axis=1)
         close = distance[distance < _TOLERANCE[1]]
         tolerance = float(np.clip(3.0 * 1.48 * np.median(close), *_TOLERANCE)) if len(close) else _TOLERANCE[0]
         # Things stand on tables: only what is well before the surface and far from its base is held against it.
         outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + 0.05)
         share = len(rays) / max(1, len(region.points))
-        # A ray that ends on a wall says nothing of an object whose side lies in that wall.
+        # A ray that ends on a wall is no evidence of an object whose side lies in that wall.
         agreeing = np.flatnonzero(met)[np.abs(beyond) <= tolerance]
-        return Verdict(
+        return RayCounts(
             int((~lie_on_planes(rays.ends[agreeing], self.wide)).sum()),
             int((beyond > tolerance).sum()),
             int((beyond < -tolerance).sum()),
@@ -73,23 +73,25 @@ class Judge:
         )
 
 
-def make_judge(surface: Surface, index: SightIndex, view: View, place: Float[np.ndarray, "3"], radius: float) -> Judge:
-    """The rays about a place, and the points that may be the object's: not those of planes wider than it is."""
+def make_pose_judge(
+    surface: Surface, index: SightIndex, view: View, place: Float[np.ndarray, "3"], radius: float
+) -> PoseJudge:
+    """Collect the rays about a place, and the points that may be the object's: not those of planes wider than it is."""
     near = np.flatnonzero(np.linalg.norm(view.obstacles - place, axis=1) <= 3.0 * radius + 0.1)
     points, starts = view.obstacles[near], view.starts[near]
     wide = find_wide_planes(points, starts, radius, view.seed)
     kept = (np.linalg.norm(points - place, axis=1) <= 1.6 * radius + 0.05) & ~lie_on_planes(points, wide)
     rays = index.passing(place[None], 2.0 * radius + 0.1)
-    return Judge(surface, rays, Region(points[kept], starts[kept]), wide)
+    return PoseJudge(surface, rays, Region(points[kept], starts[kept]), wide)
 
 
 def find_wide_planes(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], radius: float, seed: int
 ) -> Float[np.ndarray, "P 4"]:
-    """Planes (unit normal, offset) that reach farther than an object of this radius: tables, walls."""
+    """Find planes (unit normal, offset) that reach farther than an object of this radius: tables, walls."""
     if len(points) < MIN_AGREEING:
         return np.zeros((0, 4))
-    coarse = coarsened(points, starts, VOXEL)
+    coarse = coarsen(points, starts, VOXEL)
     planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(seed), None)
     reaches = [np.linalg.norm(np.ptp(coarse.points[plane.members] @ plane.basis.T, axis=0)) for plane in planes]
     wide = [

@@ -1,4 +1,4 @@
-"""Where a known mesh stands in a scan: ICP from many starts, judged by the scan's own rays."""
+"""MeshPose of a known mesh in a scan: ICP from many starts, judged by the scan's own rays."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from perception.convex.split import clusters
+from perception.convex.split import find_clusters
 from perception.errors import MeshError
 from perception.sightlines import sight_index
-from perception.solids.closed import Solid, solid_of
-from perception.solids.fit import Pose, Region, Surface, fitted
-from perception.solids.judge import MIN_AGREEING, Judge, find_wide_planes, lie_on_planes, make_judge
+from perception.solids.closed import Solid, make_solid
+from perception.solids.fit import MeshPose, Region, Surface, fit_pose
+from perception.solids.judge import MIN_AGREEING, PoseJudge, find_wide_planes, lie_on_planes, make_pose_judge
 from perception.solids.mesh import Mesh
 from perception.view import View
 
@@ -33,7 +33,7 @@ _DIFFERENT_DEG, _DIFFERENT_M = 20.0, 0.05
 
 @dataclass(frozen=True)
 class MeshMatch:
-    """A mesh found in a scan.
+    """A mesh located in a scan.
 
     Attributes:
         pose_world_mesh: (4, 4).
@@ -41,7 +41,7 @@ class MeshMatch:
         residuals: ``rms`` and ``median`` distance of the points it explains [m]; ``seen_through``, the share of rays
             that should have met it and went on; ``hidden``, the share that met something before it; ``unexplained``,
             points close before its surface as a share of those on it; ``rival``, how well the best clearly different
-            pose does against this one (near 1: the scan does not tell them apart); ``n_points`` on it.
+            pose does against this one (near 1: the scan does not distinguish them); ``n_points`` on it.
         solid: the mesh in its own frame.
         tolerance: how far from its surface its points lie at most [m].
     """
@@ -53,19 +53,19 @@ class MeshMatch:
     tolerance: float
 
     def explains(self, points: Float[np.ndarray, "M 3"], times: float = 1.0) -> Bool[np.ndarray, "M"]:
-        """Which points of the world lie within some times the tolerance of its surface, or inside of closed parts."""
+        """Find the points of the world within some times the tolerance of its surface, or inside of closed parts."""
         tolerance = times * self.tolerance
-        pose = Pose(self.pose_world_mesh[:3, :3], self.pose_world_mesh[:3, 3])
-        points = pose.into_mesh(points)
-        whole = _joined([*self.solid.closed, *self.solid.open])
+        pose = MeshPose(self.pose_world_mesh[:3, :3], self.pose_world_mesh[:3, 3])
+        points = pose.to_mesh(points)
+        whole = _join_meshes([*self.solid.closed, *self.solid.open])
         explained = np.zeros(len(points), dtype=bool)
-        near = _about(points, whole, tolerance)
+        near = _select_near(points, whole, tolerance)
         if len(near):
             offset = points[near] - Surface(whole).nearest(points[near])[0]
             explained[near] = np.linalg.norm(offset, axis=1) <= tolerance
         for part in self.solid.closed:
             # Each by itself: they may overlap, and then counting crossings of all of them would tell nothing.
-            rest = _about(points, part, 0.0)
+            rest = _select_near(points, part, 0.0)
             rest = rest[~explained[rest]]
             if len(rest):
                 explained[rest] = Surface(part).contains(points[rest])
@@ -74,12 +74,12 @@ class MeshMatch:
 
 @dataclass(frozen=True)
 class KnownMesh:
-    """An object of known shape, and what is known of where it stands.
+    """An object of known shape, and what is known of its pose.
 
     Attributes:
-        name: what to call it.
+        name: of the object.
         solid: its shape in its own frame [m].
-        pose_world_mesh: (4, 4), right within 20 degrees and 15 cm unless it ``is_placed``; None: to be found.
+        pose_world_mesh: (4, 4), right within 20 degrees and 15 cm unless it ``is_placed``; None: it is searched for.
         hint: (3,) a point on or near it, where there is no pose; None: it is looked for everywhere [m].
         is_placed: whether it stands exactly at its pose, whatever the scan shows.
     """
@@ -91,15 +91,15 @@ class KnownMesh:
     is_placed: bool = False
 
 
-def located(known: KnownMesh, view: View) -> MeshMatch:
-    """Where it stands in the scan and how surely; one that is placed stays, and the scan only says how well it agrees.
+def locate(known: KnownMesh, view: View) -> MeshMatch:
+    """Find an object's pose in the scan; the pose of a placed one stays, and only its agreement is measured.
 
     Args:
         known: the object.
         view: the scan, made ready.
     """
     if known.is_placed and known.pose_world_mesh is not None:
-        return judged(known.solid, view, known.pose_world_mesh)
+        return judge_placed(known.solid, view, known.pose_world_mesh)
     return match_mesh(known.solid, view, hint=known.hint, initial=known.pose_world_mesh)
 
 
@@ -109,9 +109,9 @@ def match_mesh(
     hint: Float[np.ndarray, "3"] | None = None,
     initial: Float[np.ndarray, "4 4"] | None = None,
 ) -> MeshMatch:
-    """The pose at which the scan's points lie on the mesh and no ray goes through it.
+    """Find the pose at which the scan's points lie on the mesh and no ray goes through it.
 
-    Only what a ray could have met counts, so a scan from one side will do.
+    Only what a ray could have met counts, so a scan from one side is enough.
 
     Args:
         mesh: the object, in its own frame [m]; as a solid where it is checked already.
@@ -123,86 +123,86 @@ def match_mesh(
     Raises:
         MeshError: the mesh cannot be used.
     """
-    solid = mesh if isinstance(mesh, Solid) else solid_of(mesh)
-    surface, centre, radius = _asked(solid)
+    solid = mesh if isinstance(mesh, Solid) else make_solid(mesh)
+    surface, centre, radius = _measure_solid(solid)
     index = sight_index(view.cloud)
-    candidates: list[tuple[float, Pose, Judge]] = []
-    for place in _places(view, radius, centre, hint, initial):
-        judge = make_judge(surface, index, view, place, radius)
+    candidates: list[tuple[float, MeshPose, PoseJudge]] = []
+    for place in _find_places(view, radius, centre, hint, initial):
+        judge = make_pose_judge(surface, index, view, place, radius)
         region = judge.region
         if len(region.points) < MIN_AGREEING:
             continue
-        starts = _starts(place, centre, radius, region, initial)
-        candidates += [(score, pose, judge) for score, pose in _searched(surface, judge, region, starts, radius)]
+        starts = _make_starts(place, centre, radius, region, initial)
+        candidates += [(score, pose, judge) for score, pose in _search(surface, judge, region, starts, radius)]
     if not candidates:
         return MeshMatch(np.eye(4) if initial is None else initial, 0.0, {"n_points": 0.0}, solid, 0.0)
-    candidates.sort(key=lambda one: -one[0])
+    candidates.sort(key=lambda candidate: -candidate[0])
     best, pose, judge = candidates[0]
     rivals = [score for score, other, _ in candidates if _is_different(pose, other, centre)]
     rival = float(max(0.0, max(rivals, default=0.0)) / best) if best > 0.0 else 1.0
-    return _match(pose, judge, rival, solid)
+    return _make_match(pose, judge, rival, solid)
 
 
-def judged(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4 4"]) -> MeshMatch:
-    """What the scan says of a mesh that stands where it is said to; there is no ``rival`` to tell of.
+def judge_placed(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4 4"]) -> MeshMatch:
+    """Measure how well the scan agrees with a mesh in a given pose; its residuals have no ``rival``.
 
     Args:
         solid: the object, in its own frame [m].
         view: the scan, made ready.
         pose_world_mesh: (4, 4).
     """
-    surface, centre, radius = _asked(solid)
-    pose = Pose(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
-    judge = make_judge(surface, sight_index(view.cloud), view, pose.of(centre), radius)
-    found = _match(pose, judge, 0.0, solid)
-    return replace(found, residuals={name: value for name, value in found.residuals.items() if name != "rival"})
+    surface, centre, radius = _measure_solid(solid)
+    pose = MeshPose(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
+    judge = make_pose_judge(surface, sight_index(view.cloud), view, pose.to_world(centre), radius)
+    match = _make_match(pose, judge, 0.0, solid)
+    return replace(match, residuals={name: value for name, value in match.residuals.items() if name != "rival"})
 
 
-def _asked(solid: Solid) -> tuple[Surface, Float[np.ndarray, "3"], float]:
-    """The whole surface, and the ball about its box."""
-    whole = _joined([*solid.closed, *solid.open])
+def _measure_solid(solid: Solid) -> tuple[Surface, Float[np.ndarray, "3"], float]:
+    """Return the whole surface, and the ball about its box."""
+    whole = _join_meshes([*solid.closed, *solid.open])
     lower, upper = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
     return Surface(whole), 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
 
 
-def _searched(
-    surface: Surface, judge: Judge, region: Region, starts: Sequence[Pose], radius: float
-) -> list[tuple[float, Pose]]:
-    """Every start brought near by a few steps on few points; the best then fitted on many."""
-    few = region.thinned(_COARSE_POINTS)
+def _search(
+    surface: Surface, judge: PoseJudge, region: Region, starts: Sequence[MeshPose], radius: float
+) -> list[tuple[float, MeshPose]]:
+    """Fit every start by a few steps on few points, then the best on many."""
+    few = region.thin(_COARSE_POINTS)
     gates = np.linspace(0.6 * radius, 0.05, 6)
-    rough = [fitted(surface, few, start, gates) for start in starts]
-    scores = [judge.verdict(pose, _COARSE_RAYS, _COARSE_POINTS).score for pose in rough]
+    rough = [fit_pose(surface, few, start, gates) for start in starts]
+    scores = [judge.count(pose, _COARSE_RAYS, _COARSE_POINTS).score for pose in rough]
     best = np.argsort(scores, kind="stable")[::-1][:_N_BEST]
-    many = region.thinned(_MOST_POINTS)
+    many = region.thin(_MOST_POINTS)
     gates = np.concatenate([np.linspace(0.06, 0.025, 12), np.full(12, 0.025)])
-    fine = [fitted(surface, many, rough[i], gates) for i in best]
-    scored = [(judge.verdict(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in fine]
-    scored.sort(key=lambda one: -one[0])
-    return [_nudged(surface, judge, many, one) for one in scored[:_N_NUDGED]] + scored[_N_NUDGED:]
+    fine = [fit_pose(surface, many, rough[i], gates) for i in best]
+    scored = [(judge.count(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in fine]
+    scored.sort(key=lambda candidate: -candidate[0])
+    return [_nudge(surface, judge, many, best) for best in scored[:_N_NUDGED]] + scored[_N_NUDGED:]
 
 
-def _nudged(surface: Surface, judge: Judge, region: Region, found: tuple[float, Pose]) -> tuple[float, Pose]:
-    """The best of the poses that fits from a little beside it lead to; ICP comes to rest along faces it slides on."""
-    few = region.thinned(_NUDGE_POINTS)
+def _nudge(surface: Surface, judge: PoseJudge, region: Region, best: tuple[float, MeshPose]) -> tuple[float, MeshPose]:
+    """Return the best pose that fits from a little beside it lead to; ICP stalls along faces it slides on."""
+    few = region.thin(_NUDGE_POINTS)
     for step in _NUDGES:
-        about = found[1].of(np.zeros(3))
-        beside = [found[1].shifted(sign * step * axis) for axis in found[1].rotation.T for sign in (-1.0, 1.0)]
-        beside += [found[1].turned(sign * 5.0 * step * axis, about) for axis in np.eye(3) for sign in (-1.0, 1.0)]
-        poses = [fitted(surface, few, pose, _NUDGE_GATES) for pose in beside]
-        found = max([found, *((judge.verdict(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in poses)],
-                    key=lambda one: one[0])  # fmt: skip
-    return found[0], fitted(surface, region, found[1], _NUDGE_GATES[-3:])
+        about = best[1].to_world(np.zeros(3))
+        beside = [best[1].translate(sign * step * axis) for axis in best[1].rotation.T for sign in (-1.0, 1.0)]
+        beside += [best[1].rotate(sign * 5.0 * step * axis, about) for axis in np.eye(3) for sign in (-1.0, 1.0)]
+        poses = [fit_pose(surface, few, pose, _NUDGE_GATES) for pose in beside]
+        best = max([best, *((judge.count(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in poses)],
+                    key=lambda scored: scored[0])  # fmt: skip
+    return best[0], fit_pose(surface, region, best[1], _NUDGE_GATES[-3:])
 
 
-def _places(
+def _find_places(
     view: View,
     radius: float,
     centre: Float[np.ndarray, "3"],
     hint: Float[np.ndarray, "3"] | None,
     initial: Float[np.ndarray, "4 4"] | None,
 ) -> list[Float[np.ndarray, "3"]]:
-    """Where to look."""
+    """Return the places where the object may be."""
     if initial is not None:
         return [initial[:3, :3] @ centre + initial[:3, 3]]
     if hint is not None:
@@ -212,41 +212,41 @@ def _places(
     # What an object stands on or leans against would join it with all else there.
     loose = ~lie_on_planes(view.obstacles, find_wide_planes(view.obstacles, view.starts, radius, view.seed))
     points, starts = view.obstacles[loose], view.starts[loose]
-    groups = [points[members] for members in clusters(points, starts)] if len(points) else []
+    groups = [points[members] for members in find_clusters(points, starts)] if len(points) else []
     fitting = [group for group in groups if 0.2 * radius < 0.5 * np.linalg.norm(np.ptp(group, axis=0)) < 1.5 * radius]
     return [group.mean(axis=0) for group in sorted(fitting, key=len, reverse=True)[:_MOST_CLUSTERS]]
 
 
-def _starts(
+def _make_starts(
     place: Float[np.ndarray, "3"],
     centre: Float[np.ndarray, "3"],
     radius: float,
     region: Region,
     initial: Float[np.ndarray, "4 4"] | None,
-) -> list[Pose]:
-    """Poses to start from: around the initial one, or evenly over all orientations about the points near the place."""
+) -> list[MeshPose]:
+    """Make poses to start from: around the initial one, or evenly over all orientations about the place."""
     if initial is not None:
-        given = Pose(initial[:3, :3], initial[:3, 3])
+        given = MeshPose(initial[:3, :3], initial[:3, 3])
         turns = [np.zeros(3), *(sign * 0.3 * axis for axis in np.eye(3) for sign in (-1, 1))]
         shifts = [np.zeros(3), *(sign * 0.08 * axis for axis in np.eye(3) for sign in (-1, 1))]
-        about = given.of(centre)
-        return [given.turned(turn, about).shifted(shift) for turn in turns for shift in shifts]
+        about = given.to_world(centre)
+        return [given.rotate(turn, about).translate(shift) for turn in turns for shift in shifts]
     core = region.points[np.linalg.norm(region.points - place, axis=1) <= radius]
     middle = np.median(core, axis=0) if len(core) >= MIN_AGREEING else place
     away = middle - region.starts.mean(axis=0)
     # Only the near side is seen: the middle of the object lies behind the middle of its points.
     middle = middle + 0.2 * radius * away / max(float(np.linalg.norm(away)), 1e-9)
     rotations = Rotation.random(_N_ORIENTATIONS, rng=np.random.default_rng(0)).as_matrix()
-    return [Pose(rotation, middle - rotation @ centre) for rotation in rotations]
+    return [MeshPose(rotation, middle - rotation @ centre) for rotation in rotations]
 
 
-def _is_different(one: Pose, other: Pose, centre: Float[np.ndarray, "3"]) -> bool:
-    angle = np.degrees(Rotation.from_matrix(one.rotation.T @ other.rotation).magnitude())
-    return bool(angle > _DIFFERENT_DEG or np.linalg.norm(one.of(centre) - other.of(centre)) > _DIFFERENT_M)
+def _is_different(pose: MeshPose, other: MeshPose, centre: Float[np.ndarray, "3"]) -> bool:
+    angle = np.degrees(Rotation.from_matrix(pose.rotation.T @ other.rotation).magnitude())
+    return bool(angle > _DIFFERENT_DEG or np.linalg.norm(pose.to_world(centre) - other.to_world(centre)) > _DIFFERENT_M)
 
 
-def _match(pose: Pose, judge: Judge, rival: float, solid: Solid) -> MeshMatch:
-    verdict = judge.verdict(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
+def _make_match(pose: MeshPose, judge: PoseJudge, rival: float, solid: Solid) -> MeshMatch:
+    verdict = judge.count(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
     met = max(1, verdict.agreeing + verdict.through)
     through = verdict.through / met
     hidden = verdict.hidden / max(1, met + verdict.hidden)
@@ -262,24 +262,26 @@ def _match(pose: Pose, judge: Judge, rival: float, solid: Solid) -> MeshMatch:
         "n_points": float(len(verdict.distance)),
     }
     enough = min(1.0, verdict.agreeing / (2.0 * MIN_AGREEING))
-    confidence = enough * _falling(through, 0.08, 0.25) * _falling(hidden, 0.4, 0.9) * _falling(unexplained, 0.2, 0.8)
+    confidence = (
+        enough * _ramp_down(through, 0.08, 0.25) * _ramp_down(hidden, 0.4, 0.9) * _ramp_down(unexplained, 0.2, 0.8)
+    )
     return MeshMatch(pose.matrix, float(confidence), residuals, solid, verdict.tolerance)
 
 
-def _about(points: Float[np.ndarray, "N 3"], mesh: Mesh, by: float) -> Int[np.ndarray, "K"]:
-    """Indices of the points in the mesh's box, grown by a length."""
+def _select_near(points: Float[np.ndarray, "N 3"], mesh: Mesh, by: float) -> Int[np.ndarray, "K"]:
+    """Return indices of the points in the mesh's box, grown by a length."""
     within = (points >= mesh.vertices.min(axis=0) - by) & (points <= mesh.vertices.max(axis=0) + by)
     return np.flatnonzero(within.all(axis=1))
 
 
-def _falling(value: float, good: float, bad: float) -> float:
-    """1 up to ``good``, 0 from ``bad`` on."""
+def _ramp_down(value: float, good: float, bad: float) -> float:
+    """Return 1 up to ``good``, 0 from ``bad`` on, linear between."""
     return float(np.clip((bad - value) / (bad - good), 0.0, 1.0))
 
 
-def _joined(meshes: Sequence[Mesh]) -> Mesh:
+def _join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     if not meshes:
-        raise MeshError("mesh: nothing of it is left to look for")
+        raise MeshError("mesh: has no part to search for")
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     triangles = [mesh.triangles + start for mesh, start in zip(meshes, first, strict=True)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(triangles))

@@ -1,4 +1,4 @@
-"""A scan to convex pieces by CoACD: occupied cells, a closed surface around them, and its parts."""
+"""Convex pieces of a scan by CoACD: occupied cells, a closed surface around them, and its parts."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from scipy.spatial import cKDTree
 from costs.scene import ConvexPiece
 from perception.cleaning.neighbours import nearest
 from perception.convex.clock import Clock
-from perception.convex.coarse import coarsened
+from perception.convex.coarse import coarsen
 from perception.convex.freespace import FreeSpace, carve
-from perception.convex.hulls import hull_of, limited
-from perception.convex.piece import Piece, evidence_of
+from perception.convex.hulls import limit_vertices, make_hull
+from perception.convex.piece import Piece, measure_evidence
 from perception.convex.pieces import Pieces
-from perception.convex.smooth import smoothed
+from perception.convex.smooth import smooth_points
 from perception.convex.split import is_free_of
 from perception.solids.cache import Parts
 from perception.solids.decompose import CoacdSettings, Work, decompose
 from perception.solids.mesh import Mesh
-from perception.solids.voxels import surface_of
+from perception.solids.voxels import wrap_cells
 
 _VOXEL = 0.015
 _COACD = CoacdSettings(0.05, iterations=20, nodes=5, depth=1)
@@ -63,71 +63,71 @@ def make_coacd_pieces(
     if not len(points):
         return Pieces((), {})
     clock = Clock()
-    grid, free = _grid(points, starts, rays)
+    grid, free = _make_cells(points, starts, rays)
     clock.lap("voxels")
-    parts = _split(grid, free, work or Work())
+    parts = _split_grid(grid, free, work or Work())
     clock.lap("coacd")
-    pieces = _named(parts, points, free)
+    pieces = _name_parts(parts, points, free)
     clock.lap("evidence")
     return Pieces(pieces, clock.timings)
 
 
 @dataclass(frozen=True)
-class _Grid:
+class _Cells:
     """Occupied cells: ``lower`` (3,) corner and ``size`` of a cell [m]."""
 
     occupied: Bool[np.ndarray, "X Y Z"]
     lower: Float[np.ndarray, "3"]
     size: float
 
-    def surfaces(self) -> list[Mesh]:
-        """Of each group of cells that touch."""
+    def wrap(self) -> list[Mesh]:
+        """Return the surface of each group of cells that touch."""
         label, _ = ndimage.label(self.occupied, _TOUCHING)
         return [
-            surface_of(label[box] == i + 1, self.lower + np.array([side.start for side in box]) * self.size, self.size)
+            wrap_cells(label[box] == i + 1, self.lower + np.array([side.start for side in box]) * self.size, self.size)
             for i, box in enumerate(ndimage.find_objects(label))
         ]
 
-    def within(self, part: Float[np.ndarray, "V 3"]) -> _Grid:
-        """Only the cells whose middle lies in a convex part."""
-        hull = hull_of(part, np.arange(0))
+    def crop(self, part: Float[np.ndarray, "V 3"]) -> _Cells:
+        """Return only the cells whose middle lies in a convex part."""
+        hull = make_hull(part, np.arange(0))
         first = np.maximum(np.floor((hull.lower - self.lower) / self.size).astype(int), 0)
         last = np.floor((hull.upper - self.lower) / self.size).astype(int) + 1
         block = self.occupied[tuple(slice(a, b) for a, b in zip(first, last, strict=True))].copy()
         cells = np.argwhere(block)
         lower = self.lower + first * self.size
         block[tuple(cells[~hull.is_within((cells + 0.5) * self.size + lower, 0.25 * self.size)].T)] = False
-        return _Grid(block, lower, self.size)
+        return _Cells(block, lower, self.size)
 
 
-def _grid(
+def _make_cells(
     points: Float[np.ndarray, "N 3"],
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
-) -> tuple[_Grid, FreeSpace]:
-    """Cells that hold points or lie between neighbouring ones and were not seen free; and what was seen free."""
+) -> tuple[_Cells, FreeSpace]:
+    """Mark cells that hold points or lie between neighbouring ones and were not seen free; and what was seen free."""
     size = _VOXEL
-    points = smoothed(points, np.ones(len(points), dtype=int), starts, np.arange(len(points)))
-    coarse = coarsened(points, starts, size)
+    points = smooth_points(points, np.ones(len(points), dtype=int), starts, np.arange(len(points)))
+    coarse = coarsen(points, starts, size)
     lower = _FREE_CELL * np.floor((coarse.points.min(axis=0) - _AROUND) / _FREE_CELL)
     upper = coarse.points.max(axis=0) + _AROUND
     free = carve(*rays, coarse.points, lower, upper, _FREE_CELL)
     occupied = np.zeros(np.ceil((upper - lower) / size).astype(int) + 1, dtype=bool)
-    between = _between(coarse.points, coarse.starts, size)
+    between = _bridge_gaps(coarse.points, coarse.starts, size)
     _mark(occupied, between[~free.contains(between)], lower, size)
     for aside in _ASIDE * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
         _mark(occupied, points + aside, lower, size)
-    return _Grid(occupied, lower, size), free
+    return _Cells(occupied, lower, size), free
 
 
 def _mark(grid: Bool[np.ndarray, "X Y Z"], at: Float[np.ndarray, "N 3"], lower: np.ndarray, size: float) -> None:
     grid[tuple(np.floor((at - lower) / size).astype(int).T)] = True
 
 
-def _between(
+def _bridge_gaps(
     points: Float[np.ndarray, "M 3"], starts: Float[np.ndarray, "M 3"], size: float
 ) -> Float[np.ndarray, "K 3"]:
-    """Places on the lines between neighbours no farther apart than max(5 cm, 4.5 % of range)."""
+    """Sample the lines between neighbours no farther apart than max(5 cm, 4.5 % of range)."""
     if len(points) < 2:
         return points
     k = np.arange(2, min(_NEIGHBOURS + 1, len(points)) + 1)
@@ -140,36 +140,36 @@ def _between(
     return np.asarray((points[row] + steps * (ends - points[row])).reshape(-1, 3))
 
 
-def _split(grid: _Grid, free: FreeSpace, work: Work) -> Parts:
-    """Parts of all groups of cells; those that hold free space are split again at half the threshold."""
+def _split_grid(grid: _Cells, free: FreeSpace, work: Work) -> Parts:
+    """Split all groups of cells; parts that hold free space are split again at half the threshold."""
     done: list[Float[np.ndarray, "V 3"]] = []
-    coacd, todo = _COACD, grid.surfaces()
+    coacd, todo = _COACD, grid.wrap()
     for again in range(_PASSES + 1):
-        hulls = [hull_of(mesh.vertices, np.arange(0)) for mesh in todo]
+        hulls = [make_hull(mesh.vertices, np.arange(0)) for mesh in todo]
         whole = [is_free_of(hull, free) for hull in hulls]
         done += [hull.vertices for hull, fits in zip(hulls, whole, strict=True) if fits]
         rest = [mesh for mesh, fits in zip(todo, whole, strict=True) if not fits]
         todo = []
         for part in (part for parts in decompose(rest, coacd, work, "cloud") for part in parts):
-            if again == _PASSES or evidence_of(hull_of(part, np.arange(0)), free).free_share < _MOST_FREE:
+            if again == _PASSES or measure_evidence(make_hull(part, np.arange(0)), free).free_share < _MOST_FREE:
                 done.append(part)
             else:
-                todo += grid.within(part).surfaces()
+                todo += grid.crop(part).wrap()
         coacd = replace(coacd, threshold_m=0.5 * coacd.threshold_m)
     return tuple(done)
 
 
-def _named(parts: Parts, points: Float[np.ndarray, "N 3"], free: FreeSpace) -> tuple[Piece, ...]:
-    """Names, points and evidence for all parts."""
+def _name_parts(parts: Parts, points: Float[np.ndarray, "N 3"], free: FreeSpace) -> tuple[Piece, ...]:
+    """Make pieces with names, points and evidence of all parts."""
     left = np.ones(len(points), dtype=bool)
     pieces = []
     for i, part in enumerate(parts):
-        vertices = limited(part)
-        hull = hull_of(vertices, np.arange(0))
+        vertices = limit_vertices(part)
+        hull = make_hull(vertices, np.arange(0))
         near = left & ((points >= hull.lower - _WITHIN) & (points <= hull.upper + _WITHIN)).all(axis=1)
         mine: Int[np.ndarray, "K"] = np.flatnonzero(near)
         mine = mine[hull.is_within(points[mine], _WITHIN)]
         left[mine] = False
         shape = ConvexPiece(f"coacd/{i}", vertices, kind="clutter")
-        pieces.append(Piece(shape, mine, evidence_of(hull, free), hull.simplified))
+        pieces.append(Piece(shape, mine, measure_evidence(hull, free), hull.simplified))
     return tuple(pieces)

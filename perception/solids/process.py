@@ -1,4 +1,4 @@
-"""CoACD in a process of its own: bounded in memory and time, killed on request, its crashes told in one line."""
+"""CoACD in a process sandbox: bounded in memory and time, its crashes reported in one line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COACD_LIMITS = ProcessLimits(max_bytes=4 * 2**30, max_wall_s=120.0)
 def run_coacd(
     meshes: Sequence[Mesh], options: Mapping[str, object], limits: ProcessLimits = COACD_LIMITS, name: str = "mesh"
 ) -> list[Parts]:
-    """Convex parts of each mesh as CoACD gives them.
+    """Split each mesh into convex parts as CoACD gives them.
 
     Args:
         meshes: closed, wound outwards, finite.
@@ -38,7 +38,7 @@ def run_coacd(
     try:
         result = run_in_sandbox(split_meshes, values, limits, n_threads=None)
     except SandboxError as error:
-        raise MeshError(f"{name}: {_reason(error)}") from None
+        raise MeshError(f"{name}: {_explain(error)}") from None
     return [tuple(np.split(result[f"parts_{i}"], np.cumsum(result[f"counts_{i}"])[:-1])) for i in range(len(meshes))]
 
 
@@ -64,7 +64,7 @@ def split_meshes(n_meshes: int, options: dict[str, Any], **arrays: np.ndarray) -
     return result
 
 
-def _reason(error: SandboxError) -> str:
+def _explain(error: SandboxError) -> str:
     if error.cause is Cause.CRASH:
         return f"cannot be split into convex parts (CoACD ended with {error.ending}); simplify or repair it"
     if error.cause is Cause.MEMORY:

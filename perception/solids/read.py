@@ -19,30 +19,30 @@ _SMALLEST_M = 1e-3
 
 
 def read_mesh(path: Path | str, scale: float | Float[np.ndarray, "3"] = 1.0) -> Mesh:
-    """Triangles of a mesh file; faces with more corners come as fans of triangles.
+    """Read the triangles of a mesh file; faces with more corners come as fans of triangles.
 
     Args:
-        path: the file; its suffix tells the format. Text and binary STL are told apart by content.
+        path: the file; its suffix is the format. Text and binary STL are distinguished by content.
         scale: metres per unit of the file, along each axis where there are three.
 
     Raises:
-        MeshError: naming the file, what is wrong and what would do.
+        MeshError: naming the file, what is wrong and what is expected.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise MeshError(f"{path.name}: format '{path.suffix}' is not read; {', '.join(SUFFIXES)} would do")
-    mesh = _parsed(_content(path), path)
+        raise MeshError(f"{path.name}: format '{path.suffix}' is not read; expected {', '.join(SUFFIXES)}")
+    mesh = _parse(_read_content(path), path)
     if not 4 <= len(mesh.triangles) <= MAX_TRIANGLES:
         what = "points but no triangles" if len(mesh.vertices) and not len(mesh.triangles) else ""
         what = what or f"{len(mesh.triangles)} triangles"
-        raise MeshError(f"{path.name}: has {what}; a solid with 4 to {MAX_TRIANGLES} triangles would do")
+        raise MeshError(f"{path.name}: has {what}; expected a solid with 4 to {MAX_TRIANGLES} triangles")
     scaled = Mesh(mesh.vertices * scale, mesh.triangles)
     if np.isfinite(scaled.vertices).all():
         _check_size(scaled, path)
     return scaled
 
 
-def _content(path: Path) -> bytes:
+def _read_content(path: Path) -> bytes:
     try:
         if not path.is_file():  # a pipe or a device would never end
             raise MeshError(f"{path.name}: {path} is not there or no regular file; a mesh file is needed")
@@ -54,7 +54,7 @@ def _content(path: Path) -> bytes:
         raise MeshError(f"{path.name}: cannot be read ({error.strerror})") from None
 
 
-def _parsed(data: bytes, path: Path) -> Mesh:
+def _parse(data: bytes, path: Path) -> Mesh:
     import trimesh  # takes 0.4 s to import, and few need it
 
     kind = path.suffix.lower()[1:]

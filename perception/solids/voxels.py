@@ -16,10 +16,10 @@ _SMALLEST_CELL = 0.003
 _LARGEST_CELL = 0.02
 
 
-def surface_of(
+def wrap_cells(
     occupied: Bool[np.ndarray, "X Y Z"], lower: Float[np.ndarray, "3"], size: float, simpler: float = _SIMPLER
 ) -> Mesh:
-    """A closed surface, wound outwards, half-way between the middles of occupied and empty cells.
+    """Make a closed surface, wound outwards, half-way between the middles of occupied and empty cells.
 
     Args:
         occupied: which cells are; at least one.
@@ -34,23 +34,23 @@ def surface_of(
     made = o3d.t.geometry.TriangleMesh.create_isosurfaces(o3d.core.Tensor.from_numpy(volume), [0.5])
     vertices = (made.vertex.positions.numpy().astype(np.float64) - 0.5) * size + lower
     full = Mesh(vertices, made.triangle.indices.numpy().astype(np.int64))
-    return simplified(full, int(simpler * len(full.triangles)), _STRAY * size)
+    return simplify_mesh(full, int(simpler * len(full.triangles)), _STRAY * size)
 
 
-def shell_of(mesh: Mesh) -> Mesh:
-    """A closed surface around the triangles of an open mesh, as thick as one to two cells: 1/40 of its size."""
+def wrap_mesh(mesh: Mesh) -> Mesh:
+    """Make a closed surface around the triangles of an open mesh, as thick as one to two cells: 1/40 of its size."""
     span = float(np.ptp(mesh.vertices, axis=0).max())
     size = float(np.clip(span / _CELLS_ACROSS, min(_SMALLEST_CELL, span / 8), max(_LARGEST_CELL, span / 256)))
-    points = samples(mesh, 0.5 * size)
+    points = sample_surface(mesh, 0.5 * size)
     lower = points.min(axis=0) - 0.5 * size
     cells = np.floor((points - lower) / size).astype(np.int64)
     occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     occupied[tuple(cells.T)] = True
-    return surface_of(occupied, lower, size, _SIMPLER_SHELL)
+    return wrap_cells(occupied, lower, size, _SIMPLER_SHELL)
 
 
-def samples(mesh: Mesh, spacing: float) -> Float[np.ndarray, "N 3"]:
-    """Points on the triangles, nowhere farther from each other than ``spacing`` [m]."""
+def sample_surface(mesh: Mesh, spacing: float) -> Float[np.ndarray, "N 3"]:
+    """Sample points on the triangles, nowhere farther from each other than ``spacing`` [m]."""
     corners = mesh.vertices[mesh.triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     steps = np.maximum(1, np.ceil(longest / spacing).astype(int))
@@ -63,8 +63,8 @@ def samples(mesh: Mesh, spacing: float) -> Float[np.ndarray, "N 3"]:
     return np.concatenate(clouds)
 
 
-def simplified(mesh: Mesh, n_triangles: int, stray: float) -> Mesh:
-    """The closed mesh with about ``n_triangles``, or as it is where fewer would not be closed.
+def simplify_mesh(mesh: Mesh, n_triangles: int, stray: float) -> Mesh:
+    """Reduce a closed mesh to about ``n_triangles``; unchanged if the simpler mesh would not be closed.
 
     Args:
         mesh: closed, wound outwards.

@@ -1,4 +1,4 @@
-"""Quadratic programs and the solvers that solve them, each selectable by name."""
+"""Quadratic programs and their solvers, selectable by name."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from scopt.qp.program import QPBackend, QPMultipliers, QPSolution, QPStatus, Qua
 BACKENDS: dict[str, QPBackend] = {"piqp": solve_piqp, "clarabel": solve_clarabel, "cvxpy": solve_cvxpy}
 
 
-def backend(name: str) -> QPBackend:
-    """The back end of that name.
+def select_backend(name: str) -> QPBackend:
+    """Return the back end of a name.
 
     Raises:
-        SolverError: no back end has that name.
+        SolverError: the name is unknown.
     """
     if name not in BACKENDS:
-        raise SolverError(f"unknown QP back end '{name}'; there are {', '.join(BACKENDS)}")
+        raise SolverError(f"unknown QP back end '{name}'; expected one of {', '.join(BACKENDS)}")
     return BACKENDS[name]
 
 
@@ -31,6 +31,6 @@ __all__ = [
     "QPSolution",
     "QPStatus",
     "QuadraticProgram",
-    "backend",
+    "select_backend",
     "solve_clarabel",
 ]

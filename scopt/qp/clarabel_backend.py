@@ -40,7 +40,7 @@ def solve_clarabel(program: QuadraticProgram) -> QPSolution:
     if isinstance(program, ConicProgram):
         rows = sparse.vstack([rows, program.A], format="csc")
         bounds = np.concatenate([bounds, program.b])
-        cones += [_cone(cone) for cone in program.cones]
+        cones += [_make_cone(cone) for cone in program.cones]
     if program.E is not None and program.f is not None:
         rows = sparse.vstack([rows, program.E], format="csc")
         bounds = np.concatenate([bounds, program.f])
@@ -65,7 +65,7 @@ def solve_clarabel(program: QuadraticProgram) -> QPSolution:
     return QPSolution(np.asarray(solution.x), _STATUS[status], multipliers)
 
 
-def _cone(cone: Cone) -> object:
-    """Clarabel's own."""
+def _make_cone(cone: Cone) -> object:
+    """Make Clarabel's cone."""
     make = getattr(clarabel, cone.kind.value)
     return make() if cone.parameter is None else make(cone.parameter)

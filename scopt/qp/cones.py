@@ -30,8 +30,8 @@ class Cone:
     """A cone.
 
     Attributes:
-        kind: which.
-        parameter: its size; of a power cone its exponent, of an exponential one nothing.
+        kind: as Clarabel names it.
+        parameter: size; exponent of a power cone; None for an exponential cone.
     """
 
     kind: ConeKind
@@ -53,8 +53,8 @@ class ConicProgram(QuadraticProgram):
     cones: tuple[Cone, ...]
 
 
-def cones_of(dims: Any) -> tuple[Cone, ...]:
-    """The cones of a problem that CVXPY has written for Clarabel, from their dimensions.
+def read_cones(dims: Any) -> tuple[Cone, ...]:
+    """Read the cones of a problem that CVXPY has written for Clarabel from their dimensions.
 
     Raises:
         SolverError: a kind of cone that is not in our mapping.
@@ -64,9 +64,9 @@ def cones_of(dims: Any) -> tuple[Cone, ...]:
             "the expression needs a power cone of more than three dimensions, which is not in our mapping"
         )
     flat = ((ConeKind.ZERO, dims.zero), (ConeKind.NONNEGATIVE, dims.nonneg))
-    found = [Cone(kind, int(size)) for kind, size in flat if size]
-    found += [Cone(ConeKind.SECOND_ORDER, int(size)) for size in dims.soc]
-    found += [Cone(ConeKind.PSD_TRIANGLE, int(size)) for size in dims.psd]
-    found += [Cone(ConeKind.EXPONENTIAL, None)] * int(dims.exp)
-    found += [Cone(ConeKind.POWER, float(exponent)) for exponent in dims.p3d]
-    return tuple(found)
+    cones = [Cone(kind, int(size)) for kind, size in flat if size]
+    cones += [Cone(ConeKind.SECOND_ORDER, int(size)) for size in dims.soc]
+    cones += [Cone(ConeKind.PSD_TRIANGLE, int(size)) for size in dims.psd]
+    cones += [Cone(ConeKind.EXPONENTIAL, None)] * int(dims.exp)
+    cones += [Cone(ConeKind.POWER, float(exponent)) for exponent in dims.p3d]
+    return tuple(cones)

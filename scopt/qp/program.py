@@ -1,4 +1,4 @@
-"""A quadratic program in the one form all back ends share, and what they answer."""
+"""The form of quadratic programs and solutions that all back ends share."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class QuadraticProgram:
     f: Float[np.ndarray, "Q"] | None = field(default=None, kw_only=True)
 
     def objective(self, x: Float[np.ndarray, "N"]) -> float:
-        """Objective at ``x``."""
+        """Return the objective at ``x``."""
         return float(0.5 * x @ (self.P @ x) + self.c @ x)
 
 
 class QPStatus(Enum):
-    """What a back end says of its answer."""
+    """Status of a back end's solution."""
 
     SOLVED = "solved"
     INACCURATE = "inaccurate"
@@ -65,7 +65,7 @@ class QPMultipliers:
     def of_parts(
         rows: np.ndarray, lower: np.ndarray, upper: np.ndarray, has_lower: np.ndarray, has_upper: np.ndarray
     ) -> QPMultipliers:
-        """From the multipliers of the finite bounds alone; what rounding makes negative is zero."""
+        """Make them from the multipliers of the finite bounds; negative rounding errors become zero."""
         full = [np.zeros(len(has_lower)), np.zeros(len(has_upper))]
         full[0][has_lower], full[1][has_upper] = lower, upper
         return QPMultipliers(*(np.maximum(part, 0.0) for part in (rows, *full)))
@@ -73,9 +73,9 @@ class QPMultipliers:
 
 @dataclass(frozen=True)
 class QPSolution:
-    """A back end's answer; ``x`` and ``multipliers`` are meaningful when ``status`` is SOLVED or INACCURATE.
+    """Solution of a program; ``x`` and ``multipliers`` are meaningful when ``status`` is SOLVED or INACCURATE.
 
-    ``multipliers`` is None where a back end does not hand them over.
+    ``multipliers`` is None where a back end does not return them.
     """
 
     x: Float[np.ndarray, "N"]

@@ -16,7 +16,7 @@ from costs.state import MotionState
 from costs.stopping import poll
 from costs.terms import AxisDirection, FramePose
 from scopt import Constraint, Residual, Sense
-from service.demands.kept import free_axis, wanted_pose
+from service.demands.targets import free_axis, wanted_pose
 from service.errors import RequestError
 from service.request.schema import KeepRequest
 from service.verify import RelativePoseTarget

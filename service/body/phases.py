@@ -144,9 +144,9 @@ class Solved:
         contacts = state.contacts
         asked = np.minimum(contacts.margin - CLEARANCE_TOLERANCE, LEAST_CLEARANCE)
         return bool(np.all(contacts.distance >= asked)) and all(
-            float(constraint.violation(constraint.residual.value(state)).max(initial=0.0)) <= constraint.tolerance
-            for constraint in self.problem.constraints
-            if constraint.name not in CLEARANCE_TERMS
+            float(term.measure_violation(term.residual.value(state)).max(initial=0.0)) <= term.tolerance
+            for term in self.problem.constraints
+            if term.name not in CLEARANCE_TERMS
         )
 
     @property
@@ -160,7 +160,7 @@ class Solved:
         state = self.problem.state(self.x)
         lines: list[tuple[float, str]] = []
         for constraint in self.problem.constraints:
-            short = constraint.violation(constraint.residual.value(state))
+            short = constraint.measure_violation(constraint.residual.value(state))
             worst = float(short.max(initial=0.0))
             if worst <= constraint.tolerance:
                 continue

@@ -244,7 +244,7 @@ def _bench(
         from service.bench.bench import COLUMNS, FAILURE_COLUMNS, failures, run_bench, table
         from service.bench.problem_set import BenchRobot, read_problems
         from service.errors import RequestError
-        from service.setup.prepare import load_requested_robot
+        from service.start.robot import load_requested_robot
 
         problems = read_problems(
             path, BenchRobot(urdf, srdf, package_root), {"time_limit_s": time_limit, "timed": False}, limit

@@ -56,12 +56,12 @@ def review_plan(
                 "trajectory_sha256": record.result.trajectory.sha256,
                 "certificate_sha256": record.result.certificate.sha256,
                 "is_approved": record.is_approved,
-                "reviews": [dict(zip(_COLUMNS, _row(review), strict=True)) for review in record.reviews],
+                "reviews": [dict(zip(_COLUMNS, _make_row(review), strict=True)) for review in record.reviews],
             }
         )
         return
     if record.reviews:
-        print_table(out, _COLUMNS, [_row(review) for review in record.reviews])
+        print_table(out, _COLUMNS, [_make_row(review) for review in record.reviews])
     state = "approved" if record.is_approved else "not approved"
     out.print(f"plan {record.plan_id} is {state}", markup=False, soft_wrap=True)
 
@@ -77,7 +77,7 @@ def _show(out: Console, record: PlanRecord, files: ResultFiles | None) -> None:
     print_verdict(out, summary)
 
 
-def _row(review: Review) -> tuple[str, str, str, str]:
+def _make_row(review: Review) -> tuple[str, str, str, str]:
     decision = Decision.Name(review.decision).removeprefix("DECISION_")
     when = review.time.ToDatetime().isoformat(" ", "seconds")
     return decision, review.reviewer, f"{when} UTC", review.comment

@@ -29,7 +29,7 @@ def watch(server: ServerOptions, every_s: float, once: bool, as_json: bool) -> N
     with connect(server, err) as client:
         status = client.status()
         if as_json:
-            print_json(status_json(status))
+            print_json(status_to_json(status))
         elif once or not out.is_terminal:
             out.print(draw_status(status, server.target))
         else:
@@ -46,7 +46,7 @@ def watch(server: ServerOptions, every_s: float, once: bool, as_json: bool) -> N
                 return
 
 
-def status_json(status: GetStatusResponse) -> dict[str, Any]:
+def status_to_json(status: GetStatusResponse) -> dict[str, Any]:
     """Return a status as JSON data."""
     fields = (
         "version", "uptime_s", "queued", "queue_limit", "worker_restarts", "solve_p50_s", "solve_p99_s", "is_draining",

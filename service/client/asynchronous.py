@@ -20,14 +20,14 @@ from service.client.messages import (
     Clouds,
     Meshes,
     check_size,
-    clouds_message,
-    detect_message,
     find_cloud_files,
     find_known_files,
-    plan_message,
-    review_message,
-    scene_message,
-    verify_message,
+    make_clouds_message,
+    make_detect_message,
+    make_plan_message,
+    make_review_message,
+    make_scene_message,
+    make_verify_message,
 )
 from service.client.received import receive_files
 from service.client.retry import Attempts, Retry, check_seconds
@@ -55,7 +55,7 @@ SLOWEST_UPLOAD = 1e6  # [bytes/s]
 
 
 class AsyncPlannerClient:
-    """Calls a planning server from one asyncio event loop; made inside of a coroutine.
+    """Asyncio client of a planning server, for one event loop; made inside of a coroutine.
 
     Every method raises ``PlannerError`` for a failed call, and ``RequestError`` for wrong arguments before anything is
     sent. Cancelling a task cancels its call on the server.
@@ -166,10 +166,10 @@ class AsyncPlannerClient:
 
         The arguments are those of ``plan``; ``with_files`` asks for the result's files as events.
         """
-        attempts = self._attempts(deadline_s)
+        attempts = Attempts(self._retry, deadline_s)
         if isinstance(request, PlanRequest):
             request = await self.with_uploads(request, deadline_s=attempts.timeout_s)
-        message = plan_message(request, request_id, with_files, with_waypoints)
+        message = make_plan_message(request, request_id, with_files, with_waypoints)
         async with aclosing(self._stream("Plan", message, attempts)) as events:
             async for event in events:
                 yield event
@@ -180,7 +180,7 @@ class AsyncPlannerClient:
         Its other relative paths become absolute if the server is this machine.
         """
         request = resolve_paths(request, self._connection.is_this_machine)
-        attempts = self._attempts(deadline_s)
+        attempts = Attempts(self._retry, deadline_s)
         ids = {
             name: await self.upload_cloud(path, deadline_s=attempts.timeout_s)
             for name, path in find_local_files(request).items()
@@ -195,15 +195,15 @@ class AsyncPlannerClient:
         """
         upload = await self._transport.run(hash_file, path)
         upload_time_s = self._timeout_s + upload.n_bytes / SLOWEST_UPLOAD
-        attempts = self._attempts(upload_time_s if deadline_s is None else deadline_s)
+        attempts = Attempts(self._retry, upload_time_s if deadline_s is None else deadline_s)
         while True:
             parts = UploadParts(upload)
             try:
-                answer = await self._transport.call("UploadCloud", parts, _time_left_s(attempts))
+                answer = await self._transport.call("UploadCloud", parts, attempts.start())
             except grpc.RpcError as error:
                 if parts.error is not None:
                     raise parts.error from None
-                delay_s = self._delay_s(attempts, name_uploaded_file(read_error(error), upload.path))
+                delay_s = self._use_attempt(attempts, name_uploaded_file(read_error(error), upload.path))
             else:
                 self._upload_names.add(answer.cloud_id, upload.path)
                 return str(answer.cloud_id)
@@ -234,9 +234,9 @@ class AsyncPlannerClient:
         files = find_known_files(meshes, update)
         ids = {name: await self.upload_cloud(path) for name, path in files.items()}
         spec = await self._upload_clouds(clouds)
-        message = scene_message(spec, detect, hint, unknown, method, meshes, update, ids)
+        message = make_scene_message(spec, detect, hint, unknown, method, meshes, update, ids)
         reader = SceneReader()
-        async with aclosing(self._stream("BuildScene", message, self._attempts(deadline_s))) as events:
+        async with aclosing(self._stream("BuildScene", message, Attempts(self._retry, deadline_s))) as events:
             async for event in events:
                 reader.take(event)
                 if on_step is not None and event.step:
@@ -252,13 +252,13 @@ class AsyncPlannerClient:
         self, clouds: Clouds, kind: str, *, hint: Sequence[float] | None = None, deadline_s: float | None = None
     ) -> DetectResponse:
         """Find objects of a kind, best first; ``hint`` is a position near the object [m] in the world frame."""
-        message = detect_message(await self._upload_clouds(clouds), kind, hint)
+        message = make_detect_message(await self._upload_clouds(clouds), kind, hint)
         reply: DetectResponse = await self._call("Detect", message, deadline_s)
         return reply
 
     async def verify(self, plan: str | Path, *, deadline_s: float | None = None) -> VerifyResponse:
         """Verify a motion again: that of a plan on the server (id as str) or of a local result folder (``Path``)."""
-        reply: VerifyResponse = await self._call("Verify", verify_message(plan), deadline_s)
+        reply: VerifyResponse = await self._call("Verify", make_verify_message(plan), deadline_s)
         return reply
 
     async def robots(self) -> tuple[RobotInfo, ...]:
@@ -271,7 +271,7 @@ class AsyncPlannerClient:
         """Return a plan and its reviews; with ``out``, write its files into that folder."""
         folder = None if out is None else Path(out)
         message = GetPlanRequest(plan_id=plan_id, with_files=out is not None)
-        attempts = self._attempts(self._timeout_s if deadline_s is None else deadline_s)
+        attempts = Attempts(self._retry, self._timeout_s if deadline_s is None else deadline_s)
         with receive_files(folder) as files:
             reader = StoredReader(files, folder)
             async with aclosing(self._stream("GetPlan", message, attempts)) as parts:
@@ -281,7 +281,7 @@ class AsyncPlannerClient:
 
     async def review(self, seen: PlanRecord, *, accept: bool, comment: str = "") -> Review:
         """Accept or reject exactly the trajectory and certificate of the record that ``get_plan`` returned."""
-        message = review_message(seen, accept, comment)
+        message = make_review_message(seen, accept, comment)
         review: Review = (await self._call("ReviewPlan", message, self._timeout_s, is_repeatable=False)).review
         return review
 
@@ -292,16 +292,16 @@ class AsyncPlannerClient:
 
     async def _upload_clouds(self, clouds: Clouds) -> CloudsSpec:
         ids = {name: await self.upload_cloud(path) for name, path in find_cloud_files(clouds).items()}
-        return clouds_message(clouds, ids)
+        return make_clouds_message(clouds, ids)
 
     async def _call(self, method: str, message: Message, deadline_s: float | None, is_repeatable: bool = True) -> Any:
         check_size(message)
-        attempts = self._attempts(deadline_s, is_repeatable)
+        attempts = Attempts(self._retry, deadline_s, is_repeatable)
         while True:
             try:
-                return await self._transport.call(method, message, _time_left_s(attempts))
+                return await self._transport.call(method, message, attempts.start())
             except grpc.RpcError as error:
-                delay_s = self._delay_s(attempts, read_error(error))
+                delay_s = self._use_attempt(attempts, read_error(error))
             await self._transport.sleep(delay_s)
 
     async def _stream(self, method: str, message: Message, attempts: Attempts) -> AsyncGenerator[Any, None]:
@@ -309,19 +309,16 @@ class AsyncPlannerClient:
         step = LastStep()
         while True:
             try:
-                async with aclosing(self._transport.stream(method, message, _time_left_s(attempts))) as events:
+                async with aclosing(self._transport.stream(method, message, attempts.start())) as events:
                     async for event in events:
                         step.take(event)
                         yield event
                 return
             except grpc.RpcError as error:
-                delay_s = self._delay_s(attempts, read_error(error), step)
+                delay_s = self._use_attempt(attempts, read_error(error), step)
             await self._transport.sleep(delay_s)
 
-    def _attempts(self, deadline_s: float | None, is_repeatable: bool = True) -> Attempts:
-        return Attempts(self._retry, deadline_s, is_repeatable)
-
-    def _delay_s(self, attempts: Attempts, error: PlannerError, step: LastStep | None = None) -> float:
+    def _use_attempt(self, attempts: Attempts, error: PlannerError, step: LastStep | None = None) -> float:
         """Return the delay before the next attempt.
 
         Raises:
@@ -329,18 +326,7 @@ class AsyncPlannerClient:
         """
         error = (step or LastStep()).explain_deadline(self._upload_names.restore(error), attempts.deadline_s)
         error = explain_unreachable(error, self._connection)
-        delay_s = attempts.delay_s(error)
+        delay_s = attempts.use(error)
         if self._on_retry is not None:
             self._on_retry(error, delay_s)
         return delay_s
-
-
-def _time_left_s(attempts: Attempts) -> float | None:
-    """
-    Raises:
-        PlannerError: the deadline has passed.
-    """
-    timeout_s = attempts.timeout_s
-    if timeout_s is not None and timeout_s <= 0.0:
-        raise PlannerError(grpc.StatusCode.DEADLINE_EXCEEDED, "no time is left")
-    return timeout_s

@@ -75,11 +75,11 @@ def _iterate_blocking(events: AsyncGenerator[R, None]) -> Generator[R, None, Non
 
 
 class PlannerClient:
-    """Calls a planning server and waits for its answers.
+    """Blocking client of a planning server.
 
-    Several threads may use a client at the same time, also where an asyncio event loop runs (Jupyter); it starts no
-    loop and no thread of its own. Every method has the arguments and errors of the method of ``AsyncPlannerClient``
-    with its name. An exception in the meantime, ``KeyboardInterrupt`` included, cancels the call on the server.
+    Several threads may use it at the same time, also where an asyncio event loop runs (Jupyter); it starts no loop and
+    no thread. Each method has the arguments and errors of its namesake in ``AsyncPlannerClient``. An exception in the
+    meantime, ``KeyboardInterrupt`` included, cancels the call on the server.
     """
 
     def __init__(

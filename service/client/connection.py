@@ -54,7 +54,7 @@ class Connection:
         _check_text("target", self.target)
         if self.token is not None:
             _check_text("token", self.token)
-        if _host(self.target) is None:
+        if _parse_host(self.target) is None:
             raise RequestError(f"target: {shown(self.target)} is no address; expected HOST:PORT or unix:PATH")
         if (self.tls_cert is None) != (self.tls_key is None):
             raise RequestError("tls_cert and tls_key: one is missing; give both or none")
@@ -73,7 +73,7 @@ class Connection:
     @property
     def is_this_machine(self) -> bool:
         """Whether the target is an address of this machine."""
-        host = _host(self.target)
+        host = _parse_host(self.target)
         return host == "" or (host is not None and is_loopback(host))
 
     @property
@@ -126,7 +126,7 @@ def _read_file(name: str, path: str | Path | None) -> bytes | None:
         raise RequestError(f"{name}: {path} cannot be read: {error.strerror}") from None
 
 
-def _host(target: str) -> str | None:
+def _parse_host(target: str) -> str | None:
     """Return the host of a target; empty for a Unix socket, None for a target without one."""
     if not target.isprintable() or " " in target:
         return None

@@ -39,7 +39,7 @@ Meshes = Sequence[KnownMesh | str | Path]
 """Known objects: messages, or local files and ids of uploads, in metres, to be found anywhere in the clouds."""
 
 
-def plan_message(
+def make_plan_message(
     request: PlanRequest | MotionRequest,
     request_id: str | None,
     with_files: bool,
@@ -54,7 +54,7 @@ def plan_message(
     )
 
 
-def scene_message(
+def make_scene_message(
     clouds: CloudsSpec,
     detect: Iterable[str],
     hint: Sequence[float] | None,
@@ -79,7 +79,7 @@ def scene_message(
     return message
 
 
-def detect_message(clouds: CloudsSpec, kind: str, hint: Sequence[float] | None) -> DetectRequest:
+def make_detect_message(clouds: CloudsSpec, kind: str, hint: Sequence[float] | None) -> DetectRequest:
     """Return the message of a detection."""
     return DetectRequest(clouds=clouds, kind=kind, hint=hint or ())
 
@@ -138,7 +138,7 @@ def _replace_by_id(mesh: KnownMesh | str | Path, ids: Mapping[str, str]) -> Know
     return known
 
 
-def clouds_message(clouds: Clouds, ids: dict[str, str]) -> CloudsSpec:
+def make_clouds_message(clouds: Clouds, ids: dict[str, str]) -> CloudsSpec:
     """Return the message of clouds, with the ids of uploads in place of their files' names."""
     if isinstance(clouds, CloudsSpec):
         return clouds
@@ -163,7 +163,7 @@ def check_size(message: Message) -> None:
     raise RequestError(problem)
 
 
-def verify_message(plan: str | Path) -> VerifyRequest:
+def make_verify_message(plan: str | Path) -> VerifyRequest:
     """Return the message for a plan's id (str), or for a local result folder (``Path``) with the files of its motion.
 
     Raises:
@@ -182,7 +182,7 @@ def verify_message(plan: str | Path) -> VerifyRequest:
     )
 
 
-def review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> ReviewPlanRequest:
+def make_review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> ReviewPlanRequest:
     """Return the review of exactly the trajectory and certificate of a record.
 
     Raises:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import grpc
@@ -42,29 +41,33 @@ class Attempts:
         RequestError: the deadline is negative or not finite.
     """
 
-    def __init__(
-        self,
-        retry: Retry,
-        deadline_s: float | None,
-        is_repeatable: bool = True,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, retry: Retry, deadline_s: float | None, is_repeatable: bool = True) -> None:
         if deadline_s is not None:
             check_seconds("deadline_s", deadline_s)
         self._retry = retry
-        self._clock = clock
         self.deadline_s = deadline_s
-        self._end = None if deadline_s is None else clock() + deadline_s
+        self._end = None if deadline_s is None else time.monotonic() + deadline_s
         self._left = retry.attempts - 1 if is_repeatable else 0
         self._next_delay_s = retry.first_delay_s
 
     @property
     def timeout_s(self) -> float | None:
-        """Time left for the next attempt [s]; None for no limit."""
-        return None if self._end is None else max(self._end - self._clock(), 0.0)
+        """Time left [s], 0 after the deadline; None for no limit."""
+        return None if self._end is None else max(self._end - time.monotonic(), 0.0)
 
-    def delay_s(self, error: PlannerError) -> float:
-        """Return the delay before the next attempt.
+    def start(self) -> float | None:
+        """Return the time left for the next attempt [s]; None for no limit.
+
+        Raises:
+            PlannerError: the deadline has passed.
+        """
+        timeout_s = self.timeout_s
+        if timeout_s is not None and timeout_s <= 0.0:
+            raise PlannerError(grpc.StatusCode.DEADLINE_EXCEEDED, "no time is left")
+        return timeout_s
+
+    def use(self, error: PlannerError) -> float:
+        """Use up an attempt after an error, and return the delay before it [s].
 
         Raises:
             PlannerError: ``error`` itself, if no attempt is left.

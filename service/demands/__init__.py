@@ -1,22 +1,22 @@
-"""What a request demands of a motion, free of everything that plans: the verifier's side of a request."""
+"""Demands of a request on its motion, and a recorded motion held to them; imports nothing that plans."""
 
 from service.demands.demand import Demands
-from service.demands.differences import pace_differences
-from service.demands.holding import Held, hold_to_request
+from service.demands.differences import compare_pace
+from service.demands.holding import HeldMotion, hold_to_request
 from service.demands.program import ProgramDemand
+from service.demands.recorded_turn import compare_turn
+from service.demands.scene import compose_scene, has_scan, recorded_obstacles
 from service.demands.stance import planted_feet
-from service.demands.turning import turned_differences
-from service.demands.world import compose_scene, has_scan, recorded_obstacles
 
 __all__ = [
     "Demands",
-    "Held",
+    "HeldMotion",
     "ProgramDemand",
+    "compare_pace",
+    "compare_turn",
     "compose_scene",
     "has_scan",
     "hold_to_request",
-    "pace_differences",
     "planted_feet",
     "recorded_obstacles",
-    "turned_differences",
 ]

@@ -1,4 +1,4 @@
-"""What a request demands of every motion that answers it."""
+"""The demands of a request on every motion that answers it, free of choices that a planner makes."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from service.request.schema import PlanRequest
 
 @dataclass(frozen=True)
 class Demands:
-    """What a request demands of every motion that answers it.
+    """Demands of a request on every motion that answers it.
 
     Attributes:
-        request: as it was asked.
-        robot: without what a task moves.
-        start: (n,) where it stands at first.
-        scene: all pieces, the floor's included.
-        program: what the request's TrajOpt problem demands, or None.
-        wheel: the valve that the request has turned, or None.
+        request: the request.
+        robot: the robot without the mechanism that a task moves.
+        start: (n,) configuration at the start.
+        scene: all pieces, floors included.
+        program: demands of the request's TrajOpt problem, or None.
+        wheel: wheel of the valve to turn, or None.
     """
 
     request: PlanRequest
@@ -37,7 +37,7 @@ class Demands:
 
     @property
     def feet(self) -> tuple[str, ...]:
-        """Links that are planted."""
+        """Planted links."""
         if self.program is not None:
             return self.program.planted
         return planted_feet(self.robot, self.request.options.feet)

@@ -1,4 +1,4 @@
-"""A recorded motion held to a request: its promises are made anew, and what the record says otherwise is told."""
+"""A recorded motion held to a request: its promises are made anew from the request, and differences are listed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import numpy as np
 
 from costs.allowance import Allowance
 from service.demands.demand import Demands
-from service.demands.differences import ESCAPE, path_differences, phase_differences, world_differences
-from service.demands.goals import goal_targets
-from service.demands.kept import kept_target
+from service.demands.differences import ESCAPE, compare_path, compare_phase, compare_world
 from service.demands.program import program_targets
+from service.demands.recorded_turn import RecordedTurn
 from service.demands.stance import Stance, leaving_allowances, standing_allowances
-from service.demands.turning import Turning
+from service.demands.targets import goal_targets, kept_target
 from service.demands.wheel import robot_with_wheel
 from service.start.overlaps import find_hull_overlaps
 from service.verify import Motion, Phase, Target
@@ -21,42 +20,42 @@ from service.verify.coverage.required import waived_checks
 
 
 @dataclass(frozen=True)
-class Held:
-    """A motion whose promises are a request's own.
+class HeldMotion:
+    """Recorded motion with the promises of a request.
 
     Attributes:
         motion: the recorded curve, time law, samples and phases' borders; everything else from the request.
-        differences: one sentence for everything the record says that the request does not.
+        differences: one sentence for each statement of the record that is not the request's.
     """
 
     motion: Motion
     differences: tuple[str, ...]
 
 
-def hold_to_request(demands: Demands, recorded: Motion) -> Held:
+def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     """Make a recorded motion's promises anew from a request.
 
-    Of the record only choices are kept: curve, time law, samples, and where the phases begin and end.
+    Only choices are kept from the record: curve, time law, samples, and where phases begin and end.
 
     Raises:
         ValueError: the request's feet do not span a polygon.
     """
     robot = demands.robot if demands.wheel is None else robot_with_wheel(demands.robot, demands.wheel)
-    differences = list(world_differences(demands, robot, recorded))
+    differences = list(compare_world(demands, robot, recorded))
     if recorded.robot.joint_names != robot.joint_names:
-        return Held(recorded, tuple(differences))
-    differences += path_differences(demands, recorded)
+        return HeldMotion(recorded, tuple(differences))
+    differences += compare_path(demands, recorded)
     promises, lines = _promises(demands, recorded)
     phases = tuple(_rebuild(demands, recorded, index, promises) for index in range(len(recorded.phases)))
     differences += lines
     for phase, own in zip(recorded.phases, phases, strict=True):
-        differences += phase_differences(phase, own, is_program=demands.program is not None)
+        differences += compare_phase(phase, own, is_program=demands.program is not None)
     waived = waived_checks(
         is_timed=demands.request.options.timed,
         is_balanced=promises.stance.hull is not None or not demands.robot.is_floating,
     )
     if recorded.waived != waived:
-        differences.append("the checks that the record waives are not those that the request does not ask for")
+        differences.append("the record waives other checks than the request")
     motion = replace(
         recorded,
         robot=robot,
@@ -65,19 +64,28 @@ def hold_to_request(demands: Demands, recorded: Motion) -> Held:
         mechanism_links=robot.mechanism_links,
         waived=waived,
     )
-    return Held(motion, tuple(differences))
+    return HeldMotion(motion, tuple(differences))
 
 
 @dataclass(frozen=True)
 class _Promises:
-    """What the phases promise besides standing: targets of the task in the last phase, kept poses in all of them."""
+    """Promises of the phases, made from the request.
+
+    Attributes:
+        stance: planted feet and support polygon.
+        standing: allowances of planted links on floors.
+        escape: allowances of the overlaps at the start.
+        last: targets of the last phase.
+        everywhere: targets of all phases.
+        turning: strokes of a valve task, or None.
+    """
 
     stance: Stance
     standing: tuple[Allowance, ...]
     escape: tuple[Allowance, ...]
     last: tuple[Target, ...]
     everywhere: tuple[Target, ...]
-    turning: Turning | None
+    turning: RecordedTurn | None
 
 
 def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
@@ -95,7 +103,7 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
         targets, lines = program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
     turning = None
     if demands.wheel is not None and request.task is not None and request.task.valve is not None:
-        turning = Turning.of(demands.wheel, request.task.valve, recorded)
+        turning = RecordedTurn.of(demands.wheel, request.task.valve, recorded)
         lines = turning.problems
     return _Promises(
         stance,
@@ -108,7 +116,7 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
 
 
 def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises) -> Phase:
-    """One phase as the request has it."""
+    """Return one phase with the promises of the request."""
     phase = recorded.phases[index]
     first = recorded.curve(np.array([phase.first]))[0, : demands.robot.n]
     escape = promises.escape if phase.name == ESCAPE and index == 0 else ()
@@ -117,8 +125,8 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
     if promises.turning is not None:
         targets = promises.turning.targets(index, phase.last)
         touching = promises.turning.allowances(index, phase)
-    if demands.program is not None:  # what it holds between its steps is a promise of the planner's own
-        targets = (*(one for one in phase.targets if getattr(one, "at", None) is None), *targets)
+    if demands.program is not None:  # the planner itself promises targets between its steps
+        targets = (*(target for target in phase.targets if getattr(target, "at", None) is None), *targets)
     return Phase(
         name=phase.name,
         first=phase.first,

@@ -1,4 +1,4 @@
-"""What a TrajOpt problem demands of the waypoints of its motion, which may be more than the problem has steps."""
+"""Demands of a TrajOpt problem on the waypoints of its motion, which may be more than its steps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ProgramDemand:
     """Demands of a problem, step by step.
 
     Attributes:
-        steps: targets of each step; where on the path they are (``at``) is found in the motion.
+        steps: targets of each step; their path parameters (``at``) are set from the motion.
         free: (f,) coordinates that may move.
         planted: links that stand throughout.
         is_balanced: whether the centre of mass stays above them.
@@ -40,16 +40,16 @@ class ProgramDemand:
 def program_targets(
     program: ProgramDemand, robot: RobotModel, knots: Float[np.ndarray, "K"], q: Float[np.ndarray, "K n"]
 ) -> tuple[tuple[Target, ...], tuple[str, ...]]:
-    """Targets of a program at the waypoints of a motion, and a sentence for a step that no waypoint keeps.
+    """Return the targets of a program at the waypoints of a motion, and a sentence for a step that no waypoint meets.
 
     The steps are the earliest waypoints, in order, at which what each step demands holds; the first step is the
     motion's first waypoint, the last step its last.
 
     Args:
         program: the demands.
-        robot: that moves.
+        robot: the robot.
         knots: (K,) path parameters of the waypoints.
-        q: (K, n) where the robot is at them.
+        q: (K, n) configurations at the waypoints.
     """
     targets: list[Target] = []
     after, final = -1, len(program.steps) - 1
@@ -58,18 +58,18 @@ def program_targets(
         if step in (0, final):
             only = 0 if step == 0 else len(knots) - 1
             places = range(only, only + 1) if only > after else range(0)
-        row = next((row for row in places if all(_holds(robot, one, q[row]) for one in demanded)), None)
+        row = next((row for row in places if all(_holds(robot, target, q[row]) for target in demanded)), None)
         if row is None:
             return (), (f"no waypoint does what task.trajopt demands at step {step}",)
         after = row
-        targets += [replace(one, at=float(knots[row])) for one in demanded]
+        targets += [replace(target, at=float(knots[row])) for target in demanded]
     return tuple(targets), ()
 
 
-def moved_though_fixed(
+def report_fixed_joints_that_move(
     program: ProgramDemand, robot: RobotModel, start: Float[np.ndarray, "n"], q: Float[np.ndarray, "K n"]
 ) -> tuple[str, ...]:
-    """One sentence for each coordinate that moves although the program does not move it."""
+    """Return one sentence for each coordinate that moves although the program keeps it fixed."""
     others = np.setdiff1d(np.arange(robot.n), program.free)
     moves = np.abs(q[:, others] - start[others]).max(axis=0, initial=0.0)
     return tuple(

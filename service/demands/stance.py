@@ -1,4 +1,4 @@
-"""Where a request has the robot stand: planted feet, the polygon between them, and the margin to keep from its edge."""
+"""Stance that a request demands: planted feet, the support polygon, and the allowances of standing links."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Stance:
     """The feet as they stand at the start.
 
     Attributes:
-        robot: that stands.
+        robot: the robot.
         contacts: of the planted links.
-        hull: of the soles; None where balance is not asked for.
+        hull: of the soles; None where balance is waived.
         height: of the soles [m].
         margin_m: how far inside the hull the centre of mass stays.
     """
@@ -45,7 +45,7 @@ class Stance:
     def of(
         robot: RobotModel, start: Float[np.ndarray, "n"], feet: Sequence[str], margin_m: float, is_balanced: bool
     ) -> Stance:
-        """The stance of a robot on ``feet`` at configuration ``start``.
+        """Return the stance of a robot on ``feet`` at configuration ``start``.
 
         Raises:
             ValueError: the soles are on a line.
@@ -63,9 +63,9 @@ class Stance:
         return Stance(robot, tuple(contacts), FeetHull.of_soles(list(soles.values())), height, margin_m)
 
     def support(self, phase: str, first: Float[np.ndarray, "n"]) -> SupportPolygon | None:
-        """What balance asks of a phase that begins at configuration ``first``.
+        """Return the support polygon and margin of a phase that begins at configuration ``first``.
 
-        Phases that bring the robot into balance, told by their names, may begin with less than the margin.
+        Phases that bring the robot into balance (``UNSETTLED``) may begin with less than the margin.
         """
         if self.hull is None:
             return None
@@ -76,18 +76,18 @@ class Stance:
 
 
 def planted_feet(robot: RobotModel, feet: tuple[str, ...] | None) -> tuple[str, ...]:
-    """Links that a request plants: those it lists, or the robot's own; none where the base is fixed."""
+    """Return the links that a request plants: those it lists, or the robot's own; none where the base is fixed."""
     if not robot.is_floating:
         return ()
     return robot.link_groups.get(FEET_GROUP, ()) if feet is None else feet
 
 
 def standing_allowances(feet: Sequence[str], scene: Scene) -> tuple[Allowance, ...]:
-    """Planted links rest on the floor."""
+    """Return the allowances of planted links that rest on floors."""
     floors = [BodyRef.of_piece(piece.name) for piece in scene.pieces if piece.kind == FLOOR_KIND]
     return tuple(Allowance(BodyRef.of_link(foot), floor, STANDING_DEPTH_M) for foot in feet for floor in floors)
 
 
 def leaving_allowances(overlaps: Sequence[Overlap]) -> tuple[Allowance, ...]:
-    """What the robot is in at its start may stay as deep as it is there, while it leaves."""
-    return tuple(Allowance(*one.pair, one.depth + DEPTH_ROUNDING) for one in overlaps)
+    """Return the allowances of an escape: overlaps at the start may stay as deep as they are there."""
+    return tuple(Allowance(*overlap.pair, overlap.depth + DEPTH_ROUNDING) for overlap in overlaps)

@@ -1,4 +1,4 @@
-"""What a valve task demands: the wheel as it turns, the hands that may turn it, and what they may touch."""
+"""Demands of a valve task: the wheel as a joint, the hands that may turn it, and what they may touch."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
 WHEEL_SPEED = 1.0  # [rad/s]
 WHEEL_ACCELERATION = 2.0  # [rad/s^2]
 HAND_AXIS = np.array([0.0, 0.0, 1.0])  # in the tool frame
-RIM_TOLERANCE = 5e-3  # of the tool from its point of the rim [m]
-AXIS_TOLERANCE = np.deg2rad(3.0)  # of the hand axis from the valve's
-ANGLE_TOLERANCE = 1e-3  # of the wheel at the end of a stroke [rad]
+RIM_TOLERANCE = 5e-3  # largest distance of the tool from its point of the rim [m]
+AXIS_TOLERANCE = np.deg2rad(3.0)  # largest angle between the hand axis and the valve's
+ANGLE_TOLERANCE = 1e-3  # largest error of the wheel's angle at the end of a stroke [rad]
 TOUCH_RESERVE = 0.015  # the hook may be this much deeper in the rim than its half thickness [m]
-HOOK_ROOM = 0.03  # from the rim's centre line inwards, taken as open where the spokes were not seen clearly [m]
+HOOK_ROOM = 0.03  # from the rim's centre line inwards, free for the hook where spokes were not seen clearly [m]
 MIN_HUB = 0.01  # [m]
 GAPS_WITHOUT_SPOKES = np.deg2rad([0.0, 90.0, 180.0, 270.0])
 
 
 @dataclass(frozen=True)
 class Wheel:
-    """The wheel to turn.
+    """Wheel of a valve.
 
     Attributes:
         centre: (3,) of the rim's centre-line circle, in the world [m].
         axis: (3,) unit, towards the robot.
-        radius: of the centre line [m].
+        radius: radius of the centre line [m].
         tube_radius: half the rim's thickness [m].
         start_direction: (3,) unit, perpendicular to the axis, where the angle about it is zero.
         gaps: angles at which there is no spoke, best first [rad].
@@ -54,14 +54,14 @@ class Wheel:
     rim: tuple[str, ...]
 
     def rim_point(self, angle: float) -> Float[np.ndarray, "3"]:
-        """Point of the centre line at an angle, in the world [m]."""
+        """Return the point of the centre line at an angle, in the world [m]."""
         third = np.cross(self.axis, self.start_direction)
         return np.asarray(self.centre + self.radius * (np.cos(angle) * self.start_direction + np.sin(angle) * third))
 
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand with its hook.
+    """Hand with its hook.
 
     Attributes:
         side: ``left`` or ``right``.
@@ -78,8 +78,8 @@ HANDS = {"left": Hand("left", "l_tool", "l_hook"), "right": Hand("right", "r_too
 
 
 def wheel_of(valve: ValveDetection) -> Wheel:
-    """The wheel of a valve as it was seen or given; its gaps in the order of their angles."""
-    from perception import (  # a motion without a valve needs none
+    """Return the wheel of a detected or given valve; its gaps in the order of their angles."""
+    from perception import (  # slow to import, and needed for valves only
         has_clear_spokes,
         rim_bodies,
         valve_bodies,
@@ -96,7 +96,7 @@ def wheel_of(valve: ValveDetection) -> Wheel:
 
 
 def robot_with_wheel(robot: RobotModel, wheel: Wheel) -> RobotModel:
-    """A robot whose last coordinate is the wheel's angle."""
+    """Return the robot with the wheel's angle as its last coordinate."""
     return with_revolute(
         robot,
         name=VALVE_JOINT,
@@ -112,7 +112,7 @@ def robot_with_wheel(robot: RobotModel, wheel: Wheel) -> RobotModel:
 
 
 def hook_allowances(wheel: Wheel, hand: Hand) -> tuple[Allowance, ...]:
-    """The hook may touch the rim, and nothing else may."""
+    """Return the allowances of a hook on the rim."""
     hook, depth = BodyRef.of_link(hand.hook), wheel.tube_radius + TOUCH_RESERVE
     return tuple(Allowance(hook, BodyRef("mechanism", VALVE_LINK, body), depth) for body in wheel.rim)
 
@@ -120,13 +120,13 @@ def hook_allowances(wheel: Wheel, hand: Hand) -> tuple[Allowance, ...]:
 def stroke_targets(
     wheel: Wheel, hand: Hand, entry: float, angle: float, at: float, grasp: Float[np.ndarray, "3 3"] | None = None
 ) -> tuple[Target, ...]:
-    """What a stroke does: the tool goes round with its point of the rim, and the wheel ends at an angle.
+    """Return the targets of a stroke: the tool moves with its point of the rim, and the wheel ends at an angle.
 
     Args:
-        wheel: that is turned.
-        hand: that turns it.
-        entry: angle of the gap that the hook is in, in the wheel [rad].
-        angle: of the wheel at the end of the stroke [rad].
+        wheel: the wheel.
+        hand: the hand on its rim.
+        entry: angle of the hook's gap, in the wheel [rad].
+        angle: angle of the wheel at the end of the stroke [rad].
         at: path parameter of that end.
         grasp: rotation_valve_tool of a hand that turns with the wheel; None for one that may turn about its axis.
     """
@@ -142,7 +142,7 @@ def stroke_targets(
 
 
 def rotation_onto(axis: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """A rotation that takes the unit vector ``axis`` to the unit vector ``direction``."""
+    """Return a rotation that takes the unit vector ``axis`` to the unit vector ``direction``."""
     if axis @ direction < 0.0:  # half a turn first: the formula fails for opposite vectors
         side = np.eye(3)[int(np.abs(axis).argmin())]
         normal = np.cross(axis, side) / np.linalg.norm(np.cross(axis, side))
@@ -154,7 +154,7 @@ def rotation_onto(axis: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"
 
 
 def _within(disc: Float[np.ndarray, "V 3"], valve: ValveDetection, radius: float) -> Float[np.ndarray, "V 3"]:
-    """A body of the wheel, drawn in towards the axis until it fits within a radius."""
+    """Return a body of the wheel, scaled towards the axis until it fits within a radius."""
     offset = disc - valve.centre
     height = (offset @ valve.axis)[:, None] * valve.axis
     flat = offset - height
@@ -163,7 +163,7 @@ def _within(disc: Float[np.ndarray, "V 3"], valve: ValveDetection, radius: float
 
 
 def _gaps(valve: ValveDetection) -> tuple[float, ...]:
-    """Angles half-way between neighbouring spokes."""
+    """Return the angles half-way between neighbouring spokes."""
     if not valve.spoke_angles:
         return tuple(float(angle) for angle in GAPS_WITHOUT_SPOKES)
     spokes = np.sort(np.mod(valve.spoke_angles, 2.0 * np.pi))

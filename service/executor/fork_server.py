@@ -21,7 +21,7 @@ from service.executor import linux
 from service.executor.worker import Worker, open_cancel_flag
 
 MAX_REQUEST = 2**17
-N_FDS = 3  # of a new worker: its socket, its cancel flag, its standard output and error
+_N_FDS = 3  # of a new worker: its socket, its cancel flag, its standard output and error
 
 # Not multiprocessing's way of starting a process: the server's main script must not be imported again.
 START_COMMAND = f"""
@@ -83,7 +83,7 @@ class _ForkLoop:
     def _serve_request(self, selector: selectors.BaseSelector) -> bool:
         """Serve the next request; return False when the pool has closed the socket."""
         try:
-            message, fds, _, _ = socket.recv_fds(self._control, MAX_REQUEST, N_FDS)
+            message, fds, _, _ = socket.recv_fds(self._control, MAX_REQUEST, _N_FDS)
         except OSError:
             return False
         if not message:

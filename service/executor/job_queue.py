@@ -16,7 +16,7 @@ from typing import Any
 from service.executor.errors import DeadlineExceeded, ExecutorError, JobCancelled, JobFailed, WorkerDied
 from service.executor.interface import Job, OnEvent
 
-_LOG = logging.getLogger("service.executor")
+LOG = logging.getLogger("service.executor")
 
 
 class StopReason(enum.Enum):
@@ -241,7 +241,7 @@ class JobResults:
         try:
             record.on_event(pickle.loads(payload))
         except Exception:
-            _LOG.exception("an event of job %d could not be delivered", record.job.number)
+            LOG.exception("an event of job %d could not be delivered", record.job.number)
 
     def _claim(self, record: JobRecord) -> bool:
         """Mark a job as running, so that ``cancel`` no longer ends it directly; False when it was cancelled before."""

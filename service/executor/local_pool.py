@@ -10,11 +10,11 @@ from collections.abc import Callable
 from typing import Any
 
 from service.executor.interface import WorkerState
-from service.executor.job_queue import JobQueue, JobRecord
+from service.executor.job_queue import LOG, JobQueue, JobRecord
 from service.executor.local_processes import ForkServer, WorkerProcess
 from service.executor.messages import Kind, Message
 from service.executor.pool import Pool, check_callable, check_workers
-from service.executor.supervisor import LOG, PoolSettings, Supervisor
+from service.executor.supervisor import PoolSettings, Supervisor
 from service.executor.worker import WorkerSetup
 
 

@@ -15,9 +15,9 @@ from typing import Any
 
 from service.executor import linux
 from service.executor.fork_server import MAX_REQUEST, START_COMMAND
-from service.executor.job_queue import JobRecord
+from service.executor.job_queue import LOG, JobRecord
 from service.executor.messages import Kind, Message, MessageReader, MessageWriter
-from service.executor.supervisor import LOG, WorkerHandle
+from service.executor.supervisor import WorkerHandle
 from service.executor.worker import WorkerSetup, create_cancel_flag
 
 _EXIT_TIMEOUT_S = 5.0

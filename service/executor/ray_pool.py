@@ -16,11 +16,11 @@ except ImportError as missing:
     raise ImportError(f"a Ray cluster needs the package ray: pip install 'scopt[ray]' ({missing})") from missing
 
 from service.executor.interface import WorkerState
-from service.executor.job_queue import JobQueue, JobRecord
+from service.executor.job_queue import LOG, JobQueue, JobRecord
 from service.executor.messages import Kind
 from service.executor.pool import Pool, check_callable, check_workers
 from service.executor.ray_worker import N_THREADS, RayWorker, RunResult
-from service.executor.supervisor import LOG, PoolSettings, Supervisor, WorkerHandle
+from service.executor.supervisor import PoolSettings, Supervisor, WorkerHandle
 from service.executor.worker import WorkerSetup
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -13,9 +12,8 @@ from typing import Generic, TypeVar
 
 from service.executor.errors import ExecutorError
 from service.executor.interface import WorkerState
-from service.executor.job_queue import JobQueue, JobRecord, JobResults, StopReason
+from service.executor.job_queue import LOG, JobQueue, JobRecord, JobResults, StopReason
 
-LOG = logging.getLogger("service.executor")
 FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 5.0
 _HOPELESS = 3  # failures in a row
 

@@ -81,7 +81,7 @@ def _constraint(place: Place, constraint: Constraint[MotionState]) -> Group:
     name = constraint.name
     load = np.abs(place.multipliers.constraints[name])
     rows = place.multipliers.rows[name]
-    short = constraint.violation(rows.value)
+    short = constraint.measure_violation(rows.value)
     waypoint = _waypoints(rows, len(place.x[0]))
     # Rows of one waypoint are components of one error, those of balance are the polygon's edges.
     together = np.zeros(len(place.x))

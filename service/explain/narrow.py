@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from costs.state import MotionState
 from scopt import Problem, Settings, SolverError, Status, TrustRegionSQP
-from scopt.multipliers import multipliers
+from scopt.multipliers import compute_multipliers
 from service.body.phases import Solved, straight_path
 from service.body.restore import EFFORT, keep_required
 from service.body.whole_body import WholeBody
@@ -116,7 +116,7 @@ def explain(
 
 def _ranked(body: WholeBody, problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> list[Group]:
     try:
-        found = multipliers(problem, x, penalty=1.0, radius=NEAR)
+        found = compute_multipliers(problem, x, mu=1.0, radius=NEAR)
     except SolverError:
         return []
     return group_demands(Place(body, problem, x, problem.state(x), found))[:MOST_DEMANDS]

@@ -18,9 +18,9 @@ from service.errors import RequestError
 from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
-from service.setup.prepare import load_requested_robot, resolve_start
+from service.setup.prepare import resolve_start
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
-from service.start.attached import attach_bodies
+from service.start.robot import attach_bodies, load_requested_robot
 from service.start.standing import move_floor_to_soles, sole_corners
 
 if TYPE_CHECKING:

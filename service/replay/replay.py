@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from costs.robot import RobotError, RobotModel, load_robot
-from service.demands import Demands, Held, hold_to_request, pace_differences, turned_differences
+from service.demands import Demands, HeldMotion, compare_pace, compare_turn, hold_to_request
 from service.errors import RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, find_contradictions
 from service.replay.demanded import Grounds, Record, rebuild_demands
@@ -52,7 +52,7 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     is_claimed = data["verdict"] == Status.CERTIFIED.value
     if is_claimed and data.get("certificate") is None:
         raise ResultError(f"{folder}: the verdict is CERTIFIED, and there is no certificate; {CHANGED}")
-    held, grounds, demands = Held(recorded, ()), None, None
+    held, grounds, demands = HeldMotion(recorded, ()), None, None
     if is_claimed:
         demands, grounds = _demands(data, folder, Record(robot, recorded.scene), request, clouds)
         with _readable(folder):
@@ -62,9 +62,9 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         certificate = verify(held.motion)
         found = held.differences
         if demands is not None:
-            found += tuple(pace_differences(demands.request, certificate))
+            found += tuple(compare_pace(demands.request, certificate))
             if demands.request.task is not None and demands.request.task.valve is not None:
-                found += tuple(turned_differences(demands.request.task.valve, data["figures"]))
+                found += tuple(compare_turn(demands.request.task.valve, data["figures"]))
         if data.get("certificate") is not None:
             found += find_contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
     if certificate.status is Status.CERTIFIED and is_claimed and found:

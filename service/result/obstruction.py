@@ -15,7 +15,7 @@ from costs.kinematics import KinematicsEngine, frame_of, planted_poses
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.body.whole_body import Aims, WholeBody
-from service.demands.goals import rotation_of
+from service.demands.targets import rotation_of
 from service.result.motion_json import file_positions
 from service.result.phase_json import targets_json
 from service.setup.prepare import PlanSetup

@@ -15,7 +15,7 @@ from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, View, read
 from service.errors import RequestError, would_do
 from service.request.file import load_start, parse_robot, parse_start
 from service.request.schema import RobotRequest, StartRequest
-from service.start.configuration import make_start
+from service.start.configuration import make_start_configuration
 from service.start.standing import FEET_GROUP, place_bodies, sole_corners
 
 OnStep = Callable[[str], None]
@@ -228,6 +228,6 @@ def _robot_in_the_way(asked: RobotRequest, start: StartRequest | None) -> tuple[
             robot = load_robot(urdf=Path(asked.urdf), srdf=srdf, package_dirs=folders, root=asked.root)
     except RobotError as error:
         raise RequestError(f"--robot: {error}") from None
-    q, _ = make_start(robot, start or StartRequest())
+    q, _ = make_start_configuration(robot, start or StartRequest())
     feet = robot.link_groups.get(FEET_GROUP, ()) if robot.is_floating else ()
     return [vertices for _, vertices in place_bodies(robot, q)], [sole_corners(robot, q, foot) for foot in feet]

@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,6 +22,7 @@ from service.json_data import plain
 from service.request.scene import KnownMeshRequest
 from service.scan.cloud import numbers
 from service.scan.meshes import FORMATS, read_solid, split_convex
+from service.scan.scene_file import Placing
 from service.trust.folders import UPLOADED
 
 KIND = "object"
@@ -40,8 +41,6 @@ _RESIDUALS = {
     "unexplained": "unexplained_ratio",
     "rival": "rival_ratio",
 }
-
-Placing = Literal["given", "found", "not found", "gone"]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,9 @@ from service.json_data import piece_json, plain
 from service.request.choices import Method, Unknown
 from service.scan.cloud import CloudInput, CloudRead, OnStep, read_input, view_figures
 from service.scan.detect import Search, check_hint, check_kinds, hint_notes, hit_json, search_objects
-from service.scan.earlier import EarlierScene, SceneSettings
+from service.scan.earlier import EarlierScene
 from service.scan.known_meshes import MeshInput, PlacedMesh, load_known_meshes, place_meshes
-from service.scan.scene_file import FORMAT
+from service.scan.scene_file import SceneSettings, scene_document
 from service.scan.time_limit import OutOfTimeError, TimeOver, limit_time
 
 
@@ -125,23 +125,22 @@ def build_scene(asked: SceneInput, on_step: OnStep, time_limit_s: float | None =
     if asked.before is not None:
         meshes += [asked.before.placed(one, seen) for one in asked.before.without([one.name for one in known])]
     mesh_points = {mesh.pieces[0].name: mesh.explains(seen.view.obstacles) for mesh in meshes if mesh.pieces}
-    data = {
-        "format": FORMAT,
-        "settings": asdict(asked.settings),
-        **_pieces(asked, seen, meshes),
-        "floor": [_level_json(level) for level in seen.view.floors],
-        "searched": list(search.kinds),
-        "unfinished": search.unfinished(kinds),
-        "detections": [hit_json(hit) for hit in search.hits],
-        "meshes": [one.to_json() for one in meshes],
-        "timings": plain(dict(seen.timings)),
-        "notes": [
+    data = scene_document(
+        asked.settings,
+        _pieces(asked, seen, meshes),
+        floor=[_level_json(level) for level in seen.view.floors],
+        searched=list(search.kinds),
+        unfinished=search.unfinished(kinds),
+        detections=[hit_json(hit) for hit in search.hits],
+        meshes=[mesh.to_json() for mesh in meshes],
+        timings=plain(dict(seen.timings)),
+        notes=[
             *seen.notes,
             *hint_notes(seen.view, asked.hint),
-            *(note for one in meshes for note in one.notes),
+            *(note for mesh in meshes for note in mesh.notes),
             *search.notes,
         ],
-    }
+    )
     data["figures"] = {
         **view_figures(read, seen.view),
         **_figures(data),

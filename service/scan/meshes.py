@@ -32,7 +32,7 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
         RequestError: naming ``field``: no such file, another format, too large or broken.
     """
     from perception import PerceptionError  # takes a while, and most scenes need none
-    from perception.solids.closed import solid_of, united
+    from perception.solids.closed import make_solid, unite_solids
     from perception.solids.read import read_mesh
 
     if not path.is_file():
@@ -41,8 +41,8 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
         raise RequestError(f"{field}: {path.name}: format '{path.suffix}' is not read; {', '.join(FORMATS)} would do")
     try:
         if path.suffix.lower() != URDF:
-            return solid_of(read_mesh(path, scale), path.name)
-        return united([solid_of(_body(shape, scale), shape.where) for shape in object_shapes(path)], path.name)
+            return make_solid(read_mesh(path, scale), path.name)
+        return unite_solids([make_solid(_body(shape, scale), shape.where) for shape in object_shapes(path)], path.name)
     except (PerceptionError, RobotError) as error:
         raise RequestError(f"{field}: {error}") from None
 
@@ -73,8 +73,8 @@ def split_convex(
 
     try:
         if not decompose:
-            return [solids.hull_part(solid)]
-        return list(solids.convex_parts(solid, name=name))
+            return [solids.make_hull_part(solid)]
+        return list(solids.split_solid(solid, name=name))
     except PerceptionError as error:
         raise RequestError(f"{field}: {error}") from None
 

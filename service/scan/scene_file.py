@@ -1,13 +1,13 @@
-"""A scene's file (docs/scene-format.md) as something to plan in, whoever wrote it."""
+"""Scene files (docs/scene-format.md): their schema, and reading one to plan in, whichever program wrote it."""
 
 from __future__ import annotations
 
 import json
 import stat
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from pydantic.dataclasses import dataclass as checked
 from costs.scene import ConvexPiece, Scene
 from perception import ValveDetection
 from service.errors import RequestError, shown
+from service.request.choices import Method, Unknown
 
 FORMAT = "scopt-scene/1"
 MOST_BYTES = 64 * 2**20
@@ -28,17 +29,50 @@ ROUND_WHEEL_M = 0.02  # what of the scan is this near to a wheel is the wheel's
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 Vertex = tuple[Number, Number, Number]
+Placing = Literal["given", "found", "not found", "gone"]
 
 
 @checked(frozen=True)
-class _Piece:
+class SceneSettings:
+    """How a scene was made from its clouds; an update uses the same settings."""
+
+    reach_m: Annotated[Number, Field(gt=0.0)]
+    top_m: Number
+    bottom_m: Number
+    seed: Annotated[int, Field(ge=0)]
+    unknown: Unknown
+    method: Method
+
+
+@checked(frozen=True)
+class EvidenceRecord:
+    """What the rays of the scan say about a piece."""
+
+    free_cells: Annotated[int, Field(ge=0)]
+    free_share: Number
+    open_share: Number
+    plane: tuple[Number, Number, Number, Number] | None = None
+
+
+@checked(frozen=True)
+class PieceRecord:
+    """A convex piece; ``seen`` is missing for pieces that were not made from points of the scan."""
+
     name: Annotated[str, Field(min_length=1, max_length=200)]
     kind: Annotated[str, Field(max_length=200)]
     vertices: Annotated[list[Vertex], Field(min_length=4, max_length=MOST_VERTICES)]
+    seen: EvidenceRecord | None = None
+
+    @property
+    def piece(self) -> ConvexPiece:
+        """The piece in the world."""
+        return ConvexPiece(self.name, np.array(self.vertices), self.kind)
 
 
 @checked(frozen=True)
-class _Hit:
+class HitRecord:
+    """A detected object."""
+
     kind: str
     confidence: Annotated[float, Field(ge=0.0, le=1.0)]
     pose_world_object: Annotated[
@@ -48,12 +82,44 @@ class _Hit:
 
 
 @checked(frozen=True)
-class _File:
-    pieces: Annotated[list[_Piece], Field(max_length=MOST_PIECES)]
-    detections: Annotated[list[_Hit], Field(max_length=MOST_PIECES)] = Field(default_factory=list)
+class MeshRecord:
+    """A known object and the names of its pieces."""
+
+    name: Annotated[str, Field(min_length=1)]
+    file: str
+    placing: Placing
+    pose_world_mesh: list[list[Number]] | None
+    pieces: list[str]
 
 
-_READER = TypeAdapter(_File)
+@checked(frozen=True)
+class SceneRecord:
+    """The keys of a scene file that a plan reads; other programs may write them too."""
+
+    pieces: Annotated[list[PieceRecord], Field(max_length=MOST_PIECES)]
+    detections: Annotated[list[HitRecord], Field(max_length=MOST_PIECES)] = Field(default_factory=list)
+
+
+@checked(frozen=True, kw_only=True)
+class UpdatableRecord(SceneRecord):
+    """The keys that an update reads besides."""
+
+    settings: SceneSettings
+    meshes: list[MeshRecord]
+
+
+RecordT = TypeVar("RecordT", bound=SceneRecord)
+
+
+def scene_document(settings: SceneSettings, pieces: Mapping[str, Any], **content: Any) -> dict[str, Any]:
+    """Return the data of a scene file, JSON-ready, in the order in which it is written.
+
+    Args:
+        settings: how the scene was made.
+        pieces: ``pieces`` and, after an update, ``update``.
+        content: further keys (docs/scene-format.md).
+    """
+    return {"format": FORMAT, "settings": asdict(settings), **pieces, **content}
 
 
 @dataclass(frozen=True)
@@ -66,7 +132,7 @@ class SceneFile:
     """
 
     pieces: tuple[ConvexPiece, ...]
-    hits: tuple[_Hit, ...]
+    hits: tuple[HitRecord, ...]
 
     def valves(self, hint: Sequence[float] | None) -> tuple[ValveDetection, ...]:
         """The wheel valves: with a hint the nearest first, else the surest."""
@@ -80,17 +146,51 @@ class SceneFile:
         return tuple(piece for piece in self.pieces if not any(_is_of(valve, piece.vertices) for valve in valves))
 
 
-def scene_data(path: Path, field: str, scan_goes: str = "") -> Mapping[str, Any]:
-    """What a scene's file holds, apart from its format unchecked.
+def read_scene(path: Path, field: str) -> SceneFile:
+    """Read a scene file to plan in.
 
     Args:
         path: of the file.
-        field: or option that names it.
-        scan_goes: what to add where the file may be a scan.
+        field: of the request that names it.
 
     Raises:
-        RequestError: it is not there, or is no scene.
+        RequestError: the file cannot be read or is no scene.
     """
+    record = read_record(path, field, SceneRecord, if_scan=", a scan goes into scene.cloud")
+    try:
+        pieces = tuple(entry.piece for entry in record.pieces)
+        Scene(pieces)
+        _check_solid(pieces)
+    except ValueError as error:
+        raise RequestError(f"{field}: {path}: pieces: {error}") from None
+    return SceneFile(pieces, tuple(record.detections))
+
+
+def read_record(path: Path, field: str, kind: type[RecordT], *, if_scan: str = "", advice: str = "") -> RecordT:
+    """Read a scene file and check it against its schema.
+
+    Args:
+        path: of the file.
+        field: of the request, or option, that names it.
+        kind: which keys are needed.
+        if_scan: added to the error where the file may be a scan.
+        advice: added to the error where a key is wrong.
+
+    Raises:
+        RequestError: the file cannot be read or is no scene.
+    """
+    data = _read_json(path, field, if_scan)
+    if kind is UpdatableRecord and "settings" not in data:
+        raise RequestError(f"{field}: {path} does not say what it was made with{advice}")
+    try:
+        return TypeAdapter(kind).validate_python(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise RequestError(f"{field}: {path}: {where}: {first['msg']}{advice}") from None
+
+
+def _read_json(path: Path, field: str, if_scan: str) -> Mapping[str, Any]:
     try:
         if not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device would never end
             raise RequestError(f"{field}: {path} is no regular file; the file that 'scopt scene' writes would do")
@@ -101,38 +201,13 @@ def scene_data(path: Path, field: str, scan_goes: str = "") -> Mapping[str, Any]
         raise RequestError(f"{field}: {path} cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError):
         raise RequestError(
-            f"{field}: {path} is no JSON; the file that 'scopt scene' writes would do{scan_goes}"
+            f"{field}: {path} is no JSON; the file that 'scopt scene' writes would do{if_scan}"
         ) from None
-    told = data.get("format") if isinstance(data, Mapping) else None
-    if told != FORMAT:
-        scan = scan_goes if told is None else ""
-        raise RequestError(f"{field}: {path} is no scene, its format is {shown(told)}, {FORMAT} would do{scan}")
+    named = data.get("format") if isinstance(data, Mapping) else None
+    if named != FORMAT:
+        scan = if_scan if named is None else ""
+        raise RequestError(f"{field}: {path} is no scene, its format is {shown(named)}, {FORMAT} would do{scan}")
     return dict(data)
-
-
-def read_scene(path: Path, field: str) -> SceneFile:
-    """Read a scene's file.
-
-    Args:
-        path: of the file.
-        field: of the request that names it.
-
-    Raises:
-        RequestError: it is not there, or is no scene.
-    """
-    data = scene_data(path, field, ", a scan goes into scene.cloud")
-    try:
-        file = _READER.validate_python(data)
-        pieces = tuple(ConvexPiece(one.name, np.array(one.vertices), one.kind) for one in file.pieces)
-        Scene(pieces)
-        _check_solid(pieces)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise RequestError(f"{field}: {path}: {where}: {first['msg']}") from None
-    except ValueError as error:
-        raise RequestError(f"{field}: {path}: pieces: {error}") from None
-    return SceneFile(pieces, tuple(file.detections))
 
 
 def _check_solid(pieces: Sequence[ConvexPiece]) -> None:
@@ -146,13 +221,13 @@ def _thickness(vertices: Float[np.ndarray, "V 3"]) -> float:
     return float(np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[-1])
 
 
-def _is_wheel(hit: _Hit) -> bool:
+def _is_wheel(hit: HitRecord) -> bool:
     """Whether it is a valve that is told well enough: with a radius and an axis."""
     has_axis = np.linalg.norm(np.array(hit.pose_world_object)[:3, 2]) > LEAST_AXIS
     return hit.kind == VALVE and hit.sizes.get("rim_radius", 0.0) > 0.0 and bool(has_axis)
 
 
-def _valve(hit: _Hit) -> ValveDetection:
+def _valve(hit: HitRecord) -> ValveDetection:
     pose, rim = np.array(hit.pose_world_object), hit.sizes["rim_radius"]
     tube = hit.sizes.get("tube_radius", 0.1 * rim)
     wheel = wheel_from_circle(pose[:3, 3], pose[:3, 2], rim, tube)

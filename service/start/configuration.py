@@ -18,7 +18,7 @@ STANDING_POSTURE = "stand"
 LARGEST_PITCH_DEG = 85.0
 
 
-def make_start(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
+def make_start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
     """Configuration of a start request, and notes about what was assumed or snapped.
 
     Raises:

@@ -13,7 +13,7 @@ from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.support import SupportPolygon
 from service.errors import RequestError
-from service.verify.ground import GROUND_TOLERANCE_M, ground_gaps
+from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, ground_gaps
 
 FEET_GROUP = "feet"
 
@@ -93,14 +93,10 @@ def find_ground_problems(
         gaps = ground_gaps(corners, pieces)
         worst = float(gaps[np.abs(gaps).argmax()])
         if not np.isfinite(worst):
-            yield link, f"nothing is below a corner of the sole of {link}; scene.floor or an obstacle there would do"
+            yield link, f"{describe_gap(worst, link)}; scene.floor or an obstacle there would do"
         elif abs(worst) > GROUND_TOLERANCE_M:
-            side = "below" if worst > 0.0 else "above"
-            yield (
-                link,
-                f"the floor is {1e3 * abs(worst):.1f} mm {side} the sole of {link}; at most "
-                f"{1e3 * GROUND_TOLERANCE_M:.0f} mm would do: move start.base, or leave it out",
-            )
+            most = f"at most {1e3 * GROUND_TOLERANCE_M:.0f} mm would do"
+            yield link, f"{describe_gap(worst, link)}; {most}: move start.base, or leave it out"
 
 
 def check_masses(robot: RobotModel) -> None:

@@ -15,7 +15,7 @@ from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
 from service.body.holds import Hold, least_norm_step, linearize_holds
 from service.body.whole_body import WholeBody
-from service.demands.goals import AXES, goal_joints, goal_targets, rotation_of
+from service.demands.targets import AXES, goal_joints, goal_targets, rotation_of
 from service.explain.goal import GoalReasons, find_goal_reasons
 from service.explain.keep import find_never_kept
 from service.request.schema import GoalRequest, PoseGoalRequest

@@ -57,7 +57,7 @@ def standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...
 
 
 def describe_gap(gap: float, link: str) -> str:
-    """``floor is 12.0 mm below the sole of l_foot``."""
+    """Return ``the ground is 12.0 mm below the sole of l_foot``."""
     if not np.isfinite(gap):
         return f"nothing is below a corner of the sole of {link}"
     side = "below" if gap >= 0.0 else "above"

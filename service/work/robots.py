@@ -9,7 +9,7 @@ from pathlib import Path
 
 from costs.robot import RobotModel
 from service.request.schema import PlanRequest, RobotRequest
-from service.setup.prepare import load_requested_robot
+from service.start.robot import load_requested_robot
 
 MAX_ROBOTS = 8
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from costs.robot import RobotModel, load_robot
 from service.request.schema import StartRequest
-from service.start.configuration import make_start
+from service.start.configuration import make_start_configuration
 from service.trajopt.program import Program
 from service.trajopt.reader import read_problem
 from service.trajopt.resolve import Resolved, resolve
@@ -54,7 +54,7 @@ def resolved(robot: RobotModel, data: Mapping[str, Any], start: StartRequest | N
     assert reading.findings == ()
     assert reading.problem is not None
     given = start or StartRequest()
-    return resolve(reading.problem, robot, make_start(robot, given)[0], given)
+    return resolve(reading.problem, robot, make_start_configuration(robot, given)[0], given)
 
 
 def program_of(robot: RobotModel, data: Mapping[str, Any], start: StartRequest | None = None) -> Program:

@@ -1,4 +1,4 @@
-"""What stands around the robot of a request: its obstacles, what its scan showed, and a floor."""
+"""Scene of a request: its obstacles, the pieces of its scan, and a floor."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def compose_scene(
     seen: Sequence[ConvexPiece],
     obstacles: Sequence[ConvexPiece],
 ) -> tuple[Scene, tuple[str, ...]]:
-    """Obstacles first, then what was seen, then the floor; a floor given in the request replaces the one seen.
+    """Compose the scene: obstacles, then seen pieces, then the floor; the request's floor replaces a seen one.
 
     Pieces that a scan shows are renamed where a link or an obstacle has their name; a note says so.
 
@@ -57,20 +57,20 @@ def compose_scene(
 
 
 def flat_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
-    """A floor of 20 m by 20 m whose top is at ``height`` [m]."""
+    """Return a floor of 20 m by 20 m whose top is at ``height`` [m]."""
     corners = shapes.box(np.array([2.0 * FLOOR_HALF_WIDTH_M, 2.0 * FLOOR_HALF_WIDTH_M, FLOOR_THICKNESS_M]))
     centre = np.array([*centre_xy, height - 0.5 * FLOOR_THICKNESS_M])
     return ConvexPiece("floor", corners + centre, FLOOR_KIND)
 
 
 def has_scan(request: PlanRequest) -> bool:
-    """Whether some of the scene is known from a scan, or from a scene made of one."""
+    """Whether the scene comes from a scan, or from a scene file made of one."""
     return request.scene.cloud is not None or request.scene.file is not None
 
 
 def recorded_obstacles(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:
-    """Pieces of the request's mesh files in a recorded scene: the files may be elsewhere by now."""
-    names = [one.name for one in request.scene.obstacles if isinstance(one, MeshRequest)]
+    """Return the pieces of the request's mesh files in a recorded scene: the files may have moved."""
+    names = [obstacle.name for obstacle in request.scene.obstacles if isinstance(obstacle, MeshRequest)]
     return tuple(
         piece
         for piece in recorded.pieces
@@ -79,5 +79,5 @@ def recorded_obstacles(request: PlanRequest, recorded: Scene) -> tuple[ConvexPie
 
 
 def _is_part(piece: str, obstacle: str) -> bool:
-    """Whether a piece has the name that a part of a mesh gets."""
+    """Whether a piece is named like a part of a mesh."""
     return piece.startswith(f"{obstacle}/") and piece[len(obstacle) + 1 :].isdigit()

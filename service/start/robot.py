@@ -1,21 +1,49 @@
-"""Bodies that a request attaches to links of its robot."""
+"""The robot of a request: loaded, with the bodies that its links carry."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.kinematics import frame_of
-from costs.robot import AttachedBody, RobotError, RobotModel, with_attached
+from costs.robot import AttachedBody, RobotError, RobotModel, load_robot, with_attached
 from service.errors import RequestError, would_do
 from service.request.schema import AttachedBox, AttachedRequest, AttachedSphere, KeepRequest, PlanRequest
 
 
+def load_requested_robot(request: PlanRequest) -> RobotModel:
+    """Load the robot that a request names or points to.
+
+    Raises:
+        RequestError: its files are missing or cannot be used.
+    """
+    robot = request.robot
+    try:
+        if robot.urdf is None:
+            return load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m)
+        return load_robot(
+            urdf=_existing(request, robot.urdf, "robot.urdf"),
+            srdf=None if robot.srdf is None else _existing(request, robot.srdf, "robot.srdf"),
+            package_dirs=[request.resolve(folder) for folder in robot.package_dirs],
+            root=robot.root,
+        )
+    except RobotError as error:
+        raise RequestError(f"robot: {error}") from None
+
+
+def _existing(request: PlanRequest, path: str, field: str) -> Path:
+    resolved = request.resolve(path)
+    if not resolved.is_file():
+        raise RequestError(f"{field}: {resolved} is not there; paths start at the request's folder")
+    return resolved
+
+
 def attach_bodies(robot: RobotModel, request: PlanRequest) -> RobotModel:
-    """The robot with what it carries.
+    """Return the robot with the bodies that it carries.
 
     Raises:
         RequestError: one line per problem: a name in use, an unknown link, a link that holds without being kept.

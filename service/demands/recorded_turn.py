@@ -1,4 +1,4 @@
-"""A recorded valve turn held to its task: which hand, which gap and how many strokes are choices; the rest is not."""
+"""Choices of a recorded valve turn that its task permits: hands, gaps of the wheel and number of strokes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from service.verify import CircleTarget, Motion, Phase, RelativePoseTarget, Targ
 
 TURN = "turn"
 TOUCHING = ("insert", TURN, "retract")  # phases in which the hook may touch the rim
-STILL = 1e-5  # of a wheel that nobody turns [rad]
+STILL = 1e-5  # largest angle by which a wheel at rest may be off [rad]
 SAME_PLACE_M = 1e-6
 ROUNDING = 1e-9  # of path parameters
 TURNED_ROUNDING_DEG = 3.0  # the tool may be off its point of the rim
@@ -28,8 +28,8 @@ class Stroke:
 
     Attributes:
         phase: index of the phase that turns.
-        hand: that turns.
-        entry: angle of the gap [rad].
+        hand: the hand on the rim.
+        entry: angle of its gap [rad].
         grasp: rotation_valve_tool of a hand that turns with the wheel, or None.
         last: angle of the wheel at its end [rad].
     """
@@ -42,13 +42,13 @@ class Stroke:
 
 
 @dataclass(frozen=True)
-class Turning:
-    """The choices of a recorded turn, among those the task permits.
+class RecordedTurn:
+    """Choices of a recorded turn, among those the task permits.
 
     Attributes:
-        wheel: to turn.
-        strokes: in order.
-        problems: one sentence for everything that the task does not permit.
+        wheel: the wheel.
+        strokes: strokes in order.
+        problems: one sentence for each violation of the task.
     """
 
     wheel: Wheel
@@ -56,11 +56,11 @@ class Turning:
     problems: tuple[str, ...]
 
     @staticmethod
-    def of(wheel: Wheel, request: ValveRequest, motion: Motion) -> Turning:
-        """The strokes of a motion whose last coordinate is the wheel's angle."""
+    def of(wheel: Wheel, request: ValveRequest, motion: Motion) -> RecordedTurn:
+        """Read the strokes of a motion whose last coordinate is the wheel's angle."""
         turns = [index for index, phase in enumerate(motion.phases) if _role(phase) == TURN]
         strokes: list[Stroke] = []
-        problems = list(_moved_alone(motion))
+        problems = list(_wheel_problems(motion))
         if not turns:
             problems.append("no phase turns the valve")
         for count, index in enumerate(turns, start=1):
@@ -70,33 +70,37 @@ class Turning:
                 problems.append(choice)
             else:
                 strokes.append(Stroke(index, *choice, last))
-        return Turning(wheel, tuple(strokes), tuple(problems))
+        return RecordedTurn(wheel, tuple(strokes), tuple(problems))
 
     def targets(self, index: int, at: float) -> tuple[Target, ...]:
-        """What the phase of that index does; nothing of its own if it does not turn."""
-        own = (stroke for stroke in self.strokes if stroke.phase == index)
-        return tuple(t for one in own for t in stroke_targets(self.wheel, one.hand, one.entry, one.last, at, one.grasp))
+        """Return the targets of a phase that turns; none for any other."""
+        return tuple(
+            target
+            for stroke in self.strokes
+            if stroke.phase == index
+            for target in stroke_targets(self.wheel, stroke.hand, stroke.entry, stroke.last, at, stroke.grasp)
+        )
 
     def allowances(self, index: int, phase: Phase) -> tuple[Allowance, ...]:
-        """What may touch the rim in a phase: the hook of the hand whose stroke it belongs to."""
+        """Return the allowances of a phase near the rim: the hook of that stroke's hand may touch it."""
         if _role(phase) not in TOUCHING or not self.strokes:
             return ()
-        # What is inserted turns next, and what is retracted has turned before.
-        after = [one for one in self.strokes if one.phase >= index] or [self.strokes[-1]]
-        before = [one for one in self.strokes if one.phase <= index] or [self.strokes[0]]
+        # An insertion belongs to the next stroke, a retraction to the one before.
+        after = [stroke for stroke in self.strokes if stroke.phase >= index] or [self.strokes[-1]]
+        before = [stroke for stroke in self.strokes if stroke.phase <= index] or [self.strokes[0]]
         stroke = before[-1] if _role(phase) == "retract" else after[0]
         return hook_allowances(self.wheel, stroke.hand)
 
 
 def _role(phase: Phase) -> str:
-    """What a phase does, by the first word of its name: ``turn 2`` turns."""
+    """Return the role of a phase, the first word of its name: ``turn 2`` turns."""
     return phase.name.split(" ")[0]
 
 
 def _choice(
     wheel: Wheel, request: ValveRequest, phase: Phase
 ) -> tuple[Hand, float, Float[np.ndarray, "3 3"] | None] | str:
-    """Hand, gap and grasp of a phase that turns, told by what it promises; a sentence where the task forbids them."""
+    """Return hand, gap and grasp of a phase that turns, or a sentence where the task forbids them."""
     tools = {target.frame for target in phase.targets if isinstance(target, CircleTarget)}
     hands = [hand for hand in HANDS.values() if hand.tool in tools and request.hand in ("auto", hand.side)]
     if len(hands) != 1:
@@ -122,8 +126,8 @@ def _is_near(place: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> bo
     return bool(np.linalg.norm(place - other) <= SAME_PLACE_M)
 
 
-def _moved_alone(motion: Motion) -> Iterator[str]:
-    """The wheel starts at 0 and moves in phases that turn it alone."""
+def _wheel_problems(motion: Motion) -> Iterator[str]:
+    """Yield a sentence where the wheel does not start at 0, or moves in a phase that does not turn it."""
     curve = motion.curve
     if abs(curve.positions[0, -1]) > STILL:
         yield "the wheel does not start at 0 degrees"
@@ -133,11 +137,11 @@ def _moved_alone(motion: Motion) -> Iterator[str]:
         inside = (curve.knots >= phase.first - ROUNDING) & (curve.knots <= phase.last + ROUNDING)
         angle, rate = curve.positions[inside, -1], curve.tangents[inside, -1]
         if np.ptp(angle) > STILL or np.abs(rate).max() > STILL:
-            yield f"the wheel moves in phase '{phase.name}', where nobody turns it"
+            yield f"the wheel moves in phase '{phase.name}', which does not turn it"
 
 
-def turned_differences(request: ValveRequest, figures: Mapping[str, Any]) -> Iterator[str]:
-    """A sentence where the figures of a result tell of another turn than the request's, which the proof is of."""
+def compare_turn(request: ValveRequest, figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence where the figures of a result name another angle than the request."""
     turned = figures.get("turned_deg")
     if not isinstance(turned, float | int) or abs(turned - request.turn_deg) > TURNED_ROUNDING_DEG:
         yield f"figures.turned_deg is {turned}, the request turns by {request.turn_deg:g}"

@@ -1,0 +1,101 @@
+"""Targets of the verifier that a request demands: its goal at the end of a motion, kept poses along all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.robot import BASE_NAMES, RobotModel
+from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
+from service.verify import AxisTarget, JointTarget, PoseTarget, RelativePoseTarget, Target
+
+JOINT_TOLERANCE = 1e-3  # [rad, m]
+SMALLEST_SHIFT, SMALLEST_TURN = 1e-4, 1e-3  # tolerances below these are beyond the optimiser's [m, rad]
+AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def goal_joints(robot: RobotModel, goal: GoalRequest) -> Mapping[int, float]:
+    """Return the goal's value by coordinate; a posture's base stays free, since the planted feet do not move."""
+    if goal.posture is None:
+        return {robot.joint_names.index(name): value for name, value in goal.joints.items()}
+    posture = robot.postures[goal.posture]
+    first = len(BASE_NAMES) if robot.is_floating else 0
+    return {index: float(posture[index]) for index in range(first, len(posture))}
+
+
+def goal_targets(robot: RobotModel, goal: GoalRequest, at: float) -> tuple[Target, ...]:
+    """Return the targets of a goal that the motion must reach at path parameter ``at``."""
+    return (
+        *(
+            JointTarget(robot.joint_names[i], value, JOINT_TOLERANCE, at)
+            for i, value in goal_joints(robot, goal).items()
+        ),
+        *(target for pose in goal.poses for target in _pose_targets(pose, at)),
+    )
+
+
+def rotation_of(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
+    """Return the requested rotation_world_link; None where the orientation is free."""
+    if pose.quaternion_wxyz is None:
+        return None
+    return np.asarray(Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix())
+
+
+def _pose_targets(pose: PoseGoalRequest, at: float) -> tuple[Target, ...]:
+    """Return a pose target, or a position and the direction of the free axis."""
+    rotation = rotation_of(pose)
+    turn = max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
+    place = np.full(3, max(pose.position_tolerance_m, SMALLEST_SHIFT))
+    position = np.asarray(pose.position, dtype=float)
+    if rotation is None or pose.free_axis == "none":
+        return (PoseTarget(pose.link, position, rotation, place, np.full(3, turn), at),)
+    axis = np.eye(3)[AXES[pose.free_axis]]
+    return (
+        PoseTarget(pose.link, position, None, place, np.full(3, np.inf), at),
+        AxisTarget(pose.link, axis, rotation @ axis, turn, at),
+    )
+
+
+def kept_target(robot: RobotModel, start: Float[np.ndarray, "n"], keep: KeepRequest) -> RelativePoseTarget:
+    """Return the target of one kept pose, relative to the configuration at the start."""
+    pose = wanted_pose(keep, _relative_pose(robot, start, keep.link, keep.relative_to))
+    return RelativePoseTarget(
+        keep.link,
+        keep.relative_to,
+        pose[:3, 3],
+        pose[:3, :3],
+        keep.position_tolerance_m,
+        float(np.deg2rad(keep.rotation_tolerance_deg)),
+        free_axis(keep),
+    )
+
+
+def wanted_pose(keep: KeepRequest, held: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """Return the kept pose: the request's where it gives one, else ``held``, the one at the start."""
+    wanted = held.copy()
+    if keep.position is not None:
+        wanted[:3, 3] = keep.position
+    if keep.quaternion_wxyz is not None:
+        wanted[:3, :3] = Rotation.from_quat(keep.quaternion_wxyz, scalar_first=True).as_matrix()
+    return wanted
+
+
+def free_axis(keep: KeepRequest) -> Float[np.ndarray, "3"] | None:
+    """Return the unit axis of the link about which it may turn, or None."""
+    return None if keep.free_axis == "none" else np.eye(3)[AXES[keep.free_axis]]
+
+
+def _relative_pose(
+    robot: RobotModel, q: Float[np.ndarray, "n"], link: str, reference: str | None
+) -> Float[np.ndarray, "4 4"]:
+    """Return ``pose_reference_link`` at one configuration."""
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    pose = data.oMf[robot.model.getFrameId(link)]
+    if reference is not None:
+        pose = data.oMf[robot.model.getFrameId(reference)].actInv(pose)
+    return np.array(pose.homogeneous)

@@ -1,0 +1,159 @@
+"""Checks of a request against its robot and scene: names, limits, planted feet, and the start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot import RobotModel
+from costs.scene import Scene
+from service.demands import planted_feet
+from service.errors import RequestError, would_do
+from service.request.schema import PlanRequest
+from service.start.configuration import find_limit_violations, find_unknown_joints
+from service.start.overlaps import (
+    Overlap,
+    describe_dead_end,
+    find_hull_overlaps,
+    find_overlaps_and_unresolved,
+)
+from service.start.standing import FEET_GROUP, FLOOR_KIND, find_ground_problems, find_standing_problems, sole_corners
+
+if TYPE_CHECKING:
+    from service.trajopt import Program
+
+OWN_POINTS = "scene.file: where the robot stood in the scan, `scopt scene --robot NAME` leaves its own points out"
+
+
+@dataclass(frozen=True)
+class StartCheck:
+    """The result of checking a start that can be planned from.
+
+    Attributes:
+        overlaps: hulls that the first phase leaves.
+        unresolved: sentences about pairs that are apart while their hulls overlap, so that nothing can be certified.
+        notes: sentences about collisions that the first phase leaves.
+    """
+
+    overlaps: tuple[Overlap, ...]
+    unresolved: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def check_goal_and_keep(robot: RobotModel, request: PlanRequest) -> None:
+    """Check the names and joint values of ``goal`` and ``keep``.
+
+    Raises:
+        RequestError: one line per unknown joint, posture or link, or joint value beyond its limits.
+    """
+    goal, problems = request.goal, []
+    if goal is not None:
+        problems += find_unknown_joints(robot, goal.joints, "goal.joints") or find_limit_violations(
+            robot, goal.joints, "goal.joints"
+        )
+        if goal.posture is not None and goal.posture not in robot.postures:
+            known = would_do(goal.posture, robot.postures) or "no postures; give goal.joints"
+            problems.append(f"unknown posture {goal.posture!r} in goal.posture; {robot.name} has {known}")
+        for index, pose in enumerate(goal.poses):
+            problems += _find_unknown_links(robot, (pose.link,), f"goal.poses[{index}].link")
+    for index, keep in enumerate(request.keep):
+        problems += _find_unknown_links(robot, (keep.link,), f"keep[{index}].link")
+        if keep.relative_to is not None:
+            problems += _find_unknown_links(robot, (keep.relative_to,), f"keep[{index}].relative_to")
+    if problems:
+        raise RequestError(problems)
+
+
+def find_soles(
+    robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanRequest, program: Program | None
+) -> dict[str, np.ndarray]:
+    """Return the (C, 3) sole corners of every planted link in the world [m]; none for a fixed base.
+
+    Raises:
+        RequestError: ``options.feet`` cannot be used, or the robot names no feet and the request lists none.
+    """
+    feet = request.options.feet
+    if program is not None:
+        feet = program.planted
+    elif not robot.is_floating and feet:
+        raise RequestError("options.feet: this robot's base is fixed and plants no feet; leave it out")
+    elif robot.is_floating:
+        feet = _check_feet(robot, feet)
+    return {foot: sole_corners(robot, start, foot) for foot in feet or ()}
+
+
+def _check_feet(robot: RobotModel, requested: tuple[str, ...] | None) -> tuple[str, ...]:
+    if requested == ():
+        raise RequestError("options.feet: lists no link; name the planted links, or leave it out for the robot's own")
+    feet = planted_feet(robot, requested)
+    if not feet:
+        raise RequestError(f"options.feet: {robot.name} names no links in its group 'feet'; list the planted links")
+    with_shape = {body.link for body in robot.bodies}
+    problems = _find_unknown_links(robot, feet, "options.feet") or [
+        f"options.feet: link {foot!r} has no collision shape to stand on; {', '.join(sorted(with_shape))} have"
+        for foot in feet
+        if foot not in with_shape
+    ]
+    if problems:
+        raise RequestError(problems)
+    return feet
+
+
+def check_start(
+    robot: RobotModel,
+    start: Float[np.ndarray, "n"],
+    scene: Scene,
+    soles: Mapping[str, np.ndarray],
+    request: PlanRequest,
+    program: Program | None,
+) -> StartCheck:
+    """Check that the robot is free of collision and balanced at its start, or may leave the collision first.
+
+    Raises:
+        RequestError: the start is in collision and may not escape, or cannot; or it is out of balance.
+    """
+    is_balanced = program is None or program.is_balanced
+    feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
+    grounded = dict(find_ground_problems(scene.pieces, feet)) if robot.is_floating else {}
+    # A sole inside the floor is reported once, as a floor that is too high.
+    inside, near = (
+        [overlap for overlap in overlaps if overlap.kind != FLOOR_KIND or overlap.link not in grounded]
+        for overlaps in find_overlaps_and_unresolved(robot, start, scene, tuple(soles))
+    )
+    may_leave = program is None and request.options.escape
+    dead_ends = [describe_dead_end(overlap, tuple(soles)) for overlap in inside]
+    if may_leave:
+        stuck = [(overlap, reason) for overlap, reason in zip(inside, dead_ends, strict=True) if reason]
+        problems = [f"start is in collision: {overlap}; {reason}" for overlap, reason in stuck]
+    else:
+        problems = [f"start is in collision: {overlap}" for overlap in inside]
+        if inside and program is None and not any(dead_ends):
+            problems.append("options.escape: false; true would plan a way out of the collision first")
+    if problems and request.scene.file is not None:
+        problems.append(OWN_POINTS)
+    if soles and not is_balanced:
+        problems += [f"start is not on the ground: {line}" for line in grounded.values()]
+    elif soles:
+        problems += [f"start is out of balance: {line}" for line in find_standing_problems(robot, start, scene, soles)]
+    if problems:
+        raise RequestError(problems)
+    may_leave = may_leave and not any(describe_dead_end(overlap, tuple(soles)) for overlap in near)
+    overlaps = tuple(find_hull_overlaps(robot, start, scene, tuple(soles))) if may_leave else ()
+    too_near = tuple(f"the start is too near to plan from: {overlap.nearness}" for overlap in near)
+    if not overlaps:
+        return StartCheck((), too_near, ())
+    left = (*(f"start is in collision: {overlap}" for overlap in inside), *too_near)
+    return StartCheck(overlaps, (), tuple(f"{line}; the first phase leaves it" for line in left))
+
+
+def _find_unknown_links(robot: RobotModel, links: tuple[str, ...], field: str) -> list[str]:
+    frames = [frame.name for frame in robot.model.frames if frame.name != "universe"]
+    return [
+        f"unknown link {link!r} in {field}; {robot.name} has {would_do(link, frames)}"
+        for link in links
+        if link not in frames
+    ]
