@@ -24,7 +24,7 @@ from perception.files.pcd import write_pcd
 from perception.files.placing import METRES_BY_UNIT, rigid_pose
 from perception.files.read import read_cloud, read_clouds
 from perception.ground.floor import FloorPlane, floor_piece, floor_pieces, on_floor, on_floors
-from perception.ground.levels import find_floor, find_floors
+from perception.ground.levels import find_floors
 from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 from perception.memory import Memory
 from perception.perceive import Perceived, perceive
@@ -56,7 +56,6 @@ __all__ = [
     "detect_each",
     "detect_kinds",
     "detect_valves",
-    "find_floor",
     "find_floors",
     "floor_piece",
     "floor_pieces",

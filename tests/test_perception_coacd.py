@@ -24,6 +24,7 @@ from perception.solids import decompose
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, make_solid
 from perception.solids.decompose import CoacdSettings, Work
+from perception.solids.mesh import Mesh
 from perception.solids.pieces import make_coacd_pieces
 from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import wrap_cells

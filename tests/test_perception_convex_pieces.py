@@ -6,11 +6,11 @@ import json
 
 import numpy as np
 import pytest
+from half_spaces import half_spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception import Cloud, Perceived, perceive
-from perception.cleaning.clean import half_spaces
 from perception.convex.coarse import coarsen
 from perception.convex.freespace import carve
 from perception.convex.hulls import MAX_VERTICES, make_hull

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from half_spaces import half_spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from costs.scene import ConvexPiece
 from perception import Cloud, perceive
-from perception.cleaning.clean import half_spaces
 from perception.convex.coarse import coarsen
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.planes import Plane, find_planes

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from half_spaces import half_spaces
 
 from costs.scene import ConvexPiece
 from perception import Cloud, Perceived, Reach, perceive
-from perception.cleaning.clean import half_spaces
 from perception.convex.hulls import MAX_VERTICES
 from perception.simulate import Pose, Room, Scanner, scan
 

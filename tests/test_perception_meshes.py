@@ -21,6 +21,7 @@ from perception.solids.closed import is_closed, make_solid, unite_solids
 from perception.solids.decompose import CoacdSettings, Work, split_solid
 from perception.solids.fit import MeshPose, Region, Surface, fit_pose
 from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, locate, match_mesh
+from perception.solids.mesh import Mesh
 from perception.solids.read import read_mesh
 from perception.view import View
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from half_spaces import half_spaces
 from scipy.spatial import ConvexHull
 
 from costs.scene import ConvexPiece
 from perception import Cloud, CloudError, Perceived, perceive, read_cloud
-from perception.cleaning.clean import half_spaces
 from perception.convex.freespace import carve
 from perception.convex.hulls import MAX_VERTICES, limit_vertices
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, cylinder, join_meshes, scan

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from half_spaces import half_spaces
 
 from costs.scene import ConvexPiece
 from perception import CONFIDENT, Cloud, Evidence, Perceived, Piece, Reach, perceive
-from perception.cleaning.clean import half_spaces
 from perception.cleaning.locally import LocalJudge
 from perception.cleaning.outliers import surface_points
 from perception.convex.freespace import Crossing

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from half_spaces import half_spaces
 from scipy.spatial import ConvexHull
 from valve_targets import assert_matches
 
@@ -20,7 +21,6 @@ from perception import (
     wheel_basis,
     wheel_points,
 )
-from perception.cleaning.clean import half_spaces
 from perception.cloud import Cloud
 from perception.detect.valve.circles import Circles, agreement, refit_circles
 from perception.detect.valve.evidence import _openings

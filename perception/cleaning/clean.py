@@ -164,16 +164,6 @@ def _add_roundings(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4
     return np.column_stack([normals, -(normals @ vertices.T).max(axis=1)])
 
 
-def half_spaces(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
-    """Return faces (a, b) of the hull with ``a . x + b <= 0`` inside, ``a`` of length one.
-
-    Raises:
-        PerceptionError: the vertices are flat.
-    """
-    # Triangulated faces repeat their plane.
-    return np.asarray(np.unique(np.round(_convex_hull(vertices).equations, 9), axis=0))
-
-
 def _convex_hull(vertices: Float[np.ndarray, "V 3"]) -> ConvexHull:
     try:
         return ConvexHull(vertices)

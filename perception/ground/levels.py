@@ -63,12 +63,6 @@ class _Level:
         return np.column_stack([xy, self.plane.height(xy)])
 
 
-def find_floor(points: Float[np.ndarray, "N 3"], seed: int = 0) -> FloorPlane | None:
-    """Return the level that is the floor of a robot at the world's origin; None when there is none."""
-    floors = find_floors(points, seed=seed)
-    return floors[0] if floors else None
-
-
 def find_floors(
     points: Float[np.ndarray, "N 3"],
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]] | None = None,

@@ -34,7 +34,6 @@ class Handle:
         evidence: how much better rays are explained by it than by the bare face and its noise [log odds].
         purity: share of the rays towards it that met it.
         alone: share of the rays just beside it that met the face behind; of a pull, also above and below it.
-        n_rays: how many met it.
         pivot_side: -1 or 1 where a neck or rose was seen nearer to one end of a lever, else 0.
         slack: (2,) how far it may go on unseen beyond its low and high end along the plane [m].
     """
@@ -48,7 +47,6 @@ class Handle:
     evidence: float
     purity: float
     alone: float
-    n_rays: int
     pivot_side: int
     slack: tuple[float, float]
 
@@ -141,7 +139,6 @@ def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
         bump.evidence,
         float(np.mean(seen.vote[inside] > 0.0)) if inside.any() else 0.0,
         _free_share(face, seen, is_pull),
-        int((inside & (seen.vote > 0.0)).sum()),
         _neck_side(face, seen) if is_lever else 0,
         _slack(face, seen),
     )

@@ -47,13 +47,11 @@ class Joint:
     Attributes:
         axis: (3,) unit, of the pivot, from the pipe to the lever.
         pivot: on the lever.
-        is_parallel: whether the lever lies along the pipe.
         spread: standard deviation of the axis [rad].
     """
 
     axis: Float[np.ndarray, "3"]
     pivot: Pivot
-    is_parallel: bool
     spread: float
 
 
@@ -105,7 +103,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
         end = bar.first if pivot.far > pivot.along else bar.last
         pivot = replace(pivot, along=float(end + np.sign(pivot.far - end) * _OVERHANG * bar.half[0]))
     axis, spread = _axis(bar, pipe, pivot.along, tilts)
-    return Joint(axis, pivot, is_parallel, spread)
+    return Joint(axis, pivot, spread)
 
 
 def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[Float[np.ndarray, "3"], float]:
