@@ -52,12 +52,12 @@ class Cloud:
 
     @property
     def starts(self) -> Float[np.ndarray, "N 3"]:
-        """Where the ray of each point started [m]."""
+        """Start of the ray of each point [m]."""
         return np.broadcast_to(self.origin, self.points.shape)
 
     @property
     def rays(self) -> tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]]:
-        """Where all rays started and where they ended, those without a return included [m]."""
+        """Starts and ends of all rays, those without a return included [m]."""
         if not len(self.misses):
             return self.starts, self.points
         behind = self.origin if self.miss_origin is None else self.miss_origin

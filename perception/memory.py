@@ -35,7 +35,7 @@ class Memory:
 
     @property
     def n_bytes(self) -> int:
-        """Of what is kept."""
+        """Bytes of what is kept."""
         return sum(size for _, size in self._kept.values())
 
     def perceive(self, cloud: Cloud, **settings: Any) -> Perceived:

@@ -35,7 +35,7 @@ class Earlier:
 
     Attributes:
         scene: all that stood for the scan before, objects that were found aside.
-        pieces: those of its pieces that were made of points; indices of points are not asked for.
+        pieces: those of its pieces that were made of points; indices of their points are not used.
         reach, seed: of the scan before.
         detections: objects, best first within each kind.
         matches: by name where known meshes were found.
@@ -130,13 +130,13 @@ def _hold_against(
     """Hold the new scan against the earlier one, with these levels of the floor; stop where it may show others as
     well.
     """
-    # What kept pieces explain needs no cleaning; to find a mesh all points are asked for.
+    # What kept pieces explain needs no cleaning; a search for a mesh needs all points.
     cleaned = len(known) > 0
     view = view_of(cropped, reach=earlier.reach, soles=soles, seed=earlier.seed, cleaned=cleaned, floors=levels)
     is_floor = on_floors(view.near.points, view.floors, soles)
     ground = view.near.points[is_floor]
     is_level = partial(may_be_level, floors=view.floors if view.floors is levels else (), ground=ground)
-    # Most new levels are told before anything else is asked; others, as on what was there, show when pieces are made.
+    # Most new levels show before pieces are made; others, as on an object that was there, while they are made.
     if is_level(view.obstacles, known=[piece.hull for piece in earlier.pieces]):
         clock.lap("view")
         return _Held(view, [], (), {}, {}, is_left_off=True)

@@ -1,4 +1,4 @@
-"""A scan made ready to be looked at: cropped, without the robot's own points, floor and outliers told apart."""
+"""A scan made ready to be looked at: cropped, without the robot's own points, floor and outliers separated."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ class View:
 
     @property
     def n_cropped(self) -> int:
-        """How many points lie out of reach."""
+        """Number of points out of reach."""
         return len(self.cloud.points) - len(self.near.points) - self.n_own
 
     @property
     def n_strays(self) -> int:
-        """How many points no surface stands for."""
+        """Number of points that no surface stands for."""
         return len(self.near.points) - self.n_floor - len(self.obstacles)
 
     @property

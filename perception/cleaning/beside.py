@@ -48,7 +48,7 @@ def support(
     like: Bool[np.ndarray, "N"],
     is_thin: Bool[np.ndarray, "K"],
 ) -> Int[np.ndarray, "K"]:
-    """Return how many of the 32 rays next to each asked point's own ended on one surface with it.
+    """Return how many of the 32 rays next to each queried point's own ended on one surface with it.
 
     They did when they ended at its depth, where rays lie far apart within three times their distance; or on a slope
     through it, if that goes on: a point between two surfaces is on a slope to either, but not to what lies beyond.
@@ -58,7 +58,7 @@ def support(
         starts: (N, 3) where their rays started [m].
         queries: which to judge.
         like: of which kind thin things are: for them only these count.
-        is_thin: which of those asked are taken for thin things.
+        is_thin: which of the queried points are taken for thin things.
     """
     counts = np.zeros(len(queries), dtype=np.int64)
     if not len(queries):
@@ -136,7 +136,7 @@ class _Around:
 
     @property
     def aside(self) -> Float[np.ndarray, "K M"]:
-        """How far aside each passes [m]."""
+        """Distance aside at which each passes [m]."""
         return np.asarray(np.hypot(self.u, self.v))
 
 

@@ -161,7 +161,7 @@ def _why_so_few(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
         likely = _likely_units(span, 0.5 * reach.radius, 2.0 * _WIDE * reach.radius)
         question = f"they span {span:.3g} m: is its unit {likely}? Else " if likely else ""
     needed = f"{question}metres in the robot's start frame (z up, floor at 0) are needed"
-    if span > _TOO_WIDE * reach.radius:  # the middle of so much is nobody's place
+    if span > _TOO_WIDE * reach.radius:  # the middle of so much is no place of a robot
         return needed
     return f"{needed}; the transform {shift_to_zero(points, reach.x, reach.y)} would bring their middle into reach"
 

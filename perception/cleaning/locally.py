@@ -23,7 +23,7 @@ _WIDEST = 0.5
 
 @dataclass(frozen=True)
 class LocalJudge:
-    """A scan whose points may be asked about.
+    """A scan that judges a few of its points.
 
     Attributes:
         points: (N, 3) all points that were seen [m].
@@ -69,7 +69,7 @@ class LocalJudge:
         return np.asarray(kept[np.searchsorted(beside, queries)])
 
     def _beside(self, queries: Int[np.ndarray, "K"]) -> Int[np.ndarray, "M"]:
-        """Return points whose rays pass beside those of the points asked about, ascending; all where most do."""
+        """Return points whose rays pass beside those of the queried points, ascending; all where most do."""
         everyone = np.arange(len(self.points))
         n_sensors = 1 if self.sensor is None else int(self.sensor.max()) + 1
         if n_sensors > _MOST_STARTS or len(queries) > _MOST_SHARE * len(everyone):

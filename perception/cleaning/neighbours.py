@@ -25,7 +25,7 @@ def nearest(
     It uses as many threads as ``costs.threads`` says; they have ended when it returns, or raises.
 
     Raises:
-        Stopped: the search was asked to stop.
+        Stopped: the caller wants to stop (``costs.stopping``).
     """
     n_neighbours, n_threads = k if isinstance(k, int) else int(np.max(k, initial=1)), thread_count()
     step = max(1, n_threads * _AT_ONCE // max(n_neighbours, 4))

@@ -18,7 +18,7 @@ from perception.cleaning.neighbours import nearest
 
 _WIDE = 0.7
 _DEEP = 3.0
-# A surface steeper than this to its rays cannot be told from a curtain of mixed pixels by depth alone.
+# A surface steeper than this to its rays cannot be distinguished from a curtain of mixed pixels by depth alone.
 _MOST_STEEP = 4.0
 _THIN_SUPPORT = 4
 _LEAST_SUPPORT = 3
@@ -143,7 +143,7 @@ def _cones(
 
 
 def _on_smooth_depth(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return points whose voxel is explained by one plane over the rays, not too steep to them, and who lie on it."""
+    """Return points whose voxel is explained by one plane over the rays, not too steep to them, and that lie on it."""
     poll()
     rays = points - starts
     ranges = np.linalg.norm(rays, axis=1)

@@ -82,7 +82,7 @@ def _wide_gaps(places: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "G 2"]:
 
 
 def _grid(places: Float[np.ndarray, "N 2"], cell: float) -> tuple[Float[np.ndarray, "2"], Int[np.ndarray, "2"]]:
-    """Lower corner and shape of a grid with room to close gaps at its border."""
+    """Lower corner and shape of a grid with space to close gaps at its border."""
     lower = places.min(axis=0) - (_CLOSING + 0.5) * cell
     return lower, np.ceil((places.max(axis=0) - lower) / cell).astype(int) + _CLOSING + 1
 

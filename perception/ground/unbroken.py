@@ -1,4 +1,4 @@
-"""Parts of a level that are one surface to stand on, told from slices through things side by side."""
+"""Parts of a level that are one surface to stand on, and not slices through things side by side."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class Caster:
     """Triangles prepared for many rays."""
 
     def __init__(self, world: Mesh) -> None:
-        # open3d takes 0.7 s to import; only those who simulate pay for it.
+        # open3d takes 0.7 s to import; only simulations need it.
         import open3d as o3d
 
         self._tensor = o3d.core.Tensor.from_numpy

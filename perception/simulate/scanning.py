@@ -32,7 +32,7 @@ def scan(
         pose: of the sensor.
         sensor: what it does; by default a spinning line scanner.
         seed: of the noise.
-        misses: whether rays that met nothing in range are told, as places at ``max_range``; sensors that cannot tell
+        misses: whether rays that met nothing in range are given, as places at ``max_range``; sensors that cannot tell
             them from failures give none.
     """
     pose = pose or Pose()

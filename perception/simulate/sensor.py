@@ -35,7 +35,7 @@ class Pose:
 
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:
-        """World from sensor."""
+        """Rotation of the world from the sensor."""
         return np.asarray(Rotation.from_euler("ZYX", [self.yaw, self.pitch, self.roll]).as_matrix())
 
     @property

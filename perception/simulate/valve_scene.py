@@ -18,7 +18,7 @@ class Valve:
 
     Attributes:
         centre: of the rim [m].
-        axis: unit, from the wall to who turns it.
+        axis: unit, from the wall to the person who turns it.
         rim_radius: of the rim's centre line [m].
         tube_radius: of the rim [m].
         n_spokes: evenly spaced.
@@ -42,7 +42,7 @@ class Valve:
 
     @property
     def outer_radius(self) -> float:
-        """Of the rim [m]."""
+        """Outer radius of the rim [m]."""
         return self.rim_radius + self.tube_radius
 
     @property

@@ -63,7 +63,7 @@ class _Beam:
 
     @property
     def bar(self) -> Bar:
-        """With its ends."""
+        """The bar with its ends."""
         return self.ends.bar
 
     @property

@@ -167,7 +167,7 @@ def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float
     total = np.bincount(row, minlength=n_rows)
     count = np.bincount(row, on, n_rows)
     share = count / np.maximum(total, 1)
-    # A lintel that stands out by little is told by the mean of its row.
+    # A lintel that stands out by little shows in the mean of its row.
     mean = np.bincount(row[on], off[on], n_rows) / np.maximum(count, 1)
     aside = np.abs(mean) > np.maximum(0.008, 0.03 / np.sqrt(np.maximum(count, 1)))
     full = np.flatnonzero((total >= 2) & (share > 0.6) & ~aside)

@@ -46,7 +46,7 @@ class Frame:
 
     @property
     def support(self) -> float:
-        """How surely there is a wall about the leaf, 0 to 1."""
+        """Certainty of a wall about the leaf, 0 to 1."""
         seen = [side for side in self.sides if not np.isnan(side)]
         if not seen:
             return 0.0

@@ -57,7 +57,7 @@ class Handle:
 
     @property
     def quality(self) -> float:
-        """How surely it is something like a handle, 0 to 1."""
+        """Certainty that it is something like a handle, 0 to 1."""
         return float(
             np.clip(self.evidence / 30.0, 0.0, 1.0)
             * np.clip((self.purity - 0.4) / 0.25, 0.0, 1.0)

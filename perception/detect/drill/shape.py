@@ -47,7 +47,7 @@ class Shape:
 
     @property
     def values(self) -> Float[np.ndarray, "6"]:
-        """In the order of the attributes."""
+        """All figures, in the order of the attributes."""
         return np.array([self.x, self.y, self.yaw, self.grip, self.body, self.back])
 
 

@@ -87,7 +87,7 @@ class _Kernels:
 
 
 def _kernels(low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> _Kernels:
-    """Return discs of all radii that a face has room for."""
+    """Return discs of all radii that fit into a face."""
     radii = [float(radius) for radius in _RADII if 2.0 * radius <= 0.8 * (high - low).min()]
     rows, columns = (int(n) for n in np.ceil((high - low) / _CELL).astype(int) + 1)
     reach = int(np.ceil(max(radii, default=0.0) / _CELL))

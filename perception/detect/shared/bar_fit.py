@@ -137,7 +137,7 @@ def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> 
     """Return the standard deviations of tilt [rad] and place across [m] where rays just inside the outline and just
     outside hold a bar as well.
 
-    A bar that all its rays agree with has room to move until one does not; the residuals' curvature says nothing of it.
+    A bar that all its rays agree with can move until one does not; the residuals' curvature says nothing of it.
 
     Args:
         rays: that pass near the bar.
@@ -211,7 +211,7 @@ def _linearize(
     """Return residuals in standard deviations and their derivatives: depth of the hits, edge of hits and passes, and
     what is usual of the sizes.
 
-    An edge on the right side of a ray has no residual; its derivative is told up to ``slack`` from the ray [m], in
+    An edge on the right side of a ray has no residual; its derivative is given up to ``slack`` from the ray [m], in
     units that grow with the distance.
     """
     poll()

@@ -51,7 +51,7 @@ class Pivot:
 
 
 def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
-    """Return the end where the bar is held, told by the rays through the gap behind it.
+    """Return the end where the bar is held, by the rays through the gap behind it.
 
     Args:
         face: what the bar is before.

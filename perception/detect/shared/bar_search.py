@@ -72,7 +72,7 @@ class Choice:
 def rays_about(
     index: SightIndex, run: Run, beyond: float, floor: FloorPlane | None, known: Sequence[Bar] = ()
 ) -> SurroundingRays:
-    """Return rays that pass near a run, those that ended on the floor or on bars already known told apart."""
+    """Return rays that pass near a run, with those marked that ended on the floor or on bars already known."""
     rays = index.passing(run.places(_SPACING, beyond), _AROUND).thinned(_MOST_RAYS)
     ends = rays.ends
     elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(ends) < _ON_FLOOR
@@ -144,7 +144,7 @@ def _unusual(fit: BarFit) -> float:
 def _support_cost(bar: Bar, floor: FloorPlane | None) -> float:
     """Return how far a bar reaches into the floor or hovers just over it, in squared standard deviations.
 
-    Where a bar touches the floor its lowest two centimetres cannot be told from it.
+    Where a bar touches the floor its lowest two centimetres cannot be distinguished from it.
     """
     if floor is None:
         return 0.0

@@ -86,7 +86,7 @@ def sample_about(rays: SurroundingRays, run: Run, radius: float, most: int) -> S
     offset = rays.ends - run.place
     along = offset @ run.axis
     apart = np.linalg.norm(offset - along[:, None] * run.axis, axis=1)
-    # Rays that pass are told by where they come nearest to the line, not by where they end.
+    # Rays that pass count where they come nearest to the line, not where they end.
     way = rays.direction - (rays.direction @ run.axis)[:, None] * run.axis
     nearest = ((run.place - rays.start) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-6)
     passes_at = (rays.start + nearest[:, None] * rays.direction - run.place) @ run.axis

@@ -60,7 +60,7 @@ class Bar:
 
     @property
     def corners(self) -> Float[np.ndarray, "8 3"]:
-        """Of the box about it [m]."""
+        """Corners of the box about it [m]."""
         along, across, over = np.meshgrid((self.first, self.last), (-1.0, 1.0), (-1.0, 1.0), indexing="ij")
         local = np.column_stack([along.ravel(), across.ravel() * self.half[0], over.ravel() * self.half[1]])
         return np.asarray(self.centre + local @ self.frame)

@@ -11,7 +11,7 @@ from perception.detect.valve.lever import detect_lever_valve
 from perception.detect.valve.wheel import find_wheels
 from perception.view import View
 
-_SURE = 0.8  # for who points at it: a hint makes weak evidence enough
+_SURE = 0.8  # with a hint, which makes weak evidence enough
 _BESIDE = 0.05
 
 

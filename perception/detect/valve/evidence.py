@@ -47,7 +47,7 @@ class WheelEvidence:
         middle: a hub or spokes are in its middle, and not all of it behind the rim, as the far wall of a pipe is.
         spokes: what is between hub and rim is a few narrow spokes.
         free: a hand fits between it and the floor.
-        sharp: its axis is told well enough to turn it.
+        sharp: its axis is known well enough to turn it.
         aside: what goes in through it may leave it sideways; a pipe's mouth and a bucket have walls there.
     """
 
@@ -67,7 +67,7 @@ class WheelEvidence:
 
     @property
     def solid_confidence(self) -> float:
-        """That it is a solid wheel, for one who knows that some wheel is there: openings and spokes do not count."""
+        """Confidence that it is a solid wheel where some wheel is known to be: openings and spokes do not count."""
         return self.rim * self.air * self.free * self.sharp * self.aside
 
 

@@ -52,7 +52,7 @@ class FittedBar:
 
     @property
     def bar(self) -> Bar:
-        """With its ends."""
+        """The bar with its ends."""
         return self.ends.bar
 
 

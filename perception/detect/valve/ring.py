@@ -23,7 +23,7 @@ _BEHIND = 0.04
 _BESIDE = 3.0
 _FEWEST = 8
 _MOST_RAYS = 1200
-# Seen from the front a rim's thickness cannot be told from its distance; common handwheels are 3 cm thick.
+# Seen from the front a rim's thickness cannot be distinguished from its distance; common handwheels are 3 cm thick.
 _USUAL_HALF_DEPTH = 0.015
 _SIGMA_HALF_DEPTH = 0.004
 # Unknowns: shift of the centre (3) [m] and tilt (2) [rad] in the wheel's basis, radius, half width, half depth [m].

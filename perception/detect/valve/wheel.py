@@ -184,7 +184,7 @@ def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hin
 
 
 def _rays_about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
-    """Return rays through and beside a ring, with room for the ring to move."""
+    """Return rays through and beside a ring, with space for the ring to move."""
     return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thinned(_MOST_RAYS)
 
 
@@ -236,7 +236,7 @@ def could_steer(ring: Ring) -> bool:
 
 
 def steers(ring: Ring, seats: Sequence[Seat]) -> bool:
-    """Return whether a ring is before the chest of who sits on one of the seats, and faces them.
+    """Return whether a ring is before the chest of a person on one of the seats, and faces them.
 
     A chair before a valve is no reason to doubt the valve: seats of vehicles alone count, and only sure ones.
     """

@@ -33,7 +33,7 @@ _MOST_POINTS = 3000
 
 @dataclass(frozen=True)
 class Surround:
-    """The ground plan about a patch as the scan shows it: middles of small cells; elsewhere nobody looked.
+    """The ground plan about a patch as the scan shows it: middles of small cells; elsewhere nothing was seen.
 
     Attributes:
         opened: (J, 2) where rays went down past the patch's height [m].
@@ -98,7 +98,7 @@ def square_up(patch: Patch, about: Surround) -> Patch:
     yaw = float(YAWS[np.argmin(_costs(few, opened, YAWS))])
     for _ in range(_ROUNDS):
         turn = _turn_of_edges(few, opened, yaw)
-        # The rectangle about a whole cushion lies no worse than its edges can be told.
+        # The rectangle about a whole cushion lies no worse than its edges are known.
         if abs(turn) < _LEAST_TURN:
             break
         turned = yaw + turn
@@ -196,7 +196,7 @@ def as_cushion(patch: Patch, about: Surround, turn: int) -> Cushion:
     n_guessed = 0
     for axis, usual in enumerate((USUAL_DEPTH, USUAL_WIDTH)):
         missing = usual - (high - low)[axis]
-        # Which of two edges that nobody saw is the nearer one cannot be told.
+        # Which of two unseen edges is the nearer one is unknown.
         if missing > 0.0 and sum(seen[axis]) == 1:
             n_guessed += 1
             if seen[axis][0]:

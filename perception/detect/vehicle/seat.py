@@ -18,17 +18,19 @@ _REPORTED = 0.05
 _OVER_GROUND = (0.35, 1.15)
 _WIDTH = (0.36, 1.5)
 _DEPTH = (0.3, 0.65)
-# A back that nobody saw, on a seat that the robot sits on and on others.
+# A back that was not seen, on a seat that the robot sits on and on others.
 _UNSEEN_SAT_ON, _UNSEEN = 0.7, 0.3
 _HEAD, _HEAD_ABOUT = (0.5, 1.0), 0.35
 _NOT_GROUND = 0.12
 _MAYBE_CHAIR = 0.45
-_UNSEEN_FLOOR = 0.45  # any ledge before something upright may be a cushion as long as nobody saw where feet go
+_UNSEEN_FLOOR = (
+    0.45  # any ledge before something upright may be a cushion as long as the place of the feet was not seen
+)
 _HINT_REACH = 0.5
 _HINT_TRUST = 0.7
 _GUESSED = 0.95  # for each edge that was not seen
 _SPARE = 0.15
-# A seat under the sensor that nobody saw, in a row with one that was.
+# A seat under the sensor that was not seen, in a row with one that was.
 _UNDER_THE_SENSOR = 0.4
 _SURE = 0.5
 _NEXT_SEAT = (0.35, 1.0)
@@ -188,7 +190,7 @@ def _seen_as_seat(
 
 
 def _is_sat_on(seat: Seat, head: Float[np.ndarray, "3"]) -> bool:
-    """Return whether the sensor is where the head is of who sits on it."""
+    """Return whether the sensor is where the head of a person on it is."""
     x, y, z = seat.local(head[None])[0]
     return bool(abs(x) < _HEAD_ABOUT and abs(y) < _HEAD_ABOUT and _HEAD[0] < z < _HEAD[1])
 

@@ -51,7 +51,7 @@ class Back:
     reach_up: float
 
     def evidence(self, unseen: float) -> float:
-        """Return how much it speaks for a back, ``unseen`` where nobody saw it."""
+        """Return how much it speaks for a back, ``unseen`` where it was not seen."""
         known = rising(self.seen, *_KNOWN)
         sure = rising(self.solid, 0.3, 0.6) * rising(self.n_solid, 3.0, 10.0) * rising(self.reach_up, 0.35, 0.5)
         return known * sure * (1.0 - 0.8 * rising(self.reach_up, 1.15, 1.4)) + (1.0 - known) * unseen
@@ -122,7 +122,7 @@ class Footwell:
 
     @property
     def evidence(self) -> float:
-        """How much it speaks for a vehicle's floor, by where it ends."""
+        """Evidence for a vehicle's floor, by the place where it ends."""
         return (1.0 - 0.9 * rising(self.open_share, 0.15, 0.4)) * (1.0 - 0.9 * rising(self.drop_share, 0.1, 0.35))
 
 

@@ -25,8 +25,8 @@ class Door:
     Attributes:
         hinge: where the hinge line meets the floor, on the wall's seen face: x, y [m].
         along: horizontal direction of the wall from hinge to latch, as an angle about z from x [rad].
-        hinge_on: which side the hinges are on for who looks at it.
-        side: "pull": it opens towards who looks; "push": away, the leaf lies deep in its frame.
+        hinge_on: which side the hinges are on for a viewer.
+        side: "pull": it opens towards the viewer; "push": away, the leaf lies deep in its frame.
         ajar: how far it is open [rad].
         width: of the leaf [m].
         height: of the leaf's top over the floor [m].
@@ -71,7 +71,7 @@ class Door:
         return Placed(tuple(meshes), (self._truth(seen),), self._lookalikes(seen))
 
     def _wall_frame(self) -> Float[np.ndarray, "4 4"]:
-        """Return columns: along the wall from hinge to latch, out of it towards who looks, up; may be left-handed."""
+        """Return columns: along the wall from hinge to latch, out of it towards the viewer, up; may be left-handed."""
         u = np.array([np.cos(self.along), np.sin(self.along), 0.0])
         out = np.cross([0.0, 0.0, 1.0], u) * (1.0 if self.hinge_on == "right" else -1.0)
         pose = np.eye(4)
@@ -169,7 +169,7 @@ class Door:
 
     @property
     def _lever_depth(self) -> float:
-        """Of the lever's middle line over the leaf's face [m]."""
+        """Depth of the lever's middle line over the leaf's face [m]."""
         return 0.052
 
     def _handle(self) -> tuple[float, float, float]:

@@ -56,7 +56,7 @@ class LeverValve:
 
     Attributes:
         pivot: where the stem's axis meets the lever's middle line [m].
-        axis: unit, of the stem, from the pipe to who turns it.
+        axis: unit, of the stem, from the pipe to the person who turns it.
         along: where the lever points; made square to the axis.
         length: of the lever, from the pivot [m].
         radius: of the lever [m].

@@ -52,7 +52,7 @@ class SimulatedScene:
         Args:
             variant: one of :data:`VARIANTS`.
             pose: which of the poses.
-            misses: whether rays that met nothing are told.
+            misses: whether rays that met nothing are given.
         """
         noise = zlib.crc32(f"{self.name}/{self.seed}/{variant}/{pose}".encode())
         return scan(self.meshes, self.poses[pose], VARIANTS[variant], noise, misses=misses)
