@@ -148,7 +148,7 @@ def measured(case: Case, cloud: Cloud, folder: Path, method: str = "planes") -> 
         judge = case.judge()
     else:
         withheld = rng.random(len(cloud.points)) < _WITHHELD
-        seen, judge = cloud.selected(~withheld), cloud.selected(withheld)
+        seen, judge = cloud.select(~withheld), cloud.select(withheld)
     distance: Distance
     if case.surface is None:
         surface = judge.points

@@ -79,7 +79,7 @@ def judged(after: Perceived, cloud: Cloud, judge: Cloud, surface: Caster, sample
 
 def _some(cloud: Cloud, rng: np.random.Generator) -> Cloud:
     n_points = len(cloud.points)
-    return cloud.selected(rng.choice(n_points, min(_JUDGED, n_points), replace=False))
+    return cloud.select(rng.choice(n_points, min(_JUDGED, n_points), replace=False))
 
 
 def rows(only: str, seed: int) -> Iterator[tuple[str, ...]]:

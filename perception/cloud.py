@@ -64,7 +64,7 @@ class Cloud:
         starts = np.concatenate([self.starts, np.broadcast_to(behind, self.misses.shape)])
         return starts, np.concatenate([self.points, self.misses])
 
-    def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Cloud:
+    def select(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Cloud:
         """Keep only these points; the rays without a return stay."""
         origin = self.origin if self.origin.ndim == 1 else self.origin[keep]
         return replace(self, points=self.points[keep], origin=origin)

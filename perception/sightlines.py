@@ -36,15 +36,15 @@ class Sightlines:
         """(N, 3) where the rays ended [m]."""
         return np.asarray(self.start + self.length[:, None] * self.direction)
 
-    def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Sightlines:
+    def select(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Sightlines:
         """Keep only these."""
         if keep.dtype == np.bool_:
             keep = np.flatnonzero(keep)
         return Sightlines(self.start.take(keep, 0), self.direction.take(keep, 0), self.length.take(keep))
 
-    def thinned(self, most: int) -> Sightlines:
+    def thin(self, most: int) -> Sightlines:
         """Keep every k-th, so that at most ``most`` are left."""
-        return self if len(self) <= most else self.selected(np.arange(0, len(self), -(-len(self) // most)))
+        return self if len(self) <= most else self.select(np.arange(0, len(self), -(-len(self) // most)))
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,10 @@ class SightIndex:
         size = radius + float(np.linalg.norm(places - centre, axis=1).max())
         if self.groups:
             parts = [self._of_group(group, places, radius, centre, size) for group in self.groups]
-            return self.rays.selected(np.concatenate(parts))
+            return self.rays.select(np.concatenate(parts))
         along = ((centre - self.rays.start) * self.rays.direction).sum(axis=1)
-        rays = self.rays.selected((along > -size) & (self.rays.length > along - size))
-        return rays.selected(_nearest(rays, places) <= radius)
+        rays = self.rays.select((along > -size) & (self.rays.length > along - size))
+        return rays.select(_nearest(rays, places) <= radius)
 
     def _of_group(
         self,

@@ -113,14 +113,14 @@ def crop(cloud: Cloud, reach: Reach, robot_hulls: Sequence[Float[np.ndarray, "V 
     """Drop exact copies, what is out of reach and the robot's own points; see ``make_view``."""
     _check_reach(cloud, reach)
     cloud = drop_copies(cloud)
-    near = cloud.selected(reach.contains(cloud.points))
+    near = cloud.select(reach.contains(cloud.points))
     own = inside_hulls(near.points, robot_hulls)
     notes = (*cloud.notes, *_crop_note(cloud, near, reach))
     if own.any():
         notes = (*notes, f"left out {int(own.sum())} points on the robot itself")
         if own.all():
             raise CloudError("all points in reach lie on the robot itself; is the robot's posture the scan's?")
-        near = near.selected(~own)
+        near = near.select(~own)
     return Cropped(cloud, near, notes, int(own.sum()))
 
 
@@ -169,7 +169,7 @@ def drop_copies(cloud: Cloud) -> Cloud:
         return cloud
     share = 100.0 * n_copies / len(is_first)
     note = f"dropped {n_copies} exact copies among {len(is_first)} points ({share:.1f} %)"
-    return replace(cloud.selected(is_first), notes=(*cloud.notes, note))
+    return replace(cloud.select(is_first), notes=(*cloud.notes, note))
 
 
 def _crop_note(cloud: Cloud, near: Cloud, reach: Reach) -> tuple[str, ...]:

@@ -164,7 +164,7 @@ def rays_into(bar: Bar, rng: np.random.Generator) -> Sightlines:
     target = target + rng.uniform(-0.02, 0.02, (60, 3))
     length = np.linalg.norm(target, axis=1)
     rays = Sightlines(start, target / length[:, None], length)
-    return rays.selected(cross_bar(rays, bar).outside < -0.004)
+    return rays.select(cross_bar(rays, bar).outside < -0.004)
 
 
 @settings(max_examples=10)
@@ -271,10 +271,10 @@ def test_a_board_flat_on_the_floor_that_all_its_rays_agree_with_is_held_by_those
     rays = SurroundingRays(
         ends + np.array([0.0, 0.0, 2.0]), straight_down, np.full(len(x), 2.0), np.zeros(len(x), dtype=bool)
     )
-    beside = rays.selected(np.abs(y) < 0.06)
+    beside = rays.select(np.abs(y) < 0.06)
     fit = BarFit(bar, (0.07, 0.019), (np.inf, np.inf))
     assert spread_between_edges(rays, fit, 2000)[0] < 0.01
-    assert spread_between_edges(beside.selected(np.abs(beside.ends[:, 1]) < 0.03), fit, 2000)[0] > 1.0
+    assert spread_between_edges(beside.select(np.abs(beside.ends[:, 1]) < 0.03), fit, 2000)[0] > 1.0
 
 
 def test_parts_of_a_beam_on_both_sides_of_what_hides_its_middle_are_one() -> None:

@@ -94,7 +94,7 @@ def test_the_robot_s_own_place_is_not_unknown(cloud: Cloud) -> None:
     within = rng.uniform(TORSO.min(axis=0), TORSO.max(axis=0), (500, 3))
     over_sole = rng.uniform([0.2, 0.05, 0.0], [0.45, 0.2, 0.1], (200, 3))
     # A sensor that looks only ahead sees neither.
-    ahead = cloud.selected(cloud.points[:, 0] > 0.75)
+    ahead = cloud.select(cloud.points[:, 0] > 0.75)
     blind = unknown(perceive(ahead, reach=REACH, unknown="occupied"))
     assert inside(within, blind).any()
     assert inside(over_sole, blind).any()

@@ -53,7 +53,7 @@ def rays_to(*ends: tuple[float, float, float], start: tuple[float, float, float]
 def test_a_standpipe_with_its_coupling_is_found_where_it_opens(
     mouth: tuple[float, float, float], out: tuple[float, float, float], radius: float
 ) -> None:
-    pipe = Standpipe(mouth, out, radius).placed()
+    pipe = Standpipe(mouth, out, radius).build()
     found = detect_hose(view_of(*pipe.meshes))
     truth = pipe.truth[0].pose_world_object
     assert found[0].confidence >= CONFIDENT
@@ -173,7 +173,7 @@ def test_a_rod_ends_at_its_two_tips_and_a_wall_nowhere() -> None:
 
 
 def test_a_hint_elsewhere_leaves_the_opening_out() -> None:
-    pipe = Standpipe((0.7, 0.1, 1.0), (-0.9, 0.43, 0.0), 0.04).placed()
+    pipe = Standpipe((0.7, 0.1, 1.0), (-0.9, 0.43, 0.0), 0.04).build()
     assert detect_hose(view_of(*pipe.meshes), hint=np.array([0.9, -1.2, 1.0])) == []
 
 

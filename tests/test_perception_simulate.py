@@ -206,10 +206,10 @@ def test_an_open_leaf_seen_from_behind_is_told_by_the_face_that_is_seen() -> Non
     truth = make_scene("door_left_wide_open").truth[0]
     door = Door((1.45, 0.45), -np.pi / 2, "left", ajar=np.radians(80.0))
     assert truth.sizes["side"] == 1.0
-    assert door.placed().truth[0].sizes["side"] == 1.0
-    ahead = Door((1.45, 0.45), -np.pi / 2, "left", ajar=np.radians(10.0)).placed().truth[0]
+    assert door.build().truth[0].sizes["side"] == 1.0
+    ahead = Door((1.45, 0.45), -np.pi / 2, "left", ajar=np.radians(10.0)).build().truth[0]
     assert ahead.sizes["side"] == -1.0
-    behind = door.placed().truth[0].pose_world_object
+    behind = door.build().truth[0].pose_world_object
     pin = np.array([1.45, 0.45, 0.0])
     assert np.linalg.norm(behind[:3, 3] - pin) == pytest.approx(door.thickness)
 

@@ -182,7 +182,7 @@ def test_the_outermost_thing_is_gone_once_rays_pass_where_it_was() -> None:
 def test_a_scan_without_obstacles_leaves_what_it_cannot_see() -> None:
     seen = perceive(boxes_only(1, RIGHT, LEFT))
     empty = boxes_only(2)
-    right = empty.selected(empty.points[:, 1] < 0.0)
+    right = empty.select(empty.points[:, 1] < 0.0)
     half = replace(right, misses=right.misses[right.misses[:, 1] < 0.0])
     after = update(seen, half)
     assert not any(meets(piece, *RIGHT) for piece in standing(after))
@@ -202,7 +202,7 @@ def test_new_pieces_take_names_that_were_never_taken(before: Perceived) -> None:
 def test_a_piece_that_the_new_scan_cannot_see_stays(before: Perceived) -> None:
     full = scanned(2)
     # Half of the directions are gone: nothing is known of what lies there.
-    half = full.selected(full.points[:, 1] < 0.9)
+    half = full.select(full.points[:, 1] < 0.9)
     after = update(before, half)
     kept = {id(piece) for piece in after.scene.pieces}
     beyond = [piece for piece in before.scene.pieces if piece.lower[1] > 1.0]

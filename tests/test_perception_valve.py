@@ -248,7 +248,7 @@ def test_rays_without_a_return_show_the_air_about_a_wheel() -> None:
 def test_half_a_wheel_out_of_sight_speaks_neither_for_nor_against_it() -> None:
     valve = Valve((0.7, 0.1, 1.1), rim_radius=0.2, n_spokes=5)
     cloud = scan(ROOM.meshes() + valve.meshes(), SENSOR, SCANNER, seed=5)
-    seen = cloud.selected(cloud.points[:, 1] - cloud.origin[1] < 0.33 * (cloud.points[:, 0] - cloud.origin[0]))
+    seen = cloud.select(cloud.points[:, 1] - cloud.origin[1] < 0.33 * (cloud.points[:, 0] - cloud.origin[0]))
     assert_matches(detect_valves(seen)[0], valve.centre, valve.axis, valve.outer_radius)
 
 

@@ -27,7 +27,7 @@ _OUTSIDE = Car(place=(1.4, 0.0), yaw=1.5, floor=0.38)
 
 @cache
 def _view(car: Car, inside: bool, sensor: Scanner | None = None) -> tuple[View, tuple[Truth, ...]]:
-    placed = car.placed()
+    placed = car.build()
     pose = (
         Pose.looking((0.05, 0.0, 1.54), (0.7, -0.25, 0.6)) if inside else Pose.looking((0.1, 0.0, 1.6), (1.4, 0.0, 0.9))
     )
@@ -43,7 +43,7 @@ def _recorded(path: Path) -> View:
 def _only_ahead() -> tuple[View, tuple[Truth, ...]]:
     """What a sensor sees that looks forward alone, from the passenger's seat."""
     view, truth = _view(_INSIDE, True)
-    return make_view(view.cloud.selected(view.cloud.points[:, 0] > 0.0)), truth
+    return make_view(view.cloud.select(view.cloud.points[:, 0] > 0.0)), truth
 
 
 def _near(found: list[Detection], truth: Truth, reach: float = 0.15) -> Detection:
@@ -143,7 +143,7 @@ def test_a_vehicles_side_is_where_its_floor_ends_and_nowhere_while_it_goes_on() 
 
 
 def test_a_panel_in_the_opening_closes_it() -> None:
-    placed = _INSIDE.placed()
+    placed = _INSIDE.build()
     shut = box((-0.4, -0.39, 0.35), (0.7, -0.36, 1.9))
     pose = Pose.looking((0.05, 0.0, 1.54), (0.7, -0.25, 0.6))
     view = make_view(scan([*placed.meshes, shut, _GROUND], pose, _DENSE, 3))
@@ -316,7 +316,7 @@ def test_a_cushion_without_a_back_in_sight_that_nobody_sits_on_is_no_confident_s
 
 def test_seats_are_found_from_outside_though_the_ground_is_out_of_sight() -> None:
     view, truth = _view(_OUTSIDE, False)
-    above = make_view(view.cloud.selected(view.cloud.points[:, 2] > 0.2))
+    above = make_view(view.cloud.select(view.cloud.points[:, 2] > 0.2))
     found = detect("seat", above)
     for seat in (one for one in truth if one.kind == "seat"):
         assert _near(found, seat, 0.05).confidence >= 0.5

@@ -102,7 +102,7 @@ def _thin(cloud: Cloud, step: int) -> Cloud:
     behind = cloud.miss_origin
     if behind is not None and behind.ndim == 2:
         behind = behind[misses]
-    return replace(cloud.selected(points), misses=cloud.misses[misses], miss_origin=behind)
+    return replace(cloud.select(points), misses=cloud.misses[misses], miss_origin=behind)
 
 
 def parse_in_sandbox(

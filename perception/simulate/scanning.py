@@ -42,7 +42,7 @@ def scan(
     caster = Caster(join_meshes(meshes))
     hits = caster.hits(origin, direction)
     beside = caster.hits(origin, _aside(direction, sensor.footprint_deg, rng)).distance
-    ranges = sensor.measured(hits, beside, rng)
+    ranges = sensor.measure(hits, beside, rng)
     seen = np.isfinite(ranges) & (ranges > sensor.nearest) & (ranges < sensor.max_range)
     points = origin + ranges[seen, None] * direction[seen]
     if not misses or not sensor.tells_misses:

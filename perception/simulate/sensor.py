@@ -67,7 +67,7 @@ class Sensor(Protocol):
         """Return unit directions of all rays in the sensor's frame (x forward, y left, z up)."""
         ...
 
-    def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
+    def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
         """Return ranges as the sensor gives them [m]: NaN where it fails to measure, infinite where there was nothing.
 
         Args:
@@ -128,7 +128,7 @@ class Scanner:
         beam, turn = (grid.ravel() for grid in np.meshgrid(beam, turn))
         return np.column_stack([np.cos(beam), np.sin(beam) * np.cos(turn), np.sin(beam) * np.sin(turn)])
 
-    def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
+    def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
         """Add mixed pixels at edges, and noise that does not depend on the range."""
         ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
         return ranges + rng.normal(0.0, self.sigma, len(ranges))
@@ -169,7 +169,7 @@ class SolidState:
         side = np.sin(angle) / np.maximum(angle, 1e-12)
         return np.column_stack([np.cos(angle), side * np.real(bent), side * np.imag(bent)])
 
-    def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
+    def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
         """Add mixed pixels at edges, and noise that grows on surfaces seen at a slant."""
         ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
         return np.asarray(ranges + rng.normal(0.0, 1.0, len(ranges)) * self.deviation(hits))
@@ -232,7 +232,7 @@ class DepthCamera:
         rays = np.column_stack([np.ones(len(y)), y, z])
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
-    def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
+    def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
         """Add flying pixels, holes, and disparities with an error, rounded."""
         forward = self.directions()[:, 0]
         depth = mix_ranges(hits.distance, beside, self.mixed_share, rng) * forward

@@ -101,8 +101,8 @@ class _Begun:
 def _begin(index: SightIndex, cluster: StandingCluster, supported: float) -> _Begun:
     """Return rays and starts of a fit."""
     places, _ = voxel_downsample(cluster.points, 0.05)
-    rays = index.passing(places, 0.1).thinned(_MOST_RAYS)
-    few = rays.thinned(_FEW_RAYS)
+    rays = index.passing(places, 0.1).thin(_MOST_RAYS)
+    few = rays.thin(_FEW_RAYS)
     least = cluster.level + _over_support(rays, cluster.level)
     tall = float(np.percentile(cluster.points[:, 2], 98)) - cluster.level
     grip = float(np.clip(tall - 2.0 * FOOT[2] - 0.03 - BODY_RADIUS, 0.08, 0.17))

@@ -157,9 +157,9 @@ def support_share(index: SightIndex, cluster: StandingCluster) -> float:
     centre = foot.mean(axis=0)
     reach = float(np.linalg.norm(foot - centre, axis=1).max()) + _BESIDE[1]
     rays = index.passing(np.append(centre, cluster.level)[None], reach)
-    rays = rays.selected(rays.direction[:, 2] < -_LEAST_FALL)
+    rays = rays.select(rays.direction[:, 2] < -_LEAST_FALL)
     height = rays.ends[:, 2] - cluster.level
-    rays, height = rays.selected(height < _OVER_LEVEL), height[height < _OVER_LEVEL]
+    rays, height = rays.select(height < _OVER_LEVEL), height[height < _OVER_LEVEL]
     if not len(rays):
         return 1.0
     crossing = (cluster.level - rays.start[:, 2]) / rays.direction[:, 2]

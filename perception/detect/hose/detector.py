@@ -132,9 +132,9 @@ def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 def _may_be_open(index: SightIndex, tip: Tip) -> bool:
     """Return whether rays come towards a tip and many of those at its middle go on behind it."""
-    rays = index.passing(tip.place[None], _LEAST_OPEN * tip.radius).thinned(_FOR_RANKING)
+    rays = index.passing(tip.place[None], _LEAST_OPEN * tip.radius).thin(_FOR_RANKING)
     slope = rays.direction @ tip.axis
-    rays, slope = rays.selected(slope < -0.1), slope[slope < -0.1]
+    rays, slope = rays.select(slope < -0.1), slope[slope < -0.1]
     excess = rays.length - ((tip.place - rays.start) @ tip.axis) / slope
     n_deeper, n_there = int((excess > _DEEP).sum()), int((np.abs(excess) <= _DEEP).sum())
     return n_deeper >= _LEAST_OPEN * max(1, n_deeper + n_there)
@@ -145,13 +145,13 @@ def _candidate(index: SightIndex, tip: Tip) -> _Candidate:
     place = tip.place - _LONGER * tip.axis
     tubes = [Tube(place, tip.axis, max(_RADII[0], tip.radius - by)) for by in _WIDENED]
     rays = index.passing(np.stack([place, place - STRAIGHT * tip.axis]), tip.radius + 0.5 * _BESIDE)
-    rays = rays.thinned(_MOST_RAYS)
+    rays = rays.thin(_MOST_RAYS)
     offset = rays.ends - tip.place
     along = offset @ tip.axis
     across = np.linalg.norm(offset - along[:, None] * tip.axis, axis=1)
     mine = (along > -_BESIDE) & (along < 2.0 * _LONGER) & (across < tip.radius + _LONGER)
     some = np.arange(0, len(rays), max(1, len(rays) // _FOR_RANKING))
-    misfit = misfits(rays.selected(some), mine[some], tubes)
+    misfit = misfits(rays.select(some), mine[some], tubes)
     best = int(np.argmin(misfit))
     return _Candidate(tubes[best], rays, np.asarray(mine), float(misfit[best]))
 

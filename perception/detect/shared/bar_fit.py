@@ -163,7 +163,7 @@ def _relevant(
     counts = between & (outcome.hit | (outcome.passed & (crossing.outside < _AROUND)))
     keep = np.flatnonzero(counts.any(axis=0))
     keep = keep[:: max(1, -(-len(keep) // most))]
-    return rays.selected(keep), (outcome.hit & counts)[:, keep], counts[:, keep]
+    return rays.select(keep), (outcome.hit & counts)[:, keep], counts[:, keep]
 
 
 def _step(

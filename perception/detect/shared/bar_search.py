@@ -73,7 +73,7 @@ def rays_about(
     index: SightIndex, run: Run, beyond: float, floor: FloorPlane | None, known: Sequence[Bar] = ()
 ) -> SurroundingRays:
     """Return rays that pass near a run, with those marked that ended on the floor or on bars already known."""
-    rays = index.passing(run.places(_SPACING, beyond), _AROUND).thinned(_MOST_RAYS)
+    rays = index.passing(run.places(_SPACING, beyond), _AROUND).thin(_MOST_RAYS)
     ends = rays.ends
     elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(ends) < _ON_FLOOR
     taken = np.zeros(len(rays), dtype=bool) if known else None

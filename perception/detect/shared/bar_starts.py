@@ -104,7 +104,7 @@ def sample_about(rays: SurroundingRays, run: Run, radius: float, most: int) -> S
     if norm < _LEAST_SQUARE:
         return None
     mine, passes = (mask[:: max(1, -(-len(mask) // most))] for mask in (mine, passes))
-    chosen = rays.selected(np.concatenate([mine, passes]))
+    chosen = rays.select(np.concatenate([mine, passes]))
     return Sample(chosen, np.arange(len(chosen)) < len(mine), away / norm)
 
 
@@ -223,7 +223,7 @@ class _Many:
 
 def _at_their_depth(sample: Sample, bars: _Many) -> _Many:
     """Move bars along the rays, so that those that ended near the line and meet the bar end on it."""
-    mine = sample.rays.selected(sample.mine)
+    mine = sample.rays.select(sample.mine)
     crossing = bars.crossed_by(mine)
     gap = np.where(crossing.outside < SIGMA_EDGE, mine.length - crossing.depth, np.nan)
     shift = median_of_known(gap, 0.0)

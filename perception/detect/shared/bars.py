@@ -148,7 +148,7 @@ class SurroundingRays(Sightlines):
     elsewhere: Bool[np.ndarray, "N"]
     taken: Bool[np.ndarray, "N"] | None = None
 
-    def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> SurroundingRays:
+    def select(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> SurroundingRays:
         """Keep only these."""
         taken = None if self.taken is None else self.taken[keep]
         return SurroundingRays(self.start[keep], self.direction[keep], self.length[keep], self.elsewhere[keep], taken)

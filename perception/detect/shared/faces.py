@@ -78,9 +78,9 @@ class FaceRays:
     at: Float[np.ndarray, "N 2"]
     ends: Float[np.ndarray, "N 3"]
 
-    def selected(self, keep: Bool[np.ndarray, "N"]) -> FaceRays:
+    def select(self, keep: Bool[np.ndarray, "N"]) -> FaceRays:
         """Keep only these."""
-        return FaceRays(self.rays.selected(keep), self.at[keep], self.ends[keep])
+        return FaceRays(self.rays.select(keep), self.at[keep], self.ends[keep])
 
 
 @dataclass(frozen=True)
@@ -192,15 +192,15 @@ def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
     x, y = (grid.ravel() for grid in np.meshgrid(*steps))
     spacing = max(float(step[1] - step[0]) for step in steps)
     places = face.world(np.column_stack([x, y, np.zeros(len(x))]))
-    rays = index.passing(places, 0.75 * spacing + 0.02).thinned(_MOST_RAYS)
+    rays = index.passing(places, 0.75 * spacing + 0.02).thin(_MOST_RAYS)
     slope = rays.direction @ face.frame[2]
-    rays = rays.selected(slope < -_LEAST_SLOPE)
+    rays = rays.select(slope < -_LEAST_SLOPE)
     height = (rays.start - face.centre) @ face.frame[2]
     crossing = -height / (rays.direction @ face.frame[2])
     at = face.local(rays.start + crossing[:, None] * rays.direction)[:, :2]
     ends = face.local(rays.ends)
     inside = ((at > low) & (at < high)).all(axis=1) & (ends[:, 2] < 0.25)
-    return FaceRays(rays.selected(inside), at[inside], ends[inside])
+    return FaceRays(rays.select(inside), at[inside], ends[inside])
 
 
 def _refine(face: Face, index: SightIndex) -> Face | None:

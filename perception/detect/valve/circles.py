@@ -102,12 +102,12 @@ def _best_in(
     poll()
     pairs = local[rng.integers(len(local), size=(n_triples, 2))]
     circles = _circles_through(np.concatenate([np.broadcast_to(seed, (n_triples, 1, 3)), pairs], axis=1))
-    circles = circles.selected((circles.radii >= radii[0]) & (circles.radii <= radii[1]))
+    circles = circles.select((circles.radii >= radii[0]) & (circles.radii <= radii[1]))
     if not len(circles):
         return []
     agreed = agreement(local, circles)
     top = np.argsort(-agreed.count * agreed.share, kind="stable")[:3]
-    return _score(local, circles.selected(top), agreed.selected(top))
+    return _score(local, circles.select(top), agreed.select(top))
 
 
 def _sharpen(hypotheses: list[Circle], points: Float[np.ndarray, "N 3"], radii: tuple[float, float]) -> list[Circle]:
@@ -118,7 +118,7 @@ def _sharpen(hypotheses: list[Circle], points: Float[np.ndarray, "N 3"], radii: 
     circles = Circles(centres, axes, np.array([circle.radius for circle in hypotheses]))
     for _ in range(2):
         circles = refit_circles(points, circles, agreement(points, circles))
-    circles = circles.selected((circles.radii >= radii[0]) & (circles.radii <= radii[1]))
+    circles = circles.select((circles.radii >= radii[0]) & (circles.radii <= radii[1]))
     return _score(points, circles, agreement(points, circles))
 
 
@@ -186,7 +186,7 @@ class Circles:
     def __len__(self) -> int:
         return len(self.radii)
 
-    def selected(self, keep: Bool[np.ndarray, "C"] | Int[np.ndarray, "K"]) -> Circles:
+    def select(self, keep: Bool[np.ndarray, "C"] | Int[np.ndarray, "K"]) -> Circles:
         """Keep only these."""
         return Circles(self.centres[keep], self.axes[keep], self.radii[keep])
 
@@ -205,7 +205,7 @@ class Agreement:
     count: Int[np.ndarray, "C"]
     share: Float[np.ndarray, "C"]
 
-    def selected(self, keep: Int[np.ndarray, "K"]) -> Agreement:
+    def select(self, keep: Int[np.ndarray, "K"]) -> Agreement:
         """Keep only these circles."""
         return Agreement(self.on[keep], self.count[keep], self.share[keep])
 

@@ -73,7 +73,7 @@ def before_walls(
     means, counts = voxel_downsample(points, _VOXEL)
     from_where, _ = _voxel_means(starts, voxel, n_voxels)
     keep = np.ones(n_voxels, dtype=bool)
-    some = rays.thinned(_MOST_RAYS)
+    some = rays.thin(_MOST_RAYS)
     for plane in find_planes(means, counts, from_where, rng, _WALL):
         if closed_share(plane, means, some) > _CLOSED:
             keep[plane.members] = keep[plane.noise] = False

@@ -215,7 +215,7 @@ def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, n_rounds: int) -> Ring:
             return ring
         keep = np.flatnonzero(hit | missed)
         keep = keep[:: max(1, len(keep) // _MOST_RAYS)]
-        ring = _solve(rays.selected(keep), hit[keep], move_ring(ring, np.zeros(8)))
+        ring = _solve(rays.select(keep), hit[keep], move_ring(ring, np.zeros(8)))
     return ring
 
 

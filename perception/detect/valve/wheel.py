@@ -94,7 +94,7 @@ def find_wheels(
     # The fits are many and small: with several threads BLAS spends seven times as long on handing them out.
     with threadpool_limits(limits=1, user_api="blas"):
         circles = find_circles(candidates, rng)
-        some = index_of(index.rays.thinned(_MOST_COARSE))
+        some = index_of(index.rays.thin(_MOST_COARSE))
         # Hubs are circles as well: of two as good, the larger one first.
         circles.sort(key=lambda circle: -circle.score * _promise(circle, some) * np.sqrt(circle.radius))
         detections = _examine_circles(circles, index, view.floor, hint is not None)
@@ -137,7 +137,7 @@ def _doubt_steering(detections: list[ValveDetection], view: View) -> list[ValveD
 
 def _promise(circle: Circle, index: SightIndex) -> float:
     """Return how much more often rays end on the circle than just outside it, 0 to 1; needs no exact circle."""
-    near = index.passing(circle.centre[None], circle.radius + 0.09).thinned(_MOST_RAYS)
+    near = index.passing(circle.centre[None], circle.radius + 0.09).thin(_MOST_RAYS)
     passage = pass_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.02, 0.02))
     behind = near.length - passage.crossing
     known = behind > -_BEHIND
@@ -185,7 +185,7 @@ def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hin
 
 def _rays_about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
     """Return rays through and beside a ring, with space for the ring to move."""
-    return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thinned(_MOST_RAYS)
+    return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thin(_MOST_RAYS)
 
 
 def _weigh(index: SightIndex, ring: Ring, floor: FloorPlane | None) -> _Weighed:

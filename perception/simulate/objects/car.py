@@ -44,8 +44,8 @@ class Car:
         """x of the body's edge behind the opening."""
         return -0.5 * self.seat_depth - 0.12
 
-    def placed(self) -> Placed:
-        """Place it; the steering wheel is a wheel by its looks."""
+    def build(self) -> Placed:
+        """Build it; the steering wheel is a wheel by its looks."""
         world = pose_of((*self.place, 0.0), yaw=self.yaw)
         meshes = [*self._body(), *self._cabin(), *self._road_wheels()]
         truth = [Truth(kind, world @ pose, sizes) for kind, pose, sizes in (*self._seats(), *self._openings())]

@@ -58,7 +58,7 @@ class Door:
     wall_height: float = 2.6
     eye: tuple[float, float] = (0.1, 0.0)
 
-    def placed(self) -> Placed:
+    def build(self) -> Placed:
         """Return wall, frame, leaf and furniture on both sides; truth in the detector's frame."""
         to_world = self._wall_frame()
         leaf_frame = to_world @ self._leaf_in_wall()

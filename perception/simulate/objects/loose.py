@@ -29,8 +29,8 @@ class Drill:
     body_length: float = 0.2
     lean: float = 0.0
 
-    def placed(self) -> Placed:
-        """Place it; its frame: the middle of the grip, z up along it, x along the chuck."""
+    def build(self) -> Placed:
+        """Build it; its frame: the middle of the grip, z up along it, x along the chuck."""
         half, battery = 0.5 * self.grip_length, 0.055
         top = half + 0.03
         back = -0.07
@@ -76,7 +76,7 @@ class Beam:
     width: float = 0.089
     thickness: float = 0.038
 
-    def placed(self) -> Placed:
+    def build(self) -> Placed:
         """Make a box."""
         half = 0.5 * np.array([self.length, self.width, self.thickness])
         sizes = {"length": self.length, "width": self.width, "thickness": self.thickness}

@@ -29,8 +29,8 @@ class PipedWheel:
     pipe_radius: float = 0.045
     pipe_length: float = 1.0
 
-    def placed(self) -> Placed:
-        """Place it; the pipe runs ``stem_length`` behind the wheel."""
+    def build(self) -> Placed:
+        """Build it; the pipe runs ``stem_length`` behind the wheel."""
         axis = np.array(self.wheel.axis) / np.linalg.norm(self.wheel.axis)
         body = np.array(self.wheel.centre) - self.wheel.stem_length * axis
         pose = np.eye(4)
@@ -76,8 +76,8 @@ class LeverValve:
     pipe_radius: float = 0.04
     pipe_length: float = 1.0
 
-    def placed(self) -> Placed:
-        """Place it; the lever also looks like a lever."""
+    def build(self) -> Placed:
+        """Build it; the lever also looks like a lever."""
         pose = frame(self.pivot, self.along, self.axis)
         pivot, axis, along = pose[:3, 3], pose[:3, 2], pose[:3, 0]
         body = pivot - self.stem_length * axis

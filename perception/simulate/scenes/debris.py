@@ -65,7 +65,7 @@ def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], sp
         pose[2, 3] = 1.5 if not boxes else max(place[2, 3] + size[0] for place, size in boxes) + length
         pose = _tip(_sunk(pose, half, boxes), half, boxes)
         boxes.append((pose, half))
-        placed.append(Beam(pose, length, width, thickness).placed())
+        placed.append(Beam(pose, length, width, thickness).build())
     return placed
 
 

@@ -51,7 +51,7 @@ class Doorway:
         ajar = np.radians(self.ajar_deg + rng.uniform(-4.0, 4.0)) if self.ajar_deg else 0.0
         place = ((hinge[0], hinge[1]), along, self.hinge_on, self.side, ajar, width)
         door = Door(*place, furniture=self.furniture, handle_z=rng.uniform(0.95, 1.1))
-        parts: list[Placed] = [door.placed(), floor(), things(box((3.5, -4.0, 0.0), (3.6, 4.0, 2.6)))]
+        parts: list[Placed] = [door.build(), floor(), things(box((3.5, -4.0, 0.0), (3.6, 4.0, 2.6)))]
         if self.corridor is not None:
             parts.append(side_walls(self.corridor, middle[0] - 0.1))
         else:

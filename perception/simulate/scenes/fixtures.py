@@ -36,7 +36,7 @@ class ButtonPanel:
             (x, y, z), tilt_axis(self.turned_deg + rng.uniform(-3.0, 3.0), 0.0), *self.size, 0.1, self.buttons
         )
         behind = x + 0.08 + 0.5 * self.size[0] * abs(np.sin(np.radians(self.turned_deg)))
-        parts: list[Placed] = [panel.placed(), floor(), wall(behind), upright_pipe(x + 0.04, y + 0.6, 0.03)]
+        parts: list[Placed] = [panel.build(), floor(), wall(behind), upright_pipe(x + 0.04, y + 0.6, 0.03)]
         parts += cartons(rng, 1, (0.5, -1.0), 0.1)
         return assemble(name, seed, parts, (x, y, z))
 
@@ -62,7 +62,7 @@ class SwitchBox:
         angle = self.angle + rng.uniform(-0.2, 0.2)
         lever = BoxLever((x, y, z), tilt_axis(self.turned_deg, 0.0), angle, self.length)
         behind = x + 0.2 + 0.15 * abs(np.sin(np.radians(self.turned_deg)))
-        parts = [lever.placed(), floor(), wall(behind), upright_pipe(x + 0.12, y - 0.5, 0.04)]
+        parts = [lever.build(), floor(), wall(behind), upright_pipe(x + 0.12, y - 0.5, 0.04)]
         return assemble(name, seed, parts, (x, y, z))
 
 
@@ -91,7 +91,7 @@ class HoseEnd:
         out = np.array(self.direction) + rng.normal(0.0, 0.06, 3)
         a, b, c = out / np.linalg.norm(out)
         hose = Standpipe((x, y, z), (a, b, c), self.radius, foot=self.foot)
-        parts = [hose.placed(), floor(), wall(self.wall_x), upright_pipe(self.wall_x - 0.1, y + 0.6, 0.05)]
+        parts = [hose.build(), floor(), wall(self.wall_x), upright_pipe(self.wall_x - 0.1, y + 0.6, 0.05)]
         return assemble(name, seed, parts, (x, y, z))
 
 

@@ -61,7 +61,7 @@ class Wheel:
         ring = (self.outer - self.tube, self.tube, self.n_spokes, rng.uniform(0.0, 2.0))
         wheel = Valve((x, y, z), axis, *ring, spoke, hub, stem, self.stem)
         face = self.wall_x if self.wall_x is not None else max(x - self.stem * axis[0], x) + 0.2
-        parts = [PipedWheel(wheel, self.pipe, self.pipe_radius).placed(), floor(), wall(face)]
+        parts = [PipedWheel(wheel, self.pipe, self.pipe_radius).build(), floor(), wall(face)]
         for side in (-1.0, 1.0):
             parts.append(upright_pipe(face - 0.1, y + side * rng.uniform(0.5, 0.8), rng.uniform(0.03, 0.07)))
         if self.is_crossed:
@@ -92,7 +92,7 @@ class Manifold:
             centre = (0.8 + rng.uniform(-0.03, 0.03), y, z)
             axis = tilt_axis(rng.uniform(-8.0, 8.0), rng.uniform(-5.0, 10.0))
             wheel = Valve(centre, axis, outer - 0.012, 0.012, n_spokes, rng.uniform(0.0, 2.0), stem_length=0.17)
-            parts.append(PipedWheel(wheel, _UP if z < 1.4 else _ACROSS, 0.04, 1.3).placed())
+            parts.append(PipedWheel(wheel, _UP if z < 1.4 else _ACROSS, 0.04, 1.3).build())
         return assemble(name, seed, parts, (0.8, 0.03, 1.1))
 
 
@@ -114,7 +114,7 @@ class BallValves:
             x, y, z = np.array(pivot) + rng.uniform(-0.03, 0.03, 3)
             a, b, c = np.array(along) + rng.normal(0.0, 0.08, 3)
             axis = tilt_axis(rng.uniform(-12.0, 12.0), rng.uniform(-6.0, 12.0))
-            parts.append(LeverValve((x, y, z), axis, (a, b, c), length, pipe_direction=direction).placed())
+            parts.append(LeverValve((x, y, z), axis, (a, b, c), length, pipe_direction=direction).build())
         return assemble(name, seed, parts, self.levers[0][0])
 
 
