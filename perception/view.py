@@ -72,8 +72,6 @@ def make_view(
     robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
     seed: int = 0,
-    cleaned: bool = True,
-    floors: Sequence[FloorPlane] = (),
 ) -> View:
     """Drop exact copies, crop, drop the robot's own points, find the floor, drop strays and mixed pixels.
 
@@ -83,13 +81,11 @@ def make_view(
         robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
         soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
         seed: of all random choices.
-        cleaned: whether strays and mixed pixels are dropped; the obstacles of a view are all that is not floor if not.
-        floors: levels of an earlier scan, to be taken as they are if this one shows them.
 
     Raises:
         CloudError: nothing of the cloud lies in reach; with what its notes say.
     """
-    return view_of(crop(cloud, reach, robot_hulls), reach=reach, soles=soles, seed=seed, cleaned=cleaned, floors=floors)
+    return view_of(crop(cloud, reach, robot_hulls), reach=reach, soles=soles, seed=seed)
 
 
 @dataclass(frozen=True)
@@ -133,7 +129,13 @@ def view_of(
     cleaned: bool = True,
     floors: Sequence[FloorPlane] = (),
 ) -> View:
-    """Find the floor, drop strays and mixed pixels; see ``make_view``."""
+    """Find the floor, drop strays and mixed pixels; see ``make_view``.
+
+    Args:
+        cropped, reach, soles, seed: as there.
+        cleaned: whether strays and mixed pixels are dropped; the obstacles of a view are all that is not floor if not.
+        floors: levels of an earlier scan, to be taken as they are if this one shows them.
+    """
     cloud, near, notes = cropped.cloud, cropped.near, cropped.notes
     floors = tuple(floors)
     if not are_there(floors, near.points, cloud.rays, reach):

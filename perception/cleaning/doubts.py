@@ -102,18 +102,15 @@ def crop_doubt(points: Float[np.ndarray, "N 3"], n_left: int, reach: Reach, miss
     return (f"{share}{missing and f', and {missing} among them'}: {_why_so_few(points, reach)}",)
 
 
-def low_sensor_doubt(
-    starts: Float[np.ndarray, "N 3"], lowest: Float[np.ndarray, "N"], minimum: float = _SENSOR_ABOVE_FLOOR
-) -> tuple[str, ...]:
+def low_sensor_doubt(starts: Float[np.ndarray, "N 3"], lowest: Float[np.ndarray, "N"]) -> tuple[str, ...]:
     """Return the notes for when rays start on the floor or under it, where no sensor is: where they started was not
     known.
 
     Args:
         starts: (N, 3) of each point's ray [m].
         lowest: (N,) height of the lowest floor there [m].
-        minimum: height over it from which on a start is believed [m].
     """
-    is_low = starts[:, 2] - lowest < minimum
+    is_low = starts[:, 2] - lowest < _SENSOR_ABOVE_FLOOR
     if np.mean(is_low) < _FEW:
         return ()
     where = ", ".join(f"{value:g}" for value in np.round(np.median(starts[is_low], axis=0), 2) + 0.0)

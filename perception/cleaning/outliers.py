@@ -16,6 +16,7 @@ from perception.cleaning.beside import RADIUS, RADIUS_SHARE, STARTS_APART, depth
 from perception.cleaning.clean import row_keys, voxel_index
 from perception.cleaning.neighbours import nearest
 
+_LEAST_NEIGHBOURS = 5
 _WIDE = 0.7
 _DEEP = 3.0
 # A surface steeper than this to its rays cannot be distinguished from a curtain of mixed pixels by depth alone.
@@ -37,25 +38,22 @@ _ASIDE = 0.02
 _MOST_ROUNDS = 24
 
 
-def inliers(
-    points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"], n_neighbours: int = 5
-) -> Bool[np.ndarray, "N"]:
-    """Return points with at least ``n_neighbours`` others within 3 cm plus 2 % of their range.
+def inliers(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> Bool[np.ndarray, "N"]:
+    """Return points with at least five others within 3 cm plus 2 % of their range.
 
     Args:
         points: (N, 3) [m].
         origin: (3,) or (N, 3) where the rays started [m].
-        n_neighbours: how many others must be near.
     """
-    if len(points) <= n_neighbours:
+    if len(points) <= _LEAST_NEIGHBOURS:
         return np.zeros(len(points), dtype=bool)
     radius = spacing_radius(np.linalg.norm(points - origin, axis=1))
     voxel, counts = _voxels(points, radius)
-    kept = counts[voxel] > n_neighbours
+    kept = counts[voxel] > _LEAST_NEIGHBOURS
     rest = np.flatnonzero(~kept)
     if len(rest):
         most = float(radius[rest].max()) * (1.0 + 1e-9)
-        distance, _ = nearest(_tree(points), points[rest], [n_neighbours + 1], within=most)
+        distance, _ = nearest(_tree(points), points[rest], [_LEAST_NEIGHBOURS + 1], within=most)
         kept[rest] = distance[:, 0] <= radius[rest]
     return np.asarray(kept)
 

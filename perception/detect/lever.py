@@ -45,9 +45,7 @@ class _Found:
     confidence: float
 
 
-def detect_lever(
-    view: View, hint: Float[np.ndarray, "3"] | None = None, seen: FacesInSight | None = None
-) -> list[Detection]:
+def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInSight) -> list[Detection]:
     """Find levers, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
     The pivot is claimed where something is seen between the bar and its face at one end and not at the other.  A bar
@@ -56,11 +54,10 @@ def detect_lever(
     Args:
         view: the scan, made ready.
         hint: (3,) a point near the lever; weaker evidence is enough then [m].
-        seen: faces of the view near the hint, where they are at hand.
+        seen: faces of the view near the hint.
     """
     if not len(view.obstacles):
         return []
-    seen = seen or FacesInSight.of(view, hint)
     levers: list[_Found] = []
     with threadpool_limits(limits=1, user_api="blas"):
         for face in seen.faces:

@@ -15,6 +15,7 @@ from costs.stopping import poll
 from perception.detect.shared.arithmetic import cross
 from perception.detect.shared.slender import is_slender, variances_about
 
+_MOST_SEEDS = 220
 _BALL = 0.3
 _FIRST_BALL, _SECOND_BALL = 0.055, 0.11
 _ROW = 0.15
@@ -74,7 +75,6 @@ def find_strips(
     points: Float[np.ndarray, "N 3"],
     towards: Float[np.ndarray, "3"],
     rng: np.random.Generator,
-    n_seeds: int = 220,
     most: int = 40,
 ) -> list[Strip]:
     """Return the best strips, best first, each point in one at most.
@@ -83,14 +83,13 @@ def find_strips(
         points: (N, 3) thinned evenly [m].
         towards: (3,) the sensor's place [m].
         rng: for where to look.
-        n_seeds: places to look at.
         most: how many to return.
     """
     points = points[~_in_walls(points)]
     if len(points) < 20:
         return []
     tree = cKDTree(points)
-    seeds = rng.choice(len(points), min(n_seeds, len(points)), replace=False)
+    seeds = rng.choice(len(points), min(_MOST_SEEDS, len(points)), replace=False)
     taken = np.zeros(len(points), dtype=bool)
     strips: list[Strip] = []
     for batch in np.array_split(seeds, max(1, len(seeds) // _BATCH)):

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from costs.stopping import poll
 from perception.cleaning.clean import voxel_downsample, voxel_index
 
+_MOST_PLANES = 10
 _VOXEL = 0.04
 _BIN = 0.03
 _ANGLES = np.radians(np.arange(0.0, 180.0, 1.0))
@@ -67,7 +68,7 @@ def settle_plane(
     return plane
 
 
-def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], most: int = 10) -> list[Upright]:
+def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]) -> list[Upright]:
     """Return vertical planes by how many columns of points stand on them, most first.
 
     Faces one behind the other within a few centimetres (a leaf in its wall) come as one plane: telling them apart
@@ -76,7 +77,6 @@ def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3
     Args:
         points: (N, 3) without floor [m].
         origin: (3,) of the rays [m].
-        most: at most so many.
     """
     if len(points) < 20:
         return []
@@ -90,7 +90,7 @@ def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3
     planes: list[Upright] = []
     standing = np.ones(len(means), dtype=bool)
     left = np.ones(len(centre), dtype=bool)
-    for _ in range(most):
+    for _ in range(_MOST_PLANES):
         if left.sum() < _LEAST_COLUMNS:
             break
         plane = _most_voted(centre[left], weight[left], origin)

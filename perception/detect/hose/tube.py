@@ -14,6 +14,7 @@ from costs.stopping import poll
 from perception.sightlines import Sightlines
 
 # How far behind its mouth an end is taken to be straight and without a collar [m].
+_MOST_EVALUATIONS = 260
 STRAIGHT = 0.055
 NEAR_WALL = 0.035
 _SIGMA_DEPTH = 0.01
@@ -140,7 +141,7 @@ def misfits(rays: Sightlines, mine: Bool[np.ndarray, "N"], tubes: Sequence[Tube]
     return np.asarray(np.where(counts, each, 0.0).sum(axis=1) / max(1, int(mine.sum())))
 
 
-def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube, most_steps: int = 260) -> Tube:
+def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube) -> Tube:
     """Return the tube of least misfit near one (Nelder and Mead's simplex)."""
     across, over = square_to(tube.axis)
 
@@ -156,7 +157,7 @@ def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube, most_
         misfit,
         np.zeros(6),
         method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": most_steps, "xatol": 5e-4, "fatol": 1e-4},
+        options={"initial_simplex": simplex, "maxfev": _MOST_EVALUATIONS, "xatol": 5e-4, "fatol": 1e-4},
     )
     return moved(best.x)
 

@@ -43,9 +43,7 @@ class _Edges:
     seen: tuple[bool, bool, bool, bool]
 
 
-def detect_panel(
-    view: View, hint: Float[np.ndarray, "3"] | None = None, seen: FacesInSight | None = None
-) -> list[Detection]:
+def detect_panel(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInSight) -> list[Detection]:
     """Find button panels, best first; origin the centre of the front face, z its normal to the sensor, y up.
 
     A button is claimed where the scan shows a round relief of 5 mm or more that its noise does not explain.
@@ -53,11 +51,10 @@ def detect_panel(
     Args:
         view: the scan, made ready.
         hint: (3,) a point near the panel; fewer of its edges need be seen then [m].
-        seen: faces of the view near the hint, where they are at hand.
+        seen: faces of the view near the hint.
     """
     if not len(view.obstacles):
         return []
-    seen = seen or FacesInSight.of(view, hint)
     with threadpool_limits(limits=1, user_api="blas"):
         examined = [_examine(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
     panels = [panel for panel in examined if panel is not None and panel.confidence >= _REPORTED]

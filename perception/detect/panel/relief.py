@@ -10,6 +10,7 @@ from scipy.fft import fft2, ifft2, next_fast_len
 
 from costs.stopping import poll
 
+_MOST_DISCS = 20
 _CELL = 0.004
 _RADII = np.arange(0.008, 0.061, 0.004)
 _LEAST_HEIGHT = 0.005
@@ -47,7 +48,6 @@ def find_discs(
     high: Float[np.ndarray, "2"],
     sigma: float,
     least_gain: float,
-    most: int = 20,
 ) -> list[Disc]:
     """Return raised discs of a face, one after the other, each without the points of those before.
 
@@ -56,11 +56,10 @@ def find_discs(
         low, high: (2,) corners of the face [m].
         sigma: scatter of the points along z [m].
         least_gain: of a disc.
-        most: how many to look for.
     """
     discs: list[Disc] = []
     left, kernels = points, _kernels(low, high)
-    while len(discs) < most:
+    while len(discs) < _MOST_DISCS:
         disc = _best(left, kernels, low, high, sigma)
         if disc is None or disc.gain < least_gain:
             break

@@ -28,6 +28,7 @@ from perception.detect.shared.bars import (
 )
 from perception.sightlines import Sightlines
 
+_STEPS = 6  # of the solver in each round
 _AROUND = 0.04
 SIGMA_USUAL = 0.004
 _SMALLEST, _LARGEST = 0.006, 0.12
@@ -68,7 +69,6 @@ def fit_bars(
     starts: Sequence[tuple[Bar, tuple[float, float]]],
     most_rays: int = 500,
     n_rounds: int = 2,
-    n_steps: int = 6,
 ) -> list[BarFit]:
     """Refine axis, place, turn and size of bars of one section; the ends stay.
 
@@ -77,13 +77,12 @@ def fit_bars(
         starts: bars, and for each the half sizes it is likely to have: what is not seen is taken from them.
         most_rays: more are thinned.
         n_rounds: which rays are hits is decided anew in each.
-        n_steps: of the solver in each round.
     """
     if not starts:
         return []
     bars, usual = [_centre(bar) for bar, _ in starts], np.array([half for _, half in starts])
     for _ in range(n_rounds):
-        bars, spreads = _solve(rays, bars, usual, most_rays, n_steps)
+        bars, spreads = _solve(rays, bars, usual, most_rays)
     return [BarFit(bar, half, spread) for bar, (_, half), spread in zip(bars, starts, spreads, strict=True)]
 
 
@@ -94,7 +93,7 @@ def _centre(bar: Bar) -> Bar:
 
 
 def _solve(
-    rays: SurroundingRays, bars: list[Bar], usual: Float[np.ndarray, "B 2"], most: int, n_steps: int
+    rays: SurroundingRays, bars: list[Bar], usual: Float[np.ndarray, "B 2"], most: int
 ) -> tuple[list[Bar], list[tuple[float, float]]]:
     """Return the bars of least robust (soft l1) squared residuals, and the spread of what was fitted."""
     section = bars[0].section
@@ -105,7 +104,7 @@ def _solve(
     best, cost = state, np.full(len(bars), np.inf)
     gradient, curvature = np.zeros((len(bars), n)), np.zeros((len(bars), n, n))
     damping = np.full(len(bars), _FIRST_DAMPING)
-    for step in range(n_steps + 1):
+    for step in range(_STEPS + 1):
         residuals, jacobian = _linearize(chosen, hit, counts, state, usual, section)
         root = np.sqrt(1.0 + residuals**2)
         now = 2.0 * (root - 1.0).sum(axis=1)
@@ -114,7 +113,7 @@ def _solve(
         gradient = np.where(better[:, None], np.einsum("bnm,bm->bn", weighted, residuals), gradient)
         curvature = np.where(better[:, None, None], weighted @ jacobian.transpose(0, 2, 1), curvature)
         best, cost = _chosen(better, state, best), np.where(better, now, cost)
-        if step == n_steps:
+        if step == _STEPS:
             break
         damping = np.where(better, 0.3 * damping, 5.0 * damping)
         change = _step(gradient, curvature, damping)

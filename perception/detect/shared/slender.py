@@ -9,13 +9,14 @@ from scipy.spatial import cKDTree
 
 from costs.stopping import poll
 
+_MOST_WIDE = 0.5  # share of the second variance
 _CELL = 0.075
 _MOST_CELLS = 3_000_000
 _FLAT_WIDE, _FLAT_THICK = 0.25, 3e-4
 _SLIM, _SPREAD, _FEWEST = 0.3, 0.018, 5
 
 
-def is_slender(points: Float[np.ndarray, "N 3"], most_wide: float = 0.5) -> Bool[np.ndarray, "N"]:
+def is_slender(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
     """Return points whose surroundings spread much more in one direction than in a second.
 
     The second largest variance of the points in the 3 x 3 x 3 cells of 7.5 cm around a point is held against the
@@ -23,12 +24,11 @@ def is_slender(points: Float[np.ndarray, "N 3"], most_wide: float = 0.5) -> Bool
 
     Args:
         points: (N, 3) thinned evenly [m].
-        most_wide: the largest share of the second variance.
     """
     variances = variances_about(points)
     if variances is None:
         return np.ones(len(points), dtype=bool)
-    return np.asarray(variances[:, 1] <= most_wide * np.maximum(variances[:, 2], 1e-9))
+    return np.asarray(variances[:, 1] <= _MOST_WIDE * np.maximum(variances[:, 2], 1e-9))
 
 
 def is_flat(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:

@@ -14,6 +14,8 @@ from perception.detect.shared.slender import slim_places
 
 # Radius [m], points and triples looked at, at every how many places: in a larger ball a rim has a smaller share, but
 # there are more places on a larger rim.
+_RADII = (0.04, 0.42)
+_MOST_SEEDS, _MOST_CIRCLES = 200, 60
 _BALLS = ((0.2, 200, 50, 1), (0.36, 250, 80, 1), (0.6, 400, 100, 2), (0.85, 500, 120, 2))
 _REFITTED, _SAME_AXIS = 150, 0.9
 _SLIM_BALL = 0.045  # [m]
@@ -46,34 +48,28 @@ class Circle:
 def find_circles(
     points: Float[np.ndarray, "N 3"],
     rng: np.random.Generator,
-    radii: tuple[float, float] = (0.04, 0.42),
-    n_seeds: int = 200,
-    most: int = 60,
 ) -> list[Circle]:
     """Return the best circles, best first, no two about the same place.
 
     Args:
         points: (N, 3) downsampled, without walls and floor [m].
         rng: for the triples.
-        radii: smallest and largest [m].
-        n_seeds: places to look at, with balls of several sizes.
-        most: how many to return.
     """
     if len(points) < 12:
         return []
     hypotheses: list[Circle] = []
-    for i, seed in enumerate(_seeds(points, rng, n_seeds)):
+    for i, seed in enumerate(_seeds(points, rng, _MOST_SEEDS)):
         poll()
         square = ((points - points[seed]) ** 2).sum(axis=1)
         for ball, n_points, n_triples, every in _BALLS:
             near = np.flatnonzero(square <= ball**2)
             if i % every == 0 and len(near) >= 12:
                 local = points[rng.permutation(near)[:n_points]]
-                hypotheses += _best_in(local, points[seed], rng, (radii[0], min(radii[1], 0.6 * ball)), n_triples)
+                hypotheses += _best_in(local, points[seed], rng, (_RADII[0], min(_RADII[1], 0.6 * ball)), n_triples)
     hypotheses.sort(key=lambda circle: -circle.score)
-    hypotheses = _sharpen(_drop_duplicates(hypotheses, _REFITTED, 0.15, _SAME_AXIS), points, radii)
+    hypotheses = _sharpen(_drop_duplicates(hypotheses, _REFITTED, 0.15, _SAME_AXIS), points, _RADII)
     hypotheses.sort(key=lambda circle: -circle.score)
-    return _drop_duplicates(hypotheses, most)
+    return _drop_duplicates(hypotheses, _MOST_CIRCLES)
 
 
 def _seeds(points: Float[np.ndarray, "N 3"], rng: np.random.Generator, most: int) -> Int[np.ndarray, "S"]:

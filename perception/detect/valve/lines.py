@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from costs.stopping import poll
 from perception.detect.shared.slender import slim_places
 
+_MOST_SEEDS, _MOST_LINES = 250, 60
 _BALL = 0.32
 _LEAST_PAIR = 0.1
 _BIN = 0.04
@@ -52,9 +53,7 @@ def find_lines(
     rng: np.random.Generator,
     radii: tuple[float, ...],
     least_length: float,
-    n_seeds: int = 250,
     n_pairs: int = 14,
-    most: int = 60,
     slim_ball: float | None = None,
 ) -> list[Line]:
     """Return the best lines, best first; no two that run through much the same place.
@@ -64,9 +63,7 @@ def find_lines(
         rng: for the pairs.
         radii: of the tubes to try [m].
         least_length: [m].
-        n_seeds: places to look at.
         n_pairs: directions tried at each.
-        most: how many to return.
         slim_ball: what is sought is so slim that points in balls of this radius about it spread along it [m]: only
             such places are looked at, and that direction is tried as well; None: it may be thick.
     """
@@ -79,7 +76,7 @@ def find_lines(
         slim, ways = slim_places(points, tree, slim_ball)
         if not len(slim):
             return []
-    chosen = np.sort(rng.choice(len(slim), min(n_seeds, len(slim)), replace=False))
+    chosen = np.sort(rng.choice(len(slim), min(_MOST_SEEDS, len(slim)), replace=False))
     seeds = slim[chosen]
     starts: list[tuple[float, Line]] = []
     around = tree.query_ball_point(points[seeds], _BALL, return_sorted=True)
@@ -90,7 +87,7 @@ def find_lines(
             starts += _best_at_seed(points, int(seed), local, rng, radii, n_pairs, way)
     starts.sort(key=lambda start: -start[0])
     lines: list[Line] = []
-    for _, start in starts[: 6 * most]:
+    for _, start in starts[: 6 * _MOST_LINES]:
         # What one line explains is not begun at again.
         if len(start.members) and taken[start.members].mean() > _SHARED:
             continue
@@ -100,7 +97,7 @@ def find_lines(
         if not _runs_in_any(line, lines):
             lines.append(line)
             taken[line.members] = True
-            if len(lines) == most:
+            if len(lines) == _MOST_LINES:
                 break
     return sorted(lines, key=lambda line: -line.score)
 

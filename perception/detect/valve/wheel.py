@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from perception.cleaning.clean import Reach, voxel_downsample
+from perception.cleaning.clean import voxel_downsample
 from perception.cloud import Cloud
 from perception.detect.shared.detection import Detection
 from perception.detect.valve.bodies import ValveDetection
@@ -65,19 +65,15 @@ def detect_wheels(view: View, hint: Float[np.ndarray, "3"] | None = None) -> lis
 def detect_valves(
     cloud: Cloud,
     hint: Float[np.ndarray, "3"] | None = None,
-    reach: Reach | None = None,
-    seed: int = 0,
 ) -> list[ValveDetection]:
     """Find wheel valves, best first; a confidence of 0.5 or more is one to act on.
 
     Args:
-        cloud: the scan.
+        cloud: the scan, of which 3 m about the origin are searched.
         hint: (3,) a point near the wheel: only what lies within half a metre of it is looked at, and weaker evidence
             is enough [m].
-        reach: where to look; by default within 3 m.
-        seed: of the hypotheses.
     """
-    return find_wheels(make_view(cloud, reach=reach or Reach(), seed=seed), hint)
+    return find_wheels(make_view(cloud), hint)
 
 
 def find_wheels(
