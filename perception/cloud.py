@@ -37,13 +37,13 @@ class Cloud:
 
     def __post_init__(self) -> None:
         if self.points.ndim != 2 or self.points.shape[1] != 3:
-            raise CloudError(f"points have shape {self.points.shape}; (N, 3) is needed")
+            raise CloudError(f"points have shape {self.points.shape}; expected (N, 3)")
         if not len(self.points):
-            raise CloudError("the cloud has no points")
+            raise CloudError("the cloud has no points; expected at least one")
         if not np.isfinite(self.points).all():
             raise CloudError("points hold NaN or infinite values; make_cloud() drops and counts them")
         if self.misses.ndim != 2 or self.misses.shape[1] != 3 or not np.isfinite(self.misses).all():
-            raise CloudError(f"misses have shape {self.misses.shape}; (M, 3) finite numbers are needed")
+            raise CloudError(f"misses have shape {self.misses.shape}; expected (M, 3) finite numbers")
         _check_origin(self.origin, len(self.points))
         if self.miss_origin is not None:
             _check_origin(self.miss_origin, len(self.misses))
@@ -73,7 +73,7 @@ class Cloud:
 def _check_origin(origin: Float[np.ndarray, "*N 3"], n_points: int) -> None:
     if origin.shape not in ((3,), (n_points, 3)) or not np.isfinite(origin).all():
         what = origin.tolist() if origin.size <= 3 else f"of shape {origin.shape}"
-        raise CloudError(f"ray origin {what} is neither three finite numbers nor ({n_points}, 3) of them")
+        raise CloudError(f"ray origin {what} is invalid; expected 3 or ({n_points}, 3) finite numbers")
 
 
 def make_cloud(
@@ -102,17 +102,17 @@ def make_cloud(
     misses = _no_points() if misses is None else np.asarray(misses, dtype=np.float64)
     if not len(points):
         nothing = f"only {len(misses)} rays that met nothing" if len(misses) else "no points"
-        raise CloudError(f"{name}: holds {nothing}; at least one point is needed")
+        raise CloudError(f"{name}: holds {nothing}; expected at least one point")
     if len(points) + len(misses) > MAX_POINTS:
         raise CloudError(
-            f"{name}: {len(points) + len(misses)} points; at most {MAX_POINTS} are read, downsample it first"
+            f"{name}: {len(points) + len(misses)} points; expected at most {MAX_POINTS}, downsample it first"
         )
     valid = _finite(points, origin)
     n_invalid = int(len(points) - valid.sum())
     if n_invalid > MAX_INVALID_FRACTION * len(points):
         raise CloudError(
             f"{name}: {n_invalid} of {len(points)} points are NaN or infinite; "
-            f"at most {100 * MAX_INVALID_FRACTION:.0f} % may be"
+            f"expected at most {100 * MAX_INVALID_FRACTION:.0f} %"
         )
     if n_invalid:
         share = 100.0 * n_invalid / len(points)

@@ -152,7 +152,7 @@ def test_shapes_have_the_sizes_asked_for() -> None:
 
 
 def test_unknown_scenes_are_refused_by_name() -> None:
-    with pytest.raises(PerceptionError, match=r"unknown scene 'moon'; one of .*valve_small"):
+    with pytest.raises(PerceptionError, match=r"unknown scene 'moon'; expected one of .*valve_small"):
         make_scene("moon")
 
 
