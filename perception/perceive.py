@@ -21,7 +21,6 @@ from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.unknown import make_unknown_pieces
 from perception.detect.registry import detect_kinds
 from perception.detect.shared.detection import CONFIDENT, Detection
-from perception.detect.valve.bodies import ValveDetection
 from perception.errors import MeshError
 from perception.ground.floor import FloorPlane, floor_pieces
 from perception.solids.match import KnownMesh, MeshMatch, locate
@@ -61,12 +60,6 @@ class Perceived:
     timings: Mapping[str, float]
     notes: tuple[str, ...]
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
-
-    @property
-    def valves(self) -> tuple[ValveDetection, ...]:
-        """Wheel valves among the detections, best first."""
-        models = (hit.model for hit in self.detections)
-        return tuple(model for model in models if isinstance(model, ValveDetection))
 
     @property
     def shown(self) -> Float[np.ndarray, "M 3"]:

@@ -9,7 +9,7 @@ import pytest
 from half_spaces import half_spaces
 
 from costs.scene import ConvexPiece
-from perception import CONFIDENT, Cloud, Evidence, Perceived, Piece, Reach, perceive
+from perception import CONFIDENT, Cloud, Evidence, Perceived, Piece, Reach, perceive, select_wheels
 from perception.cleaning.locally import LocalJudge
 from perception.cleaning.outliers import surface_points
 from perception.convex.freespace import Crossing
@@ -220,10 +220,11 @@ def test_the_points_of_updated_pieces_are_those_of_the_new_view(before: Perceive
 
 def test_a_valve_stays_found_and_out_of_the_pieces() -> None:
     seen = perceive(scanned(1, valve=True), kinds=("wheel",))
-    assert seen.valves[0].confidence >= CONFIDENT
+    (wheel,) = select_wheels(seen.detections)
+    assert wheel.confidence >= CONFIDENT
     again = update(seen, scanned(2, valve=True))
     assert again.detections is seen.detections
-    rim = seen.valves[0].centre + np.array([0.0, 0.12, 0.0])
+    rim = wheel.centre + np.array([0.0, 0.12, 0.0])
     assert not inside(rim[None], again.scene.pieces).any()
     assert {piece.name for piece in again.scene.pieces} >= {"stem"}
 

@@ -87,7 +87,7 @@ def _check_stops(work: Callable[[], Any], least: int = LEAST_POLLS) -> None:
 def test_perception_stops_at_any_poll(cloud: Cloud) -> None:
     def see() -> object:
         seen = perceive(cloud, kinds=("wheel",), unknown="occupied")
-        return [piece.shape for piece in seen.pieces], [one.confidence for one in seen.valves]
+        return [piece.shape for piece in seen.pieces], [one.confidence for one in seen.detections]
 
     _check_stops(see)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,11 @@ class ValveDetection:
             return own, ()
         own[~own] = stem_points(self, stem, points[~own])
         return own, (stem,)
+
+
+def select_wheels(detections: Iterable[Detection]) -> tuple[ValveDetection, ...]:
+    """Return the wheel valves among detections, in their order."""
+    return tuple(hit.model for hit in detections if isinstance(hit.model, ValveDetection))
 
 
 def valve_bodies(
