@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from benchmarks.cloud_truth import truth_of
 from perception import KINDS, Cloud, Reach, read_cloud
-from perception.simulate import Caster, Mesh, joined
+from perception.simulate import Caster, Mesh, join_meshes
 from perception.simulate.scenes import SCENES, VARIANTS, SimulatedScene, Truth, make_scene
 
 # Axes of a camera (z forward, y down) in the robot's (x forward, z up), and axes that are those already.
@@ -145,7 +145,7 @@ def _mesh(path: Path) -> Mesh:
 
 
 def _caster(scene: SimulatedScene) -> Caster:
-    return Caster(joined(scene.meshes))
+    return Caster(join_meshes(scene.meshes))
 
 
 def _stood(path: Path, axes: Float[np.ndarray, "3 3"], radius: float) -> Cloud:

@@ -34,7 +34,7 @@ from benchmarks.cloud_cases import Case, data_folder, recorded_cases, scene_case
 from benchmarks.cloud_worker import Made, made_of
 from benchmarks.tables import print_table
 from perception import Cloud
-from perception.simulate import Caster, Mesh, joined
+from perception.simulate import Caster, Mesh, join_meshes
 
 _VARIANTS = ("dense", "sparse/solid/camera/solid_sparse")
 _WITHHELD = 0.2
@@ -99,7 +99,7 @@ class Union:
     def __init__(self, pieces: Sequence[Float[np.ndarray, "V 3"]]) -> None:
         self._pieces = pieces
         self._hulls = [ConvexHull(vertices) for vertices in pieces]
-        self._caster = Caster(joined([Mesh(one.points, one.simplices.astype(np.int64)) for one in self._hulls]))
+        self._caster = Caster(join_meshes([Mesh(one.points, one.simplices.astype(np.int64)) for one in self._hulls]))
 
     def holds(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
         """Return which points are inside a piece."""
@@ -148,7 +148,7 @@ def measured(case: Case, cloud: Cloud, folder: Path, method: str = "planes") -> 
         judge = case.judge()
     else:
         withheld = rng.random(len(cloud.points)) < _WITHHELD
-        seen, judge = cloud.selected(~withheld), cloud.selected(withheld)
+        seen, judge = cloud.select(~withheld), cloud.select(withheld)
     distance: Distance
     if case.surface is None:
         surface = judge.points

@@ -23,7 +23,7 @@ from benchmarks.cloud_pieces import Figures, Targets, Union, ray_samples, true_p
 from benchmarks.cloud_worker import Made
 from benchmarks.tables import Samples, print_table
 from perception import Cloud, Perceived, perceive, update
-from perception.simulate import Caster, DepthCamera, Mesh, Scanner, SolidState, joined, scan
+from perception.simulate import Caster, DepthCamera, Mesh, Scanner, SolidState, join_meshes, scan
 from perception.simulate.scenes import SimulatedScene, make_scene
 from perception.simulate.sensor import Sensor
 
@@ -79,7 +79,7 @@ def judged(after: Perceived, cloud: Cloud, judge: Cloud, surface: Caster, sample
 
 def _some(cloud: Cloud, rng: np.random.Generator) -> Cloud:
     n_points = len(cloud.points)
-    return cloud.selected(rng.choice(n_points, min(_JUDGED, n_points), replace=False))
+    return cloud.select(rng.choice(n_points, min(_JUDGED, n_points), replace=False))
 
 
 def rows(only: str, seed: int) -> Iterator[tuple[str, ...]]:
@@ -91,7 +91,7 @@ def rows(only: str, seed: int) -> Iterator[tuple[str, ...]]:
             chosen = [change for change in changes_of(scene) if only in f"{name} {kind} {change.name}"]
             if not chosen:
                 continue
-            first = perceive(scan(scene.meshes, scene.poses[0], sensor, seed=0, misses=True), valve=False)
+            first = perceive(scan(scene.meshes, scene.poses[0], sensor, seed=0, misses=True))
             for change in chosen:
                 before, samples = first, Samples()
                 *earlier, cloud = (
@@ -103,7 +103,7 @@ def rows(only: str, seed: int) -> Iterator[tuple[str, ...]]:
                 for _ in range(_RUNS):
                     after = samples.measure(update, before, cloud)
                 judge = scan(change.meshes, scene.poses[1 - change.poses[-1]], sensor, seed=_JUDGING)
-                figures = judged(after, cloud, judge, Caster(joined(change.meshes)), samples)
+                figures = judged(after, cloud, judge, Caster(join_meshes(change.meshes)), samples)
                 n_kept = len({id(piece) for piece in before.scene.pieces} & {id(piece) for piece in after.scene.pieces})
                 yield (
                     f"{name} {kind} {change.name}",

@@ -73,7 +73,7 @@ def main(source: str, target: str, method: Literal["planes", "coacd"]) -> None:
         reach = Reach(**{key: float(stored[key]) for key in ("x", "y", "radius", "top", "bottom")})
     cloud = Cloud(**given)
     wall, cpu = time.perf_counter(), _cpu()
-    perceived = perceive(cloud, reach=reach, valve=False, method=method)
+    perceived = perceive(cloud, reach=reach, method=method)
     figures = [time.perf_counter() - wall, _cpu() - cpu, _peak()]
     vertices = [piece.vertices for piece in perceived.scene.pieces]
     counts = [len(one) for one in vertices]

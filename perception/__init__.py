@@ -1,26 +1,34 @@
 """Clouds in, a world out: floor, convex pieces, detected valves, and a simulator of the sensor."""
 
-from perception.clean import Reach, inside_hulls, voxel_downsample
+from perception.cleaning.clean import Reach, inside_hulls, voxel_downsample
+from perception.cleaning.outliers import inliers
 from perception.cloud import Cloud, make_cloud
 from perception.convex.piece import Evidence, Piece
 from perception.convex.pieces import Pieces, make_pieces
 from perception.detect import KINDS, detect, detect_each, detect_kinds
-from perception.detect.detection import Detection
-from perception.detect.valve import ValveDetection, detect_valves
-from perception.detect.valve_bodies import has_clear_spokes, rim_bodies, stem_of, valve_bodies, wheel_points
-from perception.detect.wheel import wheel_basis
+from perception.detect.shared.detection import CONFIDENT, Detection
+from perception.detect.valve.bodies import (
+    ValveDetection,
+    has_clear_spokes,
+    rim_bodies,
+    select_wheels,
+    stem_of,
+    valve_bodies,
+    wheel_points,
+)
+from perception.detect.valve.ring import wheel_basis
+from perception.detect.valve.wheel import detect_valves
 from perception.errors import CloudError, PerceptionError
 from perception.files.formats import SUFFIXES
 from perception.files.npz import write_npz
 from perception.files.pcd import write_pcd
 from perception.files.placing import METRES_BY_UNIT, rigid_pose
 from perception.files.read import read_cloud, read_clouds
-from perception.floor import FloorPlane, floor_piece, floor_pieces, on_floor, on_floors
-from perception.levels import find_floor, find_floors
+from perception.ground.floor import FloorPlane, floor_piece, floor_pieces, on_floor, on_floors
+from perception.ground.levels import find_floors
 from perception.limits import MAX_FILE_BYTES, MAX_POINTS
-from perception.outliers import inliers
-from perception.perceive import CONFIDENT, Perceived, perceive
-from perception.remembered import Memory
+from perception.memory import Memory
+from perception.perceive import Perceived, perceive
 from perception.update import Earlier, update
 from perception.view import View, make_view
 
@@ -49,7 +57,6 @@ __all__ = [
     "detect_each",
     "detect_kinds",
     "detect_valves",
-    "find_floor",
     "find_floors",
     "floor_piece",
     "floor_pieces",
@@ -66,6 +73,7 @@ __all__ = [
     "read_clouds",
     "rigid_pose",
     "rim_bodies",
+    "select_wheels",
     "stem_of",
     "update",
     "valve_bodies",

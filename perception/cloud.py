@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.doubts import doubts
+from perception.cleaning.doubts import find_doubts
 from perception.errors import CloudError
 from perception.limits import MAX_INVALID_FRACTION, MAX_POINTS
 
@@ -37,13 +37,13 @@ class Cloud:
 
     def __post_init__(self) -> None:
         if self.points.ndim != 2 or self.points.shape[1] != 3:
-            raise CloudError(f"points have shape {self.points.shape}; (N, 3) is needed")
+            raise CloudError(f"points have shape {self.points.shape}; expected (N, 3)")
         if not len(self.points):
-            raise CloudError("the cloud has no points")
+            raise CloudError("the cloud has no points; expected at least one")
         if not np.isfinite(self.points).all():
             raise CloudError("points hold NaN or infinite values; make_cloud() drops and counts them")
         if self.misses.ndim != 2 or self.misses.shape[1] != 3 or not np.isfinite(self.misses).all():
-            raise CloudError(f"misses have shape {self.misses.shape}; (M, 3) finite numbers are needed")
+            raise CloudError(f"misses have shape {self.misses.shape}; expected (M, 3) finite numbers")
         _check_origin(self.origin, len(self.points))
         if self.miss_origin is not None:
             _check_origin(self.miss_origin, len(self.misses))
@@ -52,20 +52,20 @@ class Cloud:
 
     @property
     def starts(self) -> Float[np.ndarray, "N 3"]:
-        """Where the ray of each point started [m]."""
+        """Start of the ray of each point [m]."""
         return np.broadcast_to(self.origin, self.points.shape)
 
     @property
     def rays(self) -> tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]]:
-        """Where all rays started and where they ended, those without a return included [m]."""
+        """Starts and ends of all rays, those without a return included [m]."""
         if not len(self.misses):
             return self.starts, self.points
         behind = self.origin if self.miss_origin is None else self.miss_origin
         starts = np.concatenate([self.starts, np.broadcast_to(behind, self.misses.shape)])
         return starts, np.concatenate([self.points, self.misses])
 
-    def selected(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Cloud:
-        """Only these points; the rays without a return stay."""
+    def select(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Cloud:
+        """Keep only these points; the rays without a return stay."""
         origin = self.origin if self.origin.ndim == 1 else self.origin[keep]
         return replace(self, points=self.points[keep], origin=origin)
 
@@ -73,7 +73,7 @@ class Cloud:
 def _check_origin(origin: Float[np.ndarray, "*N 3"], n_points: int) -> None:
     if origin.shape not in ((3,), (n_points, 3)) or not np.isfinite(origin).all():
         what = origin.tolist() if origin.size <= 3 else f"of shape {origin.shape}"
-        raise CloudError(f"ray origin {what} is neither three finite numbers nor ({n_points}, 3) of them")
+        raise CloudError(f"ray origin {what} is invalid; expected 3 or ({n_points}, 3) finite numbers")
 
 
 def make_cloud(
@@ -102,17 +102,17 @@ def make_cloud(
     misses = _no_points() if misses is None else np.asarray(misses, dtype=np.float64)
     if not len(points):
         nothing = f"only {len(misses)} rays that met nothing" if len(misses) else "no points"
-        raise CloudError(f"{name}: holds {nothing}; at least one point is needed")
+        raise CloudError(f"{name}: holds {nothing}; expected at least one point")
     if len(points) + len(misses) > MAX_POINTS:
         raise CloudError(
-            f"{name}: {len(points) + len(misses)} points; at most {MAX_POINTS} are read, downsample it first"
+            f"{name}: {len(points) + len(misses)} points; expected at most {MAX_POINTS}, downsample it first"
         )
     valid = _finite(points, origin)
     n_invalid = int(len(points) - valid.sum())
     if n_invalid > MAX_INVALID_FRACTION * len(points):
         raise CloudError(
             f"{name}: {n_invalid} of {len(points)} points are NaN or infinite; "
-            f"at most {100 * MAX_INVALID_FRACTION:.0f} % may be"
+            f"expected at most {100 * MAX_INVALID_FRACTION:.0f} %"
         )
     if n_invalid:
         share = 100.0 * n_invalid / len(points)
@@ -122,11 +122,11 @@ def make_cloud(
         kept = _finite(misses, np.zeros(3) if miss_origin is None else miss_origin)
         misses = misses[kept]
         miss_origin = miss_origin if miss_origin is None or miss_origin.ndim == 1 else miss_origin[kept]
-    return Cloud(points, origin, (*notes, *doubts(points, origin)), misses, miss_origin)
+    return Cloud(points, origin, (*notes, *find_doubts(points, origin)), misses, miss_origin)
 
 
-def merged(clouds: Sequence[Cloud]) -> Cloud:
-    """All points and rays of clouds in one frame; each point keeps where its own ray started."""
+def merge_clouds(clouds: Sequence[Cloud]) -> Cloud:
+    """Merge all points and rays of clouds in one frame; each point keeps where its own ray started."""
     if len(clouds) == 1:
         return clouds[0]
     behind = [
@@ -144,7 +144,7 @@ def merged(clouds: Sequence[Cloud]) -> Cloud:
 
 
 def _finite(ends: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"]) -> Bool[np.ndarray, "N"]:
-    """Which rays have finite ends; where each has a start of its own, that too."""
+    """Return which rays have finite ends; where each has a start of its own, that too."""
     valid = np.isfinite(ends).all(axis=1)
     if starts.ndim == 2:
         valid &= np.isfinite(starts).all(axis=1)

@@ -8,8 +8,8 @@ class PerceptionError(ValueError):
 
 
 class CloudError(PerceptionError):
-    """A cloud or cloud file that cannot be used; one line: what, what is wrong with it, what would do."""
+    """A cloud or cloud file that cannot be used; one line: what is wrong with which, and what is expected."""
 
 
 class MeshError(PerceptionError):
-    """A mesh or mesh file that cannot be used; one line: what, what is wrong with it, what would do."""
+    """A mesh or mesh file that cannot be used; one line: what is wrong with which, and what is expected."""

@@ -1,4 +1,4 @@
-"""How much of a cloud file is read at most."""
+"""Limits of the cloud files that are read."""
 
 from __future__ import annotations
 

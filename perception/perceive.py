@@ -1,4 +1,4 @@
-"""The whole chain: a cloud to floor, convex pieces and detected valves."""
+"""The whole chain: a cloud to floor, convex pieces and detected objects."""
 
 from __future__ import annotations
 
@@ -7,28 +7,27 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece, Scene
 from costs.stopping import never, poll, stops_when
-from perception.clean import Reach, voxel_downsample
-from perception.clock import Clock
+from perception.cleaning.clean import Reach, voxel_downsample
+from perception.cleaning.neighbours import nearest
 from perception.cloud import Cloud
+from perception.convex.clock import Clock
 from perception.convex.piece import Piece
 from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.unknown import make_unknown_pieces
-from perception.detect.valve import ValveDetection, detect_in
-from perception.detect.valve_bodies import stem_of, stem_points, wheel_points
+from perception.detect.registry import detect_kinds
+from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.errors import MeshError
-from perception.floor import FloorPlane, floor_pieces
-from perception.neighbours import nearest
+from perception.ground.floor import FloorPlane, floor_pieces
 from perception.solids.match import KnownMesh, MeshMatch, locate
 from perception.solids.pieces import make_coacd_pieces
 from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]
-CONFIDENT = 0.5
 _LEAST_SHOWN = 0.25  # of a mesh's span, that of a scan which is to show it
 _MOST_SHOWN = 60_000
 _SHOWN_VOXEL = 0.01
@@ -39,15 +38,15 @@ _DEFAULT_REACH = Reach()
 
 @dataclass(frozen=True)
 class Perceived:
-    """What a cloud shows.
+    """Floor, pieces and objects that a cloud shows.
 
     Attributes:
         scene: pieces ``floor`` and ``floor/i``, ``plane/i``, ``wall/i``, ``clutter/i`` and, with a valve, ``stem``; the
-            wheel itself is not in it.  ``unknown/i`` when asked for.
+            wheel itself is not in it.  ``unknown/i`` on request.
         pieces: those of the scene that were made of points, with their points and the evidence for them.
         view: what they were made from; ``pieces[i].points`` are indices into ``view.obstacles``.
         floor: the floor's plane; None when none was seen.
-        valves: detections, best first; empty unless a valve was asked for.
+        detections: objects of the requested kinds, kind by kind, best first.
         matches: by name where each known mesh was found, and how surely.
         timings: seconds by step.
         notes: sentences a user should read.
@@ -57,15 +56,10 @@ class Perceived:
     pieces: tuple[Piece, ...]
     view: View
     floor: FloorPlane | None
-    valves: tuple[ValveDetection, ...]
+    detections: tuple[Detection, ...]
     timings: Mapping[str, float]
     notes: tuple[str, ...]
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
-
-    @property
-    def valve(self) -> ValveDetection | None:
-        """The best valve if it is one to act on."""
-        return best_valve(self.valves)
 
     @property
     def shown(self) -> Float[np.ndarray, "M 3"]:
@@ -77,18 +71,13 @@ class Perceived:
         return np.asarray(thinned[:: -(-len(thinned) // _MOST_SHOWN)])
 
 
-def best_valve(valves: Sequence[ValveDetection]) -> ValveDetection | None:
-    """The first of the valves, which are sorted, if it is one to act on."""
-    return valves[0] if valves and valves[0].confidence >= CONFIDENT else None
-
-
 def perceive(
     cloud: Cloud,
     *,
     reach: Reach = _DEFAULT_REACH,
     robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
-    valve: bool,
+    kinds: Sequence[str] = (),
     hint: Float[np.ndarray, "3"] | None = None,
     unknown: Unknown = "free",
     seed: int = 0,
@@ -96,30 +85,31 @@ def perceive(
     known: Sequence[KnownMesh] = (),
     should_stop: Callable[[], bool] = never,
 ) -> Perceived:
-    """Floor, convex pieces and, on request, wheel valves of a cloud in world coordinates (z up).
+    """Find floor, convex pieces and, on request, objects of a cloud in world coordinates (z up).
 
     Args:
         cloud: the scan; its origin must be where the rays started, since they tell what is free.
         reach: what matters.
         robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
         soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
-        valve: whether to look for wheel valves; the best one's points are kept out of the pieces.
-        hint: (3,) a point near the valve [m].
+        kinds: of objects to look for; the points of the best object of each kind, if it has a model, are kept out of
+            the pieces.  ``wheel`` are the valves that a plan can turn.
+        hint: (3,) a point near the object [m].
         unknown: ``occupied`` adds pieces ``unknown/i`` for what lies in reach and no ray has seen, the robot's own
             place left out.
         seed: of all random choices; the same input and seed give the same result.
         method: ``planes`` (slabs, then hulls of the rest) or ``coacd`` (cells, then CoACD; slower and coarser).
         known: objects to look for, of unique names; points that one found with confidence explains are kept out of the
             pieces, and the object itself is not in the scene.
-        should_stop: asked at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
+        should_stop: polled at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
 
     Raises:
         MeshError: CoACD crashed or needs too much.
-        Stopped: it was asked to stop.
+        Stopped: ``should_stop`` was true.
         CloudError: nothing of the cloud lies in reach.
     """
     with stops_when(should_stop):
-        return _perceive(cloud, reach, robot_hulls, soles, hint, valve, unknown, seed, method, known)
+        return _perceive(cloud, reach, robot_hulls, soles, hint, kinds, unknown, seed, method, known)
 
 
 def _perceive(
@@ -128,52 +118,62 @@ def _perceive(
     robot_hulls: Sequence[Float[np.ndarray, "V 3"]],
     soles: Sequence[Float[np.ndarray, "S 3"]],
     hint: Float[np.ndarray, "3"] | None,
-    valve: bool,
+    kinds: Sequence[str],
     unknown: Unknown,
     seed: int,
     method: Literal["planes", "coacd"],
     known: Sequence[KnownMesh],
 ) -> Perceived:
-    """As ``perceive``."""
+    """Do the work of ``perceive``."""
     clock = Clock()
     view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, soles=soles, seed=seed)
     clock.lap("view")
-    valves = tuple(detect_in(view, hint)) if valve else ()
-    kept, stem = without_best(valves, view)
-    clock.lap("valve")
-    matches = matched(known, view, clock)
-    kept = unexplained(view.obstacles, kept, matches)
-    made = _made(view, kept, method)
+    detections = tuple(detect_kinds(kinds, view, hint))
+    kept, parts = take_out(detections, view.obstacles)
+    clock.lap("objects")
+    matches = find_meshes(known, view, clock)
+    kept = drop_explained(view.obstacles, kept, matches)
+    made = _make_pieces(view, kept, method)
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
     if unknown == "occupied":
         hidden = make_unknown_pieces(view.cloud.rays, reach, view.floors, robot_hulls, soles)
         clock.lap("unknown")
-    scene = Scene((*floors_of(view), *stem, *(piece.shape for piece in made.pieces), *hidden))
+    scene = Scene((*floor_pieces(view.floors, view.reach), *parts, *(piece.shape for piece in made.pieces), *hidden))
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
-    return Perceived(scene, made.pieces, view, view.floor, valves, timings, view.notes, matches)
+    return Perceived(scene, made.pieces, view, view.floor, detections, timings, view.notes, matches)
 
 
-def without_best(valves: Sequence[ValveDetection], view: View) -> tuple[Int[np.ndarray, "K"], tuple[ConvexPiece, ...]]:
-    """Indices of the obstacle points that the best valve, if one is to act on, does not explain; its stem, if seen."""
-    kept, best = np.arange(len(view.obstacles)), best_valve(valves)
-    if best is None:
-        return kept, ()
-    is_other, stem = _without_valve(view.obstacles, best)
-    return kept[is_other], () if stem is None else (stem,)
+def take_out(
+    detections: Sequence[Detection], points: Float[np.ndarray, "N 3"]
+) -> tuple[Int[np.ndarray, "K"], tuple[ConvexPiece, ...]]:
+    """Return indices of the points that are no object's own, and pieces for parts of objects that stay in the scene.
+
+    Only objects with a model have points of their own, and of each kind only the best, if it is one to act on.
+    """
+    best: dict[str, Detection] = {}
+    for hit in detections:
+        best.setdefault(hit.kind, hit)
+    parts: tuple[ConvexPiece, ...] = ()
+    kept = np.arange(len(points))
+    for hit in best.values():
+        if hit.model is not None and hit.confidence >= CONFIDENT:
+            is_own, more = hit.model.split_off(points[kept])
+            kept, parts = kept[~is_own], (*parts, *more)
+    return kept, parts
 
 
-def matched(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[str, MeshMatch]:
-    """By name where each known mesh is.
+def find_meshes(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[str, MeshMatch]:
+    """Find each known mesh; by name.
 
     Raises:
         MeshError: the whole scan is much smaller than one of them.
     """
     matches: dict[str, MeshMatch] = {}
-    for one in known:
+    for mesh in known:
         poll()
-        _check_span(one, view)
-        matches[one.name] = locate(one, view)
+        _check_span(mesh, view)
+        matches[mesh.name] = locate(mesh, view)
         clock.lap("known meshes")
     return matches
 
@@ -191,8 +191,8 @@ def _check_span(known: KnownMesh, view: View) -> None:
         )
 
 
-def _made(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coacd"]) -> Pieces:
-    """Pieces of the kept obstacle points; ``pieces[i].points`` are indices into all of them."""
+def _make_pieces(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coacd"]) -> Pieces:
+    """Make pieces of the kept obstacle points; ``pieces[i].points`` are indices into all of them."""
     points, starts = view.obstacles[kept], view.starts[kept]
     if method == "coacd":
         made = make_coacd_pieces(points, starts, view.cloud.rays)
@@ -201,10 +201,10 @@ def _made(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coa
     return replace(made, pieces=tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces))
 
 
-def unexplained(
+def drop_explained(
     points: Float[np.ndarray, "N 3"], kept: Int[np.ndarray, "K"], matches: Mapping[str, MeshMatch]
 ) -> Int[np.ndarray, "L"]:
-    """Those of the kept indices whose points no mesh explains that was found with confidence.
+    """Drop those of the kept indices whose points are explained by a mesh that was found with confidence.
 
     Its noise is explained too: points a little beyond its tolerance that nothing but the mesh is near to.
     """
@@ -217,19 +217,3 @@ def unexplained(
             lone[lone] = nearest(cKDTree(points[kept[~lone]]), points[kept[lone]], 1)[0] > _LONE
         kept = kept[~lone]
     return kept
-
-
-def floors_of(view: View) -> list[ConvexPiece]:
-    """Pieces that stand for the floor."""
-    return floor_pieces(view.floors, view.reach)
-
-
-def _without_valve(
-    points: Float[np.ndarray, "N 3"], valve: ValveDetection
-) -> tuple[Bool[np.ndarray, "N"], ConvexPiece | None]:
-    """Which points are neither wheel nor stem, and the stem."""
-    kept = ~wheel_points(valve, points)
-    stem = stem_of(valve, points[kept])
-    if stem is not None:
-        kept[kept] = ~stem_points(valve, stem, points[kept])
-    return kept, stem

@@ -10,19 +10,19 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece, Scene
-from perception.clean import Reach
-from perception.clock import Clock
+from perception.cleaning.clean import Reach
+from perception.cleaning.locally import LocalJudge
 from perception.cloud import Cloud
+from perception.convex.clock import Clock
 from perception.convex.hulls import make_hull
 from perception.convex.piece import Piece
 from perception.convex.standing import Ground
 from perception.convex.unknown import make_unknown_pieces
 from perception.convex.updated import Judge, Updated, update_pieces
-from perception.detect.valve import ValveDetection
-from perception.floor import FloorPlane, on_floors
-from perception.levels_again import may_be_level
-from perception.locally import LocalJudge
-from perception.perceive import Perceived, floors_of, matched, unexplained, without_best
+from perception.detect.shared.detection import Detection
+from perception.ground.floor import FloorPlane, floor_pieces, on_floors
+from perception.ground.levels_again import may_be_level
+from perception.perceive import Perceived, drop_explained, find_meshes, take_out
 from perception.solids.match import KnownMesh, MeshMatch
 from perception.view import Cropped, View, crop, view_of
 
@@ -31,13 +31,13 @@ _SAME = 0.01
 
 @dataclass(frozen=True)
 class Earlier:
-    """What an update needs of the scan before; that scan's points are not among it.
+    """Parts of an earlier scan's result that an update needs; that scan's points are not among them.
 
     Attributes:
         scene: all that stood for the scan before, objects that were found aside.
-        pieces: those of its pieces that were made of points; indices of points are not asked for.
+        pieces: those of its pieces that were made of points; indices of their points are not used.
         reach, seed: of the scan before.
-        valves: detections, best first.
+        detections: objects, best first within each kind.
         matches: by name where known meshes were found.
         floors: levels of the floor; without any they are looked for anew, which takes longer.
     """
@@ -46,15 +46,15 @@ class Earlier:
     pieces: tuple[Piece, ...]
     reach: Reach
     seed: int
-    valves: tuple[ValveDetection, ...] = ()
+    detections: tuple[Detection, ...] = ()
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
     floors: tuple[FloorPlane, ...] = ()
 
     @classmethod
     def of(cls, seen: Perceived) -> Earlier:
-        """Of what a scan showed."""
+        """Keep what an update needs of what a scan showed."""
         view = seen.view
-        return cls(seen.scene, seen.pieces, view.reach, view.seed, seen.valves, seen.matches, view.floors)
+        return cls(seen.scene, seen.pieces, view.reach, view.seed, seen.detections, seen.matches, view.floors)
 
 
 def update(
@@ -65,12 +65,12 @@ def update(
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
     known: Sequence[KnownMesh] = (),
 ) -> Perceived:
-    """What a new scan of the same scene shows, in the same reach.
+    """Perceive a new scan of the same scene, in the same reach.
 
     Pieces that no ray of the new scan passes through stay in the scene as they are: the same objects, the same names.
     What their surfaces do not explain is cleaned and becomes new pieces (slabs and hulls) with new names.  The floor
-    stays while its corners move by less than 1 cm.  A valve or known mesh that was found stays where it was, and is not
-    looked for again unless it is among ``known``; unknown space is made anew if it was asked for.
+    stays while its corners move by less than 1 cm.  Detected objects and known meshes stay where they were and are not
+    looked for again, except for meshes among ``known``.  Unknown space is made anew if there was any.
 
     Args:
         before: what the scan before showed.
@@ -84,9 +84,9 @@ def update(
     clock = Clock()
     earlier = before if isinstance(before, Earlier) else Earlier.of(before)
     cropped = crop(cloud, earlier.reach, robot_hulls)
-    seen = _held_against(earlier, cropped, soles, known, earlier.floors, clock)
+    seen = _hold_against(earlier, cropped, soles, known, earlier.floors, clock)
     if seen.is_left_off:
-        seen = _held_against(earlier, cropped, soles, known, (), clock)
+        seen = _hold_against(earlier, cropped, soles, known, (), clock)
     view, pieces = seen.view, seen.pieces
     hidden: tuple[ConvexPiece, ...] = ()
     if any(piece.kind == "unknown" for piece in earlier.scene.pieces):
@@ -95,7 +95,7 @@ def update(
     stem = [piece for piece in earlier.scene.pieces if piece.kind == "stem"]
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in seen.timings.items()}
     scene = Scene((*seen.floors, *stem, *(piece.shape for piece in pieces), *hidden))
-    return Perceived(scene, pieces, view, view.floor, earlier.valves, timings, view.notes, seen.matches)
+    return Perceived(scene, pieces, view, view.floor, earlier.detections, timings, view.notes, seen.matches)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class _Held:
     is_left_off: bool = False
 
 
-def _held_against(
+def _hold_against(
     earlier: Earlier,
     cropped: Cropped,
     soles: Sequence[Float[np.ndarray, "S 3"]],
@@ -127,22 +127,24 @@ def _held_against(
     levels: Sequence[FloorPlane],
     clock: Clock,
 ) -> _Held:
-    """The new scan, its floor of these levels if it shows them; it is left off where it may show others as well."""
-    # What kept pieces explain needs no cleaning; to find a mesh all points are asked for.
+    """Hold the new scan against the earlier one, with these levels of the floor; stop where it may show others as
+    well.
+    """
+    # What kept pieces explain needs no cleaning; a search for a mesh needs all points.
     cleaned = len(known) > 0
     view = view_of(cropped, reach=earlier.reach, soles=soles, seed=earlier.seed, cleaned=cleaned, floors=levels)
     is_floor = on_floors(view.near.points, view.floors, soles)
     ground = view.near.points[is_floor]
     is_level = partial(may_be_level, floors=view.floors if view.floors is levels else (), ground=ground)
-    # Most new levels are told before anything else is asked; others, as on what was there, show when pieces are made.
+    # Most new levels show before pieces are made; others, as on an object that was there, while they are made.
     if is_level(view.obstacles, known=[piece.hull for piece in earlier.pieces]):
         clock.lap("view")
         return _Held(view, [], (), {}, {}, is_left_off=True)
-    floors = _steady(earlier.scene, floors_of(view))
-    kept, _ = without_best(earlier.valves, view)
+    floors = _keep_steady(earlier.scene, floor_pieces(view.floors, view.reach))
+    kept, _ = take_out(earlier.detections, view.obstacles)
     clock.lap("view")
-    matches = {**earlier.matches, **matched(known, view, clock)}
-    kept = unexplained(view.obstacles, kept, matches)
+    matches = {**earlier.matches, **find_meshes(known, view, clock)}
+    kept = drop_explained(view.obstacles, kept, matches)
     hulls = tuple(make_hull(piece.vertices, kept[:0]).simplified for piece in floors)
     judge = None if cleaned else _judge(view.near, ~is_floor, kept)
     made = update_pieces(
@@ -156,18 +158,18 @@ def _held_against(
         is_level,
     )
     clock.lap("pieces")
-    view, pieces = _without_strays(view, made, kept)
+    view, pieces = _drop_strays(view, made, kept)
     return _Held(view, floors, pieces, matches, made.timings, made.is_left_off)
 
 
 def _judge(near: Cloud, is_obstacle: Bool[np.ndarray, "N"], kept: Int[np.ndarray, "K"]) -> Judge:
-    """Tells which of the obstacles that were kept surfaces stand for."""
+    """Make a function that returns which of the obstacles that were kept surfaces stand for."""
     scan, index = LocalJudge.of(near.points, near.starts, is_obstacle), np.flatnonzero(is_obstacle)[kept]
-    return lambda asked: scan.surface_among(index[asked])
+    return lambda queries: scan.surface_among(index[queries])
 
 
-def _without_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple[View, tuple[Piece, ...]]:
-    """The view without what was found to be strays, and the pieces with indices into its obstacles."""
+def _drop_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple[View, tuple[Piece, ...]]:
+    """Drop from the view what was found to be strays, and the pieces with indices into its obstacles."""
     is_obstacle = np.ones(len(view.obstacles), dtype=bool)
     is_obstacle[kept[~made.is_surface]] = False
     index = np.cumsum(is_obstacle) - 1
@@ -175,8 +177,10 @@ def _without_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tu
     return replace(view, obstacles=view.obstacles[is_obstacle], starts=view.starts[is_obstacle]), pieces
 
 
-def _steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:
-    """The pieces, those of the scene before in place of the ones of their name that are the same within 1 cm."""
+def _keep_steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:
+    """Return the pieces, with those of the scene before in place of the ones of their name that are the same within 1
+    cm.
+    """
     known = {piece.name: piece for piece in before.pieces}
     steady = []
     for piece in pieces:

@@ -1,4 +1,4 @@
-"""A scan made ready to be looked at: cropped, without the robot's own points, floor and outliers told apart."""
+"""A scan made ready to be looked at: cropped, without the robot's own points, floor and outliers separated."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.clean import Reach, first_of_equals, inside_hulls
+from perception.cleaning.clean import Reach, first_of_equals, inside_hulls
+from perception.cleaning.doubts import crop_doubt, low_sensor_doubt, nothing_left
+from perception.cleaning.outliers import surface_points
 from perception.cloud import Cloud
-from perception.doubts import crop_doubt, low_sensor_doubt, nothing_left
 from perception.errors import CloudError
-from perception.floor import FloorPlane, on_floors
-from perception.levels import find_floors
-from perception.levels_again import are_there
-from perception.outliers import surface_points
+from perception.ground.floor import FloorPlane, on_floors
+from perception.ground.levels import find_floors
+from perception.ground.levels_again import are_there
 
 _DEFAULT_REACH = Reach()
 _BEYOND = 1.0
@@ -23,7 +23,7 @@ _BEYOND = 1.0
 
 @dataclass(frozen=True)
 class View:
-    """What detectors and the making of pieces start from.
+    """A scan made ready: what detectors and the making of pieces start from.
 
     Attributes:
         cloud: the whole scan without exact copies; all its rays are evidence of what is free.
@@ -51,12 +51,12 @@ class View:
 
     @property
     def n_cropped(self) -> int:
-        """How many points lie out of reach."""
+        """Number of points out of reach."""
         return len(self.cloud.points) - len(self.near.points) - self.n_own
 
     @property
     def n_strays(self) -> int:
-        """How many points no surface stands for."""
+        """Number of points that no surface stands for."""
         return len(self.near.points) - self.n_floor - len(self.obstacles)
 
     @property
@@ -72,8 +72,6 @@ def make_view(
     robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
     seed: int = 0,
-    cleaned: bool = True,
-    floors: Sequence[FloorPlane] = (),
 ) -> View:
     """Drop exact copies, crop, drop the robot's own points, find the floor, drop strays and mixed pixels.
 
@@ -83,18 +81,16 @@ def make_view(
         robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
         soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
         seed: of all random choices.
-        cleaned: whether strays and mixed pixels are dropped; the obstacles of a view are all that is not floor if not.
-        floors: levels of an earlier scan, to be taken as they are if this one shows them.
 
     Raises:
         CloudError: nothing of the cloud lies in reach; with what its notes say.
     """
-    return view_of(crop(cloud, reach, robot_hulls), reach=reach, soles=soles, seed=seed, cleaned=cleaned, floors=floors)
+    return view_of(crop(cloud, reach, robot_hulls), reach=reach, soles=soles, seed=seed)
 
 
 @dataclass(frozen=True)
 class Cropped:
-    """What of a scan lies in reach.
+    """The part of a scan that lies in reach.
 
     Attributes:
         cloud: the whole scan without exact copies.
@@ -112,15 +108,15 @@ class Cropped:
 def crop(cloud: Cloud, reach: Reach, robot_hulls: Sequence[Float[np.ndarray, "V 3"]]) -> Cropped:
     """Drop exact copies, what is out of reach and the robot's own points; see ``make_view``."""
     _check_reach(cloud, reach)
-    cloud = without_copies(cloud)
-    near = cloud.selected(reach.contains(cloud.points))
+    cloud = drop_copies(cloud)
+    near = cloud.select(reach.contains(cloud.points))
     own = inside_hulls(near.points, robot_hulls)
     notes = (*cloud.notes, *_crop_note(cloud, near, reach))
     if own.any():
         notes = (*notes, f"left out {int(own.sum())} points on the robot itself")
         if own.all():
             raise CloudError("all points in reach lie on the robot itself; is the robot's posture the scan's?")
-        near = near.selected(~own)
+        near = near.select(~own)
     return Cropped(cloud, near, notes, int(own.sum()))
 
 
@@ -133,7 +129,13 @@ def view_of(
     cleaned: bool = True,
     floors: Sequence[FloorPlane] = (),
 ) -> View:
-    """Find the floor, drop strays and mixed pixels; see ``make_view``."""
+    """Find the floor, drop strays and mixed pixels; see ``make_view``.
+
+    Args:
+        cropped, reach, soles, seed: as there.
+        cleaned: whether strays and mixed pixels are dropped; the obstacles of a view are all that is not floor if not.
+        floors: levels of an earlier scan, to be taken as they are if this one shows them.
+    """
     cloud, near, notes = cropped.cloud, cropped.near, cropped.notes
     floors = tuple(floors)
     if not are_there(floors, near.points, cloud.rays, reach):
@@ -155,25 +157,25 @@ def view_of(
 
 
 def _stand(reach: Reach, soles: Sequence[Float[np.ndarray, "S 3"]]) -> Float[np.ndarray, "3"]:
-    """Where the robot stands: between its soles, else at zero height in the middle of the reach."""
+    """Return where the robot stands: between its soles, else at zero height in the middle of the reach."""
     if not len(soles):
         return np.array([reach.x, reach.y, 0.0])
     return np.asarray(np.mean([np.mean(sole, axis=0) for sole in soles], axis=0))
 
 
-def without_copies(cloud: Cloud) -> Cloud:
-    """The cloud with exact copies of points left out and counted in its notes."""
+def drop_copies(cloud: Cloud) -> Cloud:
+    """Drop exact copies of points and count them in the cloud's notes."""
     is_first = first_of_equals(cloud.points, cloud.starts)
     n_copies = int(len(is_first) - is_first.sum())
     if not n_copies:
         return cloud
     share = 100.0 * n_copies / len(is_first)
     note = f"dropped {n_copies} exact copies among {len(is_first)} points ({share:.1f} %)"
-    return replace(cloud.selected(is_first), notes=(*cloud.notes, note))
+    return replace(cloud.select(is_first), notes=(*cloud.notes, note))
 
 
 def _crop_note(cloud: Cloud, near: Cloud, reach: Reach) -> tuple[str, ...]:
-    """How many points were left out, and where they lie."""
+    """Return how many points were left out, and where they lie."""
     n_cropped = len(cloud.points) - len(near.points)
     if not n_cropped:
         return ()

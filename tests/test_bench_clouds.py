@@ -12,7 +12,7 @@ from benchmarks.cloud_errors import MEASURES, errors, matched, misses_target
 from benchmarks.cloud_pieces import Figures, Targets, Union, ray_samples, true_points
 from benchmarks.cloud_worker import made_of
 from perception import Cloud, Detection, Reach
-from perception.simulate import Caster, Scanner, box, joined, scan
+from perception.simulate import Caster, Scanner, box, join_meshes, scan
 from perception.simulate.objects.placed import pose_of
 from perception.simulate.scenes import Truth, make_scene
 
@@ -157,5 +157,5 @@ def test_scenes_recorded_twice_judge_each_other(shared_data: Path) -> None:
 
 
 def test_joined_pieces_of_a_scene_keep_their_triangles() -> None:
-    both = joined([box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), box((2.0, 0.0, 0.0), (3.0, 1.0, 1.0))])
+    both = join_meshes([box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), box((2.0, 0.0, 0.0), (3.0, 1.0, 1.0))])
     assert Caster(both).distance(np.array([[2.5, 0.5, 1.25], [1.5, 0.5, 0.5]])) == pytest.approx([0.25, 0.5])

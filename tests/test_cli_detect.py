@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import sys
 import time
 from collections.abc import Iterator
 from io import StringIO
@@ -18,14 +17,13 @@ from rich.console import Console
 import perception
 from costs.stopping import Stopped, poll, stops_when
 from perception import Detection, write_npz
+from perception.detect import registry
+from perception.detect.registry import Detector
 from service.cli.report import hit_row
 from service.cli.run import progress
 from service.request.choices import KINDS
 from service.scan import detect as detect_file
 from service.scan.time_limit import TimeOver, limit_time
-
-# The module, which has the same name as its function.
-DETECT = sys.modules["perception.detect"]
 
 
 @pytest.fixture(scope="module")
@@ -125,21 +123,20 @@ def test_a_stop_from_outside_is_no_time_that_is_over() -> None:
         poll()
 
 
-def _failing(*kinds: str) -> dict[str, object]:
+def _failing(*kinds: str) -> dict[str, Detector]:
     """Replace the detectors: the given kinds raise an error, the others return a hit."""
 
     def broken(*_: object) -> list[Detection]:
         np.zeros(3) + np.zeros(11)
         return []
 
-    return {kind: broken if kind in kinds else lambda *_, kind=kind: [_hit(kind, 0.6)] for kind in KINDS}
+    return {kind: Detector(broken if kind in kinds else lambda *_, kind=kind: [_hit(kind, 0.6)]) for kind in KINDS}
 
 
 def test_a_detector_that_fails_leaves_the_others_and_is_noted_and_logged(
     scan: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(DETECT, "_DETECTORS", _failing("drill", "panel"))
-    monkeypatch.setattr(DETECT, "_ON_FACES", {})
+    monkeypatch.setattr(registry, "DETECTORS", _failing("drill", "panel"))
     result = scopt("detect", "all", scan, "--json")
     assert result.exit_code == 0
     data = json.loads(result.stdout)
@@ -157,7 +154,7 @@ def test_a_detector_that_is_stopped_has_not_failed(scan: Path, monkeypatch: pyte
     def stopped(*_: object) -> list[Detection]:
         raise Stopped
 
-    monkeypatch.setattr(DETECT, "_DETECTORS", _failing() | {"drill": stopped})
+    monkeypatch.setattr(registry, "DETECTORS", _failing() | {"drill": Detector(stopped)})
     result = scopt("detect", "drill", scan, "--json", "--time-limit", 60)
     assert result.exit_code == 5
     assert json.loads(result.stdout)["unfinished"] == ["drill"]

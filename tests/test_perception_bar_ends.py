@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from perception.detect.bar_ends import likely_ends
-from perception.detect.bars import Bar, SurroundingRays
-from perception.floor import FloorPlane
+from perception.detect.shared.bar_ends import likely_ends
+from perception.detect.shared.bars import Bar, SurroundingRays
+from perception.ground.floor import FloorPlane
 
 # Along x, its upper face at z = 0.
 BAR = Bar(np.eye(3), np.array([0.0, 0.0, -0.02]), (0.045, 0.02), -0.2, 0.2)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, View, make_view
-from perception.detect.bar_faces import in_line, runs_on
-from perception.detect.bars import Bar
-from perception.detect.beam import detect_beam
-from perception.detect.sightlines import Sightlines
+from perception.detect.beam.detector import detect_beam
+from perception.detect.shared.bar_evidence import in_line, runs_on
+from perception.detect.shared.bars import Bar
+from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.6)

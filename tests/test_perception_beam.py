@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception import CONFIDENT, Cloud, Detection, View, make_view, read_cloud
-from perception.detect.bar_fit import BarFit, _linearized, _moved, _State, spread_between_edges
-from perception.detect.bars import Bar, Section, SurroundingRays, cross_bar, sort_rays
-from perception.detect.beam import _continues, detect_beam, loose_points
-from perception.detect.lines import find_lines
-from perception.detect.sightlines import Sightlines
-from perception.detect.slender import is_slender
-from perception.detect.strips import _in_walls, find_strips
+from perception.detect.beam.detector import _continues, detect_beam, loose_points
+from perception.detect.beam.strips import _in_walls, find_strips
+from perception.detect.shared.bar_fit import BarFit, _linearize, _move, _State, spread_between_edges
+from perception.detect.shared.bars import Bar, Section, SurroundingRays, cross_bar, sort_rays
+from perception.detect.shared.slender import is_slender
+from perception.detect.valve.lines import find_lines
+from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.6)
@@ -164,7 +164,7 @@ def rays_into(bar: Bar, rng: np.random.Generator) -> Sightlines:
     target = target + rng.uniform(-0.02, 0.02, (60, 3))
     length = np.linalg.norm(target, axis=1)
     rays = Sightlines(start, target / length[:, None], length)
-    return rays.selected(cross_bar(rays, bar).outside < -0.004)
+    return rays.select(cross_bar(rays, bar).outside < -0.004)
 
 
 @settings(max_examples=10)
@@ -178,12 +178,12 @@ def test_the_fits_derivatives_are_those_of_central_differences(section: Section,
     half = np.array([bar.half])
     state = _State(frame[None], bar.centre[None], half)
     hit = rng.random((1, len(rays))) < 0.6
-    here, jacobian = _linearized(rays, hit, np.ones_like(hit), state, half, section)
+    here, jacobian = _linearize(rays, hit, np.ones_like(hit), state, half, section)
     for i in range(n):
         change = np.zeros((1, n))
         change[0, i] = 1e-6
         ahead, behind = (
-            _linearized(rays, hit, np.ones_like(hit), _moved(state, sign * change, section), half, section)[0]
+            _linearize(rays, hit, np.ones_like(hit), _move(state, sign * change, section), half, section)[0]
             for sign in (1.0, -1.0)
         )
         numeric = (ahead - behind)[0] / 2e-6
@@ -271,10 +271,10 @@ def test_a_board_flat_on_the_floor_that_all_its_rays_agree_with_is_held_by_those
     rays = SurroundingRays(
         ends + np.array([0.0, 0.0, 2.0]), straight_down, np.full(len(x), 2.0), np.zeros(len(x), dtype=bool)
     )
-    beside = rays.selected(np.abs(y) < 0.06)
+    beside = rays.select(np.abs(y) < 0.06)
     fit = BarFit(bar, (0.07, 0.019), (np.inf, np.inf))
     assert spread_between_edges(rays, fit, 2000)[0] < 0.01
-    assert spread_between_edges(beside.selected(np.abs(beside.ends[:, 1]) < 0.03), fit, 2000)[0] > 1.0
+    assert spread_between_edges(beside.select(np.abs(beside.ends[:, 1]) < 0.03), fit, 2000)[0] > 1.0
 
 
 def test_parts_of_a_beam_on_both_sides_of_what_hides_its_middle_are_one() -> None:

@@ -17,11 +17,10 @@ from perception import (
     make_view,
     voxel_downsample,
 )
-from perception.grazed import on_grazed_surface
-from perception.outliers import surface_points
+from perception.cleaning.outliers import on_grazed_surface, surface_points
 from perception.simulate import box, cylinder
 from perception.simulate.cast import cast
-from perception.simulate.mesh import Mesh, joined
+from perception.simulate.mesh import Mesh, join_meshes
 
 CUBE = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
 
@@ -163,7 +162,7 @@ def depth_picture(meshes: list[Mesh], rng: np.random.Generator) -> tuple[np.ndar
     direction = np.column_stack([np.ones(len(pixel)), pixel])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     aside = direction + rng.normal(0, 0.006, direction.shape)
-    world, eye = joined(meshes), np.zeros(3)
+    world, eye = join_meshes(meshes), np.zeros(3)
     first = cast(world, eye, direction)
     second = cast(world, eye, aside / np.linalg.norm(aside, axis=1, keepdims=True))
     gap = second - first

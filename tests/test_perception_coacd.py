@@ -19,12 +19,12 @@ from costs.stopping import Stopped, stops_when
 from perception import Cloud, make_view, sandbox
 from perception.convex.pieces import Pieces
 from perception.errors import MeshError
-from perception.mesh import Mesh
 from perception.simulate import Pose, Room, Scanner, box, scan, torus
 from perception.solids import decompose
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, make_solid
 from perception.solids.decompose import CoacdResources, CoacdSettings
+from perception.solids.mesh import Mesh
 from perception.solids.pieces import make_coacd_pieces
 from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import wrap_cells
@@ -223,7 +223,7 @@ UNDER_A_LIMIT = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]), int(sys.argv[1])))
 import numpy as np
-from perception.mesh import Mesh
+from perception.solids.mesh import Mesh
 from perception.solids.process import run_coacd
 mesh = Mesh(np.array(eval(sys.argv[2])), np.array(eval(sys.argv[3])))
 options = {"threshold": 0.02, "real_metric": True, "preprocess_mode": "off", "mcts_iterations": 20}

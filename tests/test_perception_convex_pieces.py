@@ -18,7 +18,7 @@ from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.planes import Plane
 from perception.convex.slabs import attach_hulls, make_slabs
 from perception.convex.split import find_clusters, merge, refine_hulls, split
-from perception.simulate import Caster, Pose, Room, Scanner, joined, scan
+from perception.simulate import Caster, Pose, Room, Scanner, join_meshes, scan
 from perception.simulate.scenes import make_scene
 
 SENSOR = np.array([0.0, 0.0, 1.5])
@@ -45,7 +45,7 @@ def made(points: np.ndarray, order: np.ndarray | None = None) -> Pieces:
 @pytest.fixture(scope="module")
 def room() -> Perceived:
     world = Room(wall_x=1.5, pipes=((1.0, 0.6, 0.05),), boxes=(((0.6, -1.0, 0.0), (0.9, -0.6, 0.5)),))
-    return perceive(scan(world.meshes(), Pose((0.1, 0.0, 1.6), pitch=0.3), Scanner(n_lines=40), seed=1), valve=False)
+    return perceive(scan(world.meshes(), Pose((0.1, 0.0, 1.6), pitch=0.3), Scanner(n_lines=40), seed=1))
 
 
 @settings(max_examples=12, deadline=None)
@@ -94,13 +94,13 @@ def test_buttons_that_stand_out_of_a_panel_by_more_than_its_slab_are_covered() -
     panel = scene.truth[0]
     rays = cloud.points - cloud.starts
     directions = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    hits = Caster(joined(scene.meshes)).hits(cloud.starts, directions).distance
+    hits = Caster(join_meshes(scene.meshes)).hits(cloud.starts, directions).distance
     true = cloud.starts + hits[:, None] * directions
     there = (true - panel.pose_world_object[:3, 3]) @ panel.pose_world_object[:3, :3]
     half = 0.5 * np.array([panel.sizes["width"], panel.sizes["height"]])
     is_button = (np.abs(there[:, :2]) < half).all(axis=1) & (there[:, 2] > 0.01)
     assert is_button.sum() > 1000
-    hulls = [piece.hull for piece in perceive(cloud, valve=False).pieces]
+    hulls = [piece.hull for piece in perceive(cloud).pieces]
     assert np.any([hull.is_within(true[is_button], 0.01) for hull in hulls], axis=0).mean() > 0.99
 
 

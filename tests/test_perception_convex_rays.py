@@ -14,7 +14,7 @@ from perception.convex.coarse import coarsen
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.planes import Plane, find_planes
 from perception.convex.slabs import make_slabs
-from perception.simulate import Mesh, box, cast, joined
+from perception.simulate import Mesh, box, cast, join_meshes
 
 LOWER, UPPER = np.full(3, -0.2), np.full(3, 1.2)
 NOWHERE = np.full((1, 3), 9.0)
@@ -35,7 +35,7 @@ def scanned(meshes: list[Mesh], origin: tuple[float, float, float], n: int = 150
         np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
     ])  # fmt: skip
     start = np.array(origin)
-    distance = cast(joined(meshes), start, direction)
+    distance = cast(join_meshes(meshes), start, direction)
     hit = np.isfinite(distance)
     noisy = distance[hit] + np.random.default_rng(seed).normal(0.0, 0.01, int(hit.sum()))
     return Cloud(start + noisy[:, None] * direction[hit], start, misses=start + 8.0 * direction[~hit])
@@ -101,16 +101,16 @@ def test_many_rays_side_by_side_leave_no_gap_in_what_they_carve() -> None:
 
 def test_a_ray_that_met_nothing_opens_a_window_before_the_sky() -> None:
     cloud = scanned(FRAME, (0.0, 0.0, 1.15))
-    assert not inside(WINDOW, perceive(cloud, valve=False).scene.pieces).any()
+    assert not inside(WINDOW, perceive(cloud).scene.pieces).any()
     # Without those rays the hull of what is beside the window would do.
     blind = Cloud(cloud.points, cloud.origin)
-    assert inside(WINDOW, perceive(blind, valve=False).scene.pieces).any()
+    assert inside(WINDOW, perceive(blind).scene.pieces).any()
 
 
 def test_a_sensor_behind_a_wall_opens_the_window_that_the_one_before_it_cannot_look_through() -> None:
     world = [*FRAME, box((0.5, -0.5, 0.0), (0.52, 0.5, 1.8))]
     both = merged(scanned(world, (0.0, 0.0, 1.15), seed=1), scanned(world, (2.2, 0.0, 1.15), seed=2))
-    assert not inside(WINDOW, perceive(both, valve=False).scene.pieces).any()
+    assert not inside(WINDOW, perceive(both).scene.pieces).any()
 
 
 def test_rays_through_an_opening_cut_a_slab_whichever_side_they_come_from() -> None:

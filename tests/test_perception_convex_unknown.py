@@ -37,7 +37,7 @@ def cloud() -> Cloud:
 
 @pytest.fixture(scope="module")
 def seen(cloud: Cloud) -> Perceived:
-    return perceive(cloud, reach=REACH, valve=False, unknown="occupied")
+    return perceive(cloud, reach=REACH, unknown="occupied")
 
 
 def test_what_lies_behind_a_box_is_occupied(seen: Perceived) -> None:
@@ -45,7 +45,7 @@ def test_what_lies_behind_a_box_is_occupied(seen: Perceived) -> None:
 
 
 def test_unknown_space_is_left_open_unless_requested(cloud: Cloud) -> None:
-    plain = perceive(cloud, reach=REACH, valve=False)
+    plain = perceive(cloud, reach=REACH)
     assert not unknown(plain)
     assert not inside(BEHIND, list(plain.scene.pieces)).any()
 
@@ -94,10 +94,10 @@ def test_the_robot_s_own_place_is_not_unknown(cloud: Cloud) -> None:
     within = rng.uniform(TORSO.min(axis=0), TORSO.max(axis=0), (500, 3))
     over_sole = rng.uniform([0.2, 0.05, 0.0], [0.45, 0.2, 0.1], (200, 3))
     # A sensor that looks only ahead sees neither.
-    ahead = cloud.selected(cloud.points[:, 0] > 0.75)
-    blind = unknown(perceive(ahead, reach=REACH, valve=False, unknown="occupied"))
+    ahead = cloud.select(cloud.points[:, 0] > 0.75)
+    blind = unknown(perceive(ahead, reach=REACH, unknown="occupied"))
     assert inside(within, blind).any()
     assert inside(over_sole, blind).any()
-    aware = unknown(perceive(ahead, reach=REACH, valve=False, unknown="occupied", robot_hulls=hulls, soles=[sole]))
+    aware = unknown(perceive(ahead, reach=REACH, unknown="occupied", robot_hulls=hulls, soles=[sole]))
     assert not inside(within, aware).any()
     assert not inside(over_sole, aware).any()

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
-from perception.detect.door_edge import side_edge, unevenness
-from perception.detect.door_handle import find_handle
-from perception.detect.profile import BIN, Profile, Rays, straight_stretches
-from perception.detect.upright import Upright, find_uprights
+from perception.detect.door.edges import side_edge, unevenness
+from perception.detect.door.handle import find_handle
+from perception.detect.door.profile import BIN, Profile, Rays, straight_stretches
+from perception.detect.door.upright import Upright, find_uprights
 from perception.simulate import DepthCamera, Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.objects.doors import Door
 from perception.simulate.objects.placed import Truth
@@ -31,7 +31,7 @@ def _door(hinge_on: str, distance: float = 1.0, turned_deg: float = 0.0, **kind:
 
 
 def _view(door: Door, sensor: Scanner | DepthCamera | None = None, seed: int = 1) -> tuple[View, Truth]:
-    placed = door.placed()
+    placed = door.build()
     cloud = scan([*placed.meshes, _FLOOR, _BACK], Pose(pitch=0.3), sensor or Scanner(), seed)
     return make_view(cloud), placed.truth[0]
 
@@ -132,7 +132,7 @@ def test_a_lever_before_the_far_edge_of_an_open_leaf_ends_where_rays_went_past_t
 def test_where_no_floor_was_seen_a_door_stands_at_zero_height() -> None:
     view, truth = _view(_door("left"), DepthCamera(), seed=2)
     lifted = view.near.points[:, 2] > 0.3
-    found = detect("door", replace(view, floors=(), near=view.near.selected(lifted)))[0]
+    found = detect("door", replace(view, floors=(), near=view.near.select(lifted)))[0]
     assert found.pose_world_object[2, 3] == 0.0
     assert found.sizes["handle_z"] == pytest.approx(truth.sizes["handle_z"], abs=0.02)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, KINDS, Cloud, View, detect_kinds, make_view
-from perception.detect.drill import detect_drill
-from perception.detect.drill_shape import Shape, meet
-from perception.detect.sightlines import Sightlines
-from perception.detect.supports import level_heights, standing_clusters
+from perception.detect.drill.detector import detect_drill
+from perception.detect.drill.shape import Shape, meet
+from perception.detect.drill.supports import level_heights, standing_clusters
+from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.mesh import hull
 from perception.simulate.objects.loose import Drill, can, pot
@@ -29,7 +29,7 @@ def view_of(*meshes: Mesh, seed: int = 0, scanner: Scanner = SCANNER) -> View:
 
 @pytest.mark.parametrize("yaw_deg", [70.0, -110.0, 140.0])
 def test_a_drill_seen_from_the_side_is_found_within_the_targets(yaw_deg: float) -> None:
-    drill = Drill((0.8, 0.1, TOP), np.radians(yaw_deg), grip_length=0.12, body_length=0.19).placed()
+    drill = Drill((0.8, 0.1, TOP), np.radians(yaw_deg), grip_length=0.12, body_length=0.19).build()
     found = detect_drill(view_of(*drill.meshes))[0]
     truth = drill.truth[0].pose_world_object
     assert found.confidence >= CONFIDENT
@@ -40,7 +40,7 @@ def test_a_drill_seen_from_the_side_is_found_within_the_targets(yaw_deg: float) 
 
 @pytest.mark.parametrize("yaw_deg", [15.0, 195.0])
 def test_a_drill_seen_from_behind_or_ahead_is_found_by_what_lies_deeper_than_its_outline(yaw_deg: float) -> None:
-    drill = Drill((0.7, 0.1, TOP), np.radians(yaw_deg)).placed()
+    drill = Drill((0.7, 0.1, TOP), np.radians(yaw_deg)).build()
     found, truth = detect_drill(view_of(*drill.meshes))[0], drill.truth[0].pose_world_object
     assert found.confidence >= CONFIDENT
     assert np.linalg.norm(found.pose_world_object[:3, 3] - truth[:3, 3]) <= 0.020
@@ -55,7 +55,7 @@ def test_a_block_of_a_drills_outline_is_none() -> None:
 
 
 def test_a_drill_a_hand_from_a_carton_is_found_in_a_thin_noisy_scan() -> None:
-    drill = Drill((0.75, 0.1, TOP), np.radians(60.0)).placed()
+    drill = Drill((0.75, 0.1, TOP), np.radians(60.0)).build()
     carton = box((0.9, -0.15, TOP), (1.1, 0.3, TOP + 0.2))
     found = detect_drill(view_of(*drill.meshes, carton, scanner=THIN))
     assert found[0].confidence >= CONFIDENT
@@ -84,7 +84,7 @@ def test_an_empty_table_and_an_empty_floor_hold_no_drill() -> None:
 
 
 def test_a_hint_elsewhere_leaves_the_drill_out() -> None:
-    view = view_of(*Drill((0.8, 0.1, TOP), np.radians(70.0)).placed().meshes)
+    view = view_of(*Drill((0.8, 0.1, TOP), np.radians(70.0)).build().meshes)
     assert detect_drill(view, hint=np.array([0.8, -0.5, TOP])) == []
 
 

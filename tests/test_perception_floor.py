@@ -12,7 +12,6 @@ from perception import (
     Cloud,
     FloorPlane,
     Reach,
-    find_floor,
     find_floors,
     floor_piece,
     floor_pieces,
@@ -23,6 +22,11 @@ from perception import (
 
 EYE = np.array([0.0, 0.0, 1.6])
 NOISE = 0.007
+
+
+def find_floor(points: np.ndarray) -> FloorPlane | None:
+    """The level under the robot."""
+    return next(iter(find_floors(points)), None)
 
 
 def floor_points(slope_deg: float, height: float, rng: np.random.Generator, n: int = 6000) -> np.ndarray:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from perception import View, make_view
-from perception.detect.footing import support_share
-from perception.detect.sightlines import sight_index
-from perception.detect.supports import StandingCluster, standing_clusters
+from perception.detect.drill.supports import StandingCluster, standing_clusters, support_share
+from perception.sightlines import sight_index
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 
 SENSOR = Pose((0.1, 0.0, 1.5), pitch=0.7)

@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, Cloud, View, make_view
-from perception.detect.hose import detect_hose
-from perception.detect.sightlines import Sightlines
-from perception.detect.slender import is_flat
-from perception.detect.tips import find_tips
-from perception.detect.tube import STRAIGHT, Tube, meet_tubes, misfits, refined, square_to
-from perception.detect.tube_evidence import weigh_tube
-from perception.detect.tube_mouth import settled
+from perception.detect.hose.detector import detect_hose
+from perception.detect.hose.tips import find_tips
+from perception.detect.hose.tube import (
+    STRAIGHT,
+    Tube,
+    meet_tubes,
+    misfits,
+    refine_tube,
+    settle_tube,
+    square_to,
+    weigh_tube,
+)
+from perception.detect.shared.slender import is_flat
+from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.objects.fixtures import Standpipe
 from perception.simulate.objects.loose import can, pot
@@ -46,7 +53,7 @@ def rays_to(*ends: tuple[float, float, float], start: tuple[float, float, float]
 def test_a_standpipe_with_its_coupling_is_found_where_it_opens(
     mouth: tuple[float, float, float], out: tuple[float, float, float], radius: float
 ) -> None:
-    pipe = Standpipe(mouth, out, radius).placed()
+    pipe = Standpipe(mouth, out, radius).build()
     found = detect_hose(view_of(*pipe.meshes))
     truth = pipe.truth[0].pose_world_object
     assert found[0].confidence >= CONFIDENT
@@ -137,7 +144,7 @@ def test_the_tube_that_made_the_rays_explains_them_best_and_is_found_from_nearby
     axis = np.array([-0.9, 0.4, 0.2]) / np.linalg.norm([-0.9, 0.4, 0.2])
     found = Tube(tube.mouth + np.array([0.01, -0.01, 0.01]), axis, 0.045)
     for _ in range(3):
-        found = refined(rays, mine, found)
+        found = refine_tube(rays, mine, found)
     assert np.linalg.norm(found.mouth - tube.mouth) <= 0.01
     assert found.axis @ tube.axis >= np.cos(np.radians(10.0))
     assert found.radius == pytest.approx(0.04, abs=0.004)
@@ -166,7 +173,7 @@ def test_a_rod_ends_at_its_two_tips_and_a_wall_nowhere() -> None:
 
 
 def test_a_hint_elsewhere_leaves_the_opening_out() -> None:
-    pipe = Standpipe((0.7, 0.1, 1.0), (-0.9, 0.43, 0.0), 0.04).placed()
+    pipe = Standpipe((0.7, 0.1, 1.0), (-0.9, 0.43, 0.0), 0.04).build()
     assert detect_hose(view_of(*pipe.meshes), hint=np.array([0.9, -1.2, 1.0])) == []
 
 
@@ -188,7 +195,7 @@ def test_an_end_looked_into_is_settled_to_where_its_returns_end() -> None:
     rays = Sightlines(np.tile(start, (300, 1)), (places - start) / length[:, None], length + rng.normal(0, 0.01, 300))
     tilted = true.axis + 0.2 * across
     rough = Tube(true.mouth + 0.02 * true.axis + 0.008 * over, tilted / np.linalg.norm(tilted), 0.032)
-    found = settled(rays, rough)
+    found = settle_tube(rays, rough)
     assert np.linalg.norm(found.mouth - true.mouth) < 0.005
     assert np.degrees(np.arccos(found.axis @ true.axis)) < 3.0
     assert abs(found.radius - true.radius) < 0.003

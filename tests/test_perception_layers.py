@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from perception.detect.layers import sum_about
+from perception.detect.shared.arithmetic import sum_about
 
 ALONE = (0.5, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, View, detect, make_view
-from perception.detect.faces import Face, FaceRays
-from perception.detect.lever_pivot import face_behind
-from perception.detect.sightlines import Sightlines
+from perception.detect.shared.bar_pivot import face_behind
+from perception.detect.shared.faces import Face, FaceRays
+from perception.sightlines import Sightlines
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
 from perception.simulate.mesh import Mesh, bent_bar
 from perception.simulate.objects.fixtures import BoxLever, Panel
@@ -25,7 +25,7 @@ def seen(meshes: list[Mesh], seed: int = 1) -> View:
 
 @pytest.mark.parametrize("angle", [0.3, 1.5, 3.0])
 def test_a_lever_on_a_box_is_found_with_its_pivot_and_direction(angle: float) -> None:
-    truth = BoxLever((0.65, 0.0, 1.2), angle=angle).placed()
+    truth = BoxLever((0.65, 0.0, 1.2), angle=angle).build()
     found = detect("lever", seen(list(truth.meshes)))[0]
     true_pose = truth.truth[0].pose_world_object
     assert found.confidence >= CONFIDENT
@@ -48,7 +48,7 @@ def test_the_neck_at_the_top_of_a_lever_is_told_though_rays_pass_over_it() -> No
 
 def test_which_end_is_held_is_not_claimed_where_the_bar_hides_it() -> None:
     lever = BoxLever((0.65, 0.0, 1.2), angle=-1.4)
-    for found in detect("lever", seen(list(lever.placed().meshes))):
+    for found in detect("lever", seen(list(lever.build().meshes))):
         assert found.confidence < CONFIDENT or np.linalg.norm(found.pose_world_object[:3, 3] - lever.pivot) < 0.02
 
 
@@ -57,7 +57,7 @@ def test_which_end_is_held_is_not_claimed_where_the_bar_hides_it() -> None:
     [
         [],
         [box((0.65, -0.15, 1.0), (0.85, 0.15, 1.4))],
-        list(Panel((0.72, 0.05, 1.25)).placed().meshes),
+        list(Panel((0.72, 0.05, 1.25)).build().meshes),
         [cylinder((0.78, 0.1, 0.0), (0.78, 0.1, 2.4), 0.02)],
         [bent_bar([(0.85, 0.0, 1.05), (0.78, 0.0, 1.05), (0.78, 0.0, 1.35), (0.85, 0.0, 1.35)], 0.012)],
         [box((0.7, -0.1, 1.1), (0.85, 0.1, 1.13))],
@@ -100,13 +100,13 @@ def test_a_face_goes_on_behind_a_place_within_its_region_where_rays_end_on_it() 
 
 def test_a_hint_keeps_the_search_near_it() -> None:
     one, other = BoxLever((0.65, 0.45, 1.2)), BoxLever((0.65, -0.45, 1.2), angle=0.4)
-    view = seen([*one.placed().meshes, *other.placed().meshes])
+    view = seen([*one.build().meshes, *other.build().meshes])
     hinted = detect("lever", view, np.array([0.65, -0.4, 1.25]))
     assert np.linalg.norm(hinted[0].pose_world_object[:3, 3] - other.pivot) < 0.02
     assert all(np.linalg.norm(found.pose_world_object[:3, 3] - one.pivot) > 0.3 for found in hinted)
 
 
 def test_detection_is_the_same_for_the_same_seed() -> None:
-    view = seen(list(BoxLever((0.65, 0.0, 1.2)).placed().meshes))
+    view = seen(list(BoxLever((0.65, 0.0, 1.2)).build().meshes))
     one, other = detect("lever", view)[0], detect("lever", view)[0]
     np.testing.assert_array_equal(one.pose_world_object, other.pose_world_object)

@@ -14,20 +14,20 @@ from scipy.spatial.transform import Rotation
 
 from perception import Cloud, make_view, perceive
 from perception.errors import MeshError
-from perception.mesh import Mesh
-from perception.perceive import unexplained
-from perception.simulate import Pose, Room, Scanner, box, joined, scan, torus
+from perception.perceive import drop_explained
+from perception.simulate import Pose, Room, Scanner, box, join_meshes, scan, torus
 from perception.solids.cache import PartsCache
 from perception.solids.closed import is_closed, make_solid, unite_solids
 from perception.solids.decompose import CoacdResources, CoacdSettings, split_solid
 from perception.solids.fit import MeshPose, Region, Surface, fit_pose
 from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, locate, match_mesh
+from perception.solids.mesh import Mesh
 from perception.solids.read import read_mesh
 from perception.view import View
 
 RING = torus((0, 0, 0), (0, 0, 1), 0.15, 0.03, 16, 8)
 # A tool that no turn takes to itself: a long body, a tall end, a handle to one side.
-TOOL = joined([
+TOOL = join_meshes([
     box((0, 0, 0), (0.4, 0.1, 0.1)), box((0, 0, 0.1), (0.1, 0.1, 0.3)), box((0.25, 0.1, 0), (0.35, 0.25, 0.06)),
 ])  # fmt: skip
 MIDDLE = np.array([0.2, 0.1, 0.12])
@@ -165,7 +165,7 @@ def test_a_box_without_a_lid_is_a_shell_that_can_be_reached_into(tmp_path: Path)
 
 
 def test_boxes_that_share_an_edge_are_two_solids() -> None:
-    pair = joined([box((0, 0, 0), (1, 1, 1)), box((1, 1, 0), (2, 2, 1))])
+    pair = join_meshes([box((0, 0, 0), (1, 1, 1)), box((1, 1, 0), (2, 2, 1))])
     solid = make_solid(pair)
     assert [mesh.volume for mesh in solid.closed] == pytest.approx([1.0, 1.0])
     assert not solid.open
@@ -292,7 +292,7 @@ def test_a_tool_that_is_found_makes_no_pieces_of_its_own(tool_on_a_table: tuple[
     expected = np.eye(4)
     expected[:3, :3], expected[:3, 3] = rotation, middle + np.array([0.03, -0.02, 0.01]) - rotation @ MIDDLE
     known = KnownMesh("tool", make_solid(TOOL), expected)
-    seen, without = perceive(view.cloud, valve=False, known=[known]), perceive(view.cloud, valve=False)
+    seen, without = perceive(view.cloud, known=[known]), perceive(view.cloud)
     match = seen.matches["tool"]
     assert match.confidence >= CONFIDENT
     on_tool = match.explains(seen.view.obstacles)
@@ -314,7 +314,7 @@ def test_a_mesh_found_with_little_confidence_takes_no_points() -> None:
     points, kept = np.array([[0.15, 0, 0], [0, 0, 0], [0.185, 0, 0]]), np.array([0, 2])
     for confidence, left in ((CONFIDENT - 0.01, [0, 2]), (CONFIDENT, [])):
         match = MeshMatch(np.eye(4), confidence, {}, make_solid(RING), 0.01)
-        np.testing.assert_array_equal(unexplained(points, kept, {"ring": match}), left)
+        np.testing.assert_array_equal(drop_explained(points, kept, {"ring": match}), left)
 
 
 def test_noise_about_a_mesh_is_explained_unless_something_is_near_to_it() -> None:
@@ -322,7 +322,7 @@ def test_noise_about_a_mesh_is_explained_unless_something_is_near_to_it() -> Non
     fringe, beside_it = [0.198, 0, 0], [0.22, 0, 0]
     for others, left in (([], []), ([beside_it], [0, 1])):
         points = np.array([fringe, *others])
-        np.testing.assert_array_equal(unexplained(points, np.arange(len(points)), {"ring": match}), left)
+        np.testing.assert_array_equal(drop_explained(points, np.arange(len(points)), {"ring": match}), left)
 
 
 def test_points_inside_a_closed_mesh_are_explained_and_those_in_a_ring_s_hole_are_not() -> None:
@@ -353,6 +353,6 @@ def test_a_scan_much_smaller_than_a_mesh_that_it_is_to_show_is_refused(unit_m: f
     tiny = Cloud(unit_m * cloud.points, unit_m * np.asarray(cloud.origin))
     crate = KnownMesh("crate", make_solid(box((0, 0, 0), (0.3, 0.5, 0.6))))
     with pytest.raises(MeshError, match=r"spans only 0\.\d+ m, and crate, which it is to show, 0.6 m; is its unit"):
-        perceive(tiny, valve=False, known=[crate])
+        perceive(tiny, known=[crate])
     placed = KnownMesh("crate", crate.solid, np.eye(4), is_placed=True)
-    assert "crate" in perceive(tiny, valve=False, known=[placed]).matches
+    assert "crate" in perceive(tiny, known=[placed]).matches

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from costs import threads
 from costs.stopping import Stopped, stops_when
-from perception import neighbours
-from perception.neighbours import nearest
+from perception.cleaning import neighbours
+from perception.cleaning.neighbours import nearest
 
 POINTS = np.random.default_rng(0).normal(size=(3000, 3))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from perception import CONFIDENT, Detection, PerceptionError, View, detect, detect_kinds, make_view, read_cloud
-from perception.detect.relief import find_discs
+from perception.detect.panel.relief import find_discs
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
 from perception.simulate.mesh import Mesh
 from perception.simulate.objects.fixtures import BoxLever, Panel
@@ -34,7 +34,7 @@ def button_places(found: Detection) -> np.ndarray:
 def test_a_panel_is_found_with_its_buttons(turned_deg: float) -> None:
     angle = np.radians(turned_deg)
     panel = Panel((0.72, 0.05, 1.25), (-np.cos(angle), -np.sin(angle), 0.0), buttons=BUTTONS)
-    placed = panel.placed()
+    placed = panel.build()
     truth = placed.truth[0]
     found = detect("panel", seen(list(placed.meshes)))[0]
     assert found.confidence >= CONFIDENT
@@ -50,7 +50,7 @@ def test_a_panel_is_found_with_its_buttons(turned_deg: float) -> None:
 
 def test_a_button_that_fills_a_small_face_moves_neither_the_face_nor_its_edges() -> None:
     panel = Panel((0.72, 0.05, 1.25), width=0.15, height=0.15, buttons=((0.0, 0.0, 0.045),))
-    placed = panel.placed()
+    placed = panel.build()
     pose = placed.truth[0].pose_world_object
     found = detect("panel", seen(list(placed.meshes)))[0]
     assert found.confidence >= CONFIDENT
@@ -80,13 +80,13 @@ def test_a_grazed_side_of_a_box_with_a_lever_before_its_edge_is_no_panel() -> No
 
 def test_buttons_that_do_not_stand_out_are_not_claimed() -> None:
     panel = Panel((0.72, 0.05, 1.25), buttons=BUTTONS, proud=0.0015)
-    assert all(found.confidence < CONFIDENT for found in detect("panel", seen(list(panel.placed().meshes))))
+    assert all(found.confidence < CONFIDENT for found in detect("panel", seen(list(panel.build().meshes))))
 
 
 @pytest.mark.parametrize(
     "meshes",
     [
-        list(BoxLever((0.65, 0.0, 1.2)).placed().meshes),
+        list(BoxLever((0.65, 0.0, 1.2)).build().meshes),
         [box((0.7, -0.15, 1.0), (0.85, 0.15, 1.4))],
         [cylinder((0.7, 0.0, 0.8), (0.7, 0.0, 1.5), 0.05)],
         [box((0.7, -0.15, 1.0), (0.85, 0.15, 1.4)), box((0.65, -0.02, 1.0), (0.7, 0.02, 1.4))],
@@ -105,14 +105,14 @@ def test_an_office_shows_no_panel_and_no_lever(shared_data: Path, kind: str) -> 
 
 def test_a_hint_keeps_the_search_near_it() -> None:
     one, other = Panel((0.72, 0.35, 1.25), buttons=BUTTONS), Panel((0.72, -0.35, 1.25), buttons=BUTTONS[:1])
-    view = seen([*one.placed().meshes, *other.placed().meshes])
+    view = seen([*one.build().meshes, *other.build().meshes])
     assert sum(found.confidence >= CONFIDENT for found in detect("panel", view)) == 2
     hinted = detect("panel", view, np.array([0.7, -0.3, 1.3]))
     assert np.linalg.norm(hinted[0].pose_world_object[:3, 3] - other.centre) < 0.02
 
 
 def test_detection_is_the_same_for_the_same_seed() -> None:
-    view = seen(list(Panel((0.72, 0.05, 1.25), buttons=BUTTONS).placed().meshes))
+    view = seen(list(Panel((0.72, 0.05, 1.25), buttons=BUTTONS).build().meshes))
     one, other = detect("panel", view)[0], detect("panel", view)[0]
     np.testing.assert_array_equal(one.pose_world_object, other.pose_world_object)
     assert one.sizes == other.sizes

@@ -13,7 +13,7 @@ from costs.scene import ConvexPiece
 from perception import Cloud, CloudError, Perceived, perceive, read_cloud
 from perception.convex.freespace import carve
 from perception.convex.hulls import MAX_VERTICES, limit_vertices
-from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, cylinder, joined, scan
+from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cast, cylinder, join_meshes, scan
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.3)
 ROOM = Room(
@@ -36,7 +36,7 @@ def true_surface(meshes: list[Mesh], cloud: Cloud) -> np.ndarray:
     """Where the true surfaces stop the measured rays, floor and mixed pixels left out."""
     length = np.linalg.norm(cloud.points - cloud.origin, axis=1)
     direction = (cloud.points - cloud.origin) / length[:, None]
-    hit = cast(joined(meshes), cloud.origin, direction)
+    hit = cast(join_meshes(meshes), cloud.origin, direction)
     points = cloud.origin + hit[:, None] * direction
     keep = (np.abs(hit - length) < 0.05) & (points[:, 2] > 0.03) & (np.hypot(points[:, 0], points[:, 1]) < 2.9)
     return points[keep]
@@ -54,7 +54,7 @@ def free_samples(cloud: Cloud, rng: np.random.Generator) -> np.ndarray:
 @pytest.fixture(scope="module")
 def room() -> tuple[Cloud, Perceived]:
     cloud = scan(ROOM.meshes(), SENSOR, Scanner(n_lines=60), seed=4)
-    return cloud, perceive(cloud, valve=False)
+    return cloud, perceive(cloud)
 
 
 def test_pieces_cover_the_true_surfaces(room: tuple[Cloud, Perceived]) -> None:
@@ -82,7 +82,7 @@ def test_pieces_are_few_small_convex_and_named_by_kind(room: tuple[Cloud, Percei
 
 def test_the_same_seed_gives_the_same_pieces(room: tuple[Cloud, Perceived]) -> None:
     cloud, perceived = room
-    again = perceive(cloud, valve=False)
+    again = perceive(cloud)
     assert [piece.name for piece in again.scene.pieces] == [piece.name for piece in perceived.scene.pieces]
     for one, other in zip(again.scene.pieces, perceived.scene.pieces, strict=True):
         np.testing.assert_array_equal(one.vertices, other.vertices)
@@ -95,7 +95,7 @@ def test_a_window_in_a_wall_stays_open() -> None:
     ]  # fmt: skip
     meshes = [*frame, box((2.0, -2.0, 0.0), (2.1, 2.0, 2.5)), box((-3, -3, -0.1), (3, 3, 0))]
     cloud = scan(meshes, SENSOR, Scanner(n_lines=60), seed=2)
-    pieces = perceive(cloud, valve=False).scene.pieces
+    pieces = perceive(cloud).scene.pieces
     grid = np.array([[1.0, y, z] for y in np.linspace(-0.22, 0.22, 12) for z in np.linspace(1.0, 1.3, 9)])
     assert not inside(grid, pieces).any()
     assert inside(true_surface(meshes, cloud), pieces, 0.01).mean() > 0.99
@@ -106,7 +106,7 @@ def test_thin_bars_do_not_fill_the_space_between_them() -> None:
     bars.append(cylinder((0.8, 0.4, 0.6), (1.1, -0.2, 1.3), 0.02))
     meshes = [*Room(wall_x=2.0).meshes(), *bars]
     cloud = scan(meshes, SENSOR, Scanner(n_lines=60), seed=6)
-    perceived = perceive(cloud, valve=False)
+    perceived = perceive(cloud)
     other = scan(meshes, Pose((0.05, 0.1, 1.5), pitch=0.3), Scanner(n_lines=30), seed=8)
     assert inside(free_samples(other, np.random.default_rng(1)), perceived.scene.pieces).mean() < 0.001
     assert inside(true_surface(meshes, cloud), perceived.scene.pieces, 0.01).mean() > 0.99
@@ -138,7 +138,7 @@ def test_a_hull_of_many_vertices_is_replaced_by_one_that_contains_it() -> None:
 def test_a_hand_can_reach_around_a_wheel() -> None:
     valve = Valve((0.7, 0.1, 1.1))
     cloud = scan(Room(wall_x=0.9).meshes() + valve.meshes(), SENSOR, Scanner(n_lines=60), seed=3)
-    perceived = perceive(cloud, valve=True)
+    perceived = perceive(cloud, kinds=("wheel",))
     angle = np.linspace(0, 2 * np.pi, 40)
     for radius in (0.05, 0.09, 0.16, 0.2):
         for x in (0.62, 0.66, 0.7, 0.76, 0.8):
@@ -150,21 +150,21 @@ def test_a_hand_can_reach_around_a_wheel() -> None:
 
 def test_a_cloud_out_of_reach_is_refused() -> None:
     with pytest.raises(CloudError, match="none of 50 points lie within"):
-        perceive(Cloud(np.full((50, 3), 100.0), np.zeros(3)), valve=False)
+        perceive(Cloud(np.full((50, 3), 100.0), np.zeros(3)))
 
 
 def test_few_points_make_no_trouble() -> None:
     rng = np.random.default_rng(0)
     for n in (1, 2, 3, 7, 30):
-        perceived = perceive(Cloud(rng.uniform(0.5, 0.6, (n, 3)), np.zeros(3)), valve=True)
+        perceived = perceive(Cloud(rng.uniform(0.5, 0.6, (n, 3)), np.zeros(3)), kinds=("wheel",))
         assert perceived.floor is None
-        assert perceived.valves == ()
+        assert perceived.detections == ()
 
 
 @pytest.mark.parametrize(("scene", "cover", "most"), [("valve_a", 0.995, 40), ("door_a", 0.995, 60)])
 def test_shared_scenes_are_covered_by_few_pieces(shared_data: Path, scene: str, cover: float, most: int) -> None:
     cloud = read_cloud(shared_data / "scenes" / scene / "scan0.pcd")
-    perceived = perceive(cloud, valve=False)
+    perceived = perceive(cloud)
     assert len(perceived.scene.pieces) <= most
     near = perceived.shown[perceived.shown[:, 2] > 0.03]
     assert inside(near, perceived.scene.pieces, 0.02).mean() > cover - 0.01

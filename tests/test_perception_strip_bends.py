@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from perception.detect.strip_bends import straight_parts
-from perception.detect.strips import Strip
+from perception.detect.beam.strips import Strip, straight_parts
 
 
 def strip_of(*faces: np.ndarray) -> Strip:

@@ -9,15 +9,15 @@ import pytest
 from half_spaces import half_spaces
 
 from costs.scene import ConvexPiece
-from perception import Cloud, Evidence, Perceived, Piece, Reach, perceive
+from perception import CONFIDENT, Cloud, Evidence, Perceived, Piece, Reach, perceive, select_wheels
+from perception.cleaning.locally import LocalJudge
+from perception.cleaning.outliers import surface_points
 from perception.convex.freespace import Crossing
 from perception.convex.hulls import make_hull
 from perception.convex.updated import update_pieces
-from perception.floor import FloorPlane
-from perception.levels_again import are_there, may_be_level
-from perception.locally import LocalJudge
-from perception.outliers import surface_points
-from perception.remembered import Memory, content_key
+from perception.ground.floor import FloorPlane
+from perception.ground.levels_again import are_there, may_be_level
+from perception.memory import Memory, content_key
 from perception.simulate import Pose, Room, Scanner, Valve, scan
 from perception.update import update
 
@@ -57,7 +57,7 @@ def is_a_few_points(piece: ConvexPiece) -> bool:
 
 @pytest.fixture(scope="module")
 def before() -> Perceived:
-    return perceive(scanned(1), valve=False)
+    return perceive(scanned(1))
 
 
 def test_a_second_scan_of_the_same_scene_keeps_every_piece(before: Perceived) -> None:
@@ -171,7 +171,7 @@ LEFT = ((0.8, 1.2, 0.0), (1.2, 1.6, 0.8))
 
 
 def test_the_outermost_thing_is_gone_once_rays_pass_where_it_was() -> None:
-    seen = perceive(boxes_only(1, RIGHT, LEFT), valve=False)
+    seen = perceive(boxes_only(1, RIGHT, LEFT))
     after = update(seen, boxes_only(2, RIGHT))
     assert any(meets(piece, *LEFT) for piece in standing(seen))
     assert not any(meets(piece, *LEFT) for piece in standing(after))
@@ -180,9 +180,9 @@ def test_the_outermost_thing_is_gone_once_rays_pass_where_it_was() -> None:
 
 
 def test_a_scan_without_obstacles_leaves_what_it_cannot_see() -> None:
-    seen = perceive(boxes_only(1, RIGHT, LEFT), valve=False)
+    seen = perceive(boxes_only(1, RIGHT, LEFT))
     empty = boxes_only(2)
-    right = empty.selected(empty.points[:, 1] < 0.0)
+    right = empty.select(empty.points[:, 1] < 0.0)
     half = replace(right, misses=right.misses[right.misses[:, 1] < 0.0])
     after = update(seen, half)
     assert not any(meets(piece, *RIGHT) for piece in standing(after))
@@ -202,7 +202,7 @@ def test_new_pieces_take_names_that_were_never_taken(before: Perceived) -> None:
 def test_a_piece_that_the_new_scan_cannot_see_stays(before: Perceived) -> None:
     full = scanned(2)
     # Half of the directions are gone: nothing is known of what lies there.
-    half = full.selected(full.points[:, 1] < 0.9)
+    half = full.select(full.points[:, 1] < 0.9)
     after = update(before, half)
     kept = {id(piece) for piece in after.scene.pieces}
     beyond = [piece for piece in before.scene.pieces if piece.lower[1] > 1.0]
@@ -219,18 +219,19 @@ def test_the_points_of_updated_pieces_are_those_of_the_new_view(before: Perceive
 
 
 def test_a_valve_stays_found_and_out_of_the_pieces() -> None:
-    seen = perceive(scanned(1, valve=True), valve=True)
-    assert seen.valve is not None
+    seen = perceive(scanned(1, valve=True), kinds=("wheel",))
+    (wheel,) = select_wheels(seen.detections)
+    assert wheel.confidence >= CONFIDENT
     again = update(seen, scanned(2, valve=True))
-    assert again.valve is seen.valve
-    rim = seen.valve.centre + np.array([0.0, 0.12, 0.0])
+    assert again.detections is seen.detections
+    rim = wheel.centre + np.array([0.0, 0.12, 0.0])
     assert not inside(rim[None], again.scene.pieces).any()
     assert {piece.name for piece in again.scene.pieces} >= {"stem"}
 
 
 def test_unknown_space_is_made_anew_when_it_was_asked_for() -> None:
     reach = Reach(radius=2.0, top=2.0)
-    seen = perceive(scanned(1), reach=reach, valve=False, unknown="occupied")
+    seen = perceive(scanned(1), reach=reach, unknown="occupied")
     after = update(seen, scanned(5, moved=None))
     hidden = np.array([[0.45, 1.5, 0.4]])
     assert inside(hidden, tuple(p for p in seen.scene.pieces if p.kind == "unknown")).all()
@@ -243,9 +244,9 @@ def small(seed: int = 0) -> Cloud:
 
 def test_the_same_cloud_is_perceived_once() -> None:
     memory = Memory()
-    first = memory.perceive(small(), valve=False)
+    first = memory.perceive(small())
     copy = Cloud(small().points.copy(), np.zeros(3))
-    assert memory.perceive(copy, valve=False) is first
+    assert memory.perceive(copy) is first
     assert len(memory) == 1
 
 
@@ -264,20 +265,20 @@ def test_another_point_or_setting_is_another_key() -> None:
 
 def test_memory_forgets_what_was_used_least_recently() -> None:
     one = Memory()
-    one.perceive(small(0), valve=False)
+    one.perceive(small(0))
     memory = Memory(most_bytes=int(2.5 * one.n_bytes))
-    first, second = (memory.perceive(small(seed), valve=False) for seed in (0, 1))
-    assert memory.perceive(small(0), valve=False) is first
-    memory.perceive(small(2), valve=False)
+    first, second = (memory.perceive(small(seed)) for seed in (0, 1))
+    assert memory.perceive(small(0)) is first
+    memory.perceive(small(2))
     assert len(memory) == 2
     assert memory.n_bytes <= memory.most_bytes
-    assert memory.perceive(small(0), valve=False) is first
-    assert memory.perceive(small(1), valve=False) is not second
+    assert memory.perceive(small(0)) is first
+    assert memory.perceive(small(1)) is not second
 
 
 def test_a_result_too_large_to_remember_is_still_given() -> None:
     memory = Memory(most_bytes=10)
-    assert memory.perceive(small(), valve=False).pieces
+    assert memory.perceive(small()).pieces
     assert len(memory) == 0
 
 
@@ -288,7 +289,7 @@ def test_the_floor_stays_the_very_same_planes(before: Perceived) -> None:
 
 
 def test_a_platform_put_there_becomes_a_level_of_the_floor() -> None:
-    seen = perceive(boxes_only(1, RIGHT), valve=False)
+    seen = perceive(boxes_only(1, RIGHT))
     after = update(seen, boxes_only(2, RIGHT, ((0.8, -0.6, 0.0), (1.7, 0.6, 0.2))))
     assert len(seen.view.floors) == 1
     heights = [float(floor.height(np.array([[1.2, 0.0]]))[0]) for floor in after.view.floors]
@@ -297,7 +298,7 @@ def test_a_platform_put_there_becomes_a_level_of_the_floor() -> None:
 
 def test_a_platform_in_place_of_a_box_becomes_a_level_of_the_floor() -> None:
     lower, upper = (0.8, -0.6, 0.0), (1.7, 0.6, 0.6)
-    seen = perceive(boxes_only(1, (lower, upper)), valve=False)
+    seen = perceive(boxes_only(1, (lower, upper)))
     after = update(seen, boxes_only(2, (lower, (*upper[:2], 0.2))))
     assert len(seen.view.floors) == 1
     assert any(abs(floor.offset - 0.2) < 0.01 for floor in after.view.floors)
@@ -361,7 +362,7 @@ def test_what_an_earlier_piece_stands_for_is_no_new_level() -> None:
 
 def test_noise_above_the_floor_is_no_new_piece() -> None:
     cloud = boxes_only(1, RIGHT)
-    seen = perceive(cloud, valve=False)
+    seen = perceive(cloud)
     rng = np.random.default_rng(0)
     low = boxes_only(2, RIGHT)
     noisy = low.points.copy()

@@ -22,15 +22,14 @@ from perception import (
     wheel_points,
 )
 from perception.cloud import Cloud
-from perception.detect.circle_fit import Circles, agreement, refitted
-from perception.detect.level import Patch
-from perception.detect.ring_fit import linearized, moved_ring
-from perception.detect.seat import Seat
-from perception.detect.sightlines import Sightlines, index_of
-from perception.detect.steering import could_steer, steers
-from perception.detect.wheel import Ring, pass_ring
-from perception.detect.wheel_evidence import _openings
-from perception.detect.wheel_inside import Inside
+from perception.detect.valve.circles import Circles, agreement, refit_circles
+from perception.detect.valve.evidence import _openings
+from perception.detect.valve.inside import Inside
+from perception.detect.valve.ring import Ring, linearize_ring, move_ring, pass_ring
+from perception.detect.valve.wheel import could_steer, steers
+from perception.detect.vehicle.level import Patch
+from perception.detect.vehicle.seat import Seat
+from perception.sightlines import Sightlines, index_of
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cylinder, scan, torus
 from perception.simulate.mesh import lathe, pipe
 
@@ -249,7 +248,7 @@ def test_rays_without_a_return_show_the_air_about_a_wheel() -> None:
 def test_half_a_wheel_out_of_sight_speaks_neither_for_nor_against_it() -> None:
     valve = Valve((0.7, 0.1, 1.1), rim_radius=0.2, n_spokes=5)
     cloud = scan(ROOM.meshes() + valve.meshes(), SENSOR, SCANNER, seed=5)
-    seen = cloud.selected(cloud.points[:, 1] - cloud.origin[1] < 0.33 * (cloud.points[:, 0] - cloud.origin[0]))
+    seen = cloud.select(cloud.points[:, 1] - cloud.origin[1] < 0.33 * (cloud.points[:, 0] - cloud.origin[0]))
     assert_matches(detect_valves(seen)[0], valve.centre, valve.axis, valve.outer_radius)
 
 
@@ -344,7 +343,7 @@ def test_the_derivatives_of_a_rims_residuals_are_their_differences(seed: int) ->
     ring = Ring(rng.normal([0.8, 0.1, 1.1], 0.1), np.array(tilted(*rng.uniform(-40, 40, 2))), 0.14, 0.013, 0.017)
     rays = rays_about(ring, 300, rng)
     hit = rng.random(300) < 0.6
-    _, jacobian = linearized(rays, hit, ring)
+    _, jacobian = linearize_ring(rays, hit, ring)
     step = 1e-7
     passage = pass_ring(rays, ring)
     # Where the edge is crossed the depth's derivative is bounded on purpose, and which rows there are may change.
@@ -353,10 +352,10 @@ def test_the_derivatives_of_a_rims_residuals_are_their_differences(seed: int) ->
     smooth = np.concatenate([np.abs(level[hit] - 1.0) > 0.05, np.abs(level[wrong] - 1.0) > 1e-3, [True]])
 
     def rows(x: np.ndarray) -> np.ndarray:
-        moved = moved_ring(ring, x)
+        moved = move_ring(ring, x)
         met = pass_ring(rays, moved)
         outside = np.where(hit, 1.0, -1.0) * (met.level - 1.0) * moved.half_width / 0.004
-        prior = linearized(rays, hit, moved)[0][-1:]
+        prior = linearize_ring(rays, hit, moved)[0][-1:]
         return np.concatenate([((met.depth - rays.length) / 0.01)[hit], outside[wrong], prior])
 
     differences = [(rows(step * axis) - rows(-step * axis)) / (2 * step) for axis in np.eye(8)]
@@ -375,7 +374,7 @@ def test_a_rough_circle_is_drawn_onto_the_noisy_points_about_it(seed: int) -> No
     lean = axis + rng.normal(0.0, 0.1, 3)
     circles = Circles((centre + 0.005)[None], (lean / np.linalg.norm(lean))[None], np.array([1.05 * radius]))
     for _ in range(2):
-        circles = refitted(points, circles, agreement(points, circles))
+        circles = refit_circles(points, circles, agreement(points, circles))
     assert np.linalg.norm(circles.centres[0] - centre) < 0.002
     assert abs(circles.axes[0] @ axis) > np.cos(np.radians(3.0))
     assert abs(circles.radii[0] - radius) < 0.002

@@ -31,7 +31,7 @@ ACROSS = (0.0, 1.0, 0.0)
 @pytest.mark.parametrize("along", [(0.0, 0.0, 1.0), (0.0, 0.5, 0.8), ACROSS], ids=["across", "askew", "along"])
 def test_a_lever_on_a_pipe_is_found_within_the_targets(along: tuple[float, float, float]) -> None:
     lever = LeverValve((0.72, 0.05, 1.15), tilted(8, 8), along, 0.24, pipe_direction=ACROSS)
-    placed = lever.placed()
+    placed = lever.build()
     view = make_view(scan([*Room(wall_x=1.1).meshes(), *placed.meshes], SENSOR, SCANNER, seed=3))
     true = placed.truth[0].pose_world_object
     for hint in (None, true[:3, 3] + [0.06, -0.05, 0.04]) if along == ACROSS else (None,):
@@ -49,7 +49,7 @@ def test_pipes_that_cross_and_a_lever_before_a_box_are_no_lever_valves() -> None
         cylinder((0.7, -0.1, 0.0), (0.7, -0.1, 2.4), 0.015),
         cylinder((0.72, -0.5, 0.9), (0.68, -0.55, 1.3), 0.012),
     ]
-    lever = BoxLever((0.65, 0.6, 1.2), angle=0.1).placed()
+    lever = BoxLever((0.65, 0.6, 1.2), angle=0.1).build()
     view = make_view(scan([*Room(wall_x=1.1).meshes(), *pipes, *lever.meshes], SENSOR, SCANNER, seed=3))
     assert all(found.confidence < CONFIDENT for found in detect("valve", view))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from perception.detect.vectors import cross, median_of_known
+from perception.detect.shared.arithmetic import cross, median_of_known
 
 
 @pytest.mark.parametrize("shape", [(3,), (5, 3), (2, 4, 3)])

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from perception import Detection, View, detect, make_view, read_cloud
-from perception.detect.cushion import Surround, as_cushion, squared_up
-from perception.detect.footwell import footwell_of
-from perception.detect.level import find_patches, split_at_gap
-from perception.detect.opening_side import edges_of, side_of
+from perception.detect.vehicle.cushion import Surround, as_cushion, square_up
+from perception.detect.vehicle.level import find_patches, split_at_gap
+from perception.detect.vehicle.opening import edges_of, side_of
+from perception.detect.vehicle.surroundings import footwell_of
 from perception.simulate import Mesh, Pose, Scanner, box, scan
 from perception.simulate.objects.car import Car
 from perception.simulate.objects.placed import Truth
@@ -27,7 +27,7 @@ _OUTSIDE = Car(place=(1.4, 0.0), yaw=1.5, floor=0.38)
 
 @cache
 def _view(car: Car, inside: bool, sensor: Scanner | None = None) -> tuple[View, tuple[Truth, ...]]:
-    placed = car.placed()
+    placed = car.build()
     pose = (
         Pose.looking((0.05, 0.0, 1.54), (0.7, -0.25, 0.6)) if inside else Pose.looking((0.1, 0.0, 1.6), (1.4, 0.0, 0.9))
     )
@@ -43,7 +43,7 @@ def _recorded(path: Path) -> View:
 def _only_ahead() -> tuple[View, tuple[Truth, ...]]:
     """What a sensor sees that looks forward alone, from the passenger's seat."""
     view, truth = _view(_INSIDE, True)
-    return make_view(view.cloud.selected(view.cloud.points[:, 0] > 0.0)), truth
+    return make_view(view.cloud.select(view.cloud.points[:, 0] > 0.0)), truth
 
 
 def _near(found: list[Detection], truth: Truth, reach: float = 0.15) -> Detection:
@@ -143,7 +143,7 @@ def test_a_vehicles_side_is_where_its_floor_ends_and_nowhere_while_it_goes_on() 
 
 
 def test_a_panel_in_the_opening_closes_it() -> None:
-    placed = _INSIDE.placed()
+    placed = _INSIDE.build()
     shut = box((-0.4, -0.39, 0.35), (0.7, -0.36, 1.9))
     pose = Pose.looking((0.05, 0.0, 1.54), (0.7, -0.25, 0.6))
     view = make_view(scan([*placed.meshes, shut, _GROUND], pose, _DENSE, 3))
@@ -282,7 +282,7 @@ def test_a_cushion_cut_by_a_shadow_is_completed_from_the_edges_that_were_seen() 
     points = np.column_stack([flat @ turn + place, rng.normal(0.8, 0.005, len(flat))])
     patch = find_patches(points, 0.5, 1.2)[0]
     surround = Surround(about @ turn + place, np.zeros((0, 2)))
-    squared = squared_up(patch, surround)
+    squared = square_up(patch, surround)
     cushions = [as_cushion(squared, surround, quarter) for quarter in range(4)]
     cushion = max(cushions, key=lambda one: float(one.pose[:2, 0] @ turn[0]))
     assert np.degrees(np.arccos(cushion.pose[:2, 0] @ turn[0])) < 3.0
@@ -316,7 +316,7 @@ def test_a_cushion_without_a_back_in_sight_that_nobody_sits_on_is_no_confident_s
 
 def test_seats_are_found_from_outside_though_the_ground_is_out_of_sight() -> None:
     view, truth = _view(_OUTSIDE, False)
-    above = make_view(view.cloud.selected(view.cloud.points[:, 2] > 0.2))
+    above = make_view(view.cloud.select(view.cloud.points[:, 2] > 0.2))
     found = detect("seat", above)
     for seat in (one for one in truth if one.kind == "seat"):
         assert _near(found, seat, 0.05).confidence >= 0.5

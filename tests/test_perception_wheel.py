@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from perception.detect.sightlines import Sightlines
-from perception.detect.slim import slim_places
-from perception.detect.wheel import Ring, pass_ring
-from perception.detect.wheel_depths import depth_error, unevenness
-from perception.detect.wheel_inside import look_inside
+from perception.detect.shared.slender import slim_places
+from perception.detect.valve.inside import look_inside
+from perception.detect.valve.ring import Ring, depth_error, pass_ring, unevenness
+from perception.sightlines import Sightlines
 
 _RING = Ring(np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.1, 0.01, 0.01)
 

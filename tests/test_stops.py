@@ -86,14 +86,14 @@ def _check_stops(work: Callable[[], Any], least: int = LEAST_POLLS) -> None:
 
 def test_perception_stops_at_any_poll(cloud: Cloud) -> None:
     def see() -> object:
-        seen = perceive(cloud, valve=True, unknown="occupied")
-        return [piece.shape for piece in seen.pieces], [one.confidence for one in seen.valves]
+        seen = perceive(cloud, kinds=("wheel",), unknown="occupied")
+        return [piece.shape for piece in seen.pieces], [one.confidence for one in seen.detections]
 
     _check_stops(see)
 
 
 def test_an_update_stops_at_any_poll(cloud: Cloud) -> None:
-    before = perceive(cloud, valve=False)
+    before = perceive(cloud)
     _check_stops(lambda: [piece.shape for piece in update(before, cloud).pieces])
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from perception import Cloud, Perceived, perceive, remembered
+from perception import Cloud, Perceived, memory, perceive
 from service.proto.planner.v1.planner_pb2 import PlanProgress
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, MotionResult
 from service.request.file import parse_request, request_hash
@@ -89,7 +89,7 @@ def test_scan_that_was_planned_in_before_is_not_looked_at_again(monkeypatch: pyt
         seen.append(cloud)
         return perceive(cloud, **settings)
 
-    monkeypatch.setattr(remembered, "perceive", counted)
+    monkeypatch.setattr(memory, "perceive", counted)
     data = Path(__file__).parents[1] / "examples" / "data"
     asked = {"robot": {"name": "atlas"}, "start": {"posture": "reach_ready"}, "scene": {"cloud": "valve_scan.pcd"}}
     for goal in ({"posture": "reach_ready"}, {"joints": {"neck_ry": 0.2}}):

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.stopping import poll
-from perception.clean import row_keys
+from perception.cleaning.clean import row_keys
 from perception.convex.hulls import Hull
 
 _END_MARGIN = 0.05

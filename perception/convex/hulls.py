@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from costs.stopping import poll
-from perception.clean import row_keys
+from perception.cleaning.clean import row_keys
 
 MAX_VERTICES = 64
 SKIN = 0.005

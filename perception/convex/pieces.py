@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece
-from perception.clock import Clock
+from perception.convex.clock import Clock
 from perception.convex.coarse import Coarse, Groups, coarsen
 from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.hulls import SKIN, Hull, limit_vertices, make_hull, thicken

@@ -8,9 +8,9 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.beside import STARTS_APART, depth_noise
-from perception.clean import row_keys
-from perception.neighbours import nearest
+from perception.cleaning.beside import STARTS_APART, depth_noise
+from perception.cleaning.clean import row_keys
+from perception.cleaning.neighbours import nearest
 
 _NEIGHBOURS = 24
 # Neighbours are looked for in a body that is so many times as long along the ray as it is wide.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,10 +12,9 @@ from scipy.spatial import HalfspaceIntersection
 
 from costs.scene import ConvexPiece
 from costs.stopping import poll
-from perception.clean import Reach, inside_hulls
+from perception.cleaning.clean import Reach, inside_hulls
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import MAX_VERTICES, Hull, make_hull
-from perception.floor import FloorPlane
 
 _CELL = 0.05
 _MOST_CELLS = 1_500_000
@@ -30,10 +30,22 @@ _OVER_SOLE = 0.15
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
 
+class Level(Protocol):
+    """A level of the floor, as far as unknown space depends on it."""
+
+    def height(self, xy: Float[np.ndarray, "N 2"], /) -> Float[np.ndarray, "N"]:
+        """World z at the given places [m]."""
+        ...
+
+    def above(self, points: Float[np.ndarray, "N 3"], /) -> Float[np.ndarray, "N"]:
+        """Distance over the level [m], negative below."""
+        ...
+
+
 def make_unknown_pieces(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     reach: Reach,
-    floors: Sequence[FloorPlane],
+    floors: Sequence[Level],
     robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
 ) -> tuple[ConvexPiece, ...]:
@@ -62,7 +74,7 @@ def make_unknown_pieces(
 def _find_hidden(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     reach: Reach,
-    floors: Sequence[FloorPlane],
+    floors: Sequence[Level],
     own: Sequence[Float[np.ndarray, "V 3"]],
 ) -> tuple[Bool[np.ndarray, "X Y Z"], FreeSpace]:
     """Mark cells that count as unknown, and those that must not be covered."""

@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.clock import Clock
+from perception.convex.clock import Clock
 from perception.convex.coarse import Coarse, Groups, coarsen
 from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.piece import Piece

@@ -9,15 +9,15 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 from threadpoolctl import threadpool_limits
 
-from perception.detect.bar_ends import LikelyEnds, likely_ends
-from perception.detect.bar_evidence import Evidence, weigh_bar
-from perception.detect.bar_fit import fit_bars
-from perception.detect.bar_starts import Run, misfits, sample_about, starts_about
-from perception.detect.bars import Bar, SurroundingRays
-from perception.detect.confidence import rising
-from perception.detect.detection import Detection
-from perception.detect.faces import Face, FaceRays, FacesInSight, face_rays
-from perception.detect.lever_pivot import Pivot, face_behind, find_pivot, free_end
+from perception.detect.shared.arithmetic import rising
+from perception.detect.shared.bar_ends import LikelyEnds, likely_ends
+from perception.detect.shared.bar_evidence import BarEvidence, weigh_bar
+from perception.detect.shared.bar_fit import fit_bars
+from perception.detect.shared.bar_pivot import Pivot, face_behind, find_pivot, free_end
+from perception.detect.shared.bar_starts import Run, misfits, sample_about, starts_about
+from perception.detect.shared.bars import Bar, SurroundingRays
+from perception.detect.shared.detection import Detection
+from perception.detect.shared.faces import Face, FaceRays, FacesInSight, face_rays
 from perception.view import View
 
 _STAND_OFF = (0.028, 0.13)
@@ -40,15 +40,13 @@ class _Found:
 
     face: Face
     ends: LikelyEnds
-    evidence: Evidence
+    evidence: BarEvidence
     pivot: Pivot
     confidence: float
 
 
-def detect_lever(
-    view: View, hint: Float[np.ndarray, "3"] | None = None, seen: FacesInSight | None = None
-) -> list[Detection]:
-    """Levers, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
+def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInSight) -> list[Detection]:
+    """Find levers, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
     The pivot is claimed where something is seen between the bar and its face at one end and not at the other.  A bar
     is sure only where rays went past both of its ends.
@@ -56,30 +54,29 @@ def detect_lever(
     Args:
         view: the scan, made ready.
         hint: (3,) a point near the lever; weaker evidence is enough then [m].
-        seen: faces of the view near the hint, where they are at hand.
+        seen: faces of the view near the hint.
     """
     if not len(view.obstacles):
         return []
-    seen = seen or FacesInSight.of(view, hint)
-    found: list[_Found] = []
+    levers: list[_Found] = []
     with threadpool_limits(limits=1, user_api="blas"):
         for face in seen.faces:
             rays = face_rays(face, seen.index, _BEYOND)
             for run in _runs(face, rays, hint):
-                one = _examined(face, rays, run)
-                if one is not None:
-                    found.append(one)
-    found.sort(key=lambda one: -one.confidence * one.pivot.confidence)
+                lever = _examine(face, rays, run)
+                if lever is not None:
+                    levers.append(lever)
+    levers.sort(key=lambda lever: -lever.confidence * lever.pivot.confidence)
     apart: list[_Found] = []
-    for one in found:
-        if all(np.linalg.norm(one.ends.bar.middle - other.ends.bar.middle) > 0.08 for other in apart):
-            apart.append(one)
-    detections = [_as_detection(one, hint is not None) for one in apart]
-    return [one for one in detections if one.confidence >= _REPORTED]
+    for lever in levers:
+        if all(np.linalg.norm(lever.ends.bar.middle - other.ends.bar.middle) > 0.08 for other in apart):
+            apart.append(lever)
+    detections = [_as_detection(lever, hint is not None) for lever in apart]
+    return [lever for lever in detections if lever.confidence >= _REPORTED]
 
 
 def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> list[Run]:
-    """Slim connected things before a face."""
+    """Return slim connected things before a face."""
     height = seen.ends[:, 2]
     proud = (height > max(_STAND_OFF[0], 2.8 * face.sigma)) & (height < _STAND_OFF[1])
     points = seen.ends[proud]
@@ -88,7 +85,7 @@ def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> li
     if len(points) < _FEWEST:
         return []
     runs = []
-    for members in _connected(points[:, :2]):
+    for members in _connect(points[:, :2]):
         flat = points[members, :2]
         centre = flat.mean(axis=0)
         _, vectors = np.linalg.eigh(np.cov((flat - centre).T))
@@ -103,8 +100,8 @@ def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> li
     return runs
 
 
-def _connected(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
-    """Indices of the points of each connected patch, large ones first."""
+def _connect(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
+    """Return indices of the points of each connected patch, large ones first."""
     cells = np.floor((flat - flat.min(axis=0)) / _CELL).astype(int)
     grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     grid[tuple(cells.T)] = True
@@ -116,16 +113,16 @@ def _connected(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
     return sorted((patch for patch in patches if len(patch) >= _FEWEST), key=lambda patch: -len(patch))[:6]
 
 
-def _examined(face: Face, seen: FaceRays, run: Run) -> _Found | None:
+def _examine(face: Face, seen: FaceRays, run: Run) -> _Found | None:
     """Fit a round bar about a run, find its ends and pivot, and weigh it."""
     rays = SurroundingRays(
         seen.rays.start, seen.rays.direction, seen.rays.length, np.abs(seen.ends[:, 2]) < 2.0 * face.sigma
     )
-    bar = _fitted(rays, run)
+    bar = _fit(rays, run)
     if bar is None:
         return None
     ends = likely_ends(rays, bar, None)
-    again = _fitted(rays, Run(ends.bar.centre, ends.bar.axis, ends.bar.first, ends.bar.last))
+    again = _fit(rays, Run(ends.bar.centre, ends.bar.axis, ends.bar.first, ends.bar.last))
     if again is not None:
         ends = likely_ends(rays, again, None)
     bar = ends.bar
@@ -152,8 +149,8 @@ def _examined(face: Face, seen: FaceRays, run: Run) -> _Found | None:
     return _Found(face, ends, evidence, pivot, float(confidence))
 
 
-def _fitted(rays: SurroundingRays, run: Run) -> Bar | None:
-    """The round bar that explains best what is seen about a run."""
+def _fit(rays: SurroundingRays, run: Run) -> Bar | None:
+    """Return the round bar that explains best what is seen about a run."""
     sample = sample_about(rays, run, _TUBE, 400)
     if sample is None:
         return None
@@ -162,9 +159,9 @@ def _fitted(rays: SurroundingRays, run: Run) -> Bar | None:
     return fits[int(np.argmin(misfits(sample, [fit.bar for fit in fits])))].bar
 
 
-def _as_detection(one: _Found, is_hinted: bool) -> Detection:
-    """The lever in the words all detectors share."""
-    bar, pivot, face = one.ends.bar, one.pivot, one.face
+def _as_detection(lever: _Found, is_hinted: bool) -> Detection:
+    """Return the lever in the words all detectors share."""
+    bar, pivot, face = lever.ends.bar, lever.pivot, lever.face
     z = face.frame[2]
     x = np.sign(pivot.far - pivot.along) * bar.axis
     x = x - (x @ z) * z
@@ -174,15 +171,17 @@ def _as_detection(one: _Found, is_hinted: bool) -> Detection:
     pose[:3, 3] = bar.centre + pivot.along * bar.axis
     sizes = {"length": abs(pivot.far - pivot.along), "radius": bar.half[0]}
     residuals = {
-        "rms": one.evidence.rms,
-        "solid_share": one.evidence.solid,
-        "air_share": one.evidence.air,
-        "visible_share": one.evidence.visible,
+        "rms": lever.evidence.rms,
+        "solid_share": lever.evidence.solid,
+        "air_share": lever.evidence.air,
+        "visible_share": lever.evidence.visible,
         "pivot_score": pivot.confidence,
         "stand_off": pivot.stand_off,
-        "n_hits": float(one.evidence.n_hits),
+        "n_hits": float(lever.evidence.n_hits),
     }
     sure = (
-        np.sqrt(one.confidence * pivot.confidence) if is_hinted else one.confidence * rising(pivot.confidence, *_PIVOT)
+        np.sqrt(lever.confidence * pivot.confidence)
+        if is_hinted
+        else lever.confidence * rising(pivot.confidence, *_PIVOT)
     )
     return Detection("lever", pose, sizes, float(sure), residuals, bar.places(0.01))

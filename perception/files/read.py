@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from perception.cloud import Cloud, merged
+from perception.cloud import Cloud, merge_clouds
 from perception.errors import CloudError
 from perception.files.bag import Message
 from perception.files.parse import is_bag, parse_to_values
@@ -87,7 +87,7 @@ def read_clouds(
         clouds.append(_thin(cloud, step))
         while sum(len(part.points) + len(part.misses) for part in clouds) > MAX_POINTS:
             clouds, step = [_thin(part, 2) for part in clouds], 2 * step
-    whole = merged(clouds)
+    whole = merge_clouds(clouds)
     if step == 1:
         return whole
     note = f"took 1 of every {step} points of all files, since at most {MAX_POINTS} are used together"
@@ -102,7 +102,7 @@ def _thin(cloud: Cloud, step: int) -> Cloud:
     behind = cloud.miss_origin
     if behind is not None and behind.ndim == 2:
         behind = behind[misses]
-    return replace(cloud.selected(points), misses=cloud.misses[misses], miss_origin=behind)
+    return replace(cloud.select(points), misses=cloud.misses[misses], miss_origin=behind)
 
 
 def parse_in_sandbox(

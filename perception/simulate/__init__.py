@@ -1,11 +1,9 @@
 """A sensor simulator: meshes, sensors that look at them, and scenes with their truth."""
 
 from perception.simulate.cast import Caster, cast
-from perception.simulate.depth_camera import DepthCamera
-from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, hull, joined, lathe, pipe, torus
-from perception.simulate.scanner import Scanner
-from perception.simulate.sensor import Pose, Sensor, scan
-from perception.simulate.solid_state import SolidState
+from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, hull, join_meshes, lathe, pipe, torus
+from perception.simulate.scanning import scan
+from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState
 from perception.simulate.valve_scene import Room, Valve
 
 __all__ = [
@@ -24,7 +22,7 @@ __all__ = [
     "cast",
     "cylinder",
     "hull",
-    "joined",
+    "join_meshes",
     "lathe",
     "pipe",
     "scan",

@@ -1,4 +1,4 @@
-"""Where rays meet triangles."""
+"""Ray casting: the places where rays meet triangles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from perception.simulate.mesh import Mesh
 
 @dataclass(frozen=True)
 class Hits:
-    """What each ray met first.
+    """First meeting of each ray with a surface.
 
     Attributes:
         distance: (R,) along the ray [m]; infinite where it met nothing.
@@ -27,7 +27,7 @@ class Caster:
     """Triangles prepared for many rays."""
 
     def __init__(self, world: Mesh) -> None:
-        # open3d takes 0.7 s to import; only those who simulate pay for it.
+        # open3d takes 0.7 s to import; only simulations need it.
         import open3d as o3d
 
         self._tensor = o3d.core.Tensor.from_numpy
@@ -45,11 +45,11 @@ class Caster:
         return Hits(distance, np.where(np.isfinite(distance), np.minimum(cosine, 1.0), 0.0))
 
     def distance(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
-        """From each point to the nearest triangle [m]."""
+        """Return the distance from each point to the nearest triangle [m]."""
         queries = self._tensor(points.astype(np.float32))
         return np.asarray(self._scene.compute_distance(queries, nthreads=1).numpy(), dtype=float)
 
 
 def cast(world: Mesh, origin: Float[np.ndarray, "*R 3"], direction: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R"]:
-    """Distance to the first surface along each unit direction [m]; infinite where there is none."""
+    """Return the distance to the first surface along each unit direction [m]; infinite where there is none."""
     return Caster(world).hits(origin, direction).distance

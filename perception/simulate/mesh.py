@@ -9,29 +9,29 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from perception.mesh import Mesh as Mesh  # the sensors and scenes take it from here
+from perception.solids.mesh import Mesh as Mesh  # the sensors and scenes take it from here
 
 
-def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """All triangles in one mesh."""
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Join all triangles in one mesh."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     triangles = [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(triangles))
 
 
 def hull(vertices: Float[np.ndarray, "V 3"]) -> Mesh:
-    """The convex hull of points."""
+    """Make the convex hull of points."""
     return Mesh(vertices, ConvexHull(vertices).simplices.astype(np.int64))
 
 
 def box(lower: Sequence[float], upper: Sequence[float]) -> Mesh:
-    """An axis-aligned box."""
+    """Make an axis-aligned box."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
     return hull(np.asarray(lower) + corners * (np.asarray(upper) - np.asarray(lower)))
 
 
 def cylinder(start: Sequence[float], end: Sequence[float], radius: float, n_sides: int = 48) -> Mesh:
-    """A cylinder between two points of its axis."""
+    """Make a cylinder between two points of its axis."""
     first, last = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     axis = (last - first) / np.linalg.norm(last - first)
     u, v = _across(axis)
@@ -43,7 +43,7 @@ def cylinder(start: Sequence[float], end: Sequence[float], radius: float, n_side
 def torus(
     centre: Sequence[float], axis: Sequence[float], radius: float, tube: float, n_round: int = 96, n_tube: int = 24
 ) -> Mesh:
-    """A torus of centre-line radius ``radius``."""
+    """Make a torus of centre-line radius ``radius``."""
     direction = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     u, v = _across(direction)
     around = 2.0 * np.pi * np.arange(n_round) / n_round
@@ -59,7 +59,7 @@ def torus(
 
 
 def capsule(start: Sequence[float], end: Sequence[float], radius: float) -> Mesh:
-    """A bar with round ends; the ends' spheres are centred on the two points."""
+    """Make a bar with round ends; the ends' spheres are centred on the two points."""
     turn = np.pi * np.arange(16) / 8
     rise = np.pi * np.arange(-4, 5) / 8
     angle, height = (grid.ravel() for grid in np.meshgrid(turn, rise))
@@ -69,8 +69,8 @@ def capsule(start: Sequence[float], end: Sequence[float], radius: float) -> Mesh
 
 
 def bent_bar(path: Sequence[Sequence[float]], radius: float) -> Mesh:
-    """A round bar along a polyline."""
-    return joined([capsule(a, b, radius) for a, b in pairwise(path)])
+    """Make a round bar along a polyline."""
+    return join_meshes([capsule(a, b, radius) for a, b in pairwise(path)])
 
 
 def lathe(
@@ -79,7 +79,7 @@ def lathe(
     axis: Sequence[float] = (0.0, 0.0, 1.0),
     n_round: int = 48,
 ) -> Mesh:
-    """A surface of revolution through (radius, height) pairs.
+    """Make a surface of revolution through (radius, height) pairs.
 
     Args:
         profile: radius and height above ``base``; starting and ending on the same pair gives a ring without a gap.
@@ -100,7 +100,7 @@ def lathe(
 
 
 def pipe(start: Sequence[float], end: Sequence[float], radius: float, wall: float) -> Mesh:
-    """A hollow cylinder, open at both ends.
+    """Make a hollow cylinder, open at both ends.
 
     Args:
         start: of its axis [m].
@@ -115,7 +115,7 @@ def pipe(start: Sequence[float], end: Sequence[float], radius: float, wall: floa
 
 
 def _across(axis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Two directions at right angles to a unit axis and to each other."""
+    """Return two directions at right angles to a unit axis and to each other."""
     first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
     first /= np.linalg.norm(first)
     return first, np.cross(axis, first)

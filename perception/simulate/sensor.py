@@ -1,4 +1,4 @@
-"""What every simulated sensor has, and the scan it takes of meshes."""
+"""Simulated sensors: a spinning line scanner, a solid-state scanner and a depth camera."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from perception.cloud import Cloud
-from perception.simulate.cast import Caster, Hits
-from perception.simulate.mesh import Mesh, joined
+from perception.simulate.cast import Hits
 
 _EDGE = 0.03
+# Turns per second of the two prisms: their ratio is far from a ratio of small whole numbers, so the rosette fills.
+_TURNS = (121.5, -77.7)
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the sensor is: position [m], then yaw, pitch (down positive) and roll [rad]."""
+    """Pose of a sensor: position [m], then yaw, pitch (down positive) and roll [rad]."""
 
     position: tuple[float, float, float] = (0.12, 0.0, 1.6)
     yaw: float = 0.0
@@ -28,13 +29,13 @@ class Pose:
 
     @staticmethod
     def looking(position: tuple[float, float, float], target: Sequence[float], roll: float = 0.0) -> Pose:
-        """From a place towards another."""
+        """Look from a place towards another."""
         x, y, z = np.subtract(target, position)
         return Pose(position, float(np.arctan2(y, x)), float(-np.arctan2(z, np.hypot(x, y))), roll)
 
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:
-        """World from sensor."""
+        """Rotation of the world from the sensor."""
         return np.asarray(Rotation.from_euler("ZYX", [self.yaw, self.pitch, self.roll]).as_matrix())
 
     @property
@@ -63,11 +64,11 @@ class Sensor(Protocol):
     def tells_misses(self) -> bool: ...
 
     def directions(self) -> Float[np.ndarray, "R 3"]:
-        """Unit directions of all rays in the sensor's frame (x forward, y left, z up)."""
+        """Return unit directions of all rays in the sensor's frame (x forward, y left, z up)."""
         ...
 
-    def measured(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
-        """Ranges as the sensor gives them [m]: NaN where it fails to measure, infinite where there was nothing.
+    def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
+        """Return ranges as the sensor gives them [m]: NaN where it fails to measure, infinite where there was nothing.
 
         Args:
             hits: what the rays' middles met.
@@ -77,50 +78,10 @@ class Sensor(Protocol):
         ...
 
 
-def scan(
-    meshes: Sequence[Mesh],
-    pose: Pose | None = None,
-    sensor: Sensor | None = None,
-    seed: int = 0,
-    *,
-    misses: bool = False,
-) -> Cloud:
-    """What a sensor gives of the meshes, in world coordinates.
-
-    Every ray stops at the first surface (real occlusion), and may be mixed up with what is beside it.
-
-    Args:
-        meshes: the world.
-        pose: of the sensor.
-        sensor: what it does; by default a spinning line scanner.
-        seed: of the noise.
-        misses: whether rays that met nothing in range are told, as places at ``max_range``; sensors that cannot tell
-            them from failures give none.
-    """
-    if sensor is None:
-        from perception.simulate.scanner import Scanner
-
-        sensor = Scanner()
-    pose = pose or Pose()
-    rng = np.random.default_rng(seed)
-    origin = np.array(pose.position)
-    direction = sensor.directions() @ pose.rotation.T
-    caster = Caster(joined(meshes))
-    hits = caster.hits(origin, direction)
-    beside = caster.hits(origin, _aside(direction, sensor.footprint_deg, rng)).distance
-    ranges = sensor.measured(hits, beside, rng)
-    seen = np.isfinite(ranges) & (ranges > sensor.nearest) & (ranges < sensor.max_range)
-    points = origin + ranges[seen, None] * direction[seen]
-    if not misses or not sensor.tells_misses:
-        return Cloud(points, origin)
-    nothing = ~seen & (hits.distance > sensor.max_range) & (beside > sensor.max_range)
-    return Cloud(points, origin, misses=origin + sensor.max_range * direction[nothing])
-
-
-def mixed(
+def mix_ranges(
     first: Float[np.ndarray, "R"], beside: Float[np.ndarray, "R"], share: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "R"]:
-    """Ranges of which some at edges (more than 3 cm deep) lie anywhere between both surfaces.
+    """Return ranges of which some at edges (more than 3 cm deep) lie anywhere between both surfaces.
 
     Args:
         first: what the rays' middles met [m].
@@ -135,11 +96,159 @@ def mixed(
     return np.where(is_mixed, first + place * gap, first)
 
 
-def _aside(
-    direction: Float[np.ndarray, "R 3"], footprint_deg: float, rng: np.random.Generator
-) -> Float[np.ndarray, "R 3"]:
-    """Each direction moved to its footprint's edge."""
-    aside = rng.normal(size=direction.shape)
-    aside -= (aside * direction).sum(axis=1, keepdims=True) * direction
-    aside *= np.tan(np.radians(footprint_deg)) / np.linalg.norm(aside, axis=1, keepdims=True)
-    return np.asarray((direction + aside) / np.linalg.norm(direction + aside, axis=1, keepdims=True))
+@dataclass(frozen=True)
+class Scanner:
+    """A spinning line scanner: beams in a fan that turns about the sensor's forward axis.
+
+    Attributes:
+        n_beams: beams of the fan.
+        fan_deg: angle of the fan, about the forward axis.
+        n_lines: positions of the fan over half a turn, which together see all around.
+        sigma: standard deviation of the range [m].
+        max_range: beams that meet nothing nearer give no point [m].
+        footprint_deg: width of a beam; when it meets two surfaces the range can lie between.
+        mixed_share: how often it then does.
+        nearest: what is nearer gives no point [m].
+    """
+
+    n_beams: int = 1081
+    fan_deg: float = 270.0
+    n_lines: int = 90
+    sigma: float = 0.01
+    max_range: float = 30.0
+    footprint_deg: float = 0.15
+    mixed_share: float = 0.3
+    nearest: float = 0.1
+    tells_misses: bool = True
+
+    def directions(self) -> Float[np.ndarray, "R 3"]:
+        """Return unit directions of all beams in the sensor's frame (x forward, z up)."""
+        beam = np.radians(np.linspace(-self.fan_deg / 2, self.fan_deg / 2, self.n_beams))
+        turn = np.pi * np.arange(self.n_lines) / self.n_lines
+        beam, turn = (grid.ravel() for grid in np.meshgrid(beam, turn))
+        return np.column_stack([np.cos(beam), np.sin(beam) * np.cos(turn), np.sin(beam) * np.sin(turn)])
+
+    def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
+        """Add mixed pixels at edges, and noise that does not depend on the range."""
+        ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
+        return ranges + rng.normal(0.0, self.sigma, len(ranges))
+
+
+@dataclass(frozen=True)
+class SolidState:
+    """A solid-state lidar with turning prisms: a rosette within a cone that never repeats itself.
+
+    Attributes:
+        n_points: pulses.
+        rate: pulses per second.
+        field_deg: full angle of the cone.
+        sigma: standard deviation of the range at right angles to the surface [m].
+        grazing_gain: further deviation per tangent of the angle of incidence [m].
+        max_range: [m].
+        footprint_deg: width of a beam.
+        mixed_share: how often a beam on an edge gives a range between both surfaces.
+        nearest: [m].
+    """
+
+    n_points: int = 100_000
+    rate: float = 100_000.0
+    field_deg: float = 70.4
+    sigma: float = 0.008
+    grazing_gain: float = 0.001
+    max_range: float = 40.0
+    footprint_deg: float = 0.2
+    mixed_share: float = 0.3
+    nearest: float = 0.1
+    tells_misses: bool = True
+
+    def directions(self) -> Float[np.ndarray, "R 3"]:
+        """Return beams that two prisms of equal strength bend one after the other."""
+        time = np.arange(self.n_points) / self.rate
+        bent = sum(np.exp(2j * np.pi * turns * time) for turns in _TURNS) * np.radians(self.field_deg) / 4.0
+        angle = np.abs(bent)
+        side = np.sin(angle) / np.maximum(angle, 1e-12)
+        return np.column_stack([np.cos(angle), side * np.real(bent), side * np.imag(bent)])
+
+    def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
+        """Add mixed pixels at edges, and noise that grows on surfaces seen at a slant."""
+        ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
+        return np.asarray(ranges + rng.normal(0.0, 1.0, len(ranges)) * self.deviation(hits))
+
+    def deviation(self, hits: Hits) -> Float[np.ndarray, "R"]:
+        """Return the standard deviation of each range [m]."""
+        slant = np.sqrt(1.0 - hits.cosine**2) / np.maximum(hits.cosine, 0.1)
+        return np.asarray(self.sigma + self.grazing_gain * slant)
+
+
+@dataclass(frozen=True)
+class DepthCamera:
+    """A pinhole camera that measures disparity in whole steps.
+
+    Attributes:
+        width: of the image [pixels].
+        height: of the image [pixels].
+        field_deg: horizontal field of view.
+        baseline: between its two eyes [m].
+        matching: standard deviation of the disparity [pixels].
+        step: what disparity is rounded to [pixels].
+        correlation: how far the disparity's error reaches, as matching uses windows [pixels].
+        nearest: depth [m].
+        max_range: [m].
+        mixed_share: how often a pixel on an edge flies between both surfaces.
+        slant_deg: surfaces seen at more than this angle of incidence give holes ever more often.
+        hole_share: how often a pixel is a hole for no reason.
+    """
+
+    width: int = 480
+    height: int = 360
+    field_deg: float = 75.0
+    baseline: float = 0.055
+    matching: float = 0.08
+    step: float = 1.0 / 32.0
+    correlation: float = 0.7
+    nearest: float = 0.25
+    max_range: float = 6.0
+    mixed_share: float = 0.4
+    slant_deg: float = 75.0
+    hole_share: float = 0.01
+    # A hole may be a surface that gave no match: it is no evidence of free space.
+    tells_misses: bool = False
+
+    @property
+    def focal(self) -> float:
+        """Focal length [pixels]."""
+        return float(0.5 * self.width / np.tan(np.radians(self.field_deg) / 2.0))
+
+    @property
+    def footprint_deg(self) -> float:
+        """One pixel."""
+        return float(np.degrees(1.0 / self.focal))
+
+    def directions(self) -> Float[np.ndarray, "R 3"]:
+        """Return one ray per pixel, row by row from the upper left."""
+        column, row = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        y = (0.5 * (self.width - 1) - column.ravel()) / self.focal
+        z = (0.5 * (self.height - 1) - row.ravel()) / self.focal
+        rays = np.column_stack([np.ones(len(y)), y, z])
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
+        """Add flying pixels, holes, and disparities with an error, rounded."""
+        forward = self.directions()[:, 0]
+        depth = mix_ranges(hits.distance, beside, self.mixed_share, rng) * forward
+        error = gaussian_filter(rng.normal(size=(self.height, self.width)), self.correlation, mode="wrap")
+        disparity = self.focal * self.baseline / depth + self.matching * error.ravel() / error.std()
+        disparity = self.step * np.round(disparity / self.step)
+        seen = (disparity > 0.0) & (rng.random(len(depth)) > self._hole_share(hits))
+        return np.where(seen, self.focal * self.baseline / np.where(seen, disparity, 1.0) / forward, np.nan)
+
+    def deviation(self, depth: Float[np.ndarray, "R"]) -> Float[np.ndarray, "R"]:
+        """Return the standard deviation of each depth, rounding included [m]."""
+        pixels = np.hypot(self.matching, self.step / np.sqrt(12.0))
+        return np.asarray(pixels * depth**2 / (self.focal * self.baseline))
+
+    def _hole_share(self, hits: Hits) -> Float[np.ndarray, "R"]:
+        """Return how often a pixel gives nothing: always when its surface is seen edge on."""
+        limit = np.cos(np.radians(self.slant_deg))
+        slanted = np.clip(1.0 - hits.cosine / limit, 0.0, 1.0)
+        return np.asarray(np.maximum(slanted, self.hole_share))

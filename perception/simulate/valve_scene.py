@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.detect.wheel import wheel_basis
+from perception.detect.valve.ring import wheel_basis
 from perception.simulate.mesh import Mesh, box, cylinder, hull, torus
 
 
@@ -18,7 +18,7 @@ class Valve:
 
     Attributes:
         centre: of the rim [m].
-        axis: unit, from the wall to who turns it.
+        axis: unit, from the wall to the person who turns it.
         rim_radius: of the rim's centre line [m].
         tube_radius: of the rim [m].
         n_spokes: evenly spaced.
@@ -42,7 +42,7 @@ class Valve:
 
     @property
     def outer_radius(self) -> float:
-        """Of the rim [m]."""
+        """Outer radius of the rim [m]."""
         return self.rim_radius + self.tube_radius
 
     @property
@@ -51,7 +51,7 @@ class Valve:
         return tuple(self.spin + 2.0 * np.pi * k / self.n_spokes for k in range(self.n_spokes))
 
     def meshes(self) -> list[Mesh]:
-        """Rim, hub, stem and spokes."""
+        """Make rim, hub, stem and spokes."""
         centre = np.array(self.centre)
         basis = wheel_basis(np.array(self.axis) / np.linalg.norm(self.axis))
         axis = basis[2]
@@ -66,13 +66,13 @@ class Valve:
         return parts
 
     def truth(self) -> dict[str, object]:
-        """All figures, for a JSON file."""
+        """Return all figures, for a JSON file."""
         return asdict(self) | {"outer_radius": self.outer_radius, "spoke_angles": list(self.spoke_angles)}
 
 
 @dataclass(frozen=True)
 class Room:
-    """What stands around: a wall square to x, a floor at zero, upright pipes, boxes, hulls (a robot's links)."""
+    """Surroundings of a valve: a wall square to x, a floor at zero, upright pipes, boxes, hulls (a robot's links)."""
 
     wall_x: float | None = 0.9
     floor: bool = True
@@ -80,7 +80,7 @@ class Room:
     boxes: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
 
     def meshes(self, hulls: Sequence[Float[np.ndarray, "V 3"]] = ()) -> list[Mesh]:
-        """Pipes are (x, y, radius) from floor to 2.4 m; boxes are (lower, upper) corners."""
+        """Make all meshes; pipes are (x, y, radius) from floor to 2.4 m; boxes are (lower, upper) corners."""
         parts = [hull(vertices) for vertices in hulls]
         if self.wall_x is not None:
             parts.append(box((self.wall_x, -3.0, 0.0), (self.wall_x + 0.1, 3.0, 2.5)))

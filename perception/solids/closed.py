@@ -10,7 +10,7 @@ from jaxtyping import Bool, Int
 from scipy import sparse
 
 from perception.errors import MeshError
-from perception.mesh import Mesh
+from perception.solids.mesh import Mesh
 
 MAX_TRIANGLES = 500_000
 _WELD = 1e-6  # of the mesh's size

@@ -14,10 +14,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 from perception.convex.hulls import MAX_VERTICES, limit_vertices
 from perception.errors import MeshError
-from perception.mesh import Mesh
 from perception.sandbox import ProcessLimits
 from perception.solids.cache import Parts, PartsCache
 from perception.solids.closed import Solid
+from perception.solids.mesh import Mesh
 from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import simplify_mesh, wrap_mesh
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from perception.mesh import Mesh
+from perception.solids.mesh import Mesh
 
 _FACING = 0.05  # cosine
 _FEWEST = 12

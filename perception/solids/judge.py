@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from perception.convex.coarse import coarsen
 from perception.convex.pieces import VOXEL
 from perception.convex.planes import find_planes
-from perception.detect.sightlines import SightIndex, Sightlines
+from perception.sightlines import SightIndex, Sightlines
 from perception.solids.fit import MeshPose, Region, Surface
 from perception.view import View
 
@@ -48,7 +48,7 @@ class PoseJudge:
 
     def count(self, pose: MeshPose, most_rays: int, most_points: int) -> RayCounts:
         """Count what the rays say about a pose."""
-        rays = self.rays.thinned(most_rays)
+        rays = self.rays.thin(most_rays)
         hit = self.surface.hits(pose.to_mesh(rays.start), rays.direction @ pose.rotation)
         met = np.isfinite(hit)
         beyond = rays.length[met] - hit[met]

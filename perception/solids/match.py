@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from perception.convex.split import find_clusters
-from perception.detect.sightlines import sight_index
 from perception.errors import MeshError
-from perception.mesh import Mesh
+from perception.sightlines import sight_index
 from perception.solids.closed import Solid, make_solid
 from perception.solids.fit import MeshPose, Region, Surface, fit_pose
 from perception.solids.judge import MIN_AGREEING, PoseJudge, find_wide_planes, lie_on_planes, make_pose_judge
+from perception.solids.mesh import Mesh
 from perception.view import View
 
 CONFIDENT = 0.5

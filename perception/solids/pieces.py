@@ -10,7 +10,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece
-from perception.clock import Clock
+from perception.cleaning.neighbours import nearest
+from perception.convex.clock import Clock
 from perception.convex.coarse import coarsen
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import limit_vertices, make_hull
@@ -18,10 +19,9 @@ from perception.convex.piece import Piece, measure_evidence
 from perception.convex.pieces import Pieces
 from perception.convex.smooth import smooth_points
 from perception.convex.split import is_free_of
-from perception.mesh import Mesh
-from perception.neighbours import nearest
 from perception.solids.cache import Parts
 from perception.solids.decompose import CoacdResources, CoacdSettings, decompose
+from perception.solids.mesh import Mesh
 from perception.solids.voxels import wrap_cells
 
 _VOXEL = 0.015

@@ -11,8 +11,8 @@ from perception.errors import MeshError
 from perception.sandbox import Cause, ProcessLimits, SandboxError, run_in_sandbox
 
 if TYPE_CHECKING:  # the process that splits meshes is quicker to start without them
-    from perception.mesh import Mesh
     from perception.solids.cache import Parts
+    from perception.solids.mesh import Mesh
 
 COACD_LIMITS = ProcessLimits(max_bytes=4 * 2**30, max_wall_s=120.0)
 

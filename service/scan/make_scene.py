@@ -164,7 +164,6 @@ def _seen(asked: SceneInput, read: CloudRead, known: tuple[KnownMesh, ...]) -> P
         reach=asked.clouds.reach,
         robot_hulls=read.hulls,
         soles=read.soles,
-        valve=False,
         unknown=asked.unknown,
         seed=asked.clouds.seed,
         method=asked.method,

@@ -13,8 +13,8 @@ from costs.robot import RobotError, StillShape, read_object_shapes
 from service.errors import RequestError
 
 if TYPE_CHECKING:
-    from perception.mesh import Mesh
     from perception.solids.closed import Solid
+    from perception.solids.mesh import Mesh
 
 URDF = ".urdf"
 FORMATS = (".stl", ".obj", ".ply", URDF)
@@ -94,7 +94,7 @@ def _body(shape: StillShape, scale: float) -> Mesh:
 
 def hull_mesh(points: Float[np.ndarray, "N 3"]) -> Mesh:
     """The convex hull of points as triangles wound outwards."""
-    from perception.mesh import Mesh
+    from perception.solids.mesh import Mesh
 
     hull = ConvexHull(points)
     a, b, c = np.moveaxis(points[hull.simplices], 1, 0)

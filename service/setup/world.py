@@ -104,7 +104,13 @@ def _scanned(
     hint: tuple[float, float, float] | None,
     see: Callable[..., Perceived] | None,
 ) -> Surroundings:
-    from perception import PerceptionError, Reach, perceive, read_clouds  # takes a while, and most scenes need none
+    from perception import (  # takes a while, and most scenes need none
+        PerceptionError,
+        Reach,
+        perceive,
+        read_clouds,
+        select_wheels,
+    )
 
     scene = request.scene
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
@@ -123,7 +129,7 @@ def _scanned(
             reach=Reach(x=x, y=y),
             robot_hulls=[vertices for _, vertices in place_bodies(robot, start)],
             soles=soles,
-            valve=request.task is not None and request.task.valve is not None,
+            kinds=("wheel",) if request.task is not None and request.task.valve is not None else (),
             hint=None if hint is None else np.array(hint),
             unknown=scene.unknown,
             seed=request.options.seed,
@@ -132,7 +138,8 @@ def _scanned(
         )
     except PerceptionError as error:
         raise RequestError(f"scene.cloud: {error}") from None
-    return Surroundings(seen.scene.pieces, seen.valves, seen.shown, seen.notes, seen.matches)
+    wheels = select_wheels(seen.detections)
+    return Surroundings(seen.scene.pieces, wheels, seen.shown, seen.notes, seen.matches)
 
 
 @dataclass(frozen=True)

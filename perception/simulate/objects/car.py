@@ -44,8 +44,8 @@ class Car:
         """x of the body's edge behind the opening."""
         return -0.5 * self.seat_depth - 0.12
 
-    def placed(self) -> Placed:
-        """The steering wheel is a wheel by its looks."""
+    def build(self) -> Placed:
+        """Build it; the steering wheel is a wheel by its looks."""
         world = pose_of((*self.place, 0.0), yaw=self.yaw)
         meshes = [*self._body(), *self._cabin(), *self._road_wheels()]
         truth = [Truth(kind, world @ pose, sizes) for kind, pose, sizes in (*self._seats(), *self._openings())]
@@ -70,7 +70,7 @@ class Car:
         ]
 
     def _body(self) -> list[Mesh]:
-        """Floor pan, rear deck, hood, fenders, posts, roof."""
+        """Return floor pan, rear deck, hood, fenders, posts, roof."""
         w, z, rear = self.half_width, self.floor, self._rear
         front = rear + self.opening
         low = z - 0.12
@@ -93,7 +93,7 @@ class Car:
         return parts
 
     def _cabin(self) -> list[Mesh]:
-        """Seats with bases and backs, dashboard, steering wheel, pedals."""
+        """Return seats with bases and backs, dashboard, steering wheel, pedals."""
         z, front = self.floor, self._rear + self.opening
         top, half = z + self.seat_height, 0.5 * self.seat_depth
         parts = [

@@ -25,8 +25,8 @@ class Door:
     Attributes:
         hinge: where the hinge line meets the floor, on the wall's seen face: x, y [m].
         along: horizontal direction of the wall from hinge to latch, as an angle about z from x [rad].
-        hinge_on: which side the hinges are on for who looks at it.
-        side: "pull": it opens towards who looks; "push": away, the leaf lies deep in its frame.
+        hinge_on: which side the hinges are on for a viewer.
+        side: "pull": it opens towards the viewer; "push": away, the leaf lies deep in its frame.
         ajar: how far it is open [rad].
         width: of the leaf [m].
         height: of the leaf's top over the floor [m].
@@ -58,8 +58,8 @@ class Door:
     wall_height: float = 2.6
     eye: tuple[float, float] = (0.1, 0.0)
 
-    def placed(self) -> Placed:
-        """Wall, frame, leaf and furniture on both sides; truth in the detector's frame."""
+    def build(self) -> Placed:
+        """Return wall, frame, leaf and furniture on both sides; truth in the detector's frame."""
         to_world = self._wall_frame()
         leaf_frame = to_world @ self._leaf_in_wall()
         meshes = [mesh.placed(to_world) for mesh in self._surround()]
@@ -71,7 +71,7 @@ class Door:
         return Placed(tuple(meshes), (self._truth(seen),), self._lookalikes(seen))
 
     def _wall_frame(self) -> Float[np.ndarray, "4 4"]:
-        """Columns: along the wall from hinge to latch, out of it towards who looks, up; may be left-handed."""
+        """Return columns: along the wall from hinge to latch, out of it towards the viewer, up; may be left-handed."""
         u = np.array([np.cos(self.along), np.sin(self.along), 0.0])
         out = np.cross([0.0, 0.0, 1.0], u) * (1.0 if self.hinge_on == "right" else -1.0)
         pose = np.eye(4)
@@ -80,7 +80,9 @@ class Door:
         return pose
 
     def _leaf_in_wall(self) -> Float[np.ndarray, "4 4"]:
-        """The leaf's frame in the wall's: x along it, y out of its seen face, origin on that face's hinge edge."""
+        """Return the leaf's frame in the wall's: x along it, y out of its seen face, origin on that face's hinge
+        edge.
+        """
         opening = self.ajar if self.side == "pull" else -self.ajar
         c, s = np.cos(opening), np.sin(opening)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -93,7 +95,7 @@ class Door:
         return pose
 
     def _surround(self) -> list[Mesh]:
-        """Wall around the opening, lining with stops, casing on the seen side."""
+        """Return wall around the opening, lining with stops, casing on the seen side."""
         left, right, top = -_GAP, self.width + _GAP, self.height + _GAP
         back, depth = -self.wall_thickness, self.wall_thickness
         lining = 0.035
@@ -124,7 +126,7 @@ class Door:
         return parts
 
     def _leaf(self) -> list[Mesh]:
-        """Leaf, hinges and furniture; y = 0 is the seen face."""
+        """Return leaf, hinges and furniture; y = 0 is the seen face."""
         parts = [box((0.0, -self.thickness, _OVER_FLOOR), (self.width, 0.0, self.height))]
         pin = 0.006 if self.side == "pull" else -self.thickness - 0.006
         for z in (0.22, 0.5 * self.height, self.height - 0.2):
@@ -167,11 +169,11 @@ class Door:
 
     @property
     def _lever_depth(self) -> float:
-        """Of the lever's middle line over the leaf's face [m]."""
+        """Depth of the lever's middle line over the leaf's face [m]."""
         return 0.052
 
     def _handle(self) -> tuple[float, float, float]:
-        """x, depth over the seen face, z: of the lever's pivot, the knob's middle or the bar's middle."""
+        """Return x, depth over the seen face, z: of the lever's pivot, the knob's middle or the bar's middle."""
         if self.furniture == "lever":
             return self._spindle_x, self._lever_depth, self.handle_z
         if self.furniture == "knob":
@@ -179,7 +181,7 @@ class Door:
         return 0.5 * self.width, 0.055, self.handle_z
 
     def _truth(self, leaf_frame: Float[np.ndarray, "4 4"]) -> Truth:
-        """In the leaf's frame, made right-handed: y is the seen side's normal or its opposite."""
+        """Return the truth in the leaf's frame, made right-handed: y is the seen side's normal or its opposite."""
         side = 1.0 if np.linalg.det(leaf_frame[:3, :3]) > 0.0 else -1.0
         pose = leaf_frame.copy()
         pose[:3, 1] *= side
@@ -197,7 +199,7 @@ class Door:
         return Truth("door", pose, sizes)
 
     def _lookalikes(self, leaf_frame: Float[np.ndarray, "4 4"]) -> tuple[tuple[str, Float[np.ndarray, "3"]], ...]:
-        """A lever handle is a lever."""
+        """Return the handle if it is a lever handle, which is a lever."""
         if self.furniture != "lever":
             return ()
         x, depth, z = self._handle()

@@ -1,4 +1,4 @@
-"""What is fixed to walls: button panels, levers on boxes, and standpipes with their open ends."""
+"""Objects fixed to walls: button panels, levers on boxes, and standpipes with their open ends."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Panel:
     buttons: tuple[tuple[float, float, float], ...] = ((0.0, 0.06, 0.03), (0.0, -0.06, 0.03))
     proud: float = 0.025
 
-    def placed(self) -> Placed:
-        """z of its frame is the normal, y is up."""
+    def build(self) -> Placed:
+        """Build it; z of its frame is the normal, y is up."""
         z = np.asarray(self.normal, dtype=float) / np.linalg.norm(self.normal)
         pose = frame(self.centre, np.cross([0.0, 0.0, 1.0], z).tolist(), z.tolist())
         w, h = 0.5 * self.width, 0.5 * self.height
@@ -77,8 +77,8 @@ class BoxLever:
     height: float = 0.4
     depth: float = 0.15
 
-    def placed(self) -> Placed:
-        """Box, hub and lever."""
+    def build(self) -> Placed:
+        """Return box, hub and lever."""
         z = np.asarray(self.normal, dtype=float) / np.linalg.norm(self.normal)
         front = frame(self.pivot, np.cross([0.0, 0.0, 1.0], z).tolist(), z.tolist())
         w, h, off = 0.5 * self.width, 0.5 * self.height, self.stand_off
@@ -115,8 +115,8 @@ class Standpipe:
     foot: float = 0.0
     collar: bool = True
 
-    def placed(self) -> Placed:
-        """z of its frame points out; ``radius`` is the outer one at the mouth."""
+    def build(self) -> Placed:
+        """Build it; z of its frame points out; ``radius`` is the outer one at the mouth."""
         out = np.asarray(self.direction, dtype=float) / np.linalg.norm(self.direction)
         mouth = np.array(self.mouth)
         back = mouth - self.straight * out

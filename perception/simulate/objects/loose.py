@@ -1,4 +1,4 @@
-"""What lies about: drills, beams, pots, buckets, carts, tables, shelves and the like."""
+"""Loose objects: drills, beams, pots, buckets, carts, tables, shelves and the like."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Drill:
     body_length: float = 0.2
     lean: float = 0.0
 
-    def placed(self) -> Placed:
-        """Its frame: the middle of the grip, z up along it, x along the chuck."""
+    def build(self) -> Placed:
+        """Build it; its frame: the middle of the grip, z up along it, x along the chuck."""
         half, battery = 0.5 * self.grip_length, 0.055
         top = half + 0.03
         back = -0.07
@@ -76,8 +76,8 @@ class Beam:
     width: float = 0.089
     thickness: float = 0.038
 
-    def placed(self) -> Placed:
-        """A box."""
+    def build(self) -> Placed:
+        """Make a box."""
         half = 0.5 * np.array([self.length, self.width, self.thickness])
         sizes = {"length": self.length, "width": self.width, "thickness": self.thickness}
         mesh = box((-half).tolist(), half.tolist()).placed(self.pose)
@@ -85,7 +85,7 @@ class Beam:
 
 
 def pot(place: Sequence[float], radius: float = 0.12, height: float = 0.14) -> Placed:
-    """A cooking pot without its lid, two handles."""
+    """Make a cooking pot without its lid, two handles."""
     x, y, z = place
     section = [
         (0.0, 0.0),
@@ -102,7 +102,7 @@ def pot(place: Sequence[float], radius: float = 0.12, height: float = 0.14) -> P
 
 
 def bucket(place: Sequence[float], radius: float = 0.14, height: float = 0.28) -> Placed:
-    """A bucket with a rolled rim and its bail down."""
+    """Make a bucket with a rolled rim and its bail down."""
     x, y, z = place
     section = [
         (0.0, 0.0),
@@ -123,13 +123,13 @@ def bucket(place: Sequence[float], radius: float = 0.14, height: float = 0.28) -
 
 
 def can(place: Sequence[float], radius: float = 0.05, height: float = 0.16) -> Placed:
-    """A closed tin."""
+    """Make a closed tin."""
     x, y, z = place
     return things(cylinder((x, y, z), (x, y, z + height), radius, 32))
 
 
 def shelf(corner: Sequence[float], width: float, depth: float, levels: Sequence[float], height: float) -> Placed:
-    """An open rack: four posts and boards; ``corner`` is its front right foot, x into it, y along it."""
+    """Make an open rack: four posts and boards; ``corner`` is its front right foot, x into it, y along it."""
     x, y, z = corner
     post = 0.03
     posts = [
@@ -142,7 +142,7 @@ def shelf(corner: Sequence[float], width: float, depth: float, levels: Sequence[
 
 
 def table(corner: Sequence[float], length: float = 1.2, depth: float = 0.7, height: float = 0.75) -> Placed:
-    """Four legs and a top; ``corner`` is its front right foot, x into it, y along it."""
+    """Make four legs and a top; ``corner`` is its front right foot, x into it, y along it."""
     x, y, z = corner
     leg = 0.05
     legs = [
@@ -154,7 +154,7 @@ def table(corner: Sequence[float], length: float = 1.2, depth: float = 0.7, heig
 
 
 def chair(place: Sequence[float], yaw: float = 0.0) -> Placed:
-    """Four legs, seat board and back."""
+    """Make four legs, seat board and back."""
     parts: list[Mesh] = [box((x, y, 0.0), (x + 0.035, y + 0.035, 0.44)) for x in (-0.2, 0.165) for y in (-0.2, 0.165)]
     parts += [box((-0.21, -0.21, 0.44), (0.21, 0.21, 0.465)), box((-0.21, -0.2, 0.6), (-0.19, 0.2, 0.9))]
     parts += [box((-0.21, y, 0.46), (-0.185, y + 0.03, 0.9)) for y in (-0.2, 0.17)]
@@ -162,7 +162,7 @@ def chair(place: Sequence[float], yaw: float = 0.0) -> Placed:
 
 
 def cart(place: Sequence[float], yaw: float = 0.0, wheel: float = 0.15) -> Placed:
-    """A flat cart on four wheels, whose discs lie back between their tyres, with a push bar."""
+    """Make a flat cart on four wheels, whose discs lie back between their tyres, with a push bar."""
     parts: list[Mesh] = [box((-0.45, -0.28, wheel + 0.03), (0.45, 0.28, wheel + 0.07))]
     half = [(0.0, 0.015), (0.025, 0.015), (0.025, 0.006), (0.72 * wheel, 0.006), (0.75 * wheel, 0.025), (wheel, 0.025)]
     tyre = [*half, *((radius, -height) for radius, height in reversed(half))]
@@ -176,7 +176,7 @@ def cart(place: Sequence[float], yaw: float = 0.0, wheel: float = 0.15) -> Place
 
 
 def tyre(place: Sequence[float], axis: Sequence[float], radius: float = 0.32, width: float = 0.2) -> Placed:
-    """A car tyre without its wheel."""
+    """Make a car tyre without its wheel."""
     inner, half = 0.6 * radius, 0.5 * width
     section = [(inner, -0.8 * half), (0.95 * radius, -half), (radius, -0.7 * half), (radius, 0.7 * half)]
     section += [(0.95 * radius, half), (inner, 0.8 * half), (inner, 0.7 * half), (0.9 * radius, 0.85 * half)]
@@ -185,7 +185,7 @@ def tyre(place: Sequence[float], axis: Sequence[float], radius: float = 0.32, wi
 
 
 def cupboard(corner: Sequence[float], width: float = 0.8, depth: float = 0.4, height: float = 1.9) -> Placed:
-    """A plain cupboard with two flush fronts and a gap between; ``corner`` is its front right foot, x into it."""
+    """Make a plain cupboard with two flush fronts and a gap between; ``corner`` is its front right foot, x into it."""
     x, y, z = corner
     middle = y + 0.5 * width
     fronts = [
@@ -195,7 +195,7 @@ def cupboard(corner: Sequence[float], width: float = 0.8, depth: float = 0.4, he
 
 
 def radiator(corner: Sequence[float], length: float = 1.0, height: float = 0.6) -> Placed:
-    """Upright ribs along y between two pipes; ``corner`` is its right foot."""
+    """Make upright ribs along y between two pipes; ``corner`` is its right foot."""
     x, y, z = corner
     ribs = [capsule((x, y + at, z), (x, y + at, z + height), 0.018) for at in np.arange(0.0, length, 0.055)]
     ends = [cylinder((x, y, h), (x, y + length, h), 0.02, 24) for h in (z + 0.04, z + height - 0.04)]

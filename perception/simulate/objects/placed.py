@@ -1,4 +1,4 @@
-"""What every simulated object is: meshes, and the truth about what a detector should find in them."""
+"""Simulated objects in the world: meshes, and the truth about what a detector should find in them."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Placed:
     lookalikes: tuple[tuple[str, Float[np.ndarray, "3"]], ...] = ()
 
 
-def together(parts: Sequence[Placed]) -> Placed:
-    """Several as one."""
+def join_placed(parts: Sequence[Placed]) -> Placed:
+    """Join several as one."""
     return Placed(
         tuple(mesh for part in parts for mesh in part.meshes),
         tuple(truth for part in parts for truth in part.truth),
@@ -53,12 +53,12 @@ def together(parts: Sequence[Placed]) -> Placed:
 
 
 def things(*meshes: Mesh) -> Placed:
-    """Meshes no detector should find anything in."""
+    """Return meshes no detector should find anything in."""
     return Placed(meshes)
 
 
 def pose_of(position: Sequence[float], yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
-    """A (4, 4) pose: turned by roll about x, pitch about y, yaw about z, then moved."""
+    """Return a (4, 4) pose: turned by roll about x, pitch about y, yaw about z, then moved."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     pose[:3, 3] = position
@@ -66,7 +66,7 @@ def pose_of(position: Sequence[float], yaw: float = 0.0, pitch: float = 0.0, rol
 
 
 def frame(position: Sequence[float], x: Sequence[float], z: Sequence[float]) -> np.ndarray:
-    """A (4, 4) pose with the given z axis, its x axis as near to ``x`` as it can be."""
+    """Return a (4, 4) pose with the given z axis, its x axis as near to ``x`` as it can be."""
     third = np.asarray(z, dtype=float) / np.linalg.norm(z)
     first = np.asarray(x, dtype=float) - (np.asarray(x) @ third) * third
     first /= np.linalg.norm(first)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.detect.wheel import wheel_basis
+from perception.detect.valve.ring import wheel_basis
 from perception.simulate.mesh import Mesh, bent_bar, cylinder, lathe
 from perception.simulate.objects.placed import Placed, Truth, frame
 from perception.simulate.valve_scene import Valve
@@ -29,8 +29,8 @@ class PipedWheel:
     pipe_radius: float = 0.045
     pipe_length: float = 1.0
 
-    def placed(self) -> Placed:
-        """The pipe runs ``stem_length`` behind the wheel."""
+    def build(self) -> Placed:
+        """Build it; the pipe runs ``stem_length`` behind the wheel."""
         axis = np.array(self.wheel.axis) / np.linalg.norm(self.wheel.axis)
         body = np.array(self.wheel.centre) - self.wheel.stem_length * axis
         pose = np.eye(4)
@@ -56,7 +56,7 @@ class LeverValve:
 
     Attributes:
         pivot: where the stem's axis meets the lever's middle line [m].
-        axis: unit, of the stem, from the pipe to who turns it.
+        axis: unit, of the stem, from the pipe to the person who turns it.
         along: where the lever points; made square to the axis.
         length: of the lever, from the pivot [m].
         radius: of the lever [m].
@@ -76,8 +76,8 @@ class LeverValve:
     pipe_radius: float = 0.04
     pipe_length: float = 1.0
 
-    def placed(self) -> Placed:
-        """The lever also looks like a lever."""
+    def build(self) -> Placed:
+        """Build it; the lever also looks like a lever."""
         pose = frame(self.pivot, self.along, self.axis)
         pivot, axis, along = pose[:3, 3], pose[:3, 2], pose[:3, 0]
         body = pivot - self.stem_length * axis
@@ -104,7 +104,7 @@ def valve_body(
     radius: float,
     length: float,
 ) -> tuple[Mesh, ...]:
-    """A swollen body between two flanges on a pipe whose direction is made square to the stem's axis."""
+    """Return a swollen body between two flanges on a pipe whose direction is made square to the stem's axis."""
     along = np.asarray(direction) - (np.asarray(direction) @ axis) * axis
     along /= np.linalg.norm(along)
     half = 1.6 * radius

@@ -23,7 +23,7 @@ __all__ = ["SCENES", "VARIANTS", "SimulatedScene", "Truth", "make_scene"]
 
 
 def make_scene(name: str, seed: int = 0) -> SimulatedScene:
-    """A scene by name.
+    """Return a scene by name.
 
     Args:
         name: one of :data:`SCENES`.
@@ -33,5 +33,5 @@ def make_scene(name: str, seed: int = 0) -> SimulatedScene:
         PerceptionError: there is no such scene.
     """
     if name not in SCENES:
-        raise PerceptionError(f"unknown scene '{name}'; one of {', '.join(SCENES)} is needed")
+        raise PerceptionError(f"unknown scene '{name}'; expected one of {', '.join(SCENES)}")
     return SCENES[name].make(name, seed)

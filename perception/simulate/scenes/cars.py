@@ -9,7 +9,7 @@ import numpy as np
 
 from perception.simulate.objects.car import Car
 from perception.simulate.objects.placed import Placed
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
 from perception.simulate.scenes.surroundings import carton, floor
 
 
@@ -32,8 +32,8 @@ class FromSeat:
         rng = generator(name, seed)
         car = Car((0.0, 0.34), 0.0, self.floor_height + rng.uniform(-0.03, 0.03), opening=self.opening)
         eye = (0.05, 0.0, car.floor + car.seat_height + 0.72)
-        parts: list[Placed] = [car.placed(), floor(9.0), carton(0.5, -2.2, (0.5, 0.4, 0.6), 0.4)]
-        return assembled(name, seed, parts, self.look_at, eye)
+        parts: list[Placed] = [car.build(), floor(9.0), carton(0.5, -2.2, (0.5, 0.4, 0.6), 0.4)]
+        return assemble(name, seed, parts, self.look_at, eye)
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class FromOutside:
         yaw = np.radians(self.yaw_deg + rng.uniform(-6.0, 6.0))
         place = (self.distance + rng.uniform(-0.1, 0.1), rng.uniform(-0.15, 0.15))
         car = Car(place, yaw, 0.4 + rng.uniform(-0.05, 0.03))
-        parts: list[Placed] = [car.placed(), floor(9.0), carton(0.6, 2.4, (0.5, 0.4, 0.6), 0.4)]
-        return assembled(name, seed, parts, (*place, 0.9))
+        parts: list[Placed] = [car.build(), floor(9.0), carton(0.6, 2.4, (0.5, 0.4, 0.6), 0.4)]
+        return assemble(name, seed, parts, (*place, 0.9))
 
 
 SCENES: Mapping[str, Recipe] = {

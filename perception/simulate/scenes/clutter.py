@@ -10,8 +10,8 @@ import numpy as np
 from perception.simulate.mesh import box, cylinder, torus
 from perception.simulate.objects.loose import bucket, can, cart, chair, cupboard, pot, radiator, shelf, table, tyre
 from perception.simulate.objects.placed import Placed, things
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
-from perception.simulate.scenes.surroundings import carton, cartons, closed_room, floor, upright_pipe, wall
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
+from perception.simulate.scenes.surroundings import carton, cartons, floor, make_room, upright_pipe, wall
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,11 @@ class Clutter:
 
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
-        return assembled(name, seed, [floor(), *self.arrange(generator(name, seed))], self.look_at)
+        return assemble(name, seed, [floor(), *self.arrange(generator(name, seed))], self.look_at)
 
 
 def kitchen(rng: np.random.Generator) -> list[Placed]:
-    """A rack of pots, buckets and tins, a cart beside it, a picture and a round frame on the wall."""
+    """Make a rack of pots, buckets and tins, a cart beside it, a picture and a round frame on the wall."""
     parts = [wall(1.25), shelf((0.75, -0.6, 0.0), 1.2, 0.42, (0.1, 0.45, 0.9, 1.35), 1.8)]
     for level in (0.1, 0.45, 0.9, 1.35):
         for y in (-0.42, -0.1, 0.22, 0.46):
@@ -44,7 +44,7 @@ def kitchen(rng: np.random.Generator) -> list[Placed]:
 
 
 def pipes(rng: np.random.Generator) -> list[Placed]:
-    """Upright and level pipes with flanges and elbows, without a valve."""
+    """Make upright and level pipes with flanges and elbows, without a valve."""
     parts = [wall(1.1)]
     for y in (-0.7, -0.4, 0.1, 0.5):
         radius = rng.uniform(0.025, 0.08)
@@ -58,7 +58,7 @@ def pipes(rng: np.random.Generator) -> list[Placed]:
 
 
 def workshop(rng: np.random.Generator) -> list[Placed]:
-    """Two carts, tyres on the floor and against the wall, buckets, a plain cupboard."""
+    """Make two carts, tyres on the floor and against the wall, buckets, a plain cupboard."""
     parts = [
         wall(1.9),
         cart((1.0, 0.35, 0.0), 1.57 + rng.uniform(-0.3, 0.3)),
@@ -70,8 +70,8 @@ def workshop(rng: np.random.Generator) -> list[Placed]:
 
 
 def office(rng: np.random.Generator) -> list[Placed]:
-    """A closed room: desk with screen, chairs, pictures, cupboard, radiator."""
-    parts = [closed_room(1.9, -2.2, 1.8), table((1.0, -0.8, 0.0), 1.5, 0.7, 0.74)]
+    """Make a closed room: desk with screen, chairs, pictures, cupboard, radiator."""
+    parts = [make_room(1.9, -2.2, 1.8), table((1.0, -0.8, 0.0), 1.5, 0.7, 0.74)]
     parts += [chair((0.75, 0.2, 0.0), rng.uniform(-0.5, 0.5)), chair((0.3, -1.2, 0.0), rng.uniform(0.0, 6.0))]
     screen = [box((1.45, -0.3, 0.85), (1.48, 0.3, 1.2)), box((1.47, -0.04, 0.74), (1.5, 0.04, 0.9))]
     pictures = [box((1.88, y, 1.4), (1.9, y + 0.5, 1.75)) for y in (-1.2, -0.2)]
@@ -80,15 +80,15 @@ def office(rng: np.random.Generator) -> list[Placed]:
 
 
 def corridor(rng: np.random.Generator) -> list[Placed]:
-    """A bare corridor with a niche, a pillar and a skirting board."""
+    """Make a bare corridor with a niche, a pillar and a skirting board."""
     width = rng.uniform(0.75, 0.95)
-    parts = [closed_room(3.5, -4.0, width), carton(1.8, -0.45, (0.3, 0.35, 0.25), 0.3)]
+    parts = [make_room(3.5, -4.0, width), carton(1.8, -0.45, (0.3, 0.35, 0.25), 0.3)]
     skirting = [box((-4.0, side * width - 0.02, 0.0), (3.5, side * width + 0.02, 0.09)) for side in (-1.0, 1.0)]
     return [*parts, things(*skirting, box((1.2, width - 0.12, 0.0), (1.6, width, 2.6)))]
 
 
 def boxes(rng: np.random.Generator) -> list[Placed]:
-    """Stacks of cartons before a wall."""
+    """Make stacks of cartons before a wall."""
     parts = [wall(1.6)]
     for y in (-0.7, -0.15, 0.4):
         z = 0.0
@@ -100,7 +100,7 @@ def boxes(rng: np.random.Generator) -> list[Placed]:
 
 
 def rounds(rng: np.random.Generator) -> list[Placed]:
-    """A clock, a porthole, a round sign on a post, a coil of hose on a hook, plates in a rack."""
+    """Make a clock, a porthole, a round sign on a post, a coil of hose on a hook, plates in a rack."""
     parts = [wall(1.0), upright_pipe(0.9, 0.62, 0.03, 1.2)]
     clock = [cylinder((0.96, -0.55, 1.5), (1.0, -0.55, 1.5), 0.15), torus((0.965, -0.55, 1.5), (1, 0, 0), 0.15, 0.012)]
     porthole = [torus((0.985, 0.05, 1.35), (1, 0, 0), 0.2, 0.025)]

@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from perception.simulate.objects.loose import Beam
 from perception.simulate.objects.placed import Placed
-from perception.simulate.scenes.heap import heap
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
 from perception.simulate.scenes.surroundings import cartons, floor, wall
+
+_SECTIONS = ((0.089, 0.038), (0.089, 0.038), (0.14, 0.038), (0.089, 0.089))
+_STEP = 0.004
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,7 @@ class Debris:
         rng = generator(name, seed)
         parts: list[Placed] = [floor(), wall(2.1), *heap(rng, self.n_beams, self.middle, self.spread)]
         parts += cartons(rng, self.n_boxes, (1.2, 1.3), 0.3)
-        return assembled(name, seed, parts, (*self.middle, 0.2))
+        return assemble(name, seed, parts, (*self.middle, 0.2))
 
 
 SCENES: Mapping[str, Recipe] = {
@@ -41,3 +48,86 @@ SCENES: Mapping[str, Recipe] = {
     "debris_heap": Debris(8),
     "debris_large_heap": Debris(14, (1.2, 0.0), 0.35, 2),
 }
+
+
+def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], spread: float) -> list[Placed]:
+    """Drop beams one after the other: each sinks until it touches, then tips over until it touches again."""
+    boxes: list[tuple[np.ndarray, np.ndarray]] = []
+    placed = []
+    for _ in range(n_beams):
+        width, thickness = _SECTIONS[rng.integers(len(_SECTIONS))]
+        length = float(rng.choice([0.6, 0.9, 1.2]))
+        half = 0.5 * np.array([length, width, thickness])
+        rotation = Rotation.from_euler("ZX", [rng.uniform(0.0, np.pi), rng.choice([0.0, 0.5 * np.pi], p=[0.8, 0.2])])
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.as_matrix()
+        pose[:2, 3] = np.array(middle) + rng.uniform(-spread, spread, 2)
+        pose[2, 3] = 1.5 if not boxes else max(place[2, 3] + size[0] for place, size in boxes) + length
+        pose = _tip(_sunk(pose, half, boxes), half, boxes)
+        boxes.append((pose, half))
+        placed.append(Beam(pose, length, width, thickness).build())
+    return placed
+
+
+def _sunk(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Lower it as far as it goes."""
+    pose = pose.copy()
+    # Steps smaller than a beam is thick, then small ones.
+    for step in (0.03, _STEP):
+        while not _touches(pose, half, others):
+            pose[2, 3] -= step
+        pose[2, 3] += step
+    return pose
+
+
+def _tip(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Turn it about what it lies on, towards its heavy end, until that end lies too; sunk again where it slipped."""
+    below = pose.copy()
+    below[2, 3] -= _STEP
+    along = np.linspace(-0.98, 0.98, 41)
+    slices = [(below @ _shift(half[0] * s), half * (0.02, 1.0, 1.0)) for s in along]
+    contact = [s for s, (place, part) in zip(along, slices, strict=True) if _touches(place, part, others)]
+    if not contact or min(contact) < 0.0 < max(contact):
+        return pose
+    at = min(contact, key=abs) * half[0]
+    # The heavy end is on the other side of the middle; it goes down.
+    axis = pose[:3, :3] @ np.array([0.0, 1.0, 0.0]) if abs(pose[2, 2]) > 0.5 else pose[:3, 2]
+    direction = np.cross(axis, pose[:3, 0])[2]
+    sign = np.sign(at) * np.sign(direction) if at else np.sign(direction)
+    pivot = (pose @ np.array([at, 0.0, 0.0, 1.0]))[:3] + np.array([0.0, 0.0, _STEP])
+    last, degree = pose, 0.0
+    for step in (2.0, 0.25):
+        while degree + step < 75.0:
+            turn = Rotation.from_rotvec(sign * np.radians(degree + step) * axis).as_matrix()
+            tried = pose.copy()
+            tried[:3, :3] = turn @ pose[:3, :3]
+            tried[:3, 3] = pivot + turn @ (pose[:3, 3] - pivot)
+            if _touches(tried, half, others):
+                break
+            last, degree = tried, degree + step
+    return _sunk(last, half, others)
+
+
+def _shift(x: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[0, 3] = x
+    return pose
+
+
+def _touches(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> bool:
+    """Return whether a box meets the floor or another box (separating axes)."""
+    if pose[2, 3] - np.abs(pose[2, :3]) @ half < 0.0:
+        return True
+    return any(_overlap(pose, half, other, size) for other, size in others)
+
+
+def _overlap(a: np.ndarray, half_a: np.ndarray, b: np.ndarray, half_b: np.ndarray) -> bool:
+    apart = b[:3, 3] - a[:3, 3]
+    if np.linalg.norm(apart) > np.linalg.norm(half_a) + np.linalg.norm(half_b):
+        return False
+    edges = np.cross(a[:3, :3].T[:, None, :], b[:3, :3].T[None, :, :]).reshape(-1, 3)
+    axes = np.concatenate([a[:3, :3].T, b[:3, :3].T, edges])
+    length = np.linalg.norm(axes, axis=1)
+    axes = axes[length > 1e-6] / length[length > 1e-6, None]
+    reach = np.abs(axes @ a[:3, :3]) @ half_a + np.abs(axes @ b[:3, :3]) @ half_b
+    return bool((np.abs(axes @ apart) <= reach).all())

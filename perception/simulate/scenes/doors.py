@@ -11,7 +11,7 @@ import numpy as np
 from perception.simulate.mesh import box
 from perception.simulate.objects.doors import Door
 from perception.simulate.objects.placed import Placed, things
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
 from perception.simulate.scenes.surroundings import cartons, floor, side_walls
 
 
@@ -51,12 +51,12 @@ class Doorway:
         ajar = np.radians(self.ajar_deg + rng.uniform(-4.0, 4.0)) if self.ajar_deg else 0.0
         place = ((hinge[0], hinge[1]), along, self.hinge_on, self.side, ajar, width)
         door = Door(*place, furniture=self.furniture, handle_z=rng.uniform(0.95, 1.1))
-        parts: list[Placed] = [door.placed(), floor(), things(box((3.5, -4.0, 0.0), (3.6, 4.0, 2.6)))]
+        parts: list[Placed] = [door.build(), floor(), things(box((3.5, -4.0, 0.0), (3.6, 4.0, 2.6)))]
         if self.corridor is not None:
             parts.append(side_walls(self.corridor, middle[0] - 0.1))
         else:
             parts += cartons(rng, 2, (0.35, -1.5 if self.hinge_on == "left" else 1.5), 0.2)
-        return assembled(name, seed, parts, (middle[0], middle[1], 1.1))
+        return assemble(name, seed, parts, (middle[0], middle[1], 1.1))
 
 
 SCENES: Mapping[str, Recipe] = {

@@ -9,9 +9,9 @@ import numpy as np
 
 from perception.simulate.objects.fixtures import BoxLever, Panel, Standpipe
 from perception.simulate.objects.placed import Placed
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
 from perception.simulate.scenes.surroundings import cartons, floor, upright_pipe, wall
-from perception.simulate.scenes.valves import Vector, tilted
+from perception.simulate.scenes.valves import Vector, tilt_axis
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,13 @@ class ButtonPanel:
         """See :class:`Recipe`."""
         rng = generator(name, seed)
         x, y, z = np.array([0.7, 0.05, 1.25]) + rng.uniform(-0.05, 0.05, 3)
-        panel = Panel((x, y, z), tilted(self.turned_deg + rng.uniform(-3.0, 3.0), 0.0), *self.size, 0.1, self.buttons)
+        panel = Panel(
+            (x, y, z), tilt_axis(self.turned_deg + rng.uniform(-3.0, 3.0), 0.0), *self.size, 0.1, self.buttons
+        )
         behind = x + 0.08 + 0.5 * self.size[0] * abs(np.sin(np.radians(self.turned_deg)))
-        parts: list[Placed] = [panel.placed(), floor(), wall(behind), upright_pipe(x + 0.04, y + 0.6, 0.03)]
+        parts: list[Placed] = [panel.build(), floor(), wall(behind), upright_pipe(x + 0.04, y + 0.6, 0.03)]
         parts += cartons(rng, 1, (0.5, -1.0), 0.1)
-        return assembled(name, seed, parts, (x, y, z))
+        return assemble(name, seed, parts, (x, y, z))
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,10 @@ class SwitchBox:
         rng = generator(name, seed)
         x, y, z = np.array([0.65, 0.0, 1.2]) + rng.uniform(-0.05, 0.05, 3)
         angle = self.angle + rng.uniform(-0.2, 0.2)
-        lever = BoxLever((x, y, z), tilted(self.turned_deg, 0.0), angle, self.length)
+        lever = BoxLever((x, y, z), tilt_axis(self.turned_deg, 0.0), angle, self.length)
         behind = x + 0.2 + 0.15 * abs(np.sin(np.radians(self.turned_deg)))
-        parts = [lever.placed(), floor(), wall(behind), upright_pipe(x + 0.12, y - 0.5, 0.04)]
-        return assembled(name, seed, parts, (x, y, z))
+        parts = [lever.build(), floor(), wall(behind), upright_pipe(x + 0.12, y - 0.5, 0.04)]
+        return assemble(name, seed, parts, (x, y, z))
 
 
 @dataclass(frozen=True)
@@ -89,8 +91,8 @@ class HoseEnd:
         out = np.array(self.direction) + rng.normal(0.0, 0.06, 3)
         a, b, c = out / np.linalg.norm(out)
         hose = Standpipe((x, y, z), (a, b, c), self.radius, foot=self.foot)
-        parts = [hose.placed(), floor(), wall(self.wall_x), upright_pipe(self.wall_x - 0.1, y + 0.6, 0.05)]
-        return assembled(name, seed, parts, (x, y, z))
+        parts = [hose.build(), floor(), wall(self.wall_x), upright_pipe(self.wall_x - 0.1, y + 0.6, 0.05)]
+        return assemble(name, seed, parts, (x, y, z))
 
 
 _GRID = tuple((x, y, 0.019) for y in (0.09, 0.0, -0.09) for x in (-0.05, 0.05))

@@ -11,12 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.cloud import Cloud
-from perception.simulate.depth_camera import DepthCamera
 from perception.simulate.mesh import Mesh
-from perception.simulate.objects.placed import Placed, Truth, together
-from perception.simulate.scanner import Scanner
-from perception.simulate.sensor import Pose, Sensor, scan
-from perception.simulate.solid_state import SolidState
+from perception.simulate.objects.placed import Placed, Truth, join_placed
+from perception.simulate.scanning import scan
+from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState
 
 VARIANTS: Mapping[str, Sensor] = {
     "dense": Scanner(),
@@ -49,40 +47,40 @@ class SimulatedScene:
     poses: tuple[Pose, ...]
 
     def scan(self, variant: str = "dense", pose: int = 0, *, misses: bool = False) -> Cloud:
-        """What a sensor gives of it; the same arguments give the same scan.
+        """Return what a sensor gives of it; the same arguments give the same scan.
 
         Args:
             variant: one of :data:`VARIANTS`.
             pose: which of the poses.
-            misses: whether rays that met nothing are told.
+            misses: whether rays that met nothing are given.
         """
         noise = zlib.crc32(f"{self.name}/{self.seed}/{variant}/{pose}".encode())
         return scan(self.meshes, self.poses[pose], VARIANTS[variant], noise, misses=misses)
 
 
 class Recipe(Protocol):
-    """What a kind of scene is made from."""
+    """Maker of a kind of scene."""
 
     def make(self, name: str, seed: int) -> SimulatedScene:
-        """The scene; its details are drawn from name and seed."""
+        """Return the scene; its details are drawn from name and seed."""
         ...
 
 
 def generator(name: str, seed: int) -> np.random.Generator:
-    """Of the details of a scene."""
+    """Make the generator of a scene's details."""
     return np.random.default_rng([zlib.crc32(name.encode()), seed])
 
 
-def assembled(
+def assemble(
     name: str,
     seed: int,
     parts: Sequence[Placed],
     look_at: Sequence[float],
     position: tuple[float, float, float] = (0.12, 0.0, 1.62),
 ) -> SimulatedScene:
-    """The parts with two sensor poses, both looking nearly at ``look_at``; the second one is 40 cm aside."""
+    """Return the parts with two sensor poses, both looking nearly at ``look_at``; the second one is 40 cm aside."""
     rng = np.random.default_rng([zlib.crc32(name.encode()), seed, 1])
-    whole = together(parts)
+    whole = join_placed(parts)
     poses = []
     for shift in ((0.0, 0.0, 0.0), (-0.1, 0.4, -0.12)):
         place = tuple((np.array(position) + shift + rng.normal(0.0, 0.02, 3)).tolist())

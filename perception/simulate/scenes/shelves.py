@@ -10,12 +10,12 @@ import numpy as np
 from perception.simulate.mesh import bent_bar, box, cylinder
 from perception.simulate.objects.loose import Drill, bucket, can, pot, shelf, table
 from perception.simulate.objects.placed import Placed, things
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
 from perception.simulate.scenes.surroundings import floor, wall
 
 
 def tools(x: float, y: float, z: float) -> Placed:
-    """A hammer and a screwdriver, lying on a board about the place given."""
+    """Return a hammer and a screwdriver, lying on a board about the place given."""
     return things(
         bent_bar([(x - 0.1, y, z + 0.018), (x + 0.18, y + 0.05, z + 0.018)], 0.015),
         cylinder((x + 0.15, y - 0.02, z + 0.02), (x + 0.2, y + 0.13, z + 0.02), 0.02, 24),
@@ -41,11 +41,11 @@ class ToolRack:
         parts: list[Placed] = [floor(), wall(x + 0.5), shelf((x, -0.6, 0.0), 1.2, 0.42, (0.1, 0.45, 0.9, 1.35), 1.8)]
         for y, z, yaw in self.drills:
             place = (x + 0.16 + rng.uniform(-0.03, 0.03), y + rng.uniform(-0.05, 0.05), z)
-            parts.append(Drill(place, np.radians(yaw + rng.uniform(-15.0, 15.0))).placed())
+            parts.append(Drill(place, np.radians(yaw + rng.uniform(-15.0, 15.0))).build())
         parts += [tools(x + 0.15, -0.4, 0.9), can((x + 0.2, 0.42, 0.9)), can((x + 0.25, 0.3, 0.9), 0.04, 0.2)]
         parts += [pot((x + 0.2, 0.3, 0.45)), bucket((x + 0.2, -0.35, 0.1), 0.13, 0.25)]
         parts.append(things(box((x + 0.08, 0.1, 1.35), (x + 0.34, 0.5, 1.55))))
-        return assembled(name, seed, parts, (x + 0.16, self.drills[0][0], self.drills[0][1] + 0.1))
+        return assemble(name, seed, parts, (x + 0.16, self.drills[0][0], self.drills[0][1] + 0.1))
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ class Workbench:
         rng = generator(name, seed)
         parts: list[Placed] = [floor(), wall(1.4), table((0.5, -0.7, 0.0), 1.4, 0.7, 0.8)]
         place = (0.7, 0.08 + rng.uniform(-0.1, 0.1), 0.8)
-        parts.append(Drill(place, np.radians(self.yaw + rng.uniform(-20.0, 20.0))).placed())
+        parts.append(Drill(place, np.radians(self.yaw + rng.uniform(-20.0, 20.0))).build())
         parts += [tools(0.7, -0.3, 0.8), can((0.9, 0.4, 0.8)), things(box((0.95, -0.2, 0.8), (1.15, 0.2, 1.0)))]
-        return assembled(name, seed, parts, (0.7, 0.0, 0.9))
+        return assemble(name, seed, parts, (0.7, 0.0, 0.9))
 
 
 SCENES: Mapping[str, Recipe] = {

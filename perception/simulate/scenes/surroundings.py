@@ -9,22 +9,22 @@ from perception.simulate.objects.placed import Placed, pose_of, things
 
 
 def floor(half: float = 6.0) -> Placed:
-    """A floor at zero."""
+    """Return a floor at zero."""
     return things(box((-half, -half, -0.1), (half, half, 0.0)))
 
 
 def wall(x: float, low: float = -3.0, high: float = 3.0, height: float = 2.6, yaw: float = 0.0) -> Placed:
-    """A wall whose seen face is square to x at ``x``, from y ``low`` to ``high``, turned about the origin."""
+    """Return a wall whose seen face is square to x at ``x``, from y ``low`` to ``high``, turned about the origin."""
     return Placed((box((x, low, 0.0), (x + 0.12, high, height)).placed(pose_of((0.0, 0.0, 0.0), yaw=yaw)),))
 
 
 def side_walls(y: float, front: float, back: float = -3.0, height: float = 2.6) -> Placed:
-    """Walls left and right."""
+    """Return walls left and right."""
     return things(box((back, y, 0.0), (front, y + 0.12, height)), box((back, -y - 0.12, 0.0), (front, -y, height)))
 
 
-def closed_room(front: float, back: float, half: float, height: float = 2.6) -> Placed:
-    """Four walls and a ceiling."""
+def make_room(front: float, back: float, half: float, height: float = 2.6) -> Placed:
+    """Make four walls and a ceiling."""
     return Placed(
         (
             *wall(front, -half, half, height).meshes,
@@ -36,19 +36,19 @@ def closed_room(front: float, back: float, half: float, height: float = 2.6) -> 
 
 
 def upright_pipe(x: float, y: float, radius: float, height: float = 2.6) -> Placed:
-    """From the floor up."""
+    """Make a pipe from the floor up."""
     return things(cylinder((x, y, 0.0), (x, y, height), radius))
 
 
 def carton(x: float, y: float, size: tuple[float, float, float], yaw: float = 0.0, z: float = 0.0) -> Placed:
-    """A box on the floor or on another, by the middle of its foot."""
+    """Return a box on the floor or on another, by the middle of its foot."""
     a, b, c = size
     mesh = box((-0.5 * a, -0.5 * b, 0.0), (0.5 * a, 0.5 * b, c))
     return Placed((mesh.placed(pose_of((x, y, z), yaw=yaw)),))
 
 
 def cartons(rng: np.random.Generator, n: int, near: tuple[float, float], spread: float) -> list[Placed]:
-    """A few boxes on the floor around a place; they may touch."""
+    """Return a few boxes on the floor around a place; they may touch."""
     parts = []
     for _ in range(n):
         x, y = np.array(near) + rng.uniform(-spread, spread, 2)

@@ -9,7 +9,7 @@ import numpy as np
 
 from perception.simulate.objects.placed import Placed
 from perception.simulate.objects.valves import LeverValve, PipedWheel
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assembled, generator
+from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
 from perception.simulate.scenes.surroundings import cartons, floor, upright_pipe, wall
 from perception.simulate.valve_scene import Valve
 
@@ -17,8 +17,8 @@ Vector = tuple[float, float, float]
 _UP, _ACROSS = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 
 
-def tilted(yaw_deg: float, pitch_deg: float) -> Vector:
-    """An axis towards the robot, turned aside and up."""
+def tilt_axis(yaw_deg: float, pitch_deg: float) -> Vector:
+    """Return an axis towards the robot, turned aside and up."""
     yaw, pitch = np.radians([yaw_deg, pitch_deg])
     return float(-np.cos(yaw) * np.cos(pitch)), float(-np.sin(yaw) * np.cos(pitch)), float(np.sin(pitch))
 
@@ -56,18 +56,18 @@ class Wheel:
         rng = generator(name, seed)
         x, y, z = np.array(self.centre) + rng.uniform(-0.05, 0.05, 3)
         yaw, pitch = np.array(self.angles) + rng.uniform(-4.0, 4.0, 2)
-        axis = tilted(yaw, min(pitch, 90.0))
+        axis = tilt_axis(yaw, min(pitch, 90.0))
         spoke, hub, stem = 0.55 * self.tube + 0.001, max(0.2 * self.outer, 0.02), max(0.1 * self.outer, 0.01)
         ring = (self.outer - self.tube, self.tube, self.n_spokes, rng.uniform(0.0, 2.0))
         wheel = Valve((x, y, z), axis, *ring, spoke, hub, stem, self.stem)
         face = self.wall_x if self.wall_x is not None else max(x - self.stem * axis[0], x) + 0.2
-        parts = [PipedWheel(wheel, self.pipe, self.pipe_radius).placed(), floor(), wall(face)]
+        parts = [PipedWheel(wheel, self.pipe, self.pipe_radius).build(), floor(), wall(face)]
         for side in (-1.0, 1.0):
             parts.append(upright_pipe(face - 0.1, y + side * rng.uniform(0.5, 0.8), rng.uniform(0.03, 0.07)))
         if self.is_crossed:
             parts.append(upright_pipe(x - 0.12, y + 0.45 * self.outer, 0.016))
         parts += cartons(rng, 2, (face - 0.4, y - 1.2), 0.25)
-        return assembled(name, seed, parts, (x, y, z))
+        return assemble(name, seed, parts, (x, y, z))
 
 
 @dataclass(frozen=True)
@@ -90,10 +90,10 @@ class Manifold:
         parts: list[Placed] = [floor(), wall(1.15)]
         for y, z, outer, n_spokes in self.rows:
             centre = (0.8 + rng.uniform(-0.03, 0.03), y, z)
-            axis = tilted(rng.uniform(-8.0, 8.0), rng.uniform(-5.0, 10.0))
+            axis = tilt_axis(rng.uniform(-8.0, 8.0), rng.uniform(-5.0, 10.0))
             wheel = Valve(centre, axis, outer - 0.012, 0.012, n_spokes, rng.uniform(0.0, 2.0), stem_length=0.17)
-            parts.append(PipedWheel(wheel, _UP if z < 1.4 else _ACROSS, 0.04, 1.3).placed())
-        return assembled(name, seed, parts, (0.8, 0.03, 1.1))
+            parts.append(PipedWheel(wheel, _UP if z < 1.4 else _ACROSS, 0.04, 1.3).build())
+        return assemble(name, seed, parts, (0.8, 0.03, 1.1))
 
 
 @dataclass(frozen=True)
@@ -113,9 +113,9 @@ class BallValves:
         for pivot, along, length, direction in self.levers:
             x, y, z = np.array(pivot) + rng.uniform(-0.03, 0.03, 3)
             a, b, c = np.array(along) + rng.normal(0.0, 0.08, 3)
-            axis = tilted(rng.uniform(-12.0, 12.0), rng.uniform(-6.0, 12.0))
-            parts.append(LeverValve((x, y, z), axis, (a, b, c), length, pipe_direction=direction).placed())
-        return assembled(name, seed, parts, self.levers[0][0])
+            axis = tilt_axis(rng.uniform(-12.0, 12.0), rng.uniform(-6.0, 12.0))
+            parts.append(LeverValve((x, y, z), axis, (a, b, c), length, pipe_direction=direction).build())
+        return assemble(name, seed, parts, self.levers[0][0])
 
 
 SCENES: Mapping[str, Recipe] = {

@@ -1,0 +1,172 @@
+"""Cleaning of points: crop to a reach, exact copies, downsample, the robot's own points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull, QhullError
+
+from costs.stopping import poll
+from perception.errors import PerceptionError
+
+SELF_MARGIN = 0.025
+_FEW_VOXELS = 4
+
+
+@dataclass(frozen=True)
+class Reach:
+    """A vertical cylinder of interest.
+
+    Attributes:
+        x, y: its axis in the world [m].
+        radius: horizontal radius [m].
+        top: upper end [m above zero].
+        bottom: lower end [m above zero].
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    radius: float = 3.0
+    top: float = 3.0
+    bottom: float = -0.5
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.x, self.y, self.radius, self.top, self.bottom]).all() and self.radius > 0.0):
+            raise PerceptionError(f"reach {self} must be finite with a positive radius")
+        if self.top <= self.bottom:
+            raise PerceptionError(f"reach.top {self.top} must lie above reach.bottom {self.bottom}")
+
+    def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+        """Return which points lie in the cylinder."""
+        near = (points[:, 0] - self.x) ** 2 + (points[:, 1] - self.y) ** 2 <= self.radius**2
+        return np.asarray(near & (points[:, 2] <= self.top) & (points[:, 2] >= self.bottom))
+
+
+def voxel_index(points: Float[np.ndarray, "N 3"], size: float) -> tuple[Int[np.ndarray, "N"], int]:
+    """Return the number of the voxel of each point, counted 0, 1, ... in order of the voxels' coordinates, and how
+    many.
+    """
+    keys = np.zeros(len(points), dtype=np.int64)
+    n_keys = 1
+    for column in points.T:
+        cells = np.floor((column - column.min()) / size).astype(np.int64)
+        span = int(cells.max()) + 1
+        keys *= span
+        keys += cells
+        n_keys *= span
+    if n_keys <= _FEW_VOXELS * len(points):  # then counting beats sorting
+        is_there = np.zeros(n_keys, dtype=bool)
+        is_there[keys] = True
+        number = np.cumsum(is_there)
+        return number[keys] - 1, int(number[-1])
+    distinct, index = np.unique(keys, return_inverse=True)
+    return index, len(distinct)
+
+
+def voxel_downsample(
+    points: Float[np.ndarray, "N 3"], size: float
+) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
+    """Return the mean of the points in each occupied voxel of edge ``size`` [m], and how many they are."""
+    if not len(points):
+        return points, np.zeros(0, dtype=int)
+    index, n_voxels = voxel_index(points, size)
+    counts = np.bincount(index, minlength=n_voxels)
+    sums = np.stack([np.bincount(index, weights=points[:, axis], minlength=n_voxels) for axis in range(3)], axis=1)
+    return np.asarray(sums / counts[:, None]), counts
+
+
+def row_keys(rows: Float[np.ndarray, "N K"]) -> Int[np.ndarray, "N"]:
+    """Return a number for each row, the same for equal rows (and, once in 10^9 clouds of a million, for two others)."""
+    poll()
+    words = (np.ascontiguousarray(rows, dtype=np.float64) + 0.0).view(np.uint64)  # + 0.0: there is one zero
+    keys = np.full(len(rows), 0x9E3779B97F4A7C15, dtype=np.uint64)
+    for column in words.T:
+        keys = (keys ^ column) * np.uint64(0xBF58476D1CE4E5B9)
+        keys ^= keys >> np.uint64(31)
+        keys *= np.uint64(0x94D049BB133111EB)
+        keys ^= keys >> np.uint64(29)
+    return np.asarray(keys.view(np.int64))
+
+
+def first_of_equals(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Return which points are not exact copies, ray start included, of one before them.
+
+    Args:
+        points: (N, 3) [m].
+        starts: (N, 3) where their rays started [m].
+    """
+    constant = starts.strides[0] == 0 or bool((starts == starts[:1]).all())
+    keys = row_keys(points if constant else np.hstack([points, starts]))
+    ordered = np.sort(keys)
+    if (ordered[1:] != ordered[:-1]).all():
+        return np.ones(len(points), dtype=bool)
+    is_first = np.zeros(len(points), dtype=bool)
+    is_first[np.unique(keys, return_index=True)[1]] = True
+    return is_first
+
+
+def inside_hulls(
+    points: Float[np.ndarray, "N 3"], hulls: Sequence[Float[np.ndarray, "V 3"]], margin: float = SELF_MARGIN
+) -> Bool[np.ndarray, "N"]:
+    """Return points within ``margin`` of any hull.
+
+    At an edge or corner this reaches a little farther (a tenth of the margin at a right-angled edge), on the side of
+    taking a point for the robot's own.
+
+    Args:
+        points: (N, 3) [m].
+        hulls: (V, 3) vertices each, in the frame of the points.
+        margin: [m].
+    """
+    poll()
+    inside = np.zeros(len(points), dtype=bool)
+    if not len(hulls) or not len(points):
+        return inside
+    boxes = [(vertices.min(axis=0) - margin, vertices.max(axis=0) + margin) for vertices in hulls]
+    around = np.flatnonzero(
+        _in_box(points, np.min([lower for lower, _ in boxes], axis=0), np.max([upper for _, upper in boxes], axis=0))
+    )
+    candidates = points[around]
+    for vertices, (lower, upper) in zip(hulls, boxes, strict=True):
+        bounds = _add_roundings(vertices)
+        near = np.flatnonzero(_in_box(candidates, lower, upper))
+        inside[around[near]] |= (candidates[near] @ bounds[:, :3].T + bounds[:, 3] <= margin).all(axis=1)
+    return inside
+
+
+def _in_box(
+    points: Float[np.ndarray, "N 3"], lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "N"]:
+    mask = np.ones(len(points), dtype=bool)
+    for axis in range(3):
+        column = points[:, axis]
+        mask &= (column >= lower[axis]) & (column <= upper[axis])
+    return mask
+
+
+def _add_roundings(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
+    """Return half-spaces of the hull's faces, and between those of faces that meet, so that a margin leaves no
+    spikes.
+    """
+    hull = _convex_hull(vertices)
+    faces, neighbours = hull.equations[:, :3], hull.neighbors
+    between = faces[:, None, :] + faces[neighbours]
+    length = np.linalg.norm(between, axis=2, keepdims=True)
+    between = (between / np.maximum(length, 1e-9))[length[..., 0] > 0.1]
+    corners = np.zeros_like(vertices)
+    np.add.at(corners, hull.simplices.ravel(), np.repeat(faces, 3, axis=0))
+    length = np.linalg.norm(corners, axis=1)
+    corners = corners[length > 0.1] / length[length > 0.1, None]
+    normals = np.unique(np.round(np.concatenate([faces, between, corners]), 9), axis=0)
+    return np.column_stack([normals, -(normals @ vertices.T).max(axis=1)])
+
+
+def _convex_hull(vertices: Float[np.ndarray, "V 3"]) -> ConvexHull:
+    try:
+        return ConvexHull(vertices)
+    except (QhullError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise PerceptionError(f"a hull of {len(vertices)} vertices spans no volume: {reason}") from None

@@ -1,0 +1,269 @@
+"""Doors: a leaf, the wall it hangs in and its handle, found together and weighed against one another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.detect.door.frame import Frame, find_frame
+from perception.detect.door.handle import Handle, find_handle
+from perception.detect.door.leaf import Leaf, find_leaves
+from perception.detect.door.profile import Rays
+from perception.detect.door.upright import find_uprights
+from perception.detect.shared.arithmetic import rising
+from perception.detect.shared.detection import Detection
+from perception.view import View
+
+_REPORTED = 0.05
+_EXAMINED = 12
+_HINT_REACH = 0.4
+_GUESSED_HEIGHT = 2.03
+_END_RADIUS = 0.008  # of a lever's butt: its pivot lies so far inside
+_SHORT_SLACK = 0.03
+_USUAL_BACKSET = 0.065
+_AT_EDGE = 0.035
+_SURELY_AJAR = np.radians(6.0)
+_HINGE_UNKNOWN = _HANDLE_UNKNOWN = 0.45
+_CASING = 0.04
+_OCCLUDED = 0.3
+_SQUARE = (np.radians(70.0), np.radians(85.0))
+_HINT_TRUST = 0.7
+_GAP = 0.004
+_MOST_HIDDEN = 0.25
+_MOST_MERGED = 0.1
+_HIDES = 0.05
+_SHOWN = 2000
+_ENOUGH = 60_000
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A leaf with what belongs to it; ``hinge`` is -1 for its low edge, 1 for its high one."""
+
+    leaf: Leaf
+    frame: Frame | None
+    handle: Handle | None
+    hinge: int
+    confidence: float
+
+
+def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+    """Find doors, best first.
+
+    The frame of a hit: origin on the hinge edge of the leaf's seen face at floor height, x from hinge to free edge
+    along the leaf, z up.  Sizes: ``width``, ``height`` [m]; ``ajar``, the leaf's angle out of its wall [rad];
+    ``side``, +1 when y points to the sensor, else -1; ``handle_x``, ``handle_y``, ``handle_z``, the place of the
+    handle's bar over its pivot in that frame [m] (left out when no handle was seen); ``lever_direction``, -1 towards
+    the hinge, +1 away, 0 for knobs and upright bars.
+
+    Args:
+        view: the scan, made ready.
+        hint: (3,) a point near the leaf or its handle [m].
+    """
+    ground = _ground(view)
+    starts, ends = view.cloud.rays
+    rays = _useful(Rays(starts, ends), view)
+    origin = np.median(view.starts, axis=0) if len(view.starts) else np.zeros(3)
+    rng = np.random.default_rng(view.seed)
+    few_rays, few_points = _thin(rays, rng), _some_points(view.obstacles, rng)
+    uprights = find_uprights(view.obstacles, origin)
+    leaves = find_leaves(view.obstacles, few_rays, origin, ground, uprights)
+    if hint is not None:
+        leaves = [leaf for leaf in leaves if _distance(leaf, np.asarray(hint, dtype=float)) < _HINT_REACH]
+    candidates = [
+        _weigh(
+            leaf,
+            find_frame(leaf, few_points, few_rays, origin, ground, uprights),
+            rays,
+            ground,
+            hint,
+        )
+        for leaf in leaves[:_EXAMINED]
+    ]
+    candidates = [candidate for candidate in candidates if candidate.confidence >= _REPORTED]
+    candidates.sort(key=lambda candidate: -candidate.confidence)
+    return [_detection(candidate, ground) for candidate in _drop_duplicates(candidates)]
+
+
+def _ground(view: View) -> float:
+    """Return world z of the floor before the robot; without a floor the lowest points stand for it, or zero below
+    them.
+    """
+    if view.floor is not None:
+        return float(view.floor.height(np.array([[view.reach.x, view.reach.y]]))[0])
+    return min(float(np.percentile(view.near.points[:, 2], 1.0)), 0.0)
+
+
+def _useful(rays: Rays, view: View) -> Rays:
+    """Return rays that end, or pass, where the view reaches; a ray that stops far short of it tells nothing."""
+    floor = view.floor
+    low = view.reach.bottom if floor is None else floor.height(rays.ends[:, :2]) + 0.02
+    keep = rays.ends[:, 2] > low
+    return Rays(rays.starts[keep], rays.ends[keep])
+
+
+def _distance(leaf: Leaf, hint: Float[np.ndarray, "3"]) -> float:
+    """Return the distance of a place from the leaf's rectangle, at any height [m]."""
+    along, _, out = leaf.plane.local(hint[None])[0]
+    aside = max(leaf.low.at - along, along - leaf.high.at, 0.0)
+    return float(np.hypot(aside, out))
+
+
+def _thin(rays: Rays, rng: np.random.Generator) -> Rays:
+    """Keep at most so many rays as are needed to tell where space is open."""
+    if len(rays.ends) <= _ENOUGH:
+        return rays
+    chosen = np.sort(rng.permutation(len(rays.ends))[:_ENOUGH])
+    return Rays(rays.starts[chosen], rays.ends[chosen])
+
+
+def _some_points(points: Float[np.ndarray, "N 3"], rng: np.random.Generator) -> Float[np.ndarray, "M 3"]:
+    """Keep at most so many points as are needed to tell a wall."""
+    return points if len(points) <= _ENOUGH else points[np.sort(rng.permutation(len(points))[:_ENOUGH])]
+
+
+def _weigh(
+    leaf: Leaf, frame: Frame | None, rays: Rays, ground: float, hint: Float[np.ndarray, "3"] | None
+) -> _Candidate:
+    """Return the leaf with its handle, its hinge side, and how surely it is a door."""
+    sure_hinge = frame.hinge if frame is not None and frame.ajar > _SURELY_AJAR else 0
+    handle = find_handle(leaf.plane, leaf.low.at, leaf.high.at, leaf.rms, ground, rays, -sure_hinge)
+    hinge = sure_hinge or _hinge_by(handle, leaf) or (frame.hinge if frame is not None else 0)
+    confidence = _confidence(leaf, frame, handle, hinge)
+    if hint is not None:
+        # An operator who points at something has ruled out most of what else it could be.
+        confidence = confidence**_HINT_TRUST
+        # No pointing tells on which side the hinges are.
+        confidence = confidence if hinge else min(confidence, _HINGE_UNKNOWN)
+    return _Candidate(leaf, frame, handle, hinge or -1, confidence)
+
+
+def _hinge_by(handle: Handle | None, leaf: Leaf) -> int:
+    """Return the side away from the handle; 0 when there is none or it lies across the leaf."""
+    if handle is None or handle.is_panic:
+        return 0
+    return -1 if handle.centre[0] > 0.5 * (leaf.low.at + leaf.high.at) else 1
+
+
+def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: int) -> float:
+    """Return a flat face of a door's size with edges, times a wall that holds it, times what only doors have."""
+    ends = [leaf.low.strength, leaf.high.strength]
+    if frame is not None and frame.hinge:
+        # The hinge edge of an open leaf runs into its jamb; that it lies at the wall tells more.
+        ends[0 if frame.hinge < 0 else 1] = 1.0
+    elif frame is not None:
+        # What stands out of the wall as well hides a part of the face and is no edge of it.
+        for k, edge in enumerate((leaf.low, leaf.high)):
+            if edge.jump > max(frame.depth, 0.0) + _CASING:
+                ends[k] = _OCCLUDED
+    face = (
+        rising(leaf.width, 0.5, 0.62)
+        * rising(-leaf.width, -1.4, -1.25)
+        * rising(-leaf.rms, -0.024, -0.017)
+        * np.sqrt(ends[0] * ends[1])
+        * (rising(leaf.top, 1.65, 1.85) if leaf.top_is_seen else 0.8 + 0.2 * rising(leaf.top, 1.5, 1.9))
+        * rising(-leaf.top, -2.5, -2.35)
+        * (rising(-leaf.bottom, -0.4, -0.15) if leaf.bottom_is_seen else 1.0 - 0.3 * rising(leaf.bottom, 0.3, 1.2))
+    )
+    wall = 0.3 if frame is None else 0.3 + 0.7 * rising(frame.support, 0.2, 0.7)
+    grip = 0.0 if handle is None else handle.quality * (1.0 - 0.65 * rising(_unsure(handle, -hinge), 0.03, 0.09))
+    if frame is not None and frame.ajar > _SURELY_AJAR:
+        gap = max(frame.gap_share, (leaf.low if frame.hinge > 0 else leaf.high).open_share)
+        # A face square to a wall may as well be the side of a cupboard.
+        open_mark = 0.55 * rising(gap, 0.2, 0.6) * (1.0 - 0.5 * rising(frame.ajar, *_SQUARE))
+        marks = 1.0 - (1.0 - open_mark) * (1.0 - 0.85 * grip)
+        if handle is None:
+            # Who acts on it would not know where; seen along its face, a leaf hides what stands out of it.
+            marks = min(marks, _HANDLE_UNKNOWN)
+    else:
+        marks = 0.2 + 0.8 * grip
+    if not hinge:
+        marks = min(marks, _HINGE_UNKNOWN)
+    if handle is not None:
+        # Who acts on the door acts on its handle, whose place is not known any better than this.
+        marks *= 1.0 - 0.45 * rising(_unsure(handle, -hinge), 0.045, 0.075)
+    return float(face * wall * marks)
+
+
+def _unsure(handle: Handle, free_side: int) -> float:
+    """Return how far the end of the handle that tells its pivot may lie from where it was seen [m]."""
+    if handle.is_lever and free_side:
+        return handle.slack[1 if free_side > 0 else 0]
+    return 0.0 if handle.is_panic else max(handle.slack)
+
+
+def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
+    """Drop those whose middle lies on a surer one."""
+    kept: list[_Candidate] = []
+    for candidate in candidates:
+        middle = candidate.leaf.plane.place(0.5 * (candidate.leaf.low.at + candidate.leaf.high.at))
+        if all(_distance(other.leaf, middle) > 0.15 for other in kept):
+            kept.append(candidate)
+    return kept
+
+
+def _detection(candidate: _Candidate, ground: float) -> Detection:
+    leaf, frame, handle = candidate.leaf, candidate.frame, candidate.handle
+    hinge_at, free_at = _ends(leaf, frame, candidate.hinge)
+    width = abs(free_at - hinge_at)
+    pose = np.eye(4)
+    pose[:3, 0] = leaf.plane.along * (1.0 if free_at > hinge_at else -1.0)
+    pose[:3, 1] = np.cross([0.0, 0.0, 1.0], pose[:3, 0])
+    pose[:3, 3] = leaf.plane.place(hinge_at, ground)
+    side = 1.0 if pose[:3, 1] @ leaf.plane.normal > 0.0 else -1.0
+    sizes = {
+        "width": width,
+        "height": leaf.top if leaf.top_is_seen else max(leaf.top, _GUESSED_HEIGHT),
+        "ajar": 0.0 if frame is None else frame.ajar,
+        "side": side,
+        "lever_direction": 0.0,
+    }
+    residuals = {"rms": leaf.rms, "yaw_rad": leaf.sigma}
+    if frame is not None:
+        residuals["behind_wall"] = frame.depth
+    if handle is not None:
+        along, direction = _pivot(handle, free_at, hinge_at)
+        sizes["lever_direction"] = direction
+        sizes["handle_x"] = abs(along - hinge_at)
+        sizes["handle_y"] = side * handle.out
+        sizes["handle_z"] = float(handle.centre[1] - ground)
+        residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
+    step = max(1, len(leaf.points) // _SHOWN)
+    return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step])
+
+
+def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:
+    """Return where the leaf's hinge and free edges are along its plane [m].
+
+    A leaf that opens away is as wide as its opening.  A jamb hides one of its edges, mostly the hinge edge, or runs on
+    from it so that the leaf looks wider.
+    """
+    ends = (leaf.low, leaf.high) if hinge < 0 else (leaf.high, leaf.low)
+    at, free = ends[0].at, ends[1].at
+    if frame is None or not frame.opens_away or np.isnan(frame.opening):
+        return at, free
+    missing = frame.opening - 2.0 * _GAP - leaf.width
+    if not -_MOST_MERGED < missing < _MOST_HIDDEN:
+        return at, free
+    if missing > 0.0 and ends[1].jump > _HIDES and ends[1].open_share < 0.6:
+        return at, free - hinge * missing
+    return at + hinge * missing, free
+
+
+def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[float, float]:
+    """Return where the handle turns, along the plane, and whether its lever points to the hinge (-1) or away (+1)."""
+    if not handle.is_lever:
+        return float(handle.centre[0]), 0.0
+    outwards = 1 if free_at > hinge_at else -1
+    near, far = (handle.high[0], handle.low[0]) if outwards > 0 else (handle.low[0], handle.high[0])
+    if handle.pivot_side == -outwards and abs(free_at - near) < _AT_EDGE:
+        return float(far + outwards * _END_RADIUS), 1.0
+    slack = handle.slack[1 if outwards > 0 else 0]
+    if slack < _SHORT_SLACK:
+        return float(near + outwards * (0.5 * slack - _END_RADIUS)), -1.0
+    # Between the last ray that met it and the first that did not, where pivots usually are.
+    usual = free_at - outwards * _USUAL_BACKSET
+    reach = (near - outwards * _END_RADIUS, near + outwards * (slack - _END_RADIUS))
+    return float(np.clip(usual, min(reach), max(reach))), -1.0

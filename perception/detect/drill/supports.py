@@ -1,0 +1,168 @@
+"""Level surfaces that things stand on, the clusters that stand on them, and the share of rays that each foot stops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from costs.stopping import poll
+from perception.cleaning.clean import voxel_downsample
+from perception.cleaning.neighbours import nearest
+from perception.detect.shared.arithmetic import sum_about
+from perception.sightlines import SightIndex
+from perception.view import View
+
+_VOXEL = 0.012
+_LAYER = 0.01
+_CELL = 0.03
+_LEAST_CELLS = 40
+_APART = 0.08
+_OVER = (0.018, 0.36)
+_LINK, _LINK_UP = 0.025, 0.12
+_WIDE = 0.5
+_LEAST_POINTS = 15
+_FOOT_HEIGHT = 0.05
+_LEAST_NEIGHBOURS = (9, 6, 4, 0)
+_FOOTING_HEIGHT = 0.05
+_BESIDE = (0.015, 0.06)
+_OVER_LEVEL, _UNDER = 0.018, 0.03
+_LEAST_FALL = 0.05
+_FEWEST = 4
+
+
+@dataclass(frozen=True)
+class StandingCluster:
+    """Something that stands on a level surface.
+
+    Attributes:
+        points: (N, 3) thinned, without the surface [m].
+        level: height of the surface [m].
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    level: float
+
+
+def standing_clusters(view: View) -> list[StandingCluster]:
+    """Return what stands on boards, tables and the floor, largest first."""
+    points, _ = voxel_downsample(view.obstacles, _VOXEL)
+    levels = level_heights(points)
+    if view.floor is not None:
+        levels = [float(view.floor.height(points[:, :2].mean(axis=0, keepdims=True))[0]), *levels]
+    on_board = np.zeros(len(points), dtype=bool)
+    for level in levels:
+        on_board |= _on_board(points, level)
+    standing = points[~on_board]
+    clusters: list[StandingCluster] = []
+    for level in levels:
+        layer = standing[(standing[:, 2] > level + _OVER[0]) & (standing[:, 2] < level + _OVER[1])]
+        clusters += [StandingCluster(foot, level) for foot in _on_foot(_link(layer), level)]
+    return sorted(clusters, key=lambda cluster: -len(cluster.points))
+
+
+def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray, "N"]:
+    """Return points of the level surface itself: near its height, where it is wide."""
+    poll()
+    near = np.flatnonzero(np.abs(points[:, 2] - level) < _OVER[0])
+    mask = np.zeros(len(points), dtype=bool)
+    if not len(near):
+        return mask
+    cells = np.floor(points[near, :2] / _CELL).astype(np.int64)
+    cells -= cells.min(axis=0)
+    grid = np.zeros(cells.max(axis=0) + 1)
+    grid[tuple(cells.T)] = 1.0
+    wide = ndimage.uniform_filter(grid, size=5, mode="constant") > _WIDE
+    mask[near] = wide[tuple(cells.T)]
+    return mask
+
+
+def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
+    """Return heights at which points fill a level area of some 4 square decimetres, from below [m]."""
+    poll()
+    if not len(points):
+        return []
+    bottom = float(points[:, 2].min())
+    layer = np.floor((points[:, 2] - bottom) / _LAYER).astype(np.int64)
+    cells = np.floor(points[:, :2] / _CELL).astype(np.int64)
+    distinct = np.unique(np.column_stack([layer, cells]), axis=0)
+    area = np.bincount(distinct[:, 0], minlength=int(layer.max()) + 1).astype(float)
+    # Range noise spreads a surface over two or three layers; walls fill all layers alike.
+    thick = sum_about(area, (1.0, 1.0, 1.0))
+    beyond = sum_about(area, (0.5, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5))
+    excess = thick - 1.5 * beyond
+    heights: list[float] = []
+    for i in np.argsort(-excess, kind="stable").tolist():
+        if excess[i] < _LEAST_CELLS:
+            break
+        near = points[np.abs(points[:, 2] - bottom - (i + 0.5) * _LAYER) < 1.5 * _LAYER, 2]
+        height = float(np.median(near))
+        if all(abs(height - other) > _APART for other in heights):
+            heights.append(height)
+    return sorted(heights)
+
+
+def _link(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
+    """Return groups of points within 3 cm of a neighbour, 12 cm above or below it: what overhangs hides what is under
+    it.
+    """
+    poll()
+    if len(points) < _LEAST_POINTS:
+        return []
+    pairs = _pairs(points)
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    n_groups, of_point = connected_components(graph, directed=False)
+    sizes = np.bincount(of_point, minlength=n_groups)
+    return [points[of_point == i] for i in np.flatnonzero(sizes >= _LEAST_POINTS).tolist()]
+
+
+def _pairs(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
+    """Return indices of the points that are linked."""
+    poll()
+    return np.asarray(cKDTree(points * (1.0, 1.0, _LINK / _LINK_UP)).query_pairs(_LINK, output_type="ndarray"))
+
+
+def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
+    """Return what a cluster falls into once points with few neighbours are left out, strictest first, all points last.
+
+    Mixed pixels and noise make bridges between what stands a hand apart; there points are few.
+    """
+    pairs = _pairs(cluster.points)
+    n_neighbours = np.bincount(pairs.ravel(), minlength=len(cluster.points))
+    levels = [_link(cluster.points[n_neighbours >= least]) for least in _LEAST_NEIGHBOURS]
+    return [[StandingCluster(part, cluster.level) for part in _on_foot(parts, cluster.level)] for parts in levels]
+
+
+def _on_foot(groups: list[Float[np.ndarray, "K 3"]], level: float) -> list[Float[np.ndarray, "K 3"]]:
+    """Keep those that reach down to the surface."""
+    return [group for group in groups if group[:, 2].min() < level + _FOOT_HEIGHT]
+
+
+def support_share(index: SightIndex, cluster: StandingCluster) -> float:
+    """Return, of the rays that come down to its level right beside its foot, the share that ended there; 1 where few
+    did.
+
+    Rays beside a leg or a post go on below.
+
+    Args:
+        index: all rays of the scan.
+        cluster: with the level it seems to stand on.
+    """
+    foot = cluster.points[cluster.points[:, 2] < cluster.level + _FOOTING_HEIGHT, :2]
+    centre = foot.mean(axis=0)
+    reach = float(np.linalg.norm(foot - centre, axis=1).max()) + _BESIDE[1]
+    rays = index.passing(np.append(centre, cluster.level)[None], reach)
+    rays = rays.select(rays.direction[:, 2] < -_LEAST_FALL)
+    height = rays.ends[:, 2] - cluster.level
+    rays, height = rays.select(height < _OVER_LEVEL), height[height < _OVER_LEVEL]
+    if not len(rays):
+        return 1.0
+    crossing = (cluster.level - rays.start[:, 2]) / rays.direction[:, 2]
+    beside, _ = nearest(cKDTree(foot), rays.start[:, :2] + crossing[:, None] * rays.direction[:, :2], 1)
+    height = height[(beside > _BESIDE[0]) & (beside < _BESIDE[1])]
+    return float((height > -_UNDER).mean()) if len(height) >= _FEWEST else 1.0

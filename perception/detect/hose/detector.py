@@ -1,0 +1,244 @@
+"""Detection of hose ends and standpipes: where something slim ends, held against the rays as the open end of a tube."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from threadpoolctl import threadpool_limits
+
+from perception.cleaning.clean import voxel_downsample
+from perception.detect.hose.tips import Tip, find_tips
+from perception.detect.hose.tube import (
+    STRAIGHT,
+    Tube,
+    TubeEvidence,
+    misfits,
+    refine_tube,
+    settle_tube,
+    square_to,
+    weigh_tube,
+)
+from perception.detect.shared.arithmetic import rising
+from perception.detect.shared.detection import Detection
+from perception.detect.shared.slender import is_flat
+from perception.ground.floor import FloorPlane
+from perception.sightlines import SightIndex, Sightlines, sight_index
+from perception.view import View
+
+_VOXEL = 0.022
+_WIDEST = 0.095
+_HINT_RADIUS = 0.5
+_REPORTED = 0.05
+_RADII = (0.016, 0.021, 0.062, 0.075)
+# Noise makes a thing wider and longer than it is.
+_WIDENED = (0.007, 0.017, 0.027)
+_LONGER = 0.01
+_BESIDE = 0.05
+_DEEP = 0.03
+_LEAST_OPEN = 0.4
+_MOST_RAYS = 600
+_FOR_RANKING = 200
+_MOST_FITTED = 12
+_MOST_JUDGED = 5
+_ROUNDS = 2
+_SAME = 0.15
+_HIGHEST = 2.1
+_MOST_POINTS = 200
+# Of the directions about the axis, in how many its wall shows: looked into, all about it, as far as its returns are
+# enough to show that; else on the side in sight.
+_ALL_ABOUT, _HALF_ABOUT = (0.6, 0.85), (0.35, 0.6)
+_TO_SHOW_ALL = 24.0
+# A vessel: how upright it opens, how tall it is, and where what it stands on is seen [m].
+_UPRIGHT = 0.85
+_TALLEST = 0.35
+_COLLAR = 1.3
+_FOOT_ABOUT = (0.02, 0.1)
+_NEAR_MOUTH = 0.04
+_LAYER = 0.025
+_N_SECTORS, _LEAST_SECTORS = 12, 5
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A tube to be fitted.
+
+    Attributes:
+        tube: where it may be.
+        rays: that pass near its mouth.
+        mine: those that ended on it, whatever it is.
+        misfit: how badly it explains them.
+    """
+
+    tube: Tube
+    rays: Sightlines
+    mine: Bool[np.ndarray, "N"]
+    misfit: float
+
+
+@dataclass(frozen=True)
+class _End:
+    """An end and what speaks for it."""
+
+    tube: Tube
+    misfit: float
+    evidence: TubeEvidence
+    confidence: float
+
+
+def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+    """Find hose ends and standpipes, best first; origin the centre of the opening, z out of it, x horizontal.
+
+    The size is the outer radius at the opening.  An end that is not looked into is none to act on without a hint; a
+    vessel that stands on a board and opens upwards is none at all.
+
+    Args:
+        view: the scan.
+        hint: (3,) a point near the opening: only what lies within half a metre of it is looked at, and what cannot be
+            seen of it is taken for granted sooner [m].
+    """
+    if not len(view.obstacles):
+        return []
+    index = sight_index(view.cloud)
+    points, _ = voxel_downsample(view.obstacles, _VOXEL)
+    places = points[~is_flat(points)]
+    if hint is not None:
+        places = places[np.linalg.norm(places - hint, axis=1) < _HINT_RADIUS]
+    # The sums are many and small: with several threads BLAS spends its time on handing them out.
+    with threadpool_limits(limits=1, user_api="blas"):
+        tips = [tip for tip in find_tips(points, places, _WIDEST) if _may_be_open(index, tip)]
+        candidates = sorted((_candidate(index, tip) for tip in tips), key=lambda candidate: candidate.misfit)
+        fitted = sorted(
+            (_fit(candidate) for candidate in _drop_duplicates(candidates)[:_MOST_FITTED]),
+            key=lambda candidate: candidate.misfit,
+        )
+        for _ in range(_ROUNDS):
+            fitted = [_fit(candidate) for candidate in fitted[:_MOST_JUDGED]]
+        ends = [
+            _judge(index, candidate, hint is not None)
+            for candidate in fitted
+            if not _stands(points, candidate.tube, view.floor)
+        ]
+    ends = sorted(
+        (end for end in ends if end.confidence > _REPORTED), key=lambda end: end.misfit - 2.0 * end.confidence
+    )
+    kept: list[_End] = []
+    for end in ends:
+        if all(np.linalg.norm(end.tube.mouth - other.tube.mouth) > _SAME for other in kept):
+            kept.append(end)
+    return [_as_detection(end) for end in kept]
+
+
+def _may_be_open(index: SightIndex, tip: Tip) -> bool:
+    """Return whether rays come towards a tip and many of those at its middle go on behind it."""
+    rays = index.passing(tip.place[None], _LEAST_OPEN * tip.radius).thin(_FOR_RANKING)
+    slope = rays.direction @ tip.axis
+    rays, slope = rays.select(slope < -0.1), slope[slope < -0.1]
+    excess = rays.length - ((tip.place - rays.start) @ tip.axis) / slope
+    n_deeper, n_there = int((excess > _DEEP).sum()), int((np.abs(excess) <= _DEEP).sum())
+    return n_deeper >= _LEAST_OPEN * max(1, n_deeper + n_there)
+
+
+def _candidate(index: SightIndex, tip: Tip) -> _Candidate:
+    """Return the tube of a usual width that explains best what is about a tip."""
+    place = tip.place - _LONGER * tip.axis
+    tubes = [Tube(place, tip.axis, max(_RADII[0], tip.radius - by)) for by in _WIDENED]
+    rays = index.passing(np.stack([place, place - STRAIGHT * tip.axis]), tip.radius + 0.5 * _BESIDE)
+    rays = rays.thin(_MOST_RAYS)
+    offset = rays.ends - tip.place
+    along = offset @ tip.axis
+    across = np.linalg.norm(offset - along[:, None] * tip.axis, axis=1)
+    mine = (along > -_BESIDE) & (along < 2.0 * _LONGER) & (across < tip.radius + _LONGER)
+    some = np.arange(0, len(rays), max(1, len(rays) // _FOR_RANKING))
+    misfit = misfits(rays.select(some), mine[some], tubes)
+    best = int(np.argmin(misfit))
+    return _Candidate(tubes[best], rays, np.asarray(mine), float(misfit[best]))
+
+
+def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
+    """Drop those that are nearly like a better one."""
+    kept: list[_Candidate] = []
+    for candidate in candidates:
+        apart = [np.linalg.norm(candidate.tube.mouth - other.tube.mouth) for other in kept]
+        turned = [candidate.tube.axis @ other.tube.axis for other in kept]
+        if all(a > 0.04 or t < 0.75 for a, t in zip(apart, turned, strict=True)):
+            kept.append(candidate)
+    return kept
+
+
+def _fit(candidate: _Candidate) -> _Candidate:
+    """Fit the tube to its rays."""
+    tube = refine_tube(candidate.rays, candidate.mine, candidate.tube)
+    return replace(candidate, tube=tube, misfit=float(misfits(candidate.rays, candidate.mine, [tube])[0]))
+
+
+def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | None) -> bool:
+    """Return whether it opens upwards, and a board or the floor is about its foot: pots, buckets and tins do so."""
+    if tube.axis[2] < _UPRIGHT:
+        return False
+    if floor is not None and float(floor.above(tube.mouth[None])[0]) < _TALLEST:
+        return True
+    offset = points - tube.mouth
+    across = np.linalg.norm(offset[:, :2], axis=1)
+    low, high = _FOOT_ABOUT
+    about = (across > _COLLAR * tube.radius + low) & (across < _COLLAR * tube.radius + high)
+    about &= (offset[:, 2] > -_TALLEST) & (offset[:, 2] < -_NEAR_MOUTH)
+    layer = np.floor(-offset[about, 2] / _LAYER).astype(np.int64)
+    sector = np.floor(np.arctan2(offset[about, 1], offset[about, 0]) / np.pi * 0.5 * _N_SECTORS).astype(np.int64)
+    filled = np.unique(np.column_stack([layer, sector % _N_SECTORS]), axis=0)[:, 0]
+    return bool(len(filled) and np.bincount(filled).max() >= _LEAST_SECTORS)
+
+
+def _judge(index: SightIndex, candidate: _Candidate, is_hinted: bool) -> _End:
+    """Return a fitted tube, weighed, then settled by all rays about it."""
+    tube = candidate.tube
+    rays = index.passing(np.stack([tube.mouth, tube.mouth - STRAIGHT * tube.axis]), 1.2 * tube.radius + _BESIDE)
+    evidence = weigh_tube(rays, tube)
+    return _End(
+        settle_tube(rays, tube), candidate.misfit, evidence, _confidence(tube, candidate.misfit, evidence, is_hinted)
+    )
+
+
+def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bool) -> float:
+    """Return the product of: a solid wall, an opening that rays go into and nothing else in it, a wall all about it,
+    little that the tube does not explain, air beside it, depths that agree, a hose's radius, within reach.
+    """
+    unseen = 0.8 if is_hinted else 0.4
+    sure = rising(float(evidence.n_open), 6.0, 16.0) * rising(evidence.entering, 0.2, 0.35)
+    is_open = 0.0 if np.isnan(evidence.open) else rising(evidence.open, 0.5, 0.75)
+    would_show = 1.0 - np.exp(-max(evidence.n_hits, 1) / _TO_SHOW_ALL)
+    is_open *= rising(-evidence.stopped, -0.4, -0.2) * rising(evidence.round / would_show, *_ALL_ABOUT)
+    value = (
+        rising(evidence.solid, 0.6, 0.85)
+        * (sure * is_open + (1.0 - sure) * unseen)
+        * rising(evidence.round, *_HALF_ABOUT)
+        * rising(-evidence.stray, -0.12, -0.05)
+        * rising(-misfit, -5.5, -3.0)
+        * rising(evidence.air, 0.5, 0.85)
+        * rising(evidence.known, 0.0, 0.15)
+        * rising(-evidence.rms, -0.02, -0.016)
+        * rising(float(evidence.n_hits), 6.0, 20.0)
+        * rising(tube.radius, *_RADII[:2])
+        * rising(-tube.radius, -_RADII[3], -_RADII[2])
+        * rising(-float(tube.mouth[2]), -_HIGHEST - 0.2, -_HIGHEST)
+    )
+    return float(value**0.7 if is_hinted else value)
+
+
+def _as_detection(end: _End) -> Detection:
+    z, evidence = end.tube.axis, end.evidence
+    across, over = square_to(z)
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([across, over, z])
+    pose[:3, 3] = end.tube.mouth
+    residuals = {
+        "rms": evidence.rms,
+        "solid_share": evidence.solid,
+        "round_share": evidence.round,
+        "air_share": evidence.air,
+    }
+    if not np.isnan(evidence.open):
+        residuals["open_share"] = evidence.open
+    points = evidence.points[:: max(1, len(evidence.points) // _MOST_POINTS)]
+    return Detection("hose", pose, {"radius": end.tube.radius}, end.confidence, residuals, points)

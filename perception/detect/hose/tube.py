@@ -1,0 +1,325 @@
+"""Open ends of round tubes: how rays meet them, evidence for a fitted end, and its place by its own returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import least_squares, minimize
+from scipy.special import ndtr
+
+from costs.stopping import poll
+from perception.sightlines import Sightlines
+
+# How far behind its mouth an end is taken to be straight and without a collar [m].
+_MOST_EVALUATIONS = 260
+STRAIGHT = 0.055
+NEAR_WALL = 0.035
+_SIGMA_DEPTH = 0.01
+_SIGMA_EDGE = 0.005
+_WORST = 9.0
+# Usual changes of: tilts [rad], place [m], radius [m].
+_STEPS = np.array([0.15, 0.15, 0.012, 0.012, 0.012, 0.006])
+_LEAST_RADIUS = 0.008
+_SLOPE = 1e-4
+_INSIDE = 0.004
+_CORE = 0.7
+_DEEPER = 0.025
+_AIR = (0.01, 0.045)
+_STOPPED = 0.02
+_STRAY = 0.025
+_AHEAD = 0.03
+_N_SECTORS = 12
+_SIGMA_RANGE = 0.01
+_LEAST_SIGMA = 0.003
+_WALL = 0.009
+_BEHIND, _AHEAD_OF_MOUTH = 0.045, 0.03
+_SHIFTS = np.arange(-0.03, 0.0201, 0.001)
+_ON_RIM = np.array([0.02, 0.1, 0.2, 0.35, 0.5, 0.7])
+_STRAY_RETURN = 0.03
+_LEAST_HITS = 15
+# How far from the wall returns may lie in each round; of its thickness; of what a fit may change [m, rad].
+_ROUNDS = (0.014, 0.009, 0.009)
+_THICK = 0.003
+_LEAST_SIGMA_ACROSS = 0.002
+_SCATTERED, _MOST = 1.5, 3.0
+_AS_BEFORE = np.array([0.1, 0.1, 0.01, 0.01, 0.006])
+
+
+@dataclass(frozen=True)
+class Tube:
+    """The open end of a tube with a thin wall.
+
+    Attributes:
+        mouth: (3,) centre of the opening [m].
+        axis: (3,) unit, out of the opening.
+        radius: outer [m].
+    """
+
+    mouth: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    radius: float
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Meetings of rays with tubes; leading axis: the tubes.
+
+    Attributes:
+        on: the ray meets the outside of the wall.
+        into: it goes in through the mouth.
+        through: it goes in, and as deep as the end is known to be straight.
+        depth: along it to the wall, or to as deep as that, or to where it passes nearest [m].
+        plane: along it to the mouth's plane [m].
+        outside: how far from the tube it passes; negative: how far inside the outline it meets it [m].
+        along: place on the axis of ``depth``, from the mouth outwards [m].
+        across: how far from the axis it crosses the mouth's plane [m].
+    """
+
+    on: Bool[np.ndarray, "B N"]
+    into: Bool[np.ndarray, "B N"]
+    through: Bool[np.ndarray, "B N"]
+    depth: Float[np.ndarray, "B N"]
+    plane: Float[np.ndarray, "B N"]
+    outside: Float[np.ndarray, "B N"]
+    along: Float[np.ndarray, "B N"]
+    across: Float[np.ndarray, "B N"]
+
+
+def meet_tubes(rays: Sightlines, tubes: Sequence[Tube]) -> Meeting:
+    """Return how each ray meets each tube."""
+    poll()
+    mouth, axis = np.stack([tube.mouth for tube in tubes]), np.stack([tube.axis for tube in tubes])
+    radius = np.array([tube.radius for tube in tubes])[:, None]
+    start = rays.start[None] - mouth[:, None]
+    rise = np.einsum("bnk,bk->bn", start, axis)
+    slope = axis @ rays.direction.T
+    square = np.maximum(1.0 - slope**2, _SLOPE)
+    lean = np.einsum("bnk,nk->bn", start, rays.direction) - rise * slope
+    middle = -lean / square
+    side = np.sqrt(np.maximum(np.einsum("bnk,bnk->bn", start, start) - rise**2 - lean**2 / square, 0.0))
+    half = np.sqrt(np.maximum(radius**2 - side**2, 0.0) / square)
+    first, last = rise + (middle - half) * slope, rise + (middle + half) * slope
+    in_line = side < radius
+    on = in_line & (first <= 0.0)
+    into = in_line & (first > 0.0) & (last <= 0.0)
+    steep = np.where(np.abs(slope) < _SLOPE, -_SLOPE, slope)
+    plane, bottom = -rise / steep, -(rise + STRAIGHT) / steep
+    through = into & (bottom < middle + half)
+    depth = np.where(on, middle - half, np.where(through, bottom, np.where(into, middle + half, middle)))
+    # A ray before the mouth is as far from it as it would have to be moved along the axis to meet the rim.
+    square_root = np.sqrt(square)
+    before = np.minimum(np.abs(first), np.abs(last)) * square_root
+    outside = np.where(in_line, np.where(on | into, -np.minimum(radius - side, before), before), side - radius)
+    across = np.sqrt(square * (plane - middle) ** 2 + side**2)
+    return Meeting(on, into, through, depth, plane, outside, rise + depth * slope, across)
+
+
+def misfits(rays: Sightlines, mine: Bool[np.ndarray, "N"], tubes: Sequence[Tube]) -> Float[np.ndarray, "B"]:
+    """Return how badly each tube explains rays about its mouth: squared residuals, none worse than three deviations,
+    for each ray that should meet it.
+
+    What should end on the wall, outside or inside, should end at its depth; what goes in deep may end anywhere deeper.
+
+    Args:
+        rays: that pass near the mouth.
+        mine: those that ended on what is to be explained: they should meet the tube.
+        tubes: which are to explain it.
+    """
+    met = meet_tubes(rays, tubes)
+    gap = rays.length - met.depth
+    edge = (met.outside / _SIGMA_EDGE) ** 2
+    ends = (np.where(met.through, np.minimum(gap, 0.0), gap) / _SIGMA_DEPTH) ** 2
+    radius = np.array([tube.radius for tube in tubes])[:, None]
+    to_rim = ((radius - met.across) / _SIGMA_EDGE) ** 2
+    explained = np.where(met.through, to_rim, np.where(met.on | met.into, ends, ends + edge))
+    other = np.where(met.on | met.into, np.minimum(ends, edge), 0.0)
+    each = np.minimum(np.where(mine, explained, other), _WORST)
+    counts = mine | ((met.along > -STRAIGHT - 1e-9) & (gap > -2.0 * NEAR_WALL))
+    return np.asarray(np.where(counts, each, 0.0).sum(axis=1) / max(1, int(mine.sum())))
+
+
+def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube) -> Tube:
+    """Return the tube of least misfit near one (Nelder and Mead's simplex)."""
+    across, over = square_to(tube.axis)
+
+    def moved(change: Float[np.ndarray, "6"]) -> Tube:
+        axis = tube.axis + change[0] * across + change[1] * over
+        return Tube(tube.mouth + change[2:5], axis / np.linalg.norm(axis), max(tube.radius + change[5], _LEAST_RADIUS))
+
+    def misfit(change: Float[np.ndarray, "6"]) -> float:
+        return float(misfits(rays, mine, [moved(change)])[0])
+
+    simplex = np.concatenate([np.zeros((1, 6)), np.diag(_STEPS)])
+    best = minimize(
+        misfit,
+        np.zeros(6),
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": _MOST_EVALUATIONS, "xatol": 5e-4, "fatol": 1e-4},
+    )
+    return moved(best.x)
+
+
+def square_to(axis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Return two unit directions square to an axis and to each other."""
+    helper = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.8 else np.array([0.0, 1.0, 0.0])
+    across = np.cross(helper, axis)
+    across /= np.linalg.norm(across)
+    return across, np.cross(axis, across)
+
+
+@dataclass(frozen=True)
+class TubeEvidence:
+    """Evidence for a tube's end.
+
+    Attributes:
+        n_hits: rays that ended on its wall, outside or inside.
+        solid: share of them among the rays that should.
+        open: share of rays at the middle of the mouth that went on behind it; NaN when there are none.
+        n_open: how many rays that rests on.
+        round: share of the directions about the axis in which its wall was seen: more rays ended on it than passed.
+        entering: share of the rays that go into the mouth among those that meet the end.
+        stopped: share of the rays that go into the mouth which ended before they could have met a tube's inside.
+        stray: share of what ended about the end that lies off the wall.
+        air: share of the directions in which rays just beside its end went on behind it, of those known.
+        known: share of the directions of which that is known.
+        rms: of the depths of its hits [m].
+        points: (K, 3) where they ended [m].
+    """
+
+    n_hits: int
+    solid: float
+    open: float
+    n_open: int
+    round: float
+    entering: float
+    stopped: float
+    stray: float
+    air: float
+    known: float
+    rms: float
+    points: Float[np.ndarray, "K 3"]
+
+
+def weigh_tube(rays: Sightlines, tube: Tube) -> TubeEvidence:
+    """Count rays on, into and beside the end."""
+    met = meet_tubes(rays, [tube])
+    on, into, through = met.on[0], met.into[0], met.through[0]
+    gap = rays.length - met.depth[0]
+    arrives = gap > -NEAR_WALL
+    straight = met.along[0] > -STRAIGHT
+    should = (on | (into & ~through)) & arrives & straight
+    hits = should & (gap < NEAR_WALL)
+    clear = should & (met.outside[0] < -_INSIDE)
+    core = into & (met.across[0] < _CORE * tube.radius) & (rays.length > met.plane[0] - NEAR_WALL)
+    deeper = rays.length > met.plane[0] + _DEEPER
+    inward = into & (rays.length > met.plane[0] - NEAR_WALL)
+    beside = ~on & ~into & (met.outside[0] > _AIR[0]) & (met.outside[0] < _AIR[1]) & straight & arrives
+    sector = _sectors(rays, tube, met.depth[0])
+    free, full = (
+        np.bincount(sector[beside & mask], minlength=_N_SECTORS) for mask in (gap > NEAR_WALL, gap < NEAR_WALL)
+    )
+    known = free + full > 0
+    there, missing = (np.bincount(sector[mask], minlength=_N_SECTORS) for mask in (hits, clear & ~hits))
+    return TubeEvidence(
+        int(hits.sum()),
+        float(hits[clear].mean()) if clear.any() else 0.0,
+        float(deeper[core].mean()) if core.any() else float("nan"),
+        int(core.sum()),
+        float((there > missing).mean()),
+        float(inward.sum() / max(1, (inward | should).sum())),
+        float((gap < -_STOPPED)[inward].mean()) if inward.any() else 1.0,
+        _stray_share(rays, tube),
+        float((free > full)[known].mean()) if known.any() else 0.0,
+        float(known.mean()),
+        float(np.sqrt(np.mean(gap[hits] ** 2))) if hits.any() else float("inf"),
+        rays.ends[hits],
+    )
+
+
+def _stray_share(rays: Sightlines, tube: Tube) -> float:
+    """Return, of the rays that ended beside the axis, how many ended neither near the wall nor deep inside."""
+    offset = rays.ends - tube.mouth
+    along = offset @ tube.axis
+    across = np.linalg.norm(offset - along[:, None] * tube.axis, axis=1)
+    about = (along > -STRAIGHT) & (along < _AHEAD) & (across < tube.radius + _AHEAD)
+    return float((np.abs(across - tube.radius) > _STRAY)[about].mean()) if about.any() else 1.0
+
+
+def _sectors(rays: Sightlines, tube: Tube, depth: Float[np.ndarray, "N"]) -> np.ndarray:
+    """Return in which direction about the axis each ray is at a depth along it."""
+    across, over = square_to(tube.axis)
+    offset = rays.start + depth[:, None] * rays.direction - tube.mouth
+    angle = np.arctan2(offset @ over, offset @ across) / (2.0 * np.pi) % 1.0
+    return np.asarray((angle * _N_SECTORS).astype(np.int64) % _N_SECTORS)
+
+
+def settle_tube(rays: Sightlines, tube: Tube) -> Tube:
+    """Return the tube of least squares through the returns from its wall, as long as they most likely go.
+
+    Args:
+        rays: all that pass its end.
+        tube: near it.
+    """
+    for near in _ROUNDS:
+        tube = settle_mouth(rays, _through_returns(rays, tube, near))
+    return tube
+
+
+def _through_returns(rays: Sightlines, tube: Tube, near: float) -> Tube:
+    """Return the tube turned, moved aside and widened to lie through the returns near its wall, each as sure as its ray
+    is along the wall; those on its inside lie deeper than those on its outside.
+    """
+    across, over = square_to(tube.axis)
+    ends = rays.ends - tube.mouth
+    place = ends @ np.column_stack([across, over, tube.axis])
+    way = rays.direction @ np.column_stack([across, over, tube.axis])
+    reach = np.hypot(place[:, 0], place[:, 1])
+    radial = (place[:, :2] * way[:, :2]).sum(axis=1) / np.maximum(reach, 1e-6)
+    sigma = np.hypot(_SIGMA_RANGE * radial, _LEAST_SIGMA_ACROSS)
+    mine = np.abs(reach - tube.radius) < near + _SCATTERED * sigma
+    mine &= (place[:, 2] > -_BEHIND) & (place[:, 2] < 0.5 * _AHEAD_OF_MOUTH)
+    if mine.sum() < _LEAST_HITS:
+        return tube
+    place, radial, sigma = place[mine], radial[mine], sigma[mine]
+    depth = np.where(radial > 0.0, _THICK, 0.0)
+
+    def residuals(change: Float[np.ndarray, "5"]) -> Float[np.ndarray, "K"]:
+        aside = place[:, :2] - change[2:4] - place[:, 2:] * change[:2]
+        return np.asarray((np.hypot(aside[:, 0], aside[:, 1]) - tube.radius - change[4] + depth) / sigma)
+
+    def with_prior(change: Float[np.ndarray, "5"]) -> Float[np.ndarray, "L"]:
+        # Returns on one side alone leave some changes open: those stay small.
+        return np.concatenate([residuals(change), change / _AS_BEFORE])
+
+    change = least_squares(with_prior, np.zeros(5), loss="soft_l1", max_nfev=30).x
+    if (np.abs(change) > _MOST * _AS_BEFORE).any():
+        return tube
+    axis = tube.axis + change[0] * across + change[1] * over
+    mouth = tube.mouth + change[2] * across + change[3] * over
+    return Tube(mouth, axis / np.linalg.norm(axis), tube.radius + float(change[4]))
+
+
+def settle_mouth(rays: Sightlines, tube: Tube) -> Tube:
+    """Return the tube moved along its axis to where its returns most likely end.
+
+    Looked into, range noise carries returns of wall and rim beyond the mouth; a tube that reaches as far as they do
+    would be too long.  Returns are taken to spread evenly over the wall, with some on the rim and few anywhere.
+    """
+    offset = rays.ends - tube.mouth
+    along = offset @ tube.axis
+    across = np.linalg.norm(offset - along[:, None] * tube.axis, axis=1)
+    mine = (np.abs(across - tube.radius) < _WALL) & (along > -_BEHIND) & (along < _AHEAD_OF_MOUTH)
+    if mine.sum() < _LEAST_HITS:
+        return tube
+    place = along[mine]
+    sigma = np.maximum(np.abs(rays.direction[mine] @ tube.axis) * _SIGMA_RANGE, _LEAST_SIGMA)
+    z = (_SHIFTS[:, None] - place) / sigma
+    wall = ndtr(z) / (_BEHIND + _SHIFTS[:, None])
+    rim = np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * sigma)
+    stray = _STRAY_RETURN / (_BEHIND + _AHEAD_OF_MOUTH)
+    share = _ON_RIM[:, None, None]
+    likelihood = np.log((1.0 - _STRAY_RETURN) * (share * rim + (1.0 - share) * wall) + stray).sum(axis=2).max(axis=0)
+    return replace(tube, mouth=tube.mouth + float(_SHIFTS[np.argmax(likelihood)]) * tube.axis)

@@ -1,0 +1,256 @@
+"""Detection of button panels: small faces that stand free, with round things that stand out of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from threadpoolctl import threadpool_limits
+
+from perception.detect.panel.relief import Disc, find_discs
+from perception.detect.shared.arithmetic import rising
+from perception.detect.shared.detection import Detection
+from perception.detect.shared.faces import Face, FaceRays, FacesInSight, face_rays, fit_face
+from perception.sightlines import SightIndex
+from perception.view import View
+
+_SIZES = (0.07, 0.7)
+_LEAST_GAIN = 13.0
+_FAINT = 0.03
+_LARGEST, _BETWEEN, _NEIGHBOURS = 0.05, 0.004, 0.05
+_FEWEST_BETWEEN = 3
+_LEAST_CLEAR = 0.6
+_CLEAR_OF_NOISE = (0.7, 1.1)
+_HEIGHTS = (0.005, 0.06)
+_BESIDE = 0.08
+_BEHIND, _ONWARD = 0.025, 0.05
+_WITHIN = 0.008
+_CLOSED = (0.85, 0.95)
+_REPORTED = 0.05
+_SAME_DEPTH = 0.1
+_ROUNDS = 3
+_COLLAR = 0.01
+_SMEAR = 0.1
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """Edges of a face: corners, and the sides of its four on which rays went past."""
+
+    low: Float[np.ndarray, "2"]
+    high: Float[np.ndarray, "2"]
+    seen: tuple[bool, bool, bool, bool]
+
+
+def detect_panel(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInSight) -> list[Detection]:
+    """Find button panels, best first; origin the centre of the front face, z its normal to the sensor, y up.
+
+    A button is claimed where the scan shows a round relief of 5 mm or more that its noise does not explain.
+
+    Args:
+        view: the scan, made ready.
+        hint: (3,) a point near the panel; fewer of its edges need be seen then [m].
+        seen: faces of the view near the hint.
+    """
+    if not len(view.obstacles):
+        return []
+    with threadpool_limits(limits=1, user_api="blas"):
+        examined = [_examine(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
+    panels = [panel for panel in examined if panel is not None and panel.confidence >= _REPORTED]
+    # Of faces askew and straight through the same panel, both sure, the flatter one is it.
+    return _drop_duplicates(sorted(panels, key=lambda panel: (-round(panel.confidence, 2), panel.residuals["sigma"])))
+
+
+def _drop_duplicates(panels: list[Detection]) -> list[Detection]:
+    """Drop those whose centre lies on a surer one: noise may make two faces of one."""
+    kept: list[Detection] = []
+    for panel in panels:
+        centre = panel.pose_world_object[:3, 3]
+        if not any(_covers(other, centre) for other in kept):
+            kept.append(panel)
+    return kept
+
+
+def _covers(panel: Detection, place: Float[np.ndarray, "3"]) -> bool:
+    """Return whether a place lies on a panel or a hand's breadth before or behind it."""
+    local = panel.pose_world_object[:3, :3].T @ (place - panel.pose_world_object[:3, 3])
+    half = 0.5 * np.array([panel.sizes["width"], panel.sizes["height"], 2.0 * _SAME_DEPTH])
+    return bool((np.abs(local) < half).all())
+
+
+def _is_panel_sized(face: Face) -> bool:
+    return bool(face.size.min() > _SIZES[0] and face.size.max() < _SIZES[1])
+
+
+def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None:
+    """Return edges and buttons of a face; None when nothing stands out of it."""
+    edges, relief, ends = _Edges(face.low, face.high, (False,) * 4), list[Disc](), np.zeros((0, 3))
+    closed = 0.0
+    for k in range(_ROUNDS):
+        if k > 0:
+            # Buttons pull at the plane of a small face: it is fitted anew without them while that makes it flatter.
+            again = fit_face(face, ends[_bare(edges, relief, ends)])
+            if again is None or again.sigma > face.sigma:
+                break
+            face = again
+        seen = face_rays(face, index, _BESIDE)
+        edges = _edges(face, seen)
+        size = edges.high - edges.low
+        if size.min() < _SIZES[0] or size.max() > _SIZES[1]:
+            return None
+        ends = seen.ends[((seen.ends[:, :2] > edges.low) & (seen.ends[:, :2] < edges.high)).all(axis=1)]
+        relief, closed = _discs(face, edges, ends), _closed_share(face, edges, seen)
+    # What is much lower than the noise is a face not quite flat, however many points say so.
+    discs = [disc for disc in relief if disc.height > _LEAST_CLEAR * face.sigma]
+    buttons = [disc for disc in discs if _is_button(disc) and _stands_alone(disc, discs, ends)]
+    if not buttons:
+        return None
+    return _as_detection(face, edges, buttons, len(discs) - len(buttons), closed, ends, is_hinted)
+
+
+def _closed_share(face: Face, edges: _Edges, seen: FaceRays) -> float:
+    """Return, of the rays that cross the face well within its edges, how many went no further: a panel has no gaps,
+    while a plane through a few parts of something else has air between them.
+    """
+    within = ((seen.at > edges.low + _WITHIN) & (seen.at < edges.high - _WITHIN)).all(axis=1)
+    past = _went_past(face, seen)[within]
+    return float(1.0 - past.mean()) if len(past) else 0.0
+
+
+def _went_past(face: Face, seen: FaceRays) -> Bool[np.ndarray, "N"]:
+    """Return which rays went on behind the face: those that graze it get far behind its edge without getting deep."""
+    slope = -(seen.rays.direction @ face.frame[2])
+    return np.asarray(seen.ends[:, 2] < -np.maximum(3.0 * face.sigma, np.minimum(_BEHIND, _ONWARD * slope)))
+
+
+def _discs(face: Face, edges: _Edges, ends: Float[np.ndarray, "K 3"]) -> list[Disc]:
+    """Return what stands out of a face, without what is too faint beside the clearest or part of a clearer one."""
+    kept = ends[(ends[:, 2] > -3.0 * face.sigma) & (ends[:, 2] < _HEIGHTS[1] + 0.05)]
+    kept = np.column_stack([kept[:, :2], np.minimum(kept[:, 2], _HEIGHTS[1])])
+    discs = find_discs(kept, edges.low, edges.high, face.sigma, _LEAST_GAIN)
+    clearest = max((disc.gain for disc in discs), default=0.0)
+    discs = [disc for disc in discs if disc.gain > _FAINT * clearest]
+    return [disc for disc in discs if not any(_is_smear(disc, other) for other in discs)]
+
+
+def _is_smear(disc: Disc, of: Disc) -> bool:
+    """Return whether a relief is but what rays that met a clearer one's edge and the face behind it left beside it."""
+    touches = np.linalg.norm(of.centre - disc.centre) < of.radius + disc.radius
+    return bool(touches and disc.gain < _SMEAR * of.gain and disc.height < 0.5 * of.height)
+
+
+def _bare(edges: _Edges, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> Bool[np.ndarray, "K"]:
+    """Return which ends lie outside of all discs, and not at an edge where rays met the sides."""
+    outside = ((ends[:, :2] > edges.low + _COLLAR) & (ends[:, :2] < edges.high - _COLLAR)).all(axis=1)
+    for disc in discs:
+        outside &= np.linalg.norm(ends[:, :2] - disc.centre, axis=1) > disc.radius + _COLLAR
+    return np.asarray(outside)
+
+
+def _is_button(disc: Disc) -> bool:
+    return bool(
+        _HEIGHTS[0] <= disc.height < 0.9 * _HEIGHTS[1]
+        and disc.radius < _LARGEST
+        and disc.roundness > 0.5
+        and disc.around < 0.4
+    )
+
+
+def _stands_alone(disc: Disc, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> bool:
+    """Return whether the face was seen between it and any other relief, so that they are no parts of one larger
+    thing.
+    """
+    return all(other is disc or _is_apart(disc, other, ends) for other in discs)
+
+
+def _is_apart(disc: Disc, other: Disc, ends: Float[np.ndarray, "K 3"]) -> bool:
+    way = other.centre - disc.centre
+    apart = float(np.linalg.norm(way))
+    gap = apart - disc.radius - other.radius
+    if not _BETWEEN < gap < _NEIGHBOURS:
+        return gap >= _NEIGHBOURS
+    offset = ends[:, :2] - disc.centre
+    along, aside = offset @ way / apart, np.abs(offset @ np.array([-way[1], way[0]])) / apart
+    height = ends[(along > disc.radius) & (along < apart - other.radius) & (aside < min(disc.radius, other.radius)), 2]
+    return bool(len(height) >= _FEWEST_BETWEEN and np.median(height) < 0.5 * min(disc.height, other.height))
+
+
+def _edges(face: Face, seen: FaceRays) -> _Edges:
+    """Move each side to where rays that ended on the face give way to rays that went past it."""
+    low, high, known = face.low.copy(), face.high.copy(), []
+    on = np.abs(seen.ends[:, 2]) < max(3.0 * face.sigma, 0.02)
+    past = _went_past(face, seen)
+    for i in (0, 1):
+        across = 1 - i
+        middle = (seen.at[:, across] > 0.85 * low[across] + 0.15 * high[across]) & (
+            seen.at[:, across] < 0.15 * low[across] + 0.85 * high[across]
+        )
+        centre = 0.5 * (low[i] + high[i])
+        ends = []
+        for sign in (-1.0, 1.0):
+            # What ended on the side beside the face, near enough to count as the face, ended at its edge.
+            met, crossed = (sign * (where[:, i] - centre) for where in (seen.ends, seen.at))
+            edge, is_seen = _edge(met[middle & on & (met > 0)], crossed[middle & past & (crossed > 0)])
+            ends.append(centre + sign * edge)
+            known.append(is_seen)
+        low[i], high[i] = ends
+    return _Edges(low, high, (known[0], known[1], known[2], known[3]))
+
+
+def _edge(hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"]) -> tuple[float, bool]:
+    """Return the distance that parts hits from passes with the fewest on the wrong side, and whether passes follow."""
+    if not len(hits):
+        return 0.0, False
+    if not len(passes):
+        return float(np.percentile(hits, 99)), False
+    places = np.sort(np.concatenate([hits, passes]))
+    ordered_hits, ordered_passes = np.sort(hits), np.sort(passes)
+    wrong = len(hits) - np.searchsorted(ordered_hits, places, side="right")
+    wrong = wrong + np.searchsorted(ordered_passes, places, side="right")
+    i = int(np.argmin(wrong))
+    beyond = passes[(passes > places[i]) & (passes < places[i] + _BESIDE)]
+    return float(places[i]), len(beyond) >= 3
+
+
+def _as_detection(
+    face: Face,
+    edges: _Edges,
+    buttons: list[Disc],
+    n_other: int,
+    closed: float,
+    ends: Float[np.ndarray, "K 3"],
+    is_hinted: bool,
+) -> Detection:
+    """Return a confidence that rises with more edges seen, clearer buttons, no gaps in the face, and nothing else that
+    stands out.
+    """
+    middle = 0.5 * (edges.low + edges.high)
+    pose = np.eye(4)
+    pose[:3, :3] = face.frame.T
+    pose[:3, 3] = face.world(np.append(middle, 0.0)[None])[0]
+    size = edges.high - edges.low
+    sizes = {"width": float(size[0]), "height": float(size[1]), "n_buttons": float(len(buttons))}
+    for i, disc in enumerate(sorted(buttons, key=lambda disc: (-disc.centre[1], disc.centre[0]))):
+        x, y = disc.centre - middle
+        sizes |= {f"button_{i}_x": float(x), f"button_{i}_y": float(y), f"button_{i}_radius": disc.radius}
+    n_seen = sum(edges.seen)
+    confidence = (
+        rising(float(n_seen), 0.0 if is_hinted else 2.2, 3.0 if is_hinted else 4.0)
+        * rising(min(disc.gain for disc in buttons), _LEAST_GAIN, 2.5 * _LEAST_GAIN)
+        * rising(float(np.mean([disc.roundness for disc in buttons])), 0.6, 0.8)
+        * rising(-float(size.max()), -_SIZES[1], -0.6)
+        * rising(min(disc.height for disc in buttons) / face.sigma, *_CLEAR_OF_NOISE)
+        * rising(closed, *_CLOSED)
+        * 0.4 ** min(n_other, 3)
+    )
+    residuals = {
+        "sigma": face.sigma,
+        "relief": float(np.mean([disc.height for disc in buttons])),
+        "n_edges_seen": float(n_seen),
+        "closed_share": closed,
+        "least_gain_ratio": min(disc.gain for disc in buttons),
+        "n_others": float(n_other),
+    }
+    points = face.world(ends[:: max(1, len(ends) // 300)])
+    return Detection("panel", pose, sizes, float(confidence), residuals, points)

@@ -1,0 +1,299 @@
+"""Least-squares fit of bars to rays that hit and rays that passed.
+
+A scanner's noise lies along its rays, so two things enter the fit: the depth of the hits, and for hits and passes the
+side of the outline they are on.  Several bars are fitted to the same rays at once in one Levenberg-Marquardt loop: a
+detector tries a handful of sizes and turns at each place, and for all of them numpy takes little longer than for one
+(scipy's solver, called for each, took four times as long).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from costs.stopping import poll
+from perception.detect.shared.arithmetic import cross
+from perception.detect.shared.bars import (
+    LEAST_SLOPE,
+    SIGMA_DEPTH,
+    SIGMA_EDGE,
+    Bar,
+    Section,
+    SurroundingRays,
+    cross_bars,
+    sort_rays,
+)
+from perception.sightlines import Sightlines
+
+_STEPS = 6  # of the solver in each round
+_AROUND = 0.04
+SIGMA_USUAL = 0.004
+_SMALLEST, _LARGEST = 0.006, 0.12
+# Usual changes of: tilts [rad], place across [m], half sizes [m], turn [rad].
+_SCALE = np.array([0.02, 0.02, 0.005, 0.005, 0.005, 0.005, 0.1])
+_LARGEST_STEP = np.array([0.15, 0.15, 0.03, 0.03, 0.02, 0.02, 0.4])
+_FIRST_DAMPING = 1e-2
+_SLACK = 0.03
+
+
+@dataclass(frozen=True)
+class BarFit:
+    """A fitted bar.
+
+    Attributes:
+        bar: with the ends it was given.
+        usual: the half sizes it was drawn towards [m].
+        spread: standard deviations of tilt [rad] and place across [m], the larger of each two, by the residuals'
+            curvature.
+    """
+
+    bar: Bar
+    usual: tuple[float, float]
+    spread: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _State:
+    """Several bars as arrays: frames (B, 3, 3), centres (B, 3) [m], half sizes (B, 2) [m]."""
+
+    frames: Float[np.ndarray, "B 3 3"]
+    centres: Float[np.ndarray, "B 3"]
+    halves: Float[np.ndarray, "B 2"]
+
+
+def fit_bars(
+    rays: SurroundingRays,
+    starts: Sequence[tuple[Bar, tuple[float, float]]],
+    most_rays: int = 500,
+    n_rounds: int = 2,
+) -> list[BarFit]:
+    """Refine axis, place, turn and size of bars of one section; the ends stay.
+
+    Args:
+        rays: that pass near the bars.
+        starts: bars, and for each the half sizes it is likely to have: what is not seen is taken from them.
+        most_rays: more are thinned.
+        n_rounds: which rays are hits is decided anew in each.
+    """
+    if not starts:
+        return []
+    bars, usual = [_centre(bar) for bar, _ in starts], np.array([half for _, half in starts])
+    for _ in range(n_rounds):
+        bars, spreads = _solve(rays, bars, usual, most_rays)
+    return [BarFit(bar, half, spread) for bar, (_, half), spread in zip(bars, starts, spreads, strict=True)]
+
+
+def _centre(bar: Bar) -> Bar:
+    """Count its ends from its middle, about which it is tilted."""
+    half = 0.5 * bar.length
+    return Bar(bar.frame, bar.middle, bar.half, -half, half, bar.section)
+
+
+def _solve(
+    rays: SurroundingRays, bars: list[Bar], usual: Float[np.ndarray, "B 2"], most: int
+) -> tuple[list[Bar], list[tuple[float, float]]]:
+    """Return the bars of least robust (soft l1) squared residuals, and the spread of what was fitted."""
+    section = bars[0].section
+    n = 5 if section == "round" else 7
+    chosen, hit, counts = _relevant(rays, bars, most)
+    halves = np.array([bar.half for bar in bars])
+    state = _State(np.stack([bar.frame for bar in bars]), np.stack([bar.centre for bar in bars]), halves)
+    best, cost = state, np.full(len(bars), np.inf)
+    gradient, curvature = np.zeros((len(bars), n)), np.zeros((len(bars), n, n))
+    damping = np.full(len(bars), _FIRST_DAMPING)
+    for step in range(_STEPS + 1):
+        residuals, jacobian = _linearize(chosen, hit, counts, state, usual, section)
+        root = np.sqrt(1.0 + residuals**2)
+        now = 2.0 * (root - 1.0).sum(axis=1)
+        better = now < cost
+        weighted = jacobian / root[:, None]
+        gradient = np.where(better[:, None], np.einsum("bnm,bm->bn", weighted, residuals), gradient)
+        curvature = np.where(better[:, None, None], weighted @ jacobian.transpose(0, 2, 1), curvature)
+        best, cost = _chosen(better, state, best), np.where(better, now, cost)
+        if step == _STEPS:
+            break
+        damping = np.where(better, 0.3 * damping, 5.0 * damping)
+        change = _step(gradient, curvature, damping)
+        state = _move(best, change, section)
+    moved = [
+        replace(bar, frame=frame, centre=centre, half=(float(half[0]), float(half[1])))
+        for bar, frame, centre, half in zip(bars, best.frames, best.centres, best.halves, strict=True)
+    ]
+    return moved, _spreads(curvature)
+
+
+def _spreads(curvature: Float[np.ndarray, "B n n"]) -> list[tuple[float, float]]:
+    scale = _SCALE[: curvature.shape[1]]
+    inverse = np.linalg.inv(curvature * scale[:, None] * scale + 1e-6 * np.eye(len(scale)))
+    deviation = scale * np.sqrt(np.maximum(np.einsum("bnn->bn", inverse), 0.0))
+    return [(float(row[:2].max()), float(row[2:4].max())) for row in deviation]
+
+
+def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> tuple[float, float]:
+    """Return the standard deviations of tilt [rad] and place across [m] where rays just inside the outline and just
+    outside hold a bar as well.
+
+    A bar that all its rays agree with can move until one does not; the residuals' curvature says nothing of it.
+
+    Args:
+        rays: that pass near the bar.
+        fit: fitted to them.
+        most_rays: more are thinned.
+    """
+    bar = _centre(fit.bar)
+    chosen, hit, counts = _relevant(rays, [bar], most_rays)
+    state = _State(bar.frame[None], bar.centre[None], np.array([bar.half]))
+    residuals, jacobian = _linearize(chosen, hit, counts, state, np.array([fit.usual]), bar.section, _SLACK)
+    weighted = jacobian / np.sqrt(1.0 + residuals**2)[:, None]
+    return _spreads(weighted @ jacobian.transpose(0, 2, 1))[0]
+
+
+def _relevant(
+    rays: SurroundingRays, bars: list[Bar], most: int
+) -> tuple[Sightlines, Bool[np.ndarray, "B N"], Bool[np.ndarray, "B N"]]:
+    """Return rays that are a hit or a near pass of any bar, which are hits of each, and which count for each."""
+    crossing = cross_bars(rays, bars)
+    low, high = np.array([[bar.first, bar.last] for bar in bars]).T
+    between = (crossing.along >= low[:, None]) & (crossing.along <= high[:, None])
+    outcome = sort_rays(rays, crossing)
+    counts = between & (outcome.hit | (outcome.passed & (crossing.outside < _AROUND)))
+    keep = np.flatnonzero(counts.any(axis=0))
+    keep = keep[:: max(1, -(-len(keep) // most))]
+    return rays.select(keep), (outcome.hit & counts)[:, keep], counts[:, keep]
+
+
+def _step(
+    gradient: Float[np.ndarray, "B n"], curvature: Float[np.ndarray, "B n n"], damping: Float[np.ndarray, "B"]
+) -> Float[np.ndarray, "B n"]:
+    scale = _SCALE[: gradient.shape[1]]
+    scaled = curvature * scale[:, None] * scale
+    peak = np.maximum(np.einsum("bnn->bn", scaled).max(axis=1), 1e-9)
+    damped = scaled + (damping * peak)[:, None, None] * np.eye(len(scale))
+    step = -np.linalg.solve(damped, (gradient * scale)[:, :, None])[:, :, 0] * scale
+    return np.asarray(np.clip(step, -_LARGEST_STEP[: len(scale)], _LARGEST_STEP[: len(scale)]))
+
+
+def _chosen(these: Bool[np.ndarray, "B"], new: _State, old: _State) -> _State:
+    return _State(
+        np.where(these[:, None, None], new.frames, old.frames),
+        np.where(these[:, None], new.centres, old.centres),
+        np.where(these[:, None], new.halves, old.halves),
+    )
+
+
+def _move(state: _State, x: Float[np.ndarray, "B n"], section: Section) -> _State:
+    """Return the bars after a step: tilts (2), shift across (2), half sizes (2; 1 if round), turn (1)."""
+    e0, e1, e2 = (state.frames[:, i] for i in range(3))
+    axis = e0 + x[:, 0:1] * e1 + x[:, 1:2] * e2
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    turn = x[:, 6:7] if section == "box" else np.zeros((len(x), 1))
+    width = np.cos(turn) * e1 + np.sin(turn) * e2
+    width = width - (width * axis).sum(axis=1, keepdims=True) * axis
+    width /= np.linalg.norm(width, axis=1, keepdims=True)
+    centres = state.centres + x[:, 2:3] * e1 + x[:, 3:4] * e2
+    halves = np.clip(state.halves + (x[:, 4:6] if section == "box" else x[:, 4:5]), _SMALLEST, _LARGEST)
+    return _State(np.stack([axis, width, cross(axis, width)], axis=1), centres, halves)
+
+
+def _linearize(
+    rays: Sightlines,
+    hit: Bool[np.ndarray, "B N"],
+    counts: Bool[np.ndarray, "B N"],
+    state: _State,
+    usual: Float[np.ndarray, "B 2"],
+    section: Section,
+    slack: float = 0.0,
+) -> tuple[Float[np.ndarray, "B M"], Float[np.ndarray, "B n M"]]:
+    """Return residuals in standard deviations and their derivatives: depth of the hits, edge of hits and passes, and
+    what is usual of the sizes.
+
+    An edge on the right side of a ray has no residual; its derivative is given up to ``slack`` from the ray [m], in
+    units that grow with the distance.
+    """
+    poll()
+    start = state.frames @ rays.start.T - (state.frames @ state.centres[:, :, None])
+    way = state.frames @ rays.direction.T
+    p0, p1, p2 = start[:, 0], start[:, 1], start[:, 2]
+    d0, d1, d2 = way[:, 0], way[:, 1], way[:, 2]
+    speed = np.maximum(np.hypot(d1, d2), LEAST_SLOPE)
+    side = (d1 * p2 - d2 * p1) / speed
+    # How the ray moves in the bar's section for tilts, shifts and turn: changes of p1, p2, d1, d2.
+    unit, nil = np.ones_like(p0), np.zeros_like(p0)
+    moves = [(-p0, nil, -d0, nil), (nil, -p0, nil, -d0), (-unit, nil, nil, nil), (nil, -unit, nil, nil)]
+    if section == "box":
+        moves.append((p2, -p1, d2, -d1))
+    sign = np.sign(side)
+    half1, half2 = state.halves[:, :1], state.halves[:, 1:]
+    if section == "box":
+        reach = (np.abs(d2) * half1 + np.abs(d1) * half2) / speed
+        depth, slopes, by_half = _box_entry(p1, p2, d1, d2, side, reach, speed, half1, half2)
+    else:
+        reach = np.broadcast_to(half1, side.shape)
+        depth, slopes, by_half = _round_entry(p1, p2, d1, d2, side, reach, speed)
+    outside = np.abs(side) - reach
+    edge_sign = np.where(hit, 1.0, -1.0)
+    beyond = edge_sign * outside
+    edge_weight = (counts & (beyond > -slack)) / (SIGMA_EDGE + np.maximum(-beyond, 0.0))
+    by_depth, by_edge = [], []
+    for a1, a2, b1, b2 in moves:
+        by_depth.append(slopes[0] * a1 + slopes[1] * a2 + slopes[2] * b1 + slopes[3] * b2)
+        faster = (d1 * b1 + d2 * b2) / speed**2
+        moved_side = (b1 * p2 + d1 * a2 - b2 * p1 - d2 * a1) / speed - side * faster
+        moved_reach = nil
+        if section == "box":
+            moved_reach = (np.sign(d2) * b2 * half1 + np.sign(d1) * b1 * half2) / speed - reach * faster
+        by_edge.append(sign * moved_side - moved_reach)
+    sizes_edge = [-np.abs(d2) / speed, -np.abs(d1) / speed] if section == "box" else [-unit]
+    # Order of the unknowns: tilts, shifts, sizes, turn.
+    depth_rows = np.stack([*by_depth[:4], *by_half, *by_depth[4:]], axis=1)
+    edge_rows = np.stack([*by_edge[:4], *sizes_edge, *by_edge[4:]], axis=1)
+    n = depth_rows.shape[1]
+    prior_rows = np.zeros((len(side), n, len(sizes_edge)))
+    prior_rows[:, np.arange(4, 4 + len(sizes_edge)), np.arange(len(sizes_edge))] = 1.0 / SIGMA_USUAL
+    weight = hit / SIGMA_DEPTH
+    residuals = [
+        (depth - rays.length) * weight,
+        edge_weight * np.maximum(beyond, 0.0),
+        (state.halves - usual)[:, : len(sizes_edge)] / SIGMA_USUAL,
+    ]
+    jacobian = [depth_rows * weight[:, None], edge_rows * (edge_sign * edge_weight)[:, None], prior_rows]
+    return np.concatenate(residuals, axis=1), np.concatenate(jacobian, axis=2)
+
+
+_Rows = Float[np.ndarray, "B N"]
+
+
+def _box_entry(
+    p1: _Rows, p2: _Rows, d1: _Rows, d2: _Rows, side: _Rows, reach: _Rows, speed: _Rows,
+    half1: Float[np.ndarray, "B 1"], half2: Float[np.ndarray, "B 1"],
+) -> tuple[_Rows, tuple[_Rows, _Rows, _Rows, _Rows], list[_Rows]]:  # fmt: skip
+    """Return the depth of the outline along each ray, its derivatives by p1, p2, d1, d2, and by the half sizes."""
+    excess = np.sign(side) * np.maximum(np.abs(side) - reach, 0.0) / speed
+    q1, q2 = p1 + d2 * excess, p2 - d1 * excess
+    s1, s2 = (np.where(np.abs(d) < 1e-4, np.copysign(1e-4, d), d) for d in (d1, d2))
+    t1 = (-np.sign(s1) * half1 - q1) / s1
+    t2 = (-np.sign(s2) * half2 - q2) / s2
+    first = t1 > t2
+    depth = np.where(first, t1, t2)
+    nil = np.zeros_like(depth)
+    inverse1, inverse2 = np.where(first, 1.0 / s1, nil), np.where(first, nil, 1.0 / s2)
+    slopes = (-inverse1, -inverse2, -depth * inverse1, -depth * inverse2)
+    return depth, slopes, [-np.abs(inverse1), -np.abs(inverse2)]
+
+
+def _round_entry(
+    p1: _Rows, p2: _Rows, d1: _Rows, d2: _Rows, side: _Rows, reach: _Rows, speed: _Rows
+) -> tuple[_Rows, tuple[_Rows, _Rows, _Rows, _Rows], list[_Rows]]:
+    """Return what :func:`_box_entry` returns, for a circle."""
+    inside = np.minimum(np.abs(side), 0.98 * reach)
+    chord = np.sqrt(reach**2 - inside**2)
+    depth = -(p1 * d1 + p2 * d2) / speed**2 - chord / speed
+    x1, x2 = p1 + depth * d1, p2 + depth * d2
+    # The place where the ray enters moves along it as the circle's normal there asks for.
+    slope = d1 * x1 + d2 * x2
+    slope = np.where(np.abs(slope) < 1e-6, -1e-6, slope)
+    slopes = (-x1 / slope, -x2 / slope, -depth * x1 / slope, -depth * x2 / slope)
+    return depth, slopes, [reach / slope]

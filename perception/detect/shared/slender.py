@@ -1,0 +1,110 @@
+"""Slender things in a cloud: points that may belong to one, places of slim ones, and middles of wide flat faces."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from costs.stopping import poll
+
+_MOST_WIDE = 0.5  # share of the second variance
+_CELL = 0.075
+_MOST_CELLS = 3_000_000
+_FLAT_WIDE, _FLAT_THICK = 0.25, 3e-4
+_SLIM, _SPREAD, _FEWEST = 0.3, 0.018, 5
+
+
+def is_slender(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Return points whose surroundings spread much more in one direction than in a second.
+
+    The second largest variance of the points in the 3 x 3 x 3 cells of 7.5 cm around a point is held against the
+    largest: 1 in the middle of a wall, 0.3 at its edge, below 0.25 on a board up to 15 cm wide.
+
+    Args:
+        points: (N, 3) thinned evenly [m].
+    """
+    variances = variances_about(points)
+    if variances is None:
+        return np.ones(len(points), dtype=bool)
+    return np.asarray(variances[:, 1] <= _MOST_WIDE * np.maximum(variances[:, 2], 1e-9))
+
+
+def is_flat(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Return points in the middle or near the edge of something wide and less than some 6 cm thick, noise included.
+
+    Args:
+        points: (N, 3) thinned evenly [m].
+    """
+    variances = variances_about(points)
+    if variances is None:
+        return np.zeros(len(points), dtype=bool)
+    return np.asarray((variances[:, 1] > _FLAT_WIDE * variances[:, 2]) & (variances[:, 0] < _FLAT_THICK))
+
+
+def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Float[np.ndarray, "N 3"] | None:
+    """Return variances of the points around each, from the least [m^2]; None where they are spread too far for a grid.
+
+    Args:
+        points: (N, 3) [m].
+        cell: the 3 x 3 x 3 cells of this size about a point are what is around it [m].
+    """
+    if not len(points):
+        return None
+    cells = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
+    shape = tuple(int(n) for n in cells.max(axis=0) + 1)
+    if np.prod(np.array(shape, dtype=float)) > _MOST_CELLS:
+        return None
+    flat = np.ravel_multi_index(tuple(cells.T), shape)
+    # Moments about the grid's middle, summed over the surroundings: count, sums, products.
+    local = points - points.mean(axis=0)
+    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+    terms = [np.ones(len(points)), *local.T, *(local[:, i] * local[:, j] for i, j in pairs)]
+    moments = np.stack([_around(flat, term, shape) for term in terms])
+    n = np.maximum(moments[0], 1.0)
+    mean = moments[1:4] / n
+    covariance = np.zeros((len(points), 3, 3))
+    for (i, j), products in zip(pairs, moments[4:], strict=True):
+        covariance[:, i, j] = covariance[:, j, i] = products / n - mean[i] * mean[j]
+    poll()
+    return np.asarray(np.linalg.eigvalsh(covariance))
+
+
+def _around(cell: np.ndarray, weight: Float[np.ndarray, "N"], shape: tuple[int, ...]) -> Float[np.ndarray, "N"]:
+    """Return the sum of the weights in the cells about each point's cell."""
+    poll()
+    total = np.bincount(cell, weight, minlength=int(np.prod(shape))).reshape(shape)
+    return np.asarray(ndimage.uniform_filter(total, size=3, mode="constant").reshape(-1)[cell] * 27.0)
+
+
+def slim_places(
+    points: Float[np.ndarray, "N 3"], tree: cKDTree, ball: float
+) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]]:
+    """Return points about which others spread in one direction only: their indices, and that direction.
+
+    Args:
+        points: (N, 3) thinned evenly [m].
+        tree: of them.
+        ball: radius about each within which others count [m].
+    """
+    poll()
+    pairs = tree.query_pairs(ball, output_type="ndarray")
+    n = len(points)
+    poll()
+    of, offset = pairs.T.reshape(-1), points[pairs[:, 1]] - points[pairs[:, 0]]
+    offset = np.concatenate([offset, -offset])
+    # With the point itself, whose offset is nought.
+    count = np.bincount(of, minlength=n) + 1.0
+    mean = np.stack([np.bincount(of, offset[:, i], n) for i in range(3)], axis=1) / count[:, None]
+    covariance = -mean[:, :, None] * mean[:, None, :]
+    poll()
+    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        poll()
+        second = np.bincount(of, offset[:, i] * offset[:, j], n) / count
+        covariance[:, i, j] += second
+        covariance[:, j, i] += second * (i != j)
+    poll()
+    variances, ways = np.linalg.eigh(covariance)
+    is_slim = (count >= _FEWEST) & (variances[:, 1] < _SLIM * variances[:, 2]) & (variances[:, 2] > _SPREAD**2)
+    return np.flatnonzero(is_slim), np.asarray(ways[is_slim, :, 2])

@@ -1,0 +1,1 @@
+"""Detection of valves: wheels and levers."""

@@ -1,0 +1,107 @@
+"""Foreground of a scan: the points that no large closed plane explains."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull, QhullError
+
+from perception.cleaning.clean import voxel_downsample, voxel_index
+from perception.convex.planes import Plane, PlaneSettings, find_planes
+from perception.sightlines import SightIndex, Sightlines, sight_index
+from perception.view import View
+
+_VOXEL = 0.03
+_WALL = PlaneSettings(min_size=0.45, min_points=150, max_planes=12, n_neighbours=20)
+_NEAR = 0.05
+_CLOSED = 0.6
+_MOST_RAYS = 40_000
+
+
+@dataclass(frozen=True)
+class Foreground:
+    """Points and rays that detectors of valves start from, made once for a view.
+
+    Attributes:
+        points: (N, 3) obstacle points that no wall explains [m].
+        index: all rays of the scan.
+        rng: as the search for walls left it.
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    index: SightIndex
+    rng: np.random.Generator
+
+    @staticmethod
+    def of(view: View) -> Foreground:
+        """Return the foreground of a scan made ready."""
+        rng = np.random.default_rng(view.seed)
+        index = sight_index(view.cloud)
+        return Foreground(view.obstacles[before_walls(view.obstacles, view.starts, index.rays, rng)], index, rng)
+
+    def near(self, hint: Float[np.ndarray, "3"] | None, radius: float) -> Float[np.ndarray, "M 3"]:
+        """Return the points within ``radius`` of a hint, all without one."""
+        return self.points if hint is None else self.points[np.linalg.norm(self.points - hint, axis=1) < radius]
+
+    def generator(self) -> np.random.Generator:
+        """Return a generator for hypotheses; each caller draws the same numbers."""
+        return deepcopy(self.rng)
+
+
+def before_walls(
+    points: Float[np.ndarray, "N 3"],
+    starts: Float[np.ndarray, "N 3"],
+    rays: Sightlines,
+    rng: np.random.Generator,
+) -> Bool[np.ndarray, "N"]:
+    """Return which points no large plane explains; planes are sought in large voxels, whose means scatter less.
+
+    A plane that most rays go through is none: a wheel, a fence and a heap have such planes.
+
+    Args:
+        points: (N, 3) without the floor [m].
+        starts: (N, 3) where their rays started [m].
+        rays: of the whole scan.
+        rng: for the planes.
+    """
+    if not len(points):
+        return np.zeros(0, dtype=bool)
+    voxel, n_voxels = voxel_index(points, _VOXEL)
+    means, counts = voxel_downsample(points, _VOXEL)
+    from_where, _ = _voxel_means(starts, voxel, n_voxels)
+    keep = np.ones(n_voxels, dtype=bool)
+    some = rays.thin(_MOST_RAYS)
+    for plane in find_planes(means, counts, from_where, rng, _WALL):
+        if closed_share(plane, means, some) > _CLOSED:
+            keep[plane.members] = keep[plane.noise] = False
+    return np.asarray(keep[voxel])
+
+
+def closed_share(plane: Plane, points: Float[np.ndarray, "N 3"], rays: Sightlines) -> float:
+    """Return how many of the rays that reach the plane within its outline end there, 0 to 1; 1 where none does."""
+    outline = points[plane.members] @ plane.basis.T
+    try:
+        edges = ConvexHull(outline).equations
+    except QhullError:
+        return 1.0
+    slope = rays.direction @ plane.normal
+    towards = slope < -0.05
+    crossing = (plane.offset - rays.start[towards] @ plane.normal) / slope[towards]
+    reaches = rays.length[towards] > crossing - _NEAR
+    crossing, direction = crossing[reaches], rays.direction[towards][reaches]
+    place = (rays.start[towards][reaches] + crossing[:, None] * direction) @ plane.basis.T
+    inside = (place @ edges[:, :2].T + edges[:, 2] <= 0.0).all(axis=1)
+    if not inside.any():
+        return 1.0
+    return float((rays.length[towards][reaches] - crossing < _NEAR)[inside].mean())
+
+
+def _voxel_means(
+    values: Float[np.ndarray, "N 3"], voxel: np.ndarray, n_voxels: int
+) -> tuple[Float[np.ndarray, "M 3"], np.ndarray]:
+    counts = np.bincount(voxel, minlength=n_voxels)
+    sums = np.stack([np.bincount(voxel, weights=values[:, i], minlength=n_voxels) for i in range(3)], axis=1)
+    return np.asarray(sums / counts[:, None]), counts

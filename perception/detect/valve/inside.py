@@ -1,0 +1,170 @@
+"""Inside of a wheel's rim: openings, spokes and hub, from the rays that ended there and those that went on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from perception.detect.valve.ring import Passage, Ring
+from perception.sightlines import Sightlines
+
+_DEPTH = 0.06
+_SPOKE_DEPTH = 0.04
+_IN_PLANE = 0.012
+_CORRIDOR = 0.005
+_STEP_DEG = 2.0
+_MOST_APART, _BETWEEN = 3, 0.25
+MIDDLE = 0.45  # of the rim's inner radius
+_FEWEST = 5
+
+
+@dataclass(frozen=True)
+class Inside:
+    """Openings, spokes and hub inside the rim.
+
+    Attributes:
+        spoke_angles: of the spokes [rad].
+        spoke_half_width: [m].
+        spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
+        spokes_known: whether rays are dense enough there to tell spokes from openings.
+        widest_spoke: angle of the widest solid part in the rim's plane [rad].
+        hub_radius: inside it nothing was seen through [m].
+        depth: lowest and highest place along the axis of what was seen inside the rim [m].
+        open_share: of the rays inside the rim, how many went on.
+        n_middle: rays that ended about the middle.
+        middle_share: of the rays about the middle, how many ended there.
+    """
+
+    spoke_angles: tuple[float, ...]
+    spoke_half_width: float
+    spoke_share: float
+    spokes_known: bool
+    widest_spoke: float
+    hub_radius: float
+    depth: tuple[float, float]
+    open_share: float
+    n_middle: int
+    middle_share: float
+
+
+@dataclass(frozen=True)
+class _Spokes:
+    angles: tuple[float, ...] = ()
+    half_width: float = 0.0
+    share: float = 0.0
+    known: bool = False
+    widest: float = 0.0
+
+
+def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
+    """Return openings, spokes and hub from which rays inside the rim ended at the wheel and which went on."""
+    distance = np.linalg.norm(passage.place, axis=1)
+    inner = ring.radius - ring.half_width
+    behind = rays.length - passage.crossing
+    solid, through = np.abs(behind) < _DEPTH, behind >= _DEPTH
+    known = (distance < inner - 0.004) & (solid | through)
+    if known.sum() < _FEWEST or inner <= 0.02:
+        return Inside((), 0.0, 0.0, False, 0.0, max(inner, 0.0), (-ring.half_depth, ring.half_depth), 0.0, 0, 0.0)
+    at_wheel = known & solid
+    depth = (-ring.half_depth, ring.half_depth)
+    if at_wheel.any():
+        low, high = np.percentile((rays.ends[at_wheel] - ring.centre) @ ring.axis, [4, 96])
+        depth = (float(low), float(high))
+    hub = _hub_radius(distance[known], solid[known], inner)
+    middle = known & (distance < MIDDLE * inner)
+    band = known & (distance > max(1.1 * hub, 0.45 * inner))
+    spacing = float(np.sqrt(np.pi * inner**2 / known.sum()))
+    spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 0.8 * spacing))
+    if not spokes.known:
+        # Scan lines may lie further apart than rays on them.
+        spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 1.3 * spacing))
+    return Inside(
+        spokes.angles,
+        spokes.half_width,
+        spokes.share,
+        spokes.known,
+        spokes.widest,
+        hub,
+        depth,
+        float((known & through).sum() / known.sum()),
+        int((middle & solid).sum()),
+        float((middle & solid).sum() / max(1, middle.sum())),
+    )
+
+
+def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], inner: float) -> float:
+    """Return the largest radius within which four fifths of the rays ended at the wheel."""
+    edges = np.linspace(0.0, inner, 13)[1:]
+    radius = 0.0
+    for low, high in zip(np.concatenate([[0.0], edges[:-1]]), edges, strict=True):
+        ring = (distance >= low) & (distance < high)
+        if ring.any() and solid[ring].mean() < 0.8:
+            break
+        radius = float(high)
+    return radius
+
+
+def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], corridor_half: float) -> _Spokes:
+    """Find spokes: a narrow corridor is turned about the axis; where most rays in it ended at the wheel there is one.
+
+    Args:
+        place: (N, 2) where rays cross the wheel between hub and rim [m].
+        behind: (N,) how far behind that place they ended [m].
+        corridor_half: half width of the corridor [m].
+    """
+    solid = np.abs(behind) < _SPOKE_DEPTH
+    angle = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
+    along = place @ np.stack([np.cos(angle), np.sin(angle)])
+    apart = np.abs(place @ np.stack([-np.sin(angle), np.cos(angle)]))
+    corridor = (along > 0.0) & (apart < corridor_half)
+    total = corridor.sum(axis=0)
+    known = bool((total < 2).mean() <= 0.2)
+    if not known or not solid.any():
+        return _Spokes(known=known)
+    hits = corridor[solid].sum(axis=0)
+    share = hits / np.maximum(total, 1)
+    # One or two mixed pixels make no spoke.
+    is_spoke = (share > 0.4) & (hits >= 3)
+    if is_spoke.all() or not is_spoke.any():
+        return _Spokes(known=True, widest=2.0 * np.pi * float(is_spoke.all()))
+    runs, start = _runs(is_spoke)
+    # What lies before or behind the rim's plane, as the end of a stem or the body below it, is no part of the wheel.
+    depth = corridor[solid].T @ behind[solid] / np.maximum(hits, 1)
+    in_plane, _ = _runs(is_spoke & (np.abs(depth) < _IN_PLANE))
+    whole = _rejoin(runs, np.roll(share, -start))
+    angles = []
+    for low, high in whole:
+        mine = (np.arange(low, high) + start) % len(angle)
+        mine = mine[is_spoke[mine]]
+        centre = np.sum(share[mine] * np.exp(1j * angle[mine]))
+        angles.append(float(np.angle(centre) % (2.0 * np.pi)))
+    lines = np.array(angles)
+    distance = np.abs(place[solid] @ np.stack([-np.sin(lines), np.cos(lines)]))
+    distance[place[solid] @ np.stack([np.cos(lines), np.sin(lines)]) <= 0.0] = np.inf
+    nearest = distance.min(axis=1)
+    explained = nearest < 2.0 * corridor_half + 0.01
+    half = float(np.percentile(nearest[explained], 90)) if explained.any() else 0.0
+    widest = float(np.radians(_STEP_DEG) * (in_plane[:, 1] - in_plane[:, 0]).max(initial=0))
+    return _Spokes(tuple(sorted(angles)), half, float(explained.mean()), True, widest)
+
+
+def _runs(these: Bool[np.ndarray, "A"]) -> tuple[Int[np.ndarray, "R 2"], int]:
+    """Return where runs of angles begin and end, counted from an angle that is in none, and that angle."""
+    start = int(np.flatnonzero(~these)[0])
+    turned = np.concatenate([[0], np.roll(these, -start).astype(int), [0]])
+    return np.flatnonzero(np.diff(turned)).reshape(-1, 2), start
+
+
+def _rejoin(runs: Int[np.ndarray, "R 2"], share: Float[np.ndarray, "A"]) -> list[tuple[int, int]]:
+    """Return runs of angles, those taken for one that are but a few steps apart with some hits all the way between
+    them.
+    """
+    joined: list[tuple[int, int]] = []
+    for low, high in runs.tolist():
+        if joined and low - joined[-1][1] <= _MOST_APART and share[joined[-1][1] : low].min() > _BETWEEN:
+            joined[-1] = (joined[-1][0], high)
+        else:
+            joined.append((low, high))
+    return joined

@@ -1,0 +1,184 @@
+"""Bars that may be a valve's lever or its pipe: lines of points, those about which rays went past looked at closely."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.cleaning.clean import voxel_downsample
+from perception.detect.shared.arithmetic import cross
+from perception.detect.shared.bar_evidence import BarEvidence, Ends, find_ends, weigh_bar
+from perception.detect.shared.bar_fit import BarFit, fit_bars
+from perception.detect.shared.bar_search import rays_about
+from perception.detect.shared.bar_starts import Run, misfits, run_of, sample_about, starts_about
+from perception.detect.shared.bars import Bar, SurroundingRays
+from perception.detect.valve.foreground import Foreground
+from perception.detect.valve.lines import Line, find_lines
+from perception.ground.floor import FloorPlane
+from perception.sightlines import SightIndex
+
+LENGTHS = (0.1, 0.5)
+_VOXEL = 0.015
+_HINT_RADIUS = 0.6
+_LEVER_TUBE, _PIPE_TUBES = (0.022,), (0.04, 0.065)
+_LEVER_BALL, _LEVER_PAIRS, _PIPE_PAIRS = 0.055, 6, 14
+LEVER_RADII = ((0.008, 0.008), (0.013, 0.013), (0.02, 0.02))
+PIPE_RADII = ((0.025, 0.025), (0.045, 0.045), (0.07, 0.07))
+_LEAST_PIPE = 0.25
+_MOST_LEVERS, _MOST_PIPES = 10, 6
+TUBES = (0.03, 0.09)
+_BEYOND = 0.1
+_HOPELESS = 0.15
+_MOST_RAYS = 400
+_SEEN_SIDE = 0.7
+
+
+@dataclass(frozen=True)
+class FittedBar:
+    """A round bar with its ends and what speaks for it.
+
+    Attributes:
+        fit: with its ends and how surely it is there.
+        ends: which of them were seen.
+        evidence: by the rays about it.
+    """
+
+    fit: BarFit
+    ends: Ends
+    evidence: BarEvidence
+
+    @property
+    def bar(self) -> Bar:
+        """The bar with its ends."""
+        return self.ends.bar
+
+
+def find_levers(
+    foreground: Foreground, floor: FloorPlane | None, hint: Float[np.ndarray, "3"] | None
+) -> list[FittedBar]:
+    """Return slim bars with air about them and at least one end that was seen.
+
+    Args:
+        foreground: what stands before walls, and all rays.
+        floor: below everything.
+        hint: (3,) only what comes near it is looked at, and more closely [m].
+    """
+    lines = _lines(foreground, hint, _LEVER_TUBE, LENGTHS[0], _LEVER_PAIRS, _LEVER_BALL)
+    short = [line for line in lines if line.last - line.first < 1.5 * LENGTHS[1]]
+    chosen = _in_air(short, foreground.index, floor, LEVER_RADII[1:2])[:_MOST_LEVERS]
+    fitted = [_fit(line, foreground.index, floor, LEVER_RADII, TUBES[0]) for line in chosen]
+    return [
+        candidate
+        for candidate in fitted
+        if candidate is not None
+        and LENGTHS[0] < candidate.bar.length < LENGTHS[1]
+        and candidate.bar.half[0] < 0.028
+        and candidate.evidence.solid > 0.5
+        and any(candidate.ends.seen)
+    ]
+
+
+def find_pipes(
+    foreground: Foreground, floor: FloorPlane | None, hint: Float[np.ndarray, "3"] | None
+) -> list[FittedBar]:
+    """Return longer and thicker round bars; arguments as of :func:`find_levers`."""
+    lines = _lines(foreground, hint, _PIPE_TUBES, _LEAST_PIPE, _PIPE_PAIRS, None)
+    chosen = _in_air(lines, foreground.index, floor, PIPE_RADII)[:_MOST_PIPES]
+    fitted = [_fit(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in chosen]
+    return [
+        candidate
+        for candidate in fitted
+        if candidate is not None and candidate.bar.half[0] > 0.015 and candidate.evidence.rms < 0.025
+    ]
+
+
+def _lines(
+    foreground: Foreground,
+    hint: Float[np.ndarray, "3"] | None,
+    tubes: tuple[float, ...],
+    least_length: float,
+    n_pairs: int,
+    ball: float | None,
+) -> list[Line]:
+    """Return lines of points; with a hint those of the whole scan that come near it, and those of the points near
+    it.
+    """
+    points, _ = voxel_downsample(foreground.points, _VOXEL)
+    lines = find_lines(points, foreground.generator(), tubes, least_length, n_pairs=n_pairs, slim_ball=ball)
+    if hint is None:
+        return lines
+    near = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
+    more = find_lines(near, foreground.generator(), tubes, least_length, n_pairs=n_pairs, slim_ball=ball)
+    return [line for line in lines if _distance(line, hint) < _HINT_RADIUS] + more
+
+
+def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:
+    """Return the distance between a place and the nearest of a line [m]."""
+    offset = place - line.place
+    along = float(np.clip(offset @ line.axis, line.first, line.last))
+    return float(np.linalg.norm(offset - along * line.axis))
+
+
+def _in_air(
+    lines: Sequence[Line], index: SightIndex, floor: FloorPlane | None, radii: Sequence[tuple[float, float]]
+) -> list[Line]:
+    """Return lines on which, for bars of one of the sizes, most rays that reach them end and beside which most go on.
+
+    A row of a scan on a wall is a line as well, and there are many; looking at the rays takes a hundredth of a fit.
+    """
+    kept = []
+    for line in lines:
+        rays = rays_about(index, Run(line.place, line.axis, line.first, line.last), _BEYOND, floor)
+        way = rays.direction.sum(axis=0)
+        away = way - (way @ line.axis) * line.axis
+        away /= max(float(np.linalg.norm(away)), 1e-6)
+        frame = np.stack([line.axis, cross(away, line.axis), away])
+        for half in radii:
+            # Its points lie on the side that is seen.
+            place = line.place + _SEEN_SIDE * half[0] * away
+            evidence = weigh_bar(rays, Bar(frame, place, half, line.first, line.last, "round"))
+            if evidence.solid * evidence.air * evidence.visible > _HOPELESS:
+                kept.append(line)
+                break
+    return kept
+
+
+def _fit(
+    line: Line, index: SightIndex, floor: FloorPlane | None, radii: tuple[tuple[float, float], ...], tube: float
+) -> FittedBar | None:
+    """Return a round bar about a line, fitted, cut to its ends and fitted again."""
+    first = _fit_once(Run(line.place, line.axis, line.first, line.last), index, floor, radii, tube)
+    return None if first is None else _fit_once(run_of(first.bar), index, floor, radii, tube)
+
+
+def _fit_once(
+    run: Run, index: SightIndex, floor: FloorPlane | None, radii: tuple[tuple[float, float], ...], tube: float
+) -> FittedBar | None:
+    rays = rays_about(index, run, _BEYOND, floor)
+    fit = best_round(rays, run, radii, tube, _MOST_RAYS)
+    if fit is None:
+        return None
+    ends = find_ends(rays, fit.bar)
+    return FittedBar(fit, ends, weigh_bar(rays, ends.bar)) if ends.bar.length >= LENGTHS[0] else None
+
+
+def best_round(
+    rays: SurroundingRays, run: Run, radii: tuple[tuple[float, float], ...], tube: float, most: int
+) -> BarFit | None:
+    """Return the round bar that explains best what is seen about a run; None where too little is.
+
+    Args:
+        rays: that pass near the run.
+        run: where to look.
+        radii: to start from, each twice [m].
+        tube: radius about the run whose points are to be explained [m].
+        most: rays; more are thinned.
+    """
+    sample = sample_about(rays, run, tube, most)
+    if sample is None:
+        return None
+    fits = fit_bars(rays, starts_about(sample, run, radii, "round", len(radii)), most)
+    return fits[int(np.argmin(misfits(sample, [fit.bar for fit in fits])))]

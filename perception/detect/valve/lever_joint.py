@@ -1,0 +1,254 @@
+"""A lever and its pipe: how they lie to one another, and the fit of each without the points of the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.detect.shared.arithmetic import cross
+from perception.detect.shared.bar_fit import BarFit
+from perception.detect.shared.bar_pivot import Pivot, find_pivot
+from perception.detect.shared.bar_search import rays_about
+from perception.detect.shared.bar_starts import Run
+from perception.detect.shared.bars import Bar, SurroundingRays, cross_bar, sort_rays
+from perception.detect.shared.faces import Face, face_rays
+from perception.detect.valve.lever_bars import LEVER_RADII, PIPE_RADII, TUBES, best_round
+from perception.ground.floor import FloorPlane
+from perception.sightlines import SightIndex
+
+_APART = (0.04, 0.25)
+_PARALLEL_DEG = 20.0
+_PIVOT_FROM_END = 0.06
+# By the pipe's radius, where what holds a lever before it begins: the noise of the pipe itself is below that; a lever
+# across looks past it.
+_OVER_PIPE, _IN_PIPE = 1.15, 0.8
+_OVERHANG = 1.25  # of a lever beyond its pivot, by its radius
+# What is known at best of: directions of bar and pipe [rad], their places across, the pivot's place along [m].
+_SIGMA_WAY, _SIGMA_ACROSS, _SIGMA_ALONG = 0.004, 0.002, 0.012
+_BEYOND = 0.1
+_BELOW = 0.01
+_NECK = 0.035
+_LEAST_RUN = 0.08
+_BODY = 0.13
+_LEAST_PIPE = 0.3
+_INSIDE = 0.001
+_ABOUT_END = 0.06
+_SPACING, _BESIDE, _ON_FLOOR = 0.03, 0.05, 0.02
+_MOST_RAYS = 1200
+_FEWEST = 3
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A lever on a pipe.
+
+    Attributes:
+        axis: (3,) unit, of the pivot, from the pipe to the lever.
+        pivot: on the lever.
+        spread: standard deviation of the axis [rad].
+    """
+
+    axis: Float[np.ndarray, "3"]
+    pivot: Pivot
+    spread: float
+
+
+def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex) -> Joint | None:
+    """Return the joint; None when they do not lie as lever and pipe do.
+
+    Where they cross, the pivot lies where they come nearest to each other, and otherwise at the end behind which rays
+    do not pass.  The pivot's axis is square to both and leads from the pipe's middle to the pivot: what is known best
+    counts most.
+
+    Args:
+        bar: with its ends.
+        pipe: with its ends.
+        tilts: standard deviations of their directions [rad].
+        index: all rays.
+    """
+    if pipe.half[0] < 1.2 * bar.half[0] or pipe.length < bar.length:
+        return None
+    cosine = float(bar.axis @ pipe.axis)
+    is_parallel = abs(cosine) > np.cos(np.radians(_PARALLEL_DEG))
+    between = bar.middle - pipe.centre
+    offset = bar.centre - pipe.centre
+    if is_parallel:
+        axis = between - (between @ bar.axis) * bar.axis
+        nearest = 0.0
+    else:
+        axis = cross(bar.axis, pipe.axis)
+        axis *= np.sign(axis @ between) or 1.0
+        # Where the bar's line comes nearest to the pipe's.
+        nearest = float((cosine * (offset @ pipe.axis) - offset @ bar.axis) / (1.0 - cosine**2))
+    apart = float(np.linalg.norm(axis)) if is_parallel else abs(float(between @ axis) / float(np.linalg.norm(axis)))
+    axis = axis / np.linalg.norm(axis)
+    along_pipe = float((offset + nearest * bar.axis) @ pipe.axis)
+    if not _APART[0] + pipe.half[0] < apart + 0.02 or apart > _APART[1]:
+        return None
+    if not pipe.first - 0.1 < along_pipe < pipe.last + 0.1:
+        return None
+    pivot = _pivot(bar, axis, apart - (_OVER_PIPE if is_parallel else _IN_PIPE) * pipe.half[0], index)
+    if not is_parallel:
+        ends = np.array([bar.first, bar.last])
+        k = int(np.argmin(np.abs(ends - nearest)))
+        if abs(ends[k] - nearest) > _PIVOT_FROM_END or (nearest - ends[k]) * (1 - 2 * k) < -0.02:
+            return None
+        # Where they cross tells the pivot better than what is seen behind the bar.
+        clear = pivot.confidence if pivot.far == ends[1 - k] else 0.0
+        pivot = replace(pivot, along=nearest, far=float(ends[1 - k]), confidence=clear)
+    else:
+        # What is seen of the body below it tells at which end a lever is held, but not where.
+        end = bar.first if pivot.far > pivot.along else bar.last
+        pivot = replace(pivot, along=float(end + np.sign(pivot.far - end) * _OVERHANG * bar.half[0]))
+    axis, spread = _axis(bar, pipe, pivot.along, tilts)
+    return Joint(axis, pivot, spread)
+
+
+def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[Float[np.ndarray, "3"], float]:
+    """Return the direction that is as square to both, and as much along the way from the pipe to the pivot, as is known
+    of each; and its standard deviation [rad].
+    """
+    out = bar.centre + at * bar.axis - pipe.centre
+    out = out - (out @ pipe.axis) * pipe.axis
+    apart = float(np.linalg.norm(out))
+    out = out / apart
+    askew = 1.0 - float(bar.axis @ pipe.axis) ** 2
+    sigma_out = float(np.hypot(_SIGMA_ACROSS, _SIGMA_ALONG * np.sqrt(askew))) / apart
+    weighed = (np.eye(3) - np.outer(out, out)) / sigma_out**2
+    for way, tilt in ((bar.axis, tilts[0]), (pipe.axis, tilts[1])):
+        weighed = weighed + np.outer(way, way) / max(tilt, _SIGMA_WAY) ** 2
+    values, vectors = np.linalg.eigh(weighed)
+    axis = vectors[:, 0] * np.sign(vectors[:, 0] @ out)
+    return np.asarray(axis), float(1.0 / np.sqrt(values[1]))
+
+
+def _pivot(bar: Bar, axis: Float[np.ndarray, "3"], gap: float, index: SightIndex) -> Pivot:
+    """Return where the bar is held over the pipe's near side, as if that were a face."""
+    z = axis - (axis @ bar.axis) * bar.axis
+    z /= np.linalg.norm(z)
+    half = 0.5 * bar.length
+    face = Face(
+        np.stack([bar.axis, cross(z, bar.axis), z]),
+        bar.middle - gap * z,
+        np.array([-half, -0.04]),
+        np.array([half, 0.04]),
+        0.008,
+    )
+    return find_pivot(face, face_rays(face, index, 0.06), bar)
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A lever and its pipe.
+
+    Attributes:
+        lever: with its ends.
+        pipe: with its ends.
+        fits: of both, with how surely they are there; None: as they were.
+        is_seen: whether rays went past right beyond the lever's free end.
+    """
+
+    lever: Bar
+    pipe: Bar
+    fits: tuple[BarFit | None, BarFit | None]
+    is_seen: bool
+
+
+def settle_joint(
+    lever: Bar,
+    pipe: Bar,
+    pivot: float,
+    up: Float[np.ndarray, "3"],
+    index: SightIndex,
+    floor: FloorPlane | None,
+) -> Settled:
+    """Fit both anew: a flange 3 cm below a lever widens it and draws it aside, as the body does with the pipe.
+
+    Args:
+        lever: roughly.
+        pipe: roughly.
+        pivot: where the lever is held, from its centre along its axis [m].
+        up: (3,) unit, from the pipe to the lever.
+        index: all rays.
+        floor: below everything.
+    """
+    place = lever.centre + pivot * lever.axis
+    rays = _rays_near(index, lever, floor)
+    rays = replace(rays, elsewhere=rays.elsewhere | ((rays.ends - place) @ up < -lever.half[0] - _BELOW))
+    first, last = lever.first, lever.last
+    at_last = last - pivot > pivot - first
+    if at_last:
+        first = min(max(first, pivot + _NECK), last - _LEAST_RUN)
+    else:
+        last = max(min(last, pivot - _NECK), first + _LEAST_RUN)
+    own = best_round(rays, Run(lever.centre, lever.axis, first, last), LEVER_RADII, TUBES[0], _MOST_RAYS)
+    if own is not None:
+        lever = _between_ends(own.bar, lever)
+    lever, is_seen = _round_off_end(rays, lever, at_last)
+    other = None
+    if pipe.length - 2.0 * _BODY > _LEAST_PIPE:
+        rays = rays_about(index, Run(pipe.centre, pipe.axis, pipe.first, pipe.last), _BEYOND, floor)
+        rays = replace(rays, elsewhere=rays.elsewhere | (np.abs((rays.ends - place) @ pipe.axis) < _BODY))
+        other = best_round(rays, Run(pipe.centre, pipe.axis, pipe.first, pipe.last), PIPE_RADII, TUBES[1], _MOST_RAYS)
+        if other is not None:
+            pipe = _between_ends(other.bar, pipe)
+    return Settled(lever, pipe, (own, other), is_seen)
+
+
+def _rays_near(index: SightIndex, bar: Bar, floor: FloorPlane | None) -> SurroundingRays:
+    """Return all rays close to a bar and its ends: the last one that met it tells its end."""
+    beyond = replace(bar, first=bar.first - _ABOUT_END, last=bar.last + _ABOUT_END)
+    rays = index.passing(beyond.places(_SPACING), _BESIDE)
+    elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(rays.ends) < _ON_FLOOR
+    return SurroundingRays(rays.start, rays.direction, rays.length, elsewhere)
+
+
+def _between_ends(fitted: Bar, rough: Bar) -> Bar:
+    """Return a fitted bar from and to where the rough one goes."""
+    axis = fitted.axis
+    sign = np.sign(axis @ rough.axis)
+    ends = [float((rough.centre + at * rough.axis - fitted.centre) @ axis) for at in (rough.first, rough.last)]
+    if sign < 0.0:
+        ends.reverse()
+    return replace(fitted, first=ends[0], last=ends[1])
+
+
+def _round_off_end(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar, bool]:
+    """Return the bar with its free end rounded, halfway between the last ray that met it and the first that went past,
+    and whether any went past beyond.
+
+    A ray that leans on the bar goes past its end nearer to its middle than it would cross its near side.
+    """
+    crossing = cross_bar(rays, bar)
+    outcome = sort_rays(rays, crossing)
+    radius = bar.half[0]
+    inside = crossing.outside < -_INSIDE
+    # Where on the axis each ray comes nearest to it, and how far before that place a ball of the bar's radius would
+    # have to end to be missed.
+    lean = rays.direction @ bar.axis
+    square = np.sqrt(np.maximum(1.0 - lean**2, 1e-6))
+    offset = rays.start - bar.centre
+    along = offset @ bar.axis
+    nearest = along - lean * ((offset * rays.direction).sum(axis=1) - lean * along) / square**2
+    half_chord = np.sqrt(np.maximum(radius**2 - crossing.side**2, 0.0)) / square
+    sign, end = (1.0, bar.last) if at_last else (-1.0, -bar.first)
+    reached = sign * nearest + radius - half_chord
+    near = inside & (np.abs(reached - end) < _ABOUT_END)
+    passes = reached[near & outcome.passed]
+    end = _border(reached[near & outcome.hit], passes, end)
+    is_seen = bool(np.count_nonzero(passes > end) >= _FEWEST)
+    return replace(bar, last=end) if at_last else replace(bar, first=-end), is_seen
+
+
+def _border(hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"], fallback: float) -> float:
+    """Return the middle of the gap that best parts hits from passes further out."""
+    if not len(hits) or not len(passes):
+        return fallback
+    places = np.sort(np.concatenate([hits, passes]))
+    # With the border right behind each place: hits beyond it and passes before it are wrong.
+    wrong = (hits[None] > places[:, None]).sum(axis=1) + (passes[None] <= places[:, None]).sum(axis=1)
+    best = np.flatnonzero(wrong == wrong.min())
+    behind = np.append(places[1:], places[-1])
+    return float(np.mean(0.5 * (places[best] + behind[best])))

@@ -1,0 +1,1 @@
+"""Detection of vehicle seats and of openings to leave a vehicle by."""

@@ -1,0 +1,343 @@
+"""The levels of the floor that a scan shows: ground, ramps, steps; which one the robot stands on; how far each goes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from costs.stopping import poll
+from perception.cleaning.neighbours import nearest
+from perception.ground.extent import convex_patches, pierced_cells
+from perception.ground.floor import FloorPlane
+from perception.ground.outlines import outlines_of
+from perception.ground.patches import MAX_SLOPE_DEG, PATCH, Patches, candidates, least_squares, patches_of, plane_of
+from perception.ground.unbroken import is_unbroken
+
+_BAND = 0.025
+_AROUND = np.ones((3, 3), dtype=bool)
+_CELL = 0.1
+_SAME_WAY_DEG = 5.0
+_LARGE = 0.25
+_SMALL = 0.12
+_TRIES = 24
+_ALIKE = 0.7
+_MOST_BELOW = 0.05
+_NEAREST = 0.05
+_MOST_BEFORE = 0.2
+_HIGHEST = 0.4
+_STEP = 0.36
+_GAP = 0.35
+_AS_NEAR = 0.5
+_FOOTHOLD = 0.3
+_GOES_ON = 0.35
+_LEVEL_DEG = 2.0
+_NO_WORSE = 1.1
+_FEWEST_POINTS = 50
+_MOST_POINTS = 80_000
+_UPRIGHT_SHARE = 0.06
+_ROUGH = 0.0125
+_ROUGHER = 1.3
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A plane and where it was seen: ``cells`` (C, 2) integer places in a grid of 10 cm.
+
+    Of all points, ``members`` (K,) are the level's.  Ground below the robot's level counts whatever stands on it.
+    """
+
+    plane: FloorPlane
+    cells: Int[np.ndarray, "C 2"]
+    members: Int[np.ndarray, "K"]
+    is_ground_below: bool = False
+
+    @property
+    def places(self) -> Float[np.ndarray, "C 3"]:
+        """Centres of the cells, on the plane [m]."""
+        xy = (self.cells + 0.5) * _CELL
+        return np.column_stack([xy, self.plane.height(xy)])
+
+
+def find_floors(
+    points: Float[np.ndarray, "N 3"],
+    rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]] | None = None,
+    *,
+    stand: Float[np.ndarray, "3"] | None = None,
+    extent: float = 4.0,
+    seed: int = 0,
+) -> tuple[FloorPlane, ...]:
+    """Return planes that slope by at most 15 degrees and hang together by steps, the one under the robot first.
+
+    A plane above knee height over the place where the robot stands is a table and no floor, however large; so is one
+    with things under it.  Treads, ramps and platforms must be met by steps of at most 36 cm from level to level;
+    large ground below belongs to the floor at any depth.
+
+    Args:
+        points: (N, 3) in reach, without the robot's own [m].
+        rays: starts and ends (R, 3) of all rays [m]; those that went through the plane tell where it ends.
+        stand: (3,) where the robot stands [m], the world's origin by default.
+        extent: how far from there the first level is held against the rays [m].
+        seed: of the choice of candidates.
+
+    Returns:
+        The first without outlines when nothing says that it ends; all others with outlines.
+    """
+    stand = np.zeros(3) if stand is None else stand
+    if len(points) < _FEWEST_POINTS:
+        return ()
+    points = points[:: -(-len(points) // _MOST_POINTS)]
+    patches = patches_of(points)
+    levels = list(_levels(points, patches, np.random.default_rng(seed)))
+    main = _under_robot(points, levels, stand)
+    if main is None:
+        return ()
+    kept = [main, *_reach(points, main, [level for level in levels if level is not main])]
+    first = main.plane if rays is None else _bound(points, main, rays, stand, extent)
+    return (first, *(_outline(points, level, rays) for level in kept[1:]))
+
+
+def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.Generator) -> Iterator[_Level]:
+    """Return planes of the patches, the largest first, each with what no larger one has taken."""
+    poll()
+    free = patches.is_upright | patches.is_bare
+    normals, offsets = candidates(patches, rng)
+    if not len(normals):
+        return
+    ground = np.flatnonzero(free)
+    # Near the plane counts more than at the band's border, or a plane between two low steps would win.
+    near = 1.0 - ((patches.centre[ground] @ normals.T - offsets) / _BAND) ** 2
+    np.maximum(near, 0.0, out=near)
+    weight = np.where(patches.is_upright[ground], 1.0, 0.3)
+    whole = weight @ near
+    for _ in range(_TRIES):
+        score = (weight * free[ground]) @ near
+        best = int(np.argmax(score))
+        if score[best] * PATCH**2 < 0.4 * _SMALL:
+            return
+        fitted = _fit(points, patches, free, normals[best], float(offsets[best]))
+        level = None if fitted is None else _find_parts(points, patches, *fitted)
+        if level is not None:
+            free[patches.of_point[level.members]] = False
+            yield level
+        # Whatever it was, its likes are no better.
+        shared = np.flatnonzero(near[:, best] > 0.0)
+        unlike = weight[shared] @ near[shared] <= _ALIKE * whole
+        if not unlike.any():
+            return
+        near, normals, offsets, whole = near[:, unlike], normals[unlike], offsets[unlike], whole[unlike]
+
+
+def _fit(
+    points: Float[np.ndarray, "N 3"],
+    patches: Patches,
+    free: Bool[np.ndarray, "P"],
+    normal: Float[np.ndarray, "3"],
+    offset: float,
+) -> tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, "K"]] | None:
+    """Return the better least-squares plane of the points near the candidate, and their indices."""
+    poll()
+    beside = np.abs(patches.centre @ normal - offset) < 2 * _BAND + PATCH
+    usable = np.flatnonzero((free & beside)[patches.of_point])
+    mine = points[usable]
+    best: tuple[float, Float[np.ndarray, "3"], float] | None = None
+    # A rough candidate needs a wide band at first; an exact one would be drawn away by the next step in it.
+    for bands in ((2 * _BAND, _BAND, _BAND), (0.8 * _BAND, 0.8 * _BAND)):
+        plane = least_squares(mine, normal, offset, bands)
+        if plane is not None and plane[0][2] >= np.cos(np.radians(MAX_SLOPE_DEG)):
+            score = float(np.maximum(1.0 - ((mine @ plane[0] - plane[1]) / _BAND) ** 2, 0.0).sum())
+            best = (score, *plane) if best is None or score > best[0] else best
+    if best is None:
+        return None
+    return best[1], best[2], usable[np.abs(mine @ best[1] - best[2]) < _BAND]
+
+
+def _find_parts(
+    points: Float[np.ndarray, "N 3"],
+    patches: Patches,
+    normal: Float[np.ndarray, "3"],
+    offset: float,
+    members: Int[np.ndarray, "K"],
+) -> _Level | None:
+    """Return the parts of a plane that are large enough to stand on; None without any, or where its patches tilt
+    otherwise.
+    """
+    poll()
+    cells = np.floor(points[members, :2] / _CELL).astype(int)
+    lower = cells.min(axis=0) - 2
+    picture = np.zeros(cells.max(axis=0) - lower + 3, dtype=bool)
+    picture[tuple((cells - lower).T)] = True
+    # Scan lines are a hand apart where the floor is seen flatly.
+    closed = ndimage.binary_closing(picture, structure=_AROUND, iterations=2)
+    broad = ndimage.binary_opening(closed, structure=_AROUND[:2, :2])
+    label, n_parts = ndimage.label(broad, structure=_AROUND)
+    sizes = np.bincount(label.ravel(), weights=(picture & broad).ravel(), minlength=n_parts + 1) * _CELL**2
+    large = sizes >= _SMALL
+    large[0] = False
+    inside = large[label[tuple((cells - lower).T)]]
+    if not inside.any():
+        return None
+    members, cells = members[inside], cells[inside]
+    held = np.flatnonzero(np.bincount(patches.of_point[members]))
+    tilts = patches.normal[held[patches.is_upright[held]]]
+    if len(tilts) < _UPRIGHT_SHARE * len(held):
+        return None
+    usual = np.median(tilts, axis=0)  # patches at an edge are tilted by what goes up or down there
+    if normal @ usual < np.cos(np.radians(_SAME_WAY_DEG)) * np.linalg.norm(usual):
+        return None
+    normal, offset = _from_within(points[members], normal, offset)
+    own = np.unique(cells, axis=0)
+    rms = float(np.std(points[members] @ normal - offset))
+    return _Level(FloorPlane(normal, offset, rms, float(len(own) * _CELL**2)), own, members)
+
+
+def _from_within(
+    points: Float[np.ndarray, "K 3"], normal: Float[np.ndarray, "3"], offset: float
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """Return the plane anew, without the border, where points of what goes up or down from there are taken for its
+    own.
+    """
+    fine = np.floor(points[:, :2] / (_CELL / 2)).astype(int)
+    lower = fine.min(axis=0) - 2
+    picture = np.zeros(fine.max(axis=0) - lower + 3, dtype=bool)
+    picture[tuple((fine - lower).T)] = True
+    closed = ndimage.binary_closing(picture, structure=_AROUND)
+    inner = points[ndimage.binary_erosion(closed, structure=_AROUND)[tuple((fine - lower).T)]]
+    if len(inner) < 30:
+        return normal, offset
+    fitted, height = plane_of(inner)
+    if fitted[2] < np.cos(np.radians(MAX_SLOPE_DEG)):
+        return normal, offset
+    # The tilt of a tread is known poorly: it is level unless the points say otherwise.
+    if np.std(inner[:, 2]) <= _NO_WORSE * np.std(inner @ fitted - height):
+        return np.array([0.0, 0.0, 1.0]), float(inner[:, 2].mean())
+    return fitted, height
+
+
+def _under_robot(
+    points: Float[np.ndarray, "N 3"], levels: list[_Level], stand: Float[np.ndarray, "3"]
+) -> _Level | None:
+    """Return the largest of those that come about nearest to where the robot stands."""
+    able = [
+        level
+        for level in levels
+        if level.plane.area >= _LARGE
+        and float(level.plane.height(stand[None, :2])[0]) <= stand[2] + _HIGHEST
+        and not _has_things_below(points, level)
+        and not _is_raised(points, level, stand)
+    ]
+    if not able:
+        return None
+    apart = [float(np.linalg.norm((level.cells + 0.5) * _CELL - stand[:2], axis=1).min()) for level in able]
+    near = [level for level, distance in zip(able, apart, strict=True) if distance <= min(apart) + _AS_NEAR]
+    return max(near, key=lambda level: level.plane.area)
+
+
+def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
+    """Return whether in the midst of the plane many points lie under it, as under a table."""
+    lower = level.cells.min(axis=0) - 1
+    picture = np.zeros(level.cells.max(axis=0) - lower + 2, dtype=bool)
+    picture[tuple((level.cells - lower).T)] = True
+    inner = ndimage.binary_erosion(ndimage.binary_closing(picture, structure=_AROUND), structure=_AROUND)
+    cells = np.floor(points[:, :2] / _CELL).astype(int) - lower
+    valid = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
+    here = np.flatnonzero(valid)[inner[tuple(cells[valid].T)]]
+    return bool(len(here)) and float((level.plane.above(points[here]) < -2 * _BAND).mean()) > _MOST_BELOW
+
+
+def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.ndarray, "3"]) -> bool:
+    """Return whether much lies under the plane between it and the robot, as before a shelf, and it is not known to be
+    level with the robot's feet.
+    """
+    if abs(float(level.plane.height(stand[None, :2])[0]) - stand[2]) <= 2 * _BAND:
+        return False
+    apart = np.linalg.norm(points[:, :2] - stand[:2], axis=1)
+    is_before = apart < np.quantile(apart[level.members], _NEAREST)
+    below = int((level.plane.above(points[is_before]) < -2 * _BAND).sum())
+    return below > _MOST_BEFORE * len(level.members)
+
+
+def _reach(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level]) -> Iterator[_Level]:
+    """Return levels a robot could step to from level to level, and large ground below, each without its broken
+    parts.
+    """
+    open_ends = [main]
+    lowest = main.places[:, 2].min()
+    # Rougher ones are slices through heaps, or two low steps at once.
+    roughest = max(_ROUGH, _ROUGHER * main.plane.rms)
+    waiting = [level for level in others if level.plane.rms <= roughest]
+    while open_ends:
+        here = open_ends.pop(0)
+        tree = cKDTree(here.places[:, :2])
+        for level in waiting:
+            apart, index = nearest(tree, level.places[:, :2], 1, within=_GAP)
+            meet = np.isfinite(apart)
+            rise = np.abs(level.places[meet, 2] - here.places[index[meet], 2])
+            is_ground = level.plane.area >= 4 * _LARGE and level.places[:, 2].max() < lowest
+            if is_ground or (meet.any() and float(rise.min()) <= _STEP):
+                waiting = [other for other in waiting if other is not level]
+                part = replace(level, is_ground_below=True) if is_ground else _unbroken(points, level)
+                if part is not None:
+                    open_ends.append(part)
+                    yield part
+
+
+def _unbroken(points: Float[np.ndarray, "N 3"], level: _Level) -> _Level | None:
+    """Return the level without its broken parts; None when too little is left to stand on."""
+    members = level.members[is_unbroken(points, points[level.members], level.plane)]
+    cells = np.unique(np.floor(points[members, :2] / _CELL).astype(int), axis=0)
+    area = float(len(cells) * _CELL**2)
+    return _Level(replace(level.plane, area=area), cells, members) if area >= _SMALL else None
+
+
+def _outline(
+    points: Float[np.ndarray, "N 3"],
+    level: _Level,
+    rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]] | None,
+) -> FloorPlane:
+    """Return the level with its extent; where it runs into another, as a ramp does into the ground, it goes on a
+    little.
+
+    A slope does so up and down, but not to its sides.
+    """
+    beside = np.flatnonzero(np.abs(level.plane.above(points)) < _BAND)
+    near = points[beside]
+    is_member = np.zeros(len(points), dtype=bool)
+    is_member[level.members] = True
+    belongs = is_member[beside]
+    apart, _ = nearest(cKDTree((level.cells + 0.5) * _CELL), near[~belongs, :2], 1, within=_GOES_ON)
+    goes_on = np.isfinite(apart)
+    if level.plane.slope_deg > _LEVEL_DEG:
+        across = np.array([-level.plane.normal[1], level.plane.normal[0]])
+        across /= np.linalg.norm(across)
+        aside, own = near[~belongs, :2] @ across, points[level.members, :2] @ across
+        goes_on &= (aside >= own.min()) & (aside <= own.max())
+    belongs[~belongs] = goes_on
+    if not level.is_ground_below:
+        belongs[belongs] = is_unbroken(points, near[belongs], level.plane) | is_member[beside][belongs]
+    rays = (near[:0], near[:0]) if rays is None else rays
+    return replace(level.plane, outlines=outlines_of(level.plane, near[belongs], level.places[:, :2], rays))
+
+
+def _bound(
+    points: Float[np.ndarray, "N 3"],
+    main: _Level,
+    rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
+    stand: Float[np.ndarray, "3"],
+    extent: float,
+) -> FloorPlane:
+    """Return the first level; where rays went through it, as over a hole, a step down or a slope away, with its
+    extent.
+    """
+    plane = main.plane
+    foothold = stand[:2] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([[1.0, 0.0]])
+    foothold = (foothold[:, None, :] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([0.0, 1.0])).reshape(
+        -1, 2
+    )
+    seen = np.concatenate([points[main.members, :2], foothold])
+    holes = pierced_cells(plane.normal, plane.offset, rays, seen, stand[:2], extent)
+    return replace(plane, outlines=convex_patches(seen, 0.1, holes)) if len(holes) else plane

@@ -1,0 +1,152 @@
+"""Test whether a new scan shows the floor of an earlier one, which is quicker than a search for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from perception.cleaning.clean import Reach
+from perception.convex.hulls import Hull
+from perception.ground.extent import pierced_cells
+from perception.ground.floor import FloorPlane, on_floor
+from perception.ground.patches import PATCH, least_squares, patches_of
+
+_BAND = 0.025
+_MOVED = 0.003
+_MOVED_FAR = 0.01
+_CELL = 0.1
+_LEAST_SEEN = 0.5
+_SHARE_UNDER = 0.05
+_BEYOND = 1.0
+_INWARDS = 0.1
+_FEWEST_HOLES = 12
+_MOST_POINTS = 80_000
+_HIGHEST = 0.4
+_STEPPED_ON = 0.12  # [m^2]
+
+
+def are_there(
+    floors: Sequence[FloorPlane],
+    points: Float[np.ndarray, "N 3"],
+    rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
+    reach: Reach,
+) -> bool:
+    """Return whether all levels are seen where they were, at least half of each, and no rays go through.
+
+    The level under the robot is there as well where less of it is seen but nothing under it: a sensor may look
+    elsewhere.  Where half is seen it may have moved by 3 mm, else by 1 cm, as levels may that are small and rough.
+
+    Args:
+        floors: of the scan before, the level under the robot first.
+        points: (N, 3) in reach, without the robot's own [m].
+        rays: starts and ends (R, 3) of all rays [m].
+        reach: what matters.
+    """
+    points = points[:: -(-len(points) // _MOST_POINTS)]
+    return len(floors) > 0 and all(_is_there(floor, i == 0, points, rays, reach) for i, floor in enumerate(floors))
+
+
+def _is_there(
+    floor: FloorPlane,
+    is_stood_on: bool,
+    points: Float[np.ndarray, "N 3"],
+    rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
+    reach: Reach,
+) -> bool:
+    own = points[on_floor(points, floor, clearance=_BAND, depth=_BAND)]
+    is_seen = _area(own[:, :2]) >= _LEAST_SEEN * floor.area
+    if not is_seen and not (is_stood_on and _is_lowest(floor, own, points)):
+        return False
+    if _movement(floor, own) > (_MOVED if is_seen and is_stood_on else _MOVED_FAR):
+        return False
+    centre, extent = np.array([reach.x, reach.y]), reach.radius + _BEYOND
+    holes = pierced_cells(floor.normal, floor.offset, rays, own[:, :2], centre, extent)
+    if floor.outlines:
+        holes = holes[_inside(holes, floor.outlines)]
+    return len(holes) < _FEWEST_HOLES
+
+
+def _is_lowest(floor: FloorPlane, own: Float[np.ndarray, "M 3"], points: Float[np.ndarray, "N 3"]) -> bool:
+    """Return whether hardly any points lie under the level."""
+    return int((floor.above(points) < -_BAND).sum()) <= _SHARE_UNDER * len(own)
+
+
+def _area(xy: Float[np.ndarray, "N 2"]) -> float:
+    """Return the area of the cells that hold any of the places [m^2]."""
+    if not len(xy):
+        return 0.0
+    u, v = np.floor(xy / _CELL).astype(np.int64).T
+    u, v = u - u.min(), v - v.min()
+    picture = np.zeros((int(u.max()) + 1, int(v.max()) + 1), dtype=bool)
+    picture[u, v] = True
+    return float(picture.sum()) * _CELL**2
+
+
+def _movement(floor: FloorPlane, own: Float[np.ndarray, "N 3"]) -> float:
+    """Return how far a plane through the points lies off the level, at the worst of them; zero where there are too few
+    [m].
+    """
+    fitted = least_squares(own, floor.normal, floor.offset, (_BAND, _BAND))
+    if fitted is None:
+        return 0.0
+    return float(np.abs(own @ (fitted[0] - floor.normal) - (fitted[1] - floor.offset)).max())
+
+
+def _inside(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "K 2"]]) -> Bool[np.ndarray, "N"]:
+    """Return which places lie more than 10 cm inside of any outline, corners counter-clockwise."""
+    inside = np.zeros(len(xy), dtype=bool)
+    for corners in outlines:
+        sides = np.roll(corners, -1, axis=0) - corners
+        inwards = np.column_stack([-sides[:, 1], sides[:, 0]])
+        inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+        inside |= (xy @ inwards.T - np.einsum("ij,ij->i", inwards, corners) > _INWARDS).all(axis=1)
+    return inside
+
+
+def may_be_level(
+    points: Float[np.ndarray, "N 3"],
+    floors: Sequence[FloorPlane],
+    ground: Float[np.ndarray, "F 3"],
+    known: Sequence[Hull] = (),
+) -> bool:
+    """Return whether points that are new show so much that is flat, and low enough, that it may be a level of the
+    floor.
+
+    What is flat over a place where more of the floor is seen is its noise: a level would hide what lies under it.
+
+    Args:
+        points: (N, 3) that no floor explains [m].
+        floors: levels that are known.
+        ground: (F, 3) points that belong to them [m].
+        known: bodies whose faces are no new levels.
+    """
+    low = np.zeros(len(points), dtype=bool)
+    for floor in floors:
+        low |= floor.above(points) < _HIGHEST
+    if not low.any():
+        return False
+    patches = patches_of(points[low])
+    centre, count = patches.centre[patches.is_upright], patches.count[patches.is_upright]
+    is_new = np.ones(len(centre), dtype=bool)
+    for hull in known:
+        if is_new.sum() * PATCH**2 < _STEPPED_ON:
+            return False
+        is_new &= ~hull.is_within(centre, _BAND)
+    is_new &= count > _seen_in_columns(centre, ground)
+    return float(is_new.sum() * PATCH**2) >= _STEPPED_ON
+
+
+def _seen_in_columns(places: Float[np.ndarray, "P 3"], ground: Float[np.ndarray, "F 3"]) -> Int[np.ndarray, "P"]:
+    """Return how many points of the ground lie in the column, as wide as a patch, of each place."""
+    if not len(places) or not len(ground):
+        return np.zeros(len(places), dtype=np.int64)
+    columns = np.floor(np.concatenate([places, ground])[:, :2] / PATCH).astype(np.int64)
+    columns -= columns.min(axis=0)
+    keys = columns[:, 0] * (columns[:, 1].max() + 1) + columns[:, 1]
+    # Far ground could make the count of all columns larger than memory: those of the places are enough.
+    wanted, column = np.unique(keys[: len(places)], return_inverse=True)
+    at = np.searchsorted(wanted, keys[len(places) :]).clip(max=len(wanted) - 1)
+    counts = np.bincount(at[wanted[at] == keys[len(places) :]], minlength=len(wanted))
+    return np.asarray(counts[column])

@@ -1,0 +1,107 @@
+"""Convex outlines of a level of the floor: of what was seen of it, cut where rays went through."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from perception.cleaning.clean import voxel_index
+from perception.convex.freespace import FreeSpace
+from perception.convex.planes import Plane
+from perception.convex.slabs import make_slabs
+from perception.ground.extent import pierced_cells
+from perception.ground.floor import FloorPlane
+
+_CELL = 0.1
+_FINE = 0.06
+_THIN = 0.015
+_AROUND = np.ones((3, 3), dtype=bool)
+# Scan lines are a hand apart where the floor is seen flatly.
+_CLOSING = 2
+_NARROWEST = 0.08
+_NOTHING = FreeSpace(np.zeros(3), 1.0, np.zeros((1, 1, 1), dtype=bool))
+
+
+def outlines_of(
+    level: FloorPlane,
+    points: Float[np.ndarray, "N 3"],
+    core: Float[np.ndarray, "C 2"],
+    rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
+) -> tuple[Float[np.ndarray, "K 2"], ...]:
+    """Return corners, counter-clockwise, of convex outlines, the largest first, that cover the points and no opening.
+
+    The lowest boards of two shelves may be one level, but between them rays went through it.  Gaps of a hand's width
+    are covered, wider ones are not.
+
+    Args:
+        level: the plane.
+        points: (N, 3) near it [m].
+        core: (C, 2) places that belong to it for sure; what does not hang together with any of them is left out [m].
+        rays: starts and ends (R, 3) of all rays of the scan [m].
+    """
+    points = points[np.unique(voxel_index(points, _THIN)[0], return_index=True)[1]]
+    places = points[:, :2]
+    lower, upper = places.min(axis=0) - _CELL, places.max(axis=0) + _CELL
+    extent = 0.5 * float((upper - lower).max())
+    holes = pierced_cells(level.normal, level.offset, rays, places, 0.5 * (lower + upper), extent)
+    outlines = []
+    for part in _parts(places, core, holes):
+        plane = Plane(level.normal, level.offset, part, part[:0])
+        beyond = _wide_gaps(places[part])
+        beyond_flat = np.column_stack([beyond, level.height(beyond)]) @ plane.basis.T
+        for slab in make_slabs(plane, points, *rays, _NOTHING, gaps=beyond_flat):
+            if _width(slab.outline) >= _NARROWEST:
+                corners = slab.outline @ plane.basis[:, :2] + plane.offset * plane.normal[:2]
+                outlines.append((slab.area, corners))
+    outlines.sort(key=lambda item: -item[0])
+    return tuple(corners for _, corners in outlines)
+
+
+def _parts(
+    places: Float[np.ndarray, "N 2"], core: Float[np.ndarray, "C 2"], holes: Float[np.ndarray, "H 2"]
+) -> list[Int[np.ndarray, "L"]]:
+    """Return indices of the places that hang together, across gaps of scan lines but not across holes, with the
+    core.
+    """
+    lower, shape = _grid(places, _CELL)
+    seen = _picture(places, lower, shape, _CELL)
+    joined = _close(seen) & ~_picture(holes, lower, shape, _CELL)
+    label, n_parts = ndimage.label(joined | seen, structure=_AROUND)
+    of_place = label[tuple(np.floor((places - lower) / _CELL).astype(int).T)]
+    is_kept = np.zeros(n_parts + 1, dtype=bool)
+    is_kept[label[_picture(core, lower, shape, _CELL)]] = True
+    return [np.flatnonzero(of_place == part) for part in np.flatnonzero(is_kept) if part > 0]
+
+
+def _wide_gaps(places: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "G 2"]:
+    """Return middles of cells farther from the places than gaps between scan lines and a ragged border explain [m]."""
+    lower, shape = _grid(places, _FINE)
+    closed = _close(_picture(places, lower, shape, _FINE))
+    return np.asarray((np.argwhere(~ndimage.binary_dilation(closed, structure=_AROUND)) + 0.5) * _FINE + lower)
+
+
+def _grid(places: Float[np.ndarray, "N 2"], cell: float) -> tuple[Float[np.ndarray, "2"], Int[np.ndarray, "2"]]:
+    """Lower corner and shape of a grid with space to close gaps at its border."""
+    lower = places.min(axis=0) - (_CLOSING + 0.5) * cell
+    return lower, np.ceil((places.max(axis=0) - lower) / cell).astype(int) + _CLOSING + 1
+
+
+def _close(seen: Bool[np.ndarray, "U V"]) -> Bool[np.ndarray, "U V"]:
+    return np.asarray(ndimage.binary_closing(seen, structure=_AROUND, iterations=_CLOSING))
+
+
+def _picture(
+    xy: Float[np.ndarray, "N 2"], lower: Float[np.ndarray, "2"], shape: Int[np.ndarray, "2"], cell: float
+) -> Bool[np.ndarray, "U V"]:
+    picture = np.zeros(shape, dtype=bool)
+    cells = np.floor((xy - lower) / cell).astype(int)
+    picture[tuple(cells[((cells >= 0) & (cells < shape)).all(axis=1)].T)] = True
+    return picture
+
+
+def _width(outline: Float[np.ndarray, "K 2"]) -> float:
+    """Return the least extent of a convex outline [m]."""
+    sides = np.roll(outline, -1, axis=0) - outline
+    across = np.column_stack([-sides[:, 1], sides[:, 0]]) / np.maximum(np.linalg.norm(sides, axis=1), 1e-9)[:, None]
+    return float(np.ptp(outline @ across.T, axis=0).min())
