@@ -42,7 +42,7 @@ class PhaseSolver:
         monitor: of the plan.
         settings: of the optimiser.
         overrides: ``(body, other body, margin)`` for pairs with another required clearance [m].
-        most_starts: limit of starts per step.
+        most_starts: limit of starts per step, at most ``MOST_GUESSES`` in one solve.
         seed: of random draws.
         terms: the caller's own, added to every pose and trajectory.
     """
@@ -166,7 +166,7 @@ class PhaseSolver:
     ) -> Solved:
         """Solve a problem from several starts until one is feasible."""
         best: Solved | None = None
-        for start in starts[:MOST_GUESSES]:
+        for start in starts[: min(MOST_GUESSES, self.most_starts)]:
             self.monitor.check()
             solver = TrustRegionSQP(self.monitor.limit_time(self.settings))
             callback = self.monitor.make_callback(name, self.body.robot.joint_names)
