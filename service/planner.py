@@ -1,10 +1,10 @@
 """The planner: one request in, one verdict with its motion and certificate out.
 
 PlanRequest -> setup.prepare -> PlanSetup      robot at its start in its world, checked
-            -> tasks.plan_task -> TaskPlan     phases solved by the optimiser, one way to do the task after another
+            -> tasks.plan_task -> TaskPlan     phases solved by the optimiser, several alternatives on demand
             -> motion.make_motion -> Motion    smooth curve and time law
             -> verify -> Certificate           proof or refutation; motion.repair_plan adds waypoints where it fails
-            -> explain -> Conflict             only where nothing was found
+            -> explain -> Conflict             only where no motion was certified
             -> result.Attempt -> PlanResult
 """
 
@@ -106,7 +106,7 @@ def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> Pha
 
 
 def _search(setup: PlanSetup, solver: PhaseSolver, attempt: Attempt) -> bool:
-    """Certify one plan of the task after another; return whether one is so good that no other could do better."""
+    """Certify one plan of the task after another; return whether the last is final."""
     for task in plan_task(setup, solver):
         attempt.begin(task)
         if task.phases:
@@ -149,9 +149,9 @@ def _explain(attempt: Attempt, solver: PhaseSolver) -> None:
     with monitor.step("explain", 0.95):
         count = monitor.count_attempts(stuck.step)
         conflict = None
-        with suppress(Stopped):  # the time that is left was for this
+        with suppress(Stopped):  # out of the explanation's own time
             conflict = explain(stuck.step, stuck.best, count, solver.settings, left, monitor.should_stop)
-    monitor.check_stop()  # half an explanation is worth nothing
+    monitor.check_stop()  # a cancelled explanation is incomplete
     if conflict is not None:
         attempt.explain(conflict)
 
@@ -179,5 +179,5 @@ def _single_blas_thread() -> Iterator[None]:
 
 @cache
 def _thread_pools() -> ThreadpoolController:
-    """Return the loaded libraries' thread pools; finding them takes longer than many a plan."""
+    """Return the loaded libraries' thread pools; the search for them takes longer than many plans."""
     return ThreadpoolController()

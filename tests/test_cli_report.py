@@ -48,7 +48,7 @@ def test_every_failure_is_shown_and_of_the_rest_the_tightest_of_its_kind() -> No
 
 def test_demands_that_are_announced_follow_in_the_verdict_s_line() -> None:
     told = [
-        "reach: the one attempt failed; at its end, 2 demands stand against each other:",
+        "reach: the one attempt failed; at its end, 2 demands conflict:",
         "a is in b;",
         "c is at d.",
     ]

@@ -142,10 +142,12 @@ def test_a_pose_that_only_hulls_bring_into_collision_is_not_called_infeasible(tm
     goal = {"poses": [{"link": "l2", "position": [0.4, 0.0, 0.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}]}
     near = plan(_request(tmp_path, [_ball(0.012)], goal=goal))
     assert near.verdict is Verdict.NOT_FOUND
-    assert "turned as asked, l2 is 12 mm from ball (obstacle), nearer than the planner's hulls" in near.explanation[0]
+    assert (
+        "turned as requested, l2 is 12 mm from ball (obstacle), nearer than the planner's hulls" in near.explanation[0]
+    )
     inside = plan(_request(tmp_path, [_ball(-0.02)], goal=goal))
     assert inside.verdict is Verdict.INFEASIBLE
-    assert "turned as asked, l2 is 20 mm inside ball (obstacle)" in inside.explanation[0]
+    assert "turned as requested, l2 is 20 mm inside ball (obstacle)" in inside.explanation[0]
 
 
 def test_a_link_keeps_the_round_shape_of_its_description(tmp_path: Path) -> None:

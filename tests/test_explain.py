@@ -30,7 +30,7 @@ from service.result.attempt import list_shortfalls
 from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.start.standing import FEET_GROUP
-from service.tasks.goal import Goal
+from service.tasks.reach import Goal
 from service.verify import Status, verify
 
 # 30 mm between them for an arm of 40 mm: it is 5 mm deep in either, or deeper in one.
@@ -74,7 +74,7 @@ def test_a_gap_narrower_than_the_arm_names_both_of_its_sides_and_the_link_betwee
     assert all(demand.links == ("l2",) for demand in walls)
     assert sum(demand.shortfall for demand in walls) == pytest.approx(0.01 + 2 * 0.005, abs=1e-3)
     lines = conflict.sentences()
-    assert lines[0] == "goal pose: the one attempt failed; at its end, 3 demands stand against each other:"
+    assert lines[0] == "goal pose: the one attempt failed; at its end, 3 demands conflict:"
     assert [line[:-1] for line in lines[1:4]] == [demand.text for demand in conflict.demands]
     assert {demand.text for demand in walls} == {"l2 is 5 mm inside right wall", "l2 is 5 mm inside left wall"}
     assert found["position of l3"].text == "position of l3 is only just kept"
@@ -105,8 +105,7 @@ def test_a_target_beyond_balance_names_balance_and_position_and_where_the_robot_
     assert found["balance"].shortfall + found["position of l_tool"].shortfall > 0.05
     head, *clauses, _ = conflict.sentences()
     assert head == (
-        "goal pose, standing on l_foot and r_foot: all 3 attempts failed; at the end of the best, "
-        "2 demands stand against each other:"
+        "goal pose, standing on l_foot and r_foot: all 3 attempts failed; at the end of the best, 2 demands conflict:"
     )
     assert any("m short of its balance margin" in clause for clause in clauses)
 
@@ -174,14 +173,15 @@ def test_a_search_cut_short_tells_after_which_time_and_what_was_found_by_then():
     assert (
         replace(found, cut_short_after_s=9.96)
         .sentences()[-1]
-        .startswith("Which of them to give up was not found out within 10.0 s. ")
+        .startswith("Which of them to give up was not determined within 10.0 s. ")
     )
     found = conflict_of(None, True, search=FilterOutcome.CUT_SHORT)
     assert (
         replace(found, cut_short_after_s=17.8)
         .sentences()[-1]
         .startswith(
-            "Without box 1 everything else was kept; whether that is so of the others was not found out within 17.8 s. "
+            "Without box 1 everything else was kept; "
+            "whether that holds for the others was not determined within 17.8 s. "
         )
     )
 
@@ -220,12 +220,12 @@ def conflict_of(*decisive, search=FilterOutcome.REDUCED, attempts=4):
         (conflict_of(True, True), "Without either of them everything else was kept."),
         (conflict_of(True, True, True), "Without any one of them everything else was kept."),
         (conflict_of(True, False, True), "Without box 0 or without box 2 everything else was kept."),
-        (conflict_of(False), "Giving up it is not enough: what is not listed then stands in the way."),
-        (conflict_of(False, False), "Giving up any of them is not enough: what is not listed then stands in the way."),
+        (conflict_of(False), "Giving up it is not enough: constraints that are not listed then fail."),
+        (conflict_of(False, False), "Giving up any of them is not enough: constraints that are not listed then fail."),
         (conflict_of(None, None, search=FilterOutcome.NO_HELP), "Giving them up did not help within a few steps."),
         (
             conflict_of(None, search=FilterOutcome.GIVES_WAY),
-            "Asked for nothing else, the robot kept all of it there: more options.starts may help.",
+            "With nothing else required, all of it was kept there: more options.starts may help.",
         ),
     ],
 )

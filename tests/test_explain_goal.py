@@ -197,24 +197,24 @@ def test_a_target_deep_in_an_obstacle_is_said_to_be_so_and_one_beside_it_is_not(
     down, up = (Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix() for angle in (np.pi, 0.0))
     assert find_goal_reasons(body, [at("l_tool", [0.75, 0.0, 0.93], down)]).impossible == ()
     (line,) = find_goal_reasons(body, [at("l_tool", [0.75, 0.0, 0.93], up)]).impossible
-    assert line.startswith("the goal is in collision: with l_tool at [0.75, 0.0, 0.93], turned as asked, l_h")
+    assert line.startswith("the goal is in collision: with l_tool at [0.75, 0.0, 0.93], turned as requested, l_h")
     assert line.endswith(" mm inside table (obstacle)")
 
 
 def test_two_poses_that_put_links_into_each_other_are_told_with_both(arm):
     poses = [at("l0", [0.0, 0.0, 0.0], np.eye(3), turn=1e-3), at("l2", [0.05, 0.03, 0.0], np.eye(3), turn=1e-3)]
     lines = find_goal_reasons(standing(arm), poses).impossible
-    told = "the goal is in collision: with l0 at [0.0, 0.0, 0.0] and l2 at [0.05, 0.03, 0.0], turned as asked,"
+    told = "the goal is in collision: with l0 at [0.0, 0.0, 0.0] and l2 at [0.05, 0.03, 0.0], turned as requested,"
     assert f"{told} l0 is 10 mm inside l2" in lines
     apart = [poses[0], at("l2", [0.05, 0.05, 0.0], np.eye(3), turn=1e-3)]
-    assert not any("turned as asked" in line for line in find_goal_reasons(standing(arm), apart).impossible)
+    assert not any("turned as requested" in line for line in find_goal_reasons(standing(arm), apart).impossible)
 
 
 def test_a_pose_that_only_its_tolerance_may_free_is_noted_and_not_called_impossible(arm):
     beside = box("block", (0.5, 0.05 - 3e-3, 0.0), (0.03, 0.03, 0.1))
     reasons = find_goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=2e-3)])
     assert reasons.impossible == reasons.unresolved == ()
-    told = "with l2 at [0.4, 0.0, 0.0], turned as asked, l2 is 3.0 mm inside block (obstacle)"
+    told = "with l2 at [0.4, 0.0, 0.0], turned as requested, l2 is 3.0 mm inside block (obstacle)"
     assert reasons.notes == (f"{told}; only its tolerance can free it",)
     exact = find_goal_reasons(standing(arm, beside), [at("l2", [0.4, 0.0, 0.0], np.eye(3), tolerance=1e-4, turn=1e-3)])
     assert exact == GoalReasons((f"the goal is in collision: {told}",), ())

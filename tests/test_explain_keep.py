@@ -12,7 +12,7 @@ from service.body.holds import make_kept_poses, project_onto_holds
 from service.body.whole_body import Aims, WholeBody
 from service.explain.distance import find_never_kept
 from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
-from service.tasks.goal import Goal
+from service.tasks.reach import Goal
 from service.verify import Target
 
 
@@ -37,7 +37,8 @@ def test_hands_that_shall_arrive_farther_apart_than_they_are_held():
     body = keeping(HANDS)
     apart = places(body, body.nominal, l_tool=[0.0, 0.1, 0.0], r_tool=[0.0, 0.0, 0.0])
     assert find_never_kept(body, apart) == (
-        "r_tool and l_tool shall arrive 0.69 m apart, and keeping r_hand relative to l_hand holds them 0.59 m apart",
+        "the goals of r_tool and l_tool are 0.69 m apart, "
+        "and keeping r_hand relative to l_hand holds them 0.59 m apart",
     )
     assert find_never_kept(keeping(), apart) == ()
 
@@ -53,7 +54,7 @@ def test_a_link_kept_in_the_world_that_shall_arrive_elsewhere():
     body = keeping(KeepRequest("r_hand"))
     elsewhere = places(body, body.nominal, r_hand=[0.0, 0.0, 0.2])
     assert find_never_kept(body, elsewhere) == (
-        "r_hand shall arrive 0.20 m from where keeping r_hand relative to the world holds it",
+        "the goal of r_hand is 0.20 m from where keeping r_hand relative to the world holds it",
     )
     assert find_never_kept(body, places(body, body.nominal, l_hand=[0.0, 0.0, 0.2])) == ()
 

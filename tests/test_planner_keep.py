@@ -191,7 +191,8 @@ def test_places_that_both_hands_cannot_keep_are_infeasible():
     result = plan(carry(np.zeros(3), keep, goal={"poses": [left, goal]}))
     assert result.verdict is Verdict.INFEASIBLE
     assert result.explanation == (
-        "r_hand and l_hand shall arrive 0.20 m apart, and keeping r_hand relative to l_hand holds them 0.64 m apart",
+        "the goals of r_hand and l_hand are 0.20 m apart, "
+        "and keeping r_hand relative to l_hand holds them 0.64 m apart",
     )
 
 

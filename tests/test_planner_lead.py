@@ -1,4 +1,4 @@
-"""Starts that lead what shall arrive straight to its goal, with everything that is held."""
+"""Starts that lead the goal's links straight to it, with the holds kept."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from service.body.holds import largest_hold_error, make_kept_poses
 from service.body.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight_path
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
-from service.tasks.goal import Goal, lead_path, make_line_holds
+from service.tasks.reach import Goal, lead_path, make_line_holds
 
 FEET = ("l_foot", "r_foot")
 

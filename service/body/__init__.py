@@ -1,1 +1,1 @@
-"""The whole body in contact: terms of every phase, phases, holds, and sampled paths."""
+"""The whole body in contact: terms of every phase, solver of phases, holds, and sampled paths."""

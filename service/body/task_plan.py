@@ -1,4 +1,4 @@
-"""A task's phases as planned: waypoints, what the verifier holds them to, and what a step without a solution lacks."""
+"""A task's phases as planned: waypoints, the verifier's targets, and the violations of a step without a solution."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WaypointTargets = Callable[[Float[np.ndarray, "T"]], tuple[Target, ...]]
 
 @dataclass(frozen=True)
 class PlannedPhase:
-    """A phase of the motion as solved, and what the verifier holds it to.
+    """A solved phase of the motion, with the verifier's targets.
 
     Attributes:
         name: as the user sees it.

@@ -1,1 +1,1 @@
-"""Reasons why no motion was found: global ones, and the constraints that conflict locally."""
+"""Reasons why no motion is found: global ones, and locally conflicting constraints."""

@@ -81,11 +81,7 @@ class Conflict:
             both = "both" if self.n_attempts == 2 else f"all {self.n_attempts}"
             tried = f"{both} attempts failed; at the end of the best"
         stance = f", standing on {join_names(self.standing_on)}" if self.standing_on else ""
-        stand = (
-            f"{len(self.demands)} demands stand against each other"
-            if len(self.demands) > 1
-            else "one demand is not met"
-        )
+        stand = f"{len(self.demands)} demands conflict" if len(self.demands) > 1 else "one demand is not met"
         clauses = [f"{demand.text};" for demand in self.demands[:-1]] + [f"{self.demands[-1].text}."]
         return (
             f"{self.step}{stance}: {tried}, {stand}:",
@@ -99,7 +95,7 @@ class Conflict:
         return f"{self.step}: {'; '.join(demand.text for demand in self.demands)}"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready data (docs/result-format.md)."""
+        """Return JSON-ready data (docs/result-format.md)."""
         return {
             "step": self.step,
             "attempts": self.n_attempts,
@@ -113,7 +109,7 @@ class Conflict:
     def _describe_outcome(self) -> str:
         """Return a sentence about the effect of leaving demands out."""
         if self.search is FilterOutcome.GIVES_WAY:
-            return "Asked for nothing else, the robot kept all of it there: more options.starts may help."
+            return "With nothing else required, all of it was kept there: more options.starts may help."
         if self.search is FilterOutcome.CUT_SHORT:
             return self._describe_cut_short()
         if self.search is FilterOutcome.NO_HELP:
@@ -121,7 +117,7 @@ class Conflict:
         decisive = [demand.name for demand in self.demands if demand.is_decisive]
         if not decisive:
             given_up = "it" if len(self.demands) == 1 else "any of them"
-            return f"Giving up {given_up} is not enough: what is not listed then stands in the way."
+            return f"Giving up {given_up} is not enough: constraints that are not listed then fail."
         if len(self.demands) == 1:
             return "Without it everything else was kept."
         if len(decisive) == len(self.demands):
@@ -136,10 +132,10 @@ class Conflict:
         decisive = [demand.name for demand in self.demands if demand.is_decisive]
         if decisive:
             return (
-                f"Without {' or without '.join(decisive)} everything else was kept; whether that is so of the others "
-                f"was not found out within {spent}."
+                f"Without {' or without '.join(decisive)} everything else was kept; whether that holds for the others "
+                f"was not determined within {spent}."
             )
-        return f"Which of them to give up was not found out within {spent}."
+        return f"Which of them to give up was not determined within {spent}."
 
 
 def join_names(words: tuple[str, ...] | list[str]) -> str:

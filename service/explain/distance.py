@@ -128,7 +128,7 @@ def _compare_distances(robot: RobotModel, kept: KeptPose, poses: Sequence[PoseTa
         if kept.reference is None:
             distance = float(np.linalg.norm(pose.position - held))
             if distance > slack:
-                yield f"{pose.frame} shall arrive {distance:.2f} m from where keeping {kept.name} holds it"
+                yield f"the goal of {pose.frame} is {distance:.2f} m from where keeping {kept.name} holds it"
             continue
         for other in poses:
             anchor = _position_in(robot, kept.reference, other.frame)
@@ -137,8 +137,8 @@ def _compare_distances(robot: RobotModel, kept: KeptPose, poses: Sequence[PoseTa
             at_goal, while_kept = (float(np.linalg.norm(d)) for d in (pose.position - other.position, held - anchor))
             if abs(at_goal - while_kept) > slack + position_slack(other):
                 yield (
-                    f"{pose.frame} and {other.frame} shall arrive {at_goal:.2f} m apart, and keeping {kept.name} holds "
-                    f"them {while_kept:.2f} m apart"
+                    f"the goals of {pose.frame} and {other.frame} are {at_goal:.2f} m apart, and keeping {kept.name} "
+                    f"holds them {while_kept:.2f} m apart"
                 )
 
 

@@ -205,7 +205,7 @@ def _overlap_fixed(pose: PoseTarget, member: _CarriedBody, other: LinkBody | Con
     if pose.rotation is not None:
         overlap = _overlap(member.body, other, member.play(pose), member.pose_of_joint(pose), np.eye(4))
         if overlap is not None and overlap.scope is not OverlapScope.TOLERANCE:
-            yield GoalOverlap(f"with {pose.frame} at {at}, turned as asked, {overlap.text}", overlap.scope)
+            yield GoalOverlap(f"with {pose.frame} at {at}, turned as requested, {overlap.text}", overlap.scope)
             return
     if _overlaps_anyhow(pose, member, ExactShape.of_hull(member.body), ExactShape.of_hull(other)):
         how = f"with {pose.frame} at {at}, however it is turned, {member.body.link} is"
@@ -215,7 +215,7 @@ def _overlap_fixed(pose: PoseTarget, member: _CarriedBody, other: LinkBody | Con
             name = other.link if isinstance(other, LinkBody) else other.name
             yield GoalOverlap(f"{how} nearer to {name} than the planner's hulls resolve", OverlapScope.HULLS_ONLY)
     elif overlap is not None:
-        yield GoalOverlap(f"with {pose.frame} at {at}, turned as asked, {overlap.text}", overlap.scope)
+        yield GoalOverlap(f"with {pose.frame} at {at}, turned as requested, {overlap.text}", overlap.scope)
 
 
 def _overlap_carried(
@@ -229,7 +229,7 @@ def _overlap_carried(
     overlap = _overlap(member.body, other.body, play, *poses)
     if overlap is not None:
         at = [np.round(each.position, 3).tolist() for each in (pose, other_pose)]
-        how = f"with {pose.frame} at {at[0]} and {other_pose.frame} at {at[1]}, turned as asked,"
+        how = f"with {pose.frame} at {at[0]} and {other_pose.frame} at {at[1]}, turned as requested,"
         yield GoalOverlap(f"{how} {overlap.text}", overlap.scope)
 
 

@@ -81,7 +81,7 @@ def _group_constraint(minimum: LocalMinimum, constraint: Constraint[MotionState]
     rows = minimum.multipliers.rows[name]
     short = constraint.measure_violation(rows.value)
     waypoint = _find_waypoints(rows, len(minimum.x[0]))
-    # Rows of one waypoint are components of one error, those of balance are the polygon's edges.
+    # Rows of a waypoint are components of an error; those of balance are the polygon's edges.
     together = np.zeros(len(minimum.x))
     if name == BALANCE:
         np.maximum.at(together, waypoint, short)

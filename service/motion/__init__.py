@@ -1,1 +1,1 @@
-"""From waypoints to a timed curve: spline, time law, and repair of what a certificate refutes."""
+"""From waypoints to a timed curve: spline, time law, and repair where a certificate fails."""

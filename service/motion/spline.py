@@ -15,7 +15,7 @@ from service.body.holds import DRIFT, Hold, largest_hold_error, least_norm_step,
 
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
 SMALLEST_RATE = 1e-12  # tangents this close to their limits keep them
-LIMIT_ROUNDS = 3  # in which joints at their limits are found
+LIMIT_ROUNDS = 3  # of the search for joints at their limits
 MAX_INSERTIONS = 6  # rounds; each halves the intervals that drift
 
 

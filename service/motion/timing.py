@@ -232,7 +232,7 @@ def _compute_slowdown(
         curable = (moving > 0.0) & (resting < -1e-6)
         if np.any(curable):
             needed = max(needed, float(np.max((moving[curable] - resting[curable]) / -resting[curable])))
-    # A little more than the affine estimate asks for.
+    # A little more than the affine estimate.
     return float(np.sqrt(needed) * (1.01 if needed > 1.0 else 1.0))
 
 

@@ -20,7 +20,7 @@ from service.result.motion_json import file_positions
 from service.result.phase_json import targets_json
 from service.setup.prepare import PlanSetup
 from service.start.overlaps import find_overlaps
-from service.tasks.goal import Goal
+from service.tasks.reach import Goal
 from service.verify import CircleTarget, JointTarget, PoseTarget, Target
 from service.verify.solids import convex_of
 

@@ -17,6 +17,7 @@ from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.errors import RequestError
 from service.explain.distance import find_out_of_reach
 from service.start.overlaps import describe_collisions, find_overlaps_and_unresolved
+from service.tasks.reach import TREES
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.trajopt.fields import did_you_mean
 from service.trajopt.problem import CollisionTerm, PoseTerm
@@ -24,12 +25,6 @@ from service.trajopt.problem import CollisionTerm, PoseTerm
 PHASE = "trajopt"
 APART = LEAST_CLEARANCE + CLEARANCE_TOLERANCE  # clearance of all pairs, besides the file's own collision terms [m]
 SIGHT = 0.03  # beyond the largest distance of a collision term [m]
-TREES = (
-    Tree(0, 1000, "LBKPIECE1"),
-    Tree(1, 1500, "RRTConnect"),
-    Tree(2, 2000, "LBKPIECE1"),
-    Tree(3, 4000, "RRTConnect"),
-)
 # As in TrajOpt, the optimiser goes on until its costs are low; elsewhere the first feasible motion is enough.
 LEAST_GAIN = 1e-3
 
@@ -139,7 +134,7 @@ class _ProgramSearch:
         yield from self._around(start, end, TREES[1])
         for name, posture in posture_guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self.solve(path_via(start, self._move_free(posture), end, count))
-        for tree in TREES[2:]:
+        for tree in TREES[2:4]:
             yield from self._around(start, end, tree)
 
     def make_plan(self, name: str, solved: Solved) -> TaskPlan:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation, Slerp
 
+from costs.kinematics import locate_links
+from costs.state import MotionState
+from costs.terms import AxisDirection, FramePose, WithinTolerance
+from scopt import Constraint
+from service.body.holds import POSITION, ROTATION, Hold, least_norm_step, linearize_holds
 from service.body.phases import (
     PhaseSolver,
     path_via,
@@ -20,9 +26,11 @@ from service.body.phases import (
 )
 from service.body.sampling import Tree, resample_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
+from service.body.whole_body import WholeBody
+from service.demands.targets import AXES, goal_joints, goal_targets, rotation_of
 from service.explain.goal import find_goal_reasons
-from service.request.schema import GoalRequest
-from service.tasks.goal import Goal, lead_path
+from service.request.schema import GoalRequest, PoseGoalRequest
+from service.verify import Target
 
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most, between waypoints [rad, m]
@@ -44,6 +52,10 @@ TREES = (
 RESTORABLE = 10.0  # largest shortfall from which a restoration is tried
 RANDOM_GUESSES = 8  # about half of them lead to a pose
 SAME_END = 0.05  # largest difference of equal ends [rad, m]
+AIM = 0.5  # share of a pose's tolerance for the optimiser, the rest is for the curve and the certificate
+STEPS = 8  # of the projection from a waypoint onto the holds of the next
+CLOSE = 1e-5  # residual at which the projection ends [m, rad]
+LARGEST_STEP = 0.3  # of a coordinate in one step, where the next waypoint is out of reach [rad, m]
 
 
 def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | None) -> Iterator[TaskPlan]:
@@ -92,7 +104,7 @@ class _ReachSearch:
         yield from self._around(end, TREES[0])
         if self.solver.body.kept:
             line = self.solver.body.project_onto_holds(straight_path(start, end, count))
-            yield "straight line along what is kept", self._solve(line, **LEAD)
+            yield "straight line along the kept poses", self._solve(line, **LEAD)
         yield from self._lead_links()
         for other, shortfall in ends:
             if shortfall is None:
@@ -166,7 +178,7 @@ class _ReachSearch:
         """Yield the solve from straight lines of the goal's links."""
         q = lead_path(self.goal, LEAST_WAYPOINTS if self.n_waypoints is None else self.n_waypoints)
         if q is not None:
-            yield "straight way of what shall arrive", self._solve(q, **LEAD)
+            yield "straight lines of the goal's links", self._solve(q, **LEAD)
 
     def _around(self, end: Float[np.ndarray, "n"], tree: Tree) -> Iterator[tuple[str, Solved]]:
         """Yield the solve from a sampled path; the path itself where the solve fails and the path does not."""
@@ -194,3 +206,136 @@ class _ReachSearch:
 def _solve_again(solver: PhaseSolver, q: Float[np.ndarray, "T n"]) -> Solved:
     """Solve a denser trajectory between the same ends."""
     return solver.solve_trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]})
+
+
+@dataclass(frozen=True)
+class Goal:
+    """The goal of a reach.
+
+    Attributes:
+        body: the robot in its scene.
+        request: the goal's section of the request.
+        joints: value by coordinate index.
+    """
+
+    body: WholeBody
+    request: GoalRequest
+    joints: Mapping[int, float]
+
+    @staticmethod
+    def of(body: WholeBody, request: GoalRequest) -> Goal:
+        """Return a request's goal; a posture's base stays free, since the feet are planted."""
+        return Goal(body, request, goal_joints(body.robot, request))
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it fixes every coordinate."""
+        return len(self.joints) == self.body.robot.n
+
+    def apply_joints(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return a configuration with the goal's joint positions."""
+        out = q.copy()
+        out[list(self.joints)] = list(self.joints.values())
+        return out
+
+    def constraints(self, waypoint: int) -> list[Constraint[MotionState]]:
+        """Return the constraints of the goal's poses at a waypoint."""
+        return [
+            constraint for pose in self.request.poses for constraint in _pose_constraints(self.body, pose, waypoint)
+        ]
+
+    def fix_joints(self, lower: np.ndarray, upper: np.ndarray) -> None:
+        """Fix the goal's joints at the last waypoint, in place."""
+        for index, value in self.joints.items():
+            lower[-1, index] = upper[-1, index] = value
+
+    def targets(self, s_last: float) -> tuple[Target, ...]:
+        """Return the verifier's targets of the reach's end."""
+        return goal_targets(self.body.robot, self.request, s_last)
+
+
+def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
+    """Return constraints of a link's position and orientation; of the latter perhaps only one axis."""
+    rotation = rotation_of(pose)
+    target = np.eye(4)
+    target[:3, 3] = pose.position
+    if rotation is not None:
+        target[:3, :3] = rotation
+    robot, at = body.robot, [waypoint]
+    position = FramePose(robot, pose.link, at, target, POSITION)
+    constraints = [_keep_within(f"position of {pose.link}", position, pose.position_tolerance_m, "m")]
+    tolerance = np.deg2rad(pose.rotation_tolerance_deg)
+    if rotation is not None and pose.free_axis == "none":
+        orientation = FramePose(robot, pose.link, at, target, ROTATION)
+        constraints.append(_keep_within(f"orientation of {pose.link}", orientation, tolerance, "rad"))
+    elif rotation is not None:
+        axis = np.eye(3)[AXES[pose.free_axis]]
+        direction = AxisDirection(robot, pose.link, at, axis, rotation @ axis)
+        constraints.append(_keep_within(f"axis of {pose.link}", direction, tolerance, "rad"))
+    return constraints
+
+
+def _keep_within(
+    name: str, residual: FramePose | AxisDirection, tolerance: float, unit: str
+) -> Constraint[MotionState]:
+    reserve = max((1.0 - AIM) * tolerance, 1e-5)
+    return Constraint(name, WithinTolerance(residual, AIM * tolerance), tolerance=reserve, unit=unit)
+
+
+def lead_path(goal: Goal, n_waypoints: int) -> Float[np.ndarray, "T n"] | None:
+    """Return waypoints that lead the goal's links along straight lines; None where no link has a goal.
+
+    Each is the nearest to the one before that keeps the holds, so that arms do not change branch between them.
+    Obstacles are left to the optimiser.
+    """
+    if not goal.request.poses:
+        return None
+    body = goal.body
+    q, reserved = [body.nominal], body.bounds(1, {})
+    for share in np.linspace(0.0, 1.0, n_waypoints)[1:]:
+        q.append(_project_within_limits(body, q[-1], (*body.holds(), *make_line_holds(goal, share)), *reserved))
+    return np.stack(q)
+
+
+def make_line_holds(goal: Goal, share: float) -> tuple[Hold, ...]:
+    """Return holds of the goal's links at a share of their straight lines."""
+    first = locate_links(goal.body.engine, goal.body.nominal, [pose.link for pose in goal.request.poses])
+    return tuple(
+        hold for pose in goal.request.poses for hold in _make_link_holds(goal.body, pose, first[pose.link], share)
+    )
+
+
+def _make_link_holds(
+    body: WholeBody, pose: PoseGoalRequest, first: Float[np.ndarray, "4 4"], share: float
+) -> tuple[Hold, ...]:
+    """Return holds of a link's position, and of its orientation as far as its goal gives it."""
+    robot, rotation, target = body.robot, rotation_of(pose), np.eye(4)
+    target[:3, 3] = (1.0 - share) * first[:3, 3] + share * np.array(pose.position)
+    position: Hold = lambda waypoints: FramePose(robot, pose.link, waypoints, target, POSITION)  # noqa: E731
+    if rotation is None:
+        return (position,)
+    target[:3, :3] = Slerp([0.0, 1.0], Rotation.from_matrix([first[:3, :3], rotation]))(share).as_matrix()
+    if pose.free_axis == "none":
+        return position, lambda waypoints: FramePose(robot, pose.link, waypoints, target, ROTATION)
+    axis = np.eye(3)[AXES[pose.free_axis]]
+    return position, lambda waypoints: AxisDirection(robot, pose.link, waypoints, axis, target[:3, :3] @ axis)
+
+
+def _project_within_limits(
+    body: WholeBody,
+    q: Float[np.ndarray, "n"],
+    holds: Sequence[Hold],
+    lower: Float[np.ndarray, "1 n"],
+    upper: Float[np.ndarray, "1 n"],
+) -> Float[np.ndarray, "n"]:
+    """Return a configuration nearer to the holds after a few steps; joints that reach their limit stay there."""
+    row, at_limit = q[None], np.zeros(len(q), dtype=bool)
+    for _ in range(STEPS):
+        value, jacobian = linearize_holds(body.engine, row, holds)
+        if np.abs(value).max() < CLOSE:
+            break
+        step = least_norm_step(np.where(at_limit, 0.0, jacobian), value)
+        moved = row - np.clip(step, -LARGEST_STEP, LARGEST_STEP)
+        row = np.clip(moved, lower, upper)
+        at_limit |= (row != moved)[0]
+    return np.asarray(row[0])

@@ -173,7 +173,7 @@ def _advise_stance(solver: PhaseSolver, wheel: Wheel, hand: Hand) -> str:
     for ahead, aside in sorted(product(signed, (-0.2, 0.0, 0.2)), key=lambda shift: np.hypot(*shift)):
         if _is_reachable(quick, wheel, hand, ahead * forward + aside * left):
             if ahead == aside == 0.0:
-                return f"the rim is within reach of the {hand.side} hand from here; what stands around it is in the way"
+                return f"the rim is within reach of the {hand.side} hand from here; obstacles around it are in the way"
             words = [f"{abs(ahead):.1f} m {'forward' if ahead > 0 else 'back'}"] if ahead else []
             words += [f"{abs(aside):.1f} m to the {'left' if aside > 0 else 'right'}"] if aside else []
             return f"moving the pelvis (and the feet) {' and '.join(words)} would bring the rim within reach"
