@@ -127,9 +127,7 @@ def _hold_against(
     levels: Sequence[FloorPlane],
     clock: Clock,
 ) -> _Held:
-    """Hold the new scan against the earlier one, with these levels of the floor; stop where it may show others as
-    well.
-    """
+    """Hold the new scan against the earlier one and these levels; stop where other levels may show."""
     # What kept pieces explain needs no cleaning; a search for a mesh needs all points.
     cleaned = len(known) > 0
     view = view_of(cropped, reach=earlier.reach, soles=soles, seed=earlier.seed, cleaned=cleaned, floors=levels)
@@ -178,9 +176,7 @@ def _drop_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple
 
 
 def _keep_steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:
-    """Return the pieces, with those of the scene before in place of the ones of their name that are the same within 1
-    cm.
-    """
+    """Return the pieces, each replaced by the earlier piece of its name where they agree within 1 cm."""
     known = {piece.name: piece for piece in before.pieces}
     steady = []
     for piece in pieces:

@@ -77,10 +77,8 @@ def make_view(
 
     Args:
         cloud: the scan in world coordinates (z up).
-        reach: what matters.
         robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
         soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
-        seed: of all random choices.
 
     Raises:
         CloudError: nothing of the cloud lies in reach; with what its notes say.

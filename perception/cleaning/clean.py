@@ -46,9 +46,7 @@ class Reach:
 
 
 def voxel_index(points: Float[np.ndarray, "N 3"], size: float) -> tuple[Int[np.ndarray, "N"], int]:
-    """Return the number of the voxel of each point, counted 0, 1, ... in order of the voxels' coordinates, and how
-    many.
-    """
+    """Return the number of each point's voxel, counted from 0 in order of coordinates, and how many there are."""
     keys = np.zeros(len(points), dtype=np.int64)
     n_keys = 1
     for column in points.T:
@@ -92,12 +90,7 @@ def row_keys(rows: Float[np.ndarray, "N K"]) -> Int[np.ndarray, "N"]:
 
 
 def first_of_equals(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return which points are not exact copies, ray start included, of one before them.
-
-    Args:
-        points: (N, 3) [m].
-        starts: (N, 3) where their rays started [m].
-    """
+    """Return which points are not exact copies, ray start included, of one before them."""
     constant = starts.strides[0] == 0 or bool((starts == starts[:1]).all())
     keys = row_keys(points if constant else np.hstack([points, starts]))
     ordered = np.sort(keys)
@@ -117,9 +110,7 @@ def inside_hulls(
     taking a point for the robot's own.
 
     Args:
-        points: (N, 3) [m].
         hulls: (V, 3) vertices each, in the frame of the points.
-        margin: [m].
     """
     poll()
     inside = np.zeros(len(points), dtype=bool)
@@ -148,9 +139,7 @@ def _in_box(
 
 
 def _add_roundings(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
-    """Return half-spaces of the hull's faces, and between those of faces that meet, so that a margin leaves no
-    spikes.
-    """
+    """Add half-spaces between neighbouring faces of the hull, so that a margin leaves no spikes."""
     hull = _convex_hull(vertices)
     faces, neighbours = hull.equations[:, :3], hull.neighbors
     between = faces[:, None, :] + faces[neighbours]

@@ -19,8 +19,7 @@ def nearest(
     k: int | list[int] | Int[np.ndarray, "K"],
     within: float = np.inf,
 ) -> tuple[Float[np.ndarray, "N *K"], Int[np.ndarray, "N *K"]]:
-    """Return ``tree.query`` of the points: distances and indices, infinite and ``tree.n`` for neighbours beyond
-    ``within``.
+    """Return distances and indices as ``tree.query`` does: infinite and ``tree.n`` beyond ``within``.
 
     It uses as many threads as ``costs.threads`` says; they have ended when it returns, or raises.
 

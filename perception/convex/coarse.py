@@ -47,8 +47,6 @@ def coarsen(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"],
     """Make one point for each voxel of edge ``size`` [m]; the order of the points does not matter.
 
     Args:
-        points: (N, 3) [m].
-        starts: (3,) or (N, 3), where their rays started [m].
         size: edge of a voxel; voxels are aligned with the world's origin [m].
     """
     keys = np.zeros(len(points), dtype=np.int64)

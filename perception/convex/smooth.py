@@ -38,10 +38,7 @@ def smooth_points(
     nearer to the ray the more, as a Gaussian of 8 mm.
 
     Args:
-        points: (N, 3) [m].
         counts: (N,) how many measured points each stands for.
-        starts: (N, 3) where their rays started [m].
-        chosen: which are to be moved.
     """
     if len(points) < 2 or not len(chosen):
         return np.asarray(points[chosen])
@@ -103,13 +100,7 @@ def _find_beside(
 def measure_spacing(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"]
 ) -> Float[np.ndarray, "C"]:
-    """Measure the distance of each chosen point to its fourth nearest, at most 2.5 % of its range [m].
-
-    Args:
-        points: (N, 3) [m].
-        starts: (N, 3) where their rays started [m].
-        chosen: indices of the points to measure.
-    """
+    """Measure the distance of each chosen point to its fourth nearest, at most 2.5 % of its range [m]."""
     if len(points) <= _FOURTH:
         return np.zeros(len(chosen))
     mine = points[chosen]

@@ -129,8 +129,6 @@ def merge(
     """Join neighbours, least added volume first, while the joint hull holds no seen-free space.
 
     Args:
-        hulls: what to join.
-        free: what was seen free.
         gap: boxes farther apart than this, or than the lesser of the two hulls' own, are not neighbours [m].
         allowed: how much seen-free space a joint hull may hold.
     """
@@ -207,10 +205,8 @@ def refine_hulls(
     air before them.
 
     Args:
-        hulls: of some of the points.
         points: (N, 3) that their members index [m].
         surface: (M, 3) all points that surfaces stand for [m].
-        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays [m].
         gap: parts whose boxes are farther apart are not joined again [m].
     """
     is_large = [make_hull(thicken(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]

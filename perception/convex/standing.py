@@ -240,8 +240,6 @@ def make_boxes(
     """Make boxes (lower, upper corner) about groups of points so far apart that no piece is made of two groups [m].
 
     Args:
-        points: (K, 3) [m].
-        starts: (K, 3) where their rays started [m].
         around: how far a box goes on beyond its points [m].
     """
     apart = max(_APART, _APART_OF_RANGE * float(np.linalg.norm(points - starts, axis=1).max(initial=0.0)))

@@ -91,8 +91,6 @@ def write_pcd(
     """Write x y z as float32.
 
     Args:
-        path: file to write.
-        points: (N, 3) [m].
         viewpoint: x y z qw qx qy qz of the sensor in the frame of the points.
         encoding: one of ``ascii``, ``binary``, ``binary_compressed``.
         misses: (M, 3) places up to which rays met nothing [m]; they follow the points, marked by a further field

@@ -37,7 +37,6 @@ def read_cloud(
     ``transform`` does.  The viewpoint's translation, moved likewise, is where the rays started.
 
     Args:
-        path: the file.
         unit: of the file's lengths: m, cm, mm, km, in, ft.
         transform: pose_world_cloud, as ``rigid_pose`` takes it [m, rad]; None: the points are in the world.
         apply_viewpoint: move the points by the viewpoint pose, for files whose points are in the sensor's frame.

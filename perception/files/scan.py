@@ -65,7 +65,6 @@ def make_scan(
         columns: x, y, z; ``vp_x``, ``vp_y``, ``vp_z``: where each ray started; ``no_return``: other than 0 where the
             row is no point but a place up to which the ray met nothing.
         viewpoint: x y z qw qx qy qz.
-        notes: sentences a user should read.
     """
     rows = _stack_columns(columns, COORDINATES)
     starts = _stack_columns(columns, STARTS) if all(name in columns for name in STARTS) else None

@@ -35,10 +35,8 @@ def outlines_of(
     are covered, wider ones are not.
 
     Args:
-        level: the plane.
         points: (N, 3) near it [m].
         core: (C, 2) places that belong to it for sure; what does not hang together with any of them is left out [m].
-        rays: starts and ends (R, 3) of all rays of the scan [m].
     """
     points = points[np.unique(voxel_index(points, _THIN)[0], return_index=True)[1]]
     places = points[:, :2]
@@ -61,9 +59,7 @@ def outlines_of(
 def _parts(
     places: Float[np.ndarray, "N 2"], core: Float[np.ndarray, "C 2"], holes: Float[np.ndarray, "H 2"]
 ) -> list[Int[np.ndarray, "L"]]:
-    """Return indices of the places that hang together, across gaps of scan lines but not across holes, with the
-    core.
-    """
+    """Return indices of places connected to the core across gaps of scan lines, but not across holes."""
     lower, shape = _grid(places, _CELL)
     seen = _picture(places, lower, shape, _CELL)
     joined = _close(seen) & ~_picture(holes, lower, shape, _CELL)

@@ -19,16 +19,13 @@ _LEAST_SHARE = 0.85
 def is_unbroken(
     points: Float[np.ndarray, "N 3"], own: Float[np.ndarray, "K 3"], plane: FloorPlane
 ) -> Bool[np.ndarray, "K"]:
-    """Return which points of a level belong to parts that are wide, with hardly anything seen under them or just over
-    them.
+    """Return which points of a level belong to wide parts with hardly anything just under or over them.
 
     Beams in a heap have their upper faces at much the same height here and there, but between them one sees what lies
     lower, and across them what lies higher.  Five centimetres along the border do not count: there are risers.
 
     Args:
-        points: (N, 3) of the whole scan [m].
         own: (K, 3) those of the level [m].
-        plane: of the level.
     """
     lower = np.floor(own[:, :2].min(axis=0) / _CELL).astype(int) - _MARGIN
     shape = np.floor(own[:, :2].max(axis=0) / _CELL).astype(int) - lower + _MARGIN + 1

@@ -28,10 +28,6 @@ def scan(
     Every ray stops at the first surface (real occlusion), and may be mixed up with what is beside it.
 
     Args:
-        meshes: the world.
-        pose: of the sensor.
-        sensor: what it does; by default a spinning line scanner.
-        seed: of the noise.
         misses: whether rays that met nothing in range are given, as places at ``max_range``; sensors that cannot tell
             them from failures give none.
     """

@@ -71,9 +71,7 @@ class Sensor(Protocol):
         """Return ranges as the sensor gives them [m]: NaN where it fails to measure, infinite where there was nothing.
 
         Args:
-            hits: what the rays' middles met.
             beside: (R,) how far away is what their edges met [m].
-            rng: of the noise.
         """
         ...
 
@@ -87,7 +85,6 @@ def mix_ranges(
         first: what the rays' middles met [m].
         beside: what their edges met [m].
         share: how often an edge mixes both.
-        rng: of the choice.
     """
     place = rng.random(len(first))
     both = np.isfinite(first) & np.isfinite(beside)

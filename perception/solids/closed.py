@@ -35,10 +35,6 @@ class Solid:
 def make_solid(mesh: Mesh, name: str = "mesh") -> Solid:
     """Weld equal corners, separate what is connected only by corners or edges, turn every part outwards, fill holes.
 
-    Args:
-        mesh: any triangles.
-        name: what to call the mesh in errors and notes.
-
     Raises:
         MeshError: corners that are not finite or do not exist, or nothing that spans a volume.
     """

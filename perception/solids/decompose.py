@@ -79,9 +79,6 @@ def split_solid(
 
     Args:
         solid: closed parts are split as they are, open ones as shells.
-        settings: of CoACD.
-        resources: cache and limits.
-        name: of the mesh in errors.
 
     Raises:
         MeshError: CoACD crashed or needs too much.

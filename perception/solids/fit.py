@@ -99,9 +99,6 @@ def fit_pose(surface: Surface, region: Region, start: MeshPose, gates: Iterable[
     """Take one Gauss-Newton step of point-to-plane ICP (Chen and Medioni, 1992) for each gate.
 
     Args:
-        surface: of the mesh.
-        region: the points it is fitted to.
-        start: the first pose.
         gates: points farther from the mesh than this have no weight, nearer ones Tukey's biweight [m].
     """
     pose = start

@@ -92,12 +92,7 @@ class KnownMesh:
 
 
 def locate(known: KnownMesh, view: View) -> MeshMatch:
-    """Find an object's pose in the scan; the pose of a placed one stays, and only its agreement is measured.
-
-    Args:
-        known: the object.
-        view: the scan, made ready.
-    """
+    """Find an object's pose in the scan; the pose of a placed one stays, and only its agreement is measured."""
     if known.is_placed and known.pose_world_mesh is not None:
         return judge_placed(known.solid, view, known.pose_world_mesh)
     return match_mesh(known.solid, view, hint=known.hint, initial=known.pose_world_mesh)
@@ -115,7 +110,6 @@ def match_mesh(
 
     Args:
         mesh: the object, in its own frame [m]; as a solid where it is checked already.
-        view: the scan, made ready.
         hint: (3,) a point on or near the object; without it and ``initial`` every cluster of its size is tried
             that is left when planes wider than it are taken away.
         initial: (4, 4) about where it stands (20 degrees, 15 cm); only poses near it are tried.
@@ -148,8 +142,6 @@ def judge_placed(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4
 
     Args:
         solid: the object, in its own frame [m].
-        view: the scan, made ready.
-        pose_world_mesh: (4, 4).
     """
     surface, centre, radius = _measure_solid(solid)
     pose = MeshPose(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])

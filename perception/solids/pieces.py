@@ -52,9 +52,6 @@ def make_coacd_pieces(
 
     Args:
         points: (N, 3) obstacle points, cleaned [m].
-        starts: (3,) or (N, 3), where their rays started [m].
-        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan [m].
-        resources: cache, and limits of the CoACD process.
 
     Raises:
         MeshError: CoACD crashed or needs too much.

@@ -22,7 +22,7 @@ def read_mesh(path: Path | str, scale: float | Float[np.ndarray, "3"] = 1.0) -> 
     """Read the triangles of a mesh file; faces with more corners come as fans of triangles.
 
     Args:
-        path: the file; its suffix is the format. Text and binary STL are distinguished by content.
+        path: its suffix is the format; text and binary STL are distinguished by content.
         scale: metres per unit of the file, along each axis where there are three.
 
     Raises:

@@ -22,9 +22,6 @@ def wrap_cells(
     """Make a closed surface, wound outwards, half-way between the middles of occupied and empty cells.
 
     Args:
-        occupied: which cells are; at least one.
-        lower: (3,) lower corner of the grid [m].
-        size: edge of a cell [m].
         simpler: share of the triangles to come down to where the surface is smooth.
     """
     # open3d takes 0.7 s to import; flying edges is marching cubes without doubled corners.

@@ -101,8 +101,6 @@ def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
     """Return the best box near each side edge of a face, and the best across it, where there is enough of one.
 
     Args:
-        face: the face.
-        rays: all of the scan.
         prefer: side on which it must be (-1 low, 1 high); 0 either.
     """
     best: dict[str, Bump] = {}

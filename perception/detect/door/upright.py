@@ -76,7 +76,6 @@ def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3
 
     Args:
         points: (N, 3) without floor [m].
-        origin: (3,) of the rays [m].
     """
     if len(points) < 20:
         return []

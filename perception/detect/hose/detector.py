@@ -94,7 +94,6 @@ def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     vessel that stands on a board and opens upwards is none at all.
 
     Args:
-        view: the scan.
         hint: (3,) a point near the opening: only what lies within half a metre of it is looked at, and what cannot be
             seen of it is taken for granted sooner [m].
     """
@@ -201,9 +200,7 @@ def _judge(index: SightIndex, candidate: _Candidate, is_hinted: bool) -> _End:
 
 
 def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bool) -> float:
-    """Return the product of: a solid wall, an opening that rays go into and nothing else in it, a wall all about it,
-    little that the tube does not explain, air beside it, depths that agree, a hose's radius, within reach.
-    """
+    """Return the product of all evidence: wall, opening, free sides, agreeing depths, usual radius, within reach."""
     unseen = 0.8 if is_hinted else 0.4
     sure = rising(float(evidence.n_open), 6.0, 16.0) * rising(evidence.entering, 0.2, 0.35)
     is_open = 0.0 if np.isnan(evidence.open) else rising(evidence.open, 0.5, 0.75)

@@ -54,8 +54,6 @@ def find_discs(
     Args:
         points: (N, 3) in the face's frame [m].
         low, high: (2,) corners of the face [m].
-        sigma: scatter of the points along z [m].
-        least_gain: of a disc.
     """
     discs: list[Disc] = []
     left, kernels = points, _kernels(low, high)

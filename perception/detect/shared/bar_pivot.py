@@ -51,13 +51,7 @@ class Pivot:
 
 
 def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
-    """Return the end where the bar is held, by the rays through the gap behind it.
-
-    Args:
-        face: what the bar is before.
-        seen: rays that reach it.
-        bar: with its ends.
-    """
+    """Return the end where the bar is held, by the rays through the gap behind it."""
     centre = face.local(bar.centre[None])[0]
     axis = face.frame @ bar.axis
     flat = axis[:2] / max(float(np.hypot(axis[0], axis[1])), 1e-6)

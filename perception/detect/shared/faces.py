@@ -213,7 +213,6 @@ def fit_face(face: Face, ends: Float[np.ndarray, "K 3"]) -> Face | None:
     """Return the face moved and turned onto what is flat of some ends of rays; None when little is.
 
     Args:
-        face: as known so far.
         ends: (K, 3) in its frame [m].
     """
     ends = ends[np.abs(ends[:, 2]) < _BAND]

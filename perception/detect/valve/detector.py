@@ -16,12 +16,7 @@ _BESIDE = 0.05
 
 
 def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Find valves, best first: those with ``outer_radius`` are wheels, those with ``lever_length`` are levers.
-
-    Args:
-        view: the scan, made ready.
-        hint: (3,) a point near the valve [m].
-    """
+    """Find valves, best first: those with ``outer_radius`` are wheels, those with ``lever_length`` are levers."""
     if not len(view.obstacles):
         return []
     foreground = Foreground.of(view)

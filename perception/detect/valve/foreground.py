@@ -63,9 +63,6 @@ def before_walls(
 
     Args:
         points: (N, 3) without the floor [m].
-        starts: (N, 3) where their rays started [m].
-        rays: of the whole scan.
-        rng: for the planes.
     """
     if not len(points):
         return np.zeros(0, dtype=bool)

@@ -47,9 +47,7 @@ def detect_lever_valve(
     other, and otherwise at the end behind which rays do not pass.
 
     Args:
-        view: the scan, made ready.
         hint: (3,) a point near the valve: only what lies within 0.6 m of it is looked at [m].
-        foreground: of the view, where it is at hand.
     """
     if not len(view.obstacles):
         return []

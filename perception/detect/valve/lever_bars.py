@@ -62,8 +62,6 @@ def find_levers(
     """Return slim bars with air about them and at least one end that was seen.
 
     Args:
-        foreground: what stands before walls, and all rays.
-        floor: below everything.
         hint: (3,) only what comes near it is looked at, and more closely [m].
     """
     lines = _lines(foreground, hint, _LEVER_TUBE, LENGTHS[0], _LEVER_PAIRS, _LEVER_BALL)
@@ -103,9 +101,7 @@ def _lines(
     n_pairs: int,
     ball: float | None,
 ) -> list[Line]:
-    """Return lines of points; with a hint those of the whole scan that come near it, and those of the points near
-    it.
-    """
+    """Return lines of points; with a hint only those that come near it, of the scan and of what is near."""
     points, _ = voxel_downsample(foreground.points, _VOXEL)
     lines = find_lines(points, foreground.generator(), tubes, least_length, n_pairs=n_pairs, slim_ball=ball)
     if hint is None:
@@ -171,11 +167,8 @@ def best_round(
     """Return the round bar that explains best what is seen about a run; None where too little is.
 
     Args:
-        rays: that pass near the run.
-        run: where to look.
         radii: to start from, each twice [m].
         tube: radius about the run whose points are to be explained [m].
-        most: rays; more are thinned.
     """
     sample = sample_about(rays, run, tube, most)
     if sample is None:

@@ -266,9 +266,7 @@ def move_ring(ring: Ring, x: Float[np.ndarray, "8"]) -> Ring:
 def linearize_ring(
     rays: Sightlines, hit: Bool[np.ndarray, "N"], ring: Ring
 ) -> tuple[Float[np.ndarray, "M"], Float[np.ndarray, "8 M"]]:
-    """Return residuals in standard deviations and their derivatives by the unknowns of :func:`move_ring`: depth of the
-    hits, edge of hits and misses on the wrong side of it, and what is usual of a rim's thickness.
-    """
+    """Return residuals (depth, edge, usual thickness) in deviations and derivatives by :func:`move_ring`'s unknowns."""
     poll()
     met = cross_ring(rays, ring)
     a, b = ring.half_width, ring.half_depth

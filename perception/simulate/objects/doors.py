@@ -80,9 +80,7 @@ class Door:
         return pose
 
     def _leaf_in_wall(self) -> Float[np.ndarray, "4 4"]:
-        """Return the leaf's frame in the wall's: x along it, y out of its seen face, origin on that face's hinge
-        edge.
-        """
+        """Return the leaf's frame in the wall's: x along, y out of the seen face, origin on its hinge edge."""
         opening = self.ajar if self.side == "pull" else -self.ajar
         c, s = np.cos(opening), np.sin(opening)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

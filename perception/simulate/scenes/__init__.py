@@ -26,7 +26,6 @@ def make_scene(name: str, seed: int = 0) -> SimulatedScene:
     """Return a scene by name.
 
     Args:
-        name: one of :data:`SCENES`.
         seed: of its details: places, tilts, what stands about.
 
     Raises:

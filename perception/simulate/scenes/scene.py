@@ -47,13 +47,7 @@ class SimulatedScene:
     poses: tuple[Pose, ...]
 
     def scan(self, variant: str = "dense", pose: int = 0, *, misses: bool = False) -> Cloud:
-        """Return what a sensor gives of it; the same arguments give the same scan.
-
-        Args:
-            variant: one of :data:`VARIANTS`.
-            pose: which of the poses.
-            misses: whether rays that met nothing are given.
-        """
+        """Return what a sensor gives of it; the same arguments give the same scan."""
         noise = zlib.crc32(f"{self.name}/{self.seed}/{variant}/{pose}".encode())
         return scan(self.meshes, self.poses[pose], VARIANTS[variant], noise, misses=misses)
 
