@@ -183,7 +183,7 @@ def test_parts_contain_the_surface_and_leave_the_hole(tmp_path: Path) -> None:
 
 def _seen(thing: Mesh, rotation: np.ndarray, middle: np.ndarray, on_table: bool) -> View:
     table = (((0.9, -0.6, 0.75), (1.7, 0.6, 0.8)),) if on_table else ()
-    placed = thing.moved(rotation, middle - rotation @ MIDDLE)
+    placed = thing.move(rotation, middle - rotation @ MIDDLE)
     return make_view(scan([*Room(wall_x=2.2, boxes=table).meshes(), placed], Pose(pitch=0.4), Scanner(n_lines=120), 3))
 
 

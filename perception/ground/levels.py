@@ -14,9 +14,8 @@ from costs.stopping import poll
 from perception.cleaning.neighbours import nearest
 from perception.ground.extent import convex_patches, pierced_cells
 from perception.ground.floor import FloorPlane
-from perception.ground.outlines import outlines_of
+from perception.ground.outlines import is_unbroken, outlines_of
 from perception.ground.patches import MAX_SLOPE_DEG, PATCH, Patches, candidates, least_squares, patches_of, plane_of
-from perception.ground.unbroken import is_unbroken
 
 _BAND = 0.025
 _AROUND = np.ones((3, 3), dtype=bool)

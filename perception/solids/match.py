@@ -13,8 +13,17 @@ from perception.convex.split import find_clusters
 from perception.errors import MeshError
 from perception.sightlines import sight_index
 from perception.solids.closed import Solid, make_solid
-from perception.solids.fit import MeshPose, Region, Surface, fit_pose
-from perception.solids.judge import MIN_AGREEING, PoseJudge, find_wide_planes, lie_on_planes, make_pose_judge
+from perception.solids.fit import (
+    MIN_AGREEING,
+    MeshPose,
+    PoseJudge,
+    Region,
+    Surface,
+    find_wide_planes,
+    fit_pose,
+    lie_on_planes,
+    make_pose_judge,
+)
 from perception.solids.mesh import Mesh
 from perception.view import View
 

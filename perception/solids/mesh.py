@@ -20,13 +20,13 @@ class Mesh:
     vertices: Float[np.ndarray, "V 3"]
     triangles: Int[np.ndarray, "F 3"]
 
-    def moved(self, rotation: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]) -> Mesh:
-        """Turned about the origin, then shifted."""
+    def move(self, rotation: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]) -> Mesh:
+        """Turn about the origin, then shift."""
         return Mesh(self.vertices @ rotation.T + shift, self.triangles)
 
-    def placed(self, pose_world_mesh: Float[np.ndarray, "4 4"]) -> Mesh:
-        """In another frame; a pose that mirrors is allowed."""
-        return self.moved(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
+    def place(self, pose_world_mesh: Float[np.ndarray, "4 4"]) -> Mesh:
+        """Transform to another frame; a pose that mirrors is allowed."""
+        return self.move(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
 
     @property
     def volume(self) -> float:

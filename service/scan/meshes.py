@@ -88,8 +88,8 @@ def _body(shape: StillShape, scale: float) -> Mesh:
     pose = shape.pose_object_shape.copy()
     pose[:3, 3] *= scale
     if shape.mesh is not None:
-        return read_mesh(shape.mesh, shape.scale * scale).placed(pose)
-    return hull_mesh(np.asarray(shape.points) * scale).placed(pose)
+        return read_mesh(shape.mesh, shape.scale * scale).place(pose)
+    return hull_mesh(np.asarray(shape.points) * scale).place(pose)
 
 
 def hull_mesh(points: Float[np.ndarray, "N 3"]) -> Mesh:

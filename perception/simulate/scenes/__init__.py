@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from perception.errors import PerceptionError
-from perception.simulate.objects.placed import Truth
 from perception.simulate.scenes import cars, clutter, debris, doors, fixtures, shelves, valves
-from perception.simulate.scenes.scene import VARIANTS, Recipe, SimulatedScene
+from perception.simulate.scenes.scene import VARIANTS, Recipe, SimulatedScene, Truth
 
 SCENES: Mapping[str, Recipe] = {
     **valves.SCENES,
