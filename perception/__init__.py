@@ -6,6 +6,7 @@ Names that signatures share; all lengths in metres, in the world (z up) unless a
     index: the same rays, indexed to find those that pass a place.
     view: the scan after cropping, self-filter, floor and outliers.
     hint: a point near the object, as an operator would click it.
+    axis, direction, normal: unit vectors.
     floor: the floor's plane; nothing lies below it.  ``ground``: its height at the object.
     free: space that rays went through.
     robot_hulls, soles: vertices of the robot's links, and corners of its planted soles.

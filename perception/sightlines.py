@@ -19,8 +19,6 @@ class Sightlines:
     """Rays of a scan.
 
     Attributes:
-        start: (N, 3) [m].
-        direction: (N, 3) unit.
         length: (N,) where each ended, or up to where it met nothing [m].
     """
 
@@ -52,7 +50,6 @@ class SightIndex:
     """All rays of a scan, to ask for those that pass a place.
 
     Attributes:
-        rays: all of them.
         groups: rays that share a start: the start, their numbers and directions; empty when there are too many
             starts for that to pay.
     """

@@ -103,10 +103,7 @@ class _Held:
     """A new scan held against what was known.
 
     Attributes:
-        view: of the scan.
-        floors: pieces of the floor.
         pieces: with indices of the view's obstacles.
-        matches: by name where known meshes are.
         timings: seconds by step of the making of pieces.
         is_left_off: whether levels of the floor have to be looked for, and no pieces were made.
     """

@@ -31,7 +31,6 @@ class View:
         floors: levels of the floor, the one under the robot first.
         obstacles: (M, 3) points of ``near`` that are neither floor, nor strays, nor mixed pixels [m].
         starts: (M, 3) where their rays started [m].
-        reach: what matters.
         seed: of all random choices; the same scan and seed give the same result.
         notes: sentences a user should read.
         n_own: how many points in reach lay on the robot itself.
@@ -93,7 +92,6 @@ class Cropped:
     Attributes:
         cloud: the whole scan without exact copies.
         near: the points in reach that are not the robot's own.
-        notes: sentences a user should read.
         n_own: how many points in reach lay on the robot itself.
     """
 

@@ -26,8 +26,6 @@ class LocalJudge:
     """A scan that judges a few of its points.
 
     Attributes:
-        points: (N, 3) all points that were seen [m].
-        starts: (N, 3) where their rays started [m].
         candidates: which are not the floor's.
         directions: (3, N) unit.
         sensor: (N,) number of the place that each ray started at; None where it is the same for all.

@@ -15,12 +15,10 @@ class Coarse:
     """Means of the points in each occupied voxel, in order of the voxels' coordinates.
 
     Attributes:
-        points: (M, 3) [m].
         counts: (M,) how many points each stands for.
         starts: (M, 3) where the nearest sensor stood that saw one of them [m].
         voxel: (N,) number of the mean that each point went into.
         column: (M,) which voxel along x each is in, ascending.
-        size: edge of a voxel [m].
     """
 
     points: Float[np.ndarray, "M 3"]

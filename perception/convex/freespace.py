@@ -28,13 +28,7 @@ _CELLS_OF_BLOCK = 4
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Cells seen to be free and not beside a measured point.
-
-    Attributes:
-        lower: (3,) lower corner of the grid [m].
-        size: edge of a cell [m].
-        free: (X, Y, Z) which cells are free.
-    """
+    """Cells seen to be free and not beside a measured point."""
 
     lower: Float[np.ndarray, "3"]
     size: float
@@ -112,9 +106,6 @@ class Crossing:
 
     Attributes:
         rays: clipped to the grid.
-        lower: (3,) lower corner of the grid [m].
-        size: edge of a cell [m].
-        shape: (3,) how many cells.
     """
 
     rays: _Rays

@@ -24,10 +24,8 @@ class Hull:
     """A convex hull and the points it was made for.
 
     Attributes:
-        vertices: (V, 3) [m].
         triangles: (F, 3) indices of the vertices of its faces.
         faces: (F, 4) half-spaces ``a . x + b <= 0``, one for each triangle.
-        volume: [m^3].
         members: indices of the points it holds.
     """
 

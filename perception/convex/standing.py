@@ -40,8 +40,6 @@ class Ground:
 
     Attributes:
         hulls: of its pieces.
-        points: (F, 3) that belong to it [m].
-        starts: (F, 3) where their rays started [m].
     """
 
     hulls: tuple[Hull, ...] = ()

@@ -37,7 +37,6 @@ class Rows:
     """Rows of numbers, thinned to as many as are used.
 
     Attributes:
-        values: (R, C) the requested columns.
         n_there: how many rows the text has, as far as it was read.
         step: one of so many was taken.
     """

@@ -26,7 +26,6 @@ class FloorPlane:
 
     Attributes:
         normal: (3,) unit, upwards.
-        offset: [m].
         rms: scatter of its points about it [m].
         area: seen area [m^2].
         outlines: (K, 2) corners in the world, counter-clockwise, of convex patches that together are its extent;

@@ -139,14 +139,10 @@ class SolidState:
 
     Attributes:
         n_points: pulses.
-        rate: pulses per second.
         field_deg: full angle of the cone.
         sigma: standard deviation of the range at right angles to the surface [m].
         grazing_gain: further deviation per tangent of the angle of incidence [m].
-        max_range: [m].
-        footprint_deg: width of a beam.
         mixed_share: how often a beam on an edge gives a range between both surfaces.
-        nearest: [m].
     """
 
     n_points: int = 100_000
@@ -184,15 +180,11 @@ class DepthCamera:
     """A pinhole camera that measures disparity in whole steps.
 
     Attributes:
-        width: of the image [pixels].
-        height: of the image [pixels].
         field_deg: horizontal field of view.
         baseline: between its two eyes [m].
         matching: standard deviation of the disparity [pixels].
         step: what disparity is rounded to [pixels].
         correlation: how far the disparity's error reaches, as matching uses windows [pixels].
-        nearest: depth [m].
-        max_range: [m].
         mixed_share: how often a pixel on an edge flies between both surfaces.
         slant_deg: surfaces seen at more than this angle of incidence give holes ever more often.
         hole_share: how often a pixel is a hole for no reason.

@@ -65,7 +65,6 @@ class CoacdResources:
 
     Attributes:
         cache: of results; None keeps none.
-        limits: of the process.
     """
 
     cache: PartsCache | None = field(default_factory=PartsCache.of_user)

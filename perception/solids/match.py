@@ -45,7 +45,6 @@ class MeshMatch:
     """A mesh located in a scan.
 
     Attributes:
-        pose_world_mesh: (4, 4).
         confidence: 0 to 1; 0.5 and more is one to act on.
         residuals: ``rms`` and ``median`` distance of the points it explains [m]; ``seen_through``, the share of rays
             that should have met it and went on; ``hidden``, the share that met something before it; ``unexplained``,
@@ -86,7 +85,6 @@ class KnownMesh:
     """An object of known shape, and what is known of its pose.
 
     Attributes:
-        name: of the object.
         solid: its shape in its own frame [m].
         pose_world_mesh: (4, 4), right within 20 degrees and 15 cm unless it ``is_placed``; None: it is searched for.
         hint: (3,) a point on or near it, where there is no pose; None: it is looked for everywhere [m].

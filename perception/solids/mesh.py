@@ -13,7 +13,6 @@ class Mesh:
     """Triangles.
 
     Attributes:
-        vertices: (V, 3) [m].
         triangles: (F, 3) indices of their corners.
     """
 

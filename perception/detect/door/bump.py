@@ -30,9 +30,7 @@ class DoorFace:
     """A face that may have a handle.
 
     Attributes:
-        plane: of it.
         low, high: its side edges along the plane [m].
-        ground: world z of the floor [m].
         sigma: how far rays that end on it do so from its plane [m].
     """
 

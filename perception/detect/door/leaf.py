@@ -33,8 +33,6 @@ class Leaf:
         top_is_seen: whether something else was seen above it.
         rms: scatter of its points about the plane [m].
         sigma: uncertainty of the plane's yaw [rad].
-        profile: of its plane.
-        points: (K, 3) on it [m].
     """
 
     plane: Upright

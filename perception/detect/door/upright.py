@@ -24,7 +24,6 @@ class Upright:
 
     Attributes:
         normal: (3,) unit, horizontal, towards the sensor.
-        offset: [m].
     """
 
     normal: Float[np.ndarray, "3"]

@@ -79,7 +79,6 @@ class _Begun:
     """A cluster held against drills that stand there, before any is fitted.
 
     Attributes:
-        cluster: what stands there.
         supported: share of what was seen about its foot in which its support goes on.
         least: height over which a ray may have ended on it: what ended on its support passed beside it [m].
         rays: that pass it; ``few`` of them suffice to fit.

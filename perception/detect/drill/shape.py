@@ -57,7 +57,6 @@ class Solids:
 
     Attributes:
         first, last: (S, 3) ends of the segments, in the drill's frame on its support [m].
-        radius: (S,) [m].
     """
 
     first: Float[np.ndarray, "S 3"]

@@ -65,7 +65,6 @@ class _Candidate:
     """A tube to be fitted.
 
     Attributes:
-        tube: where it may be.
         rays: that pass near its mouth.
         mine: those that ended on it, whatever it is.
         misfit: how badly it explains them.

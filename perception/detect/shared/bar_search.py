@@ -42,7 +42,6 @@ class Stock:
     """Sizes that a kind of bar comes in.
 
     Attributes:
-        section: outline across the axis.
         halves: half width and half thickness of each [m].
         rarity: squared standard deviations by which one has to explain better to be believed, in the order of halves.
     """
@@ -61,7 +60,6 @@ class Choice:
     """The bar that explains best.
 
     Attributes:
-        fit: it.
         doubt: how far across the axis the centres of others lie that explain nearly as well [m].
     """
 

@@ -36,7 +36,6 @@ class Run:
 
     Attributes:
         place: (3,) on it [m].
-        axis: (3,) unit.
         first, last: its ends, from ``place`` along ``axis`` [m].
         away: (3,) unit, square to the axis, into the face that is seen; None: nothing is known of faces.
     """

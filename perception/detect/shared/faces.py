@@ -69,7 +69,6 @@ class FaceRays:
     """Rays that reach a face.
 
     Attributes:
-        rays: they.
         at: (N, 2) where each crosses the face's plane, in x and y [m].
         ends: (N, 3) where each ended, in the face's frame [m].
     """
@@ -89,7 +88,6 @@ class FacesInSight:
 
     Attributes:
         faces: upright and slanting ones in arm's reach or so, refined by the rays that ended on them, largest first.
-        index: all rays of the scan.
     """
 
     faces: tuple[Face, ...]

@@ -29,13 +29,11 @@ class ValveDetection:
         centre: (3,) of the rim [m].
         axis: (3,) unit, towards the sensor.
         rim_radius: of the rim's centre line [m].
-        outer_radius: [m].
         tube_radius: half width of the rim along the radius [m].
         half_depth: half thickness of the rim along the axis [m].
         spoke_angles: about the axis, from ``wheel_basis(axis)[0]`` (horizontal), right-handed [rad].
         hub_radius: inside it nothing was seen through [m].
         inner_depth: lowest and highest place along the axis of what was seen inside the rim [m].
-        confidence: 0 to 1.
         rms: of the rim's depth residuals [m].
         n_inliers: rays that ended on the rim.
         spoke_half_width: of the spokes [m].

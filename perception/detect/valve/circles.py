@@ -31,9 +31,6 @@ class Circle:
     """A circle and how well points agree with it.
 
     Attributes:
-        centre: (3,) [m].
-        axis: (3,) unit.
-        radius: [m].
         coverage: share of its 24 sectors with a point on it.
         score: its square times the share of the points in its disc that lie on it.
     """
@@ -164,13 +161,7 @@ def _drop_duplicates(circles: list[Circle], most: int, apart: float = 0.3, least
 
 @dataclass(frozen=True)
 class Circles:
-    """Circles in space.
-
-    Attributes:
-        centres: (C, 3) [m].
-        axes: (C, 3) unit.
-        radii: (C,) [m].
-    """
+    """Circles in space."""
 
     centres: Float[np.ndarray, "C 3"]
     axes: Float[np.ndarray, "C 3"]

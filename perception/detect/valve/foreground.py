@@ -27,7 +27,6 @@ class Foreground:
 
     Attributes:
         points: (N, 3) obstacle points that no wall explains [m].
-        index: all rays of the scan.
         rng: as the search for walls left it.
     """
 

@@ -26,7 +26,6 @@ class Inside:
 
     Attributes:
         spoke_angles: of the spokes [rad].
-        spoke_half_width: [m].
         spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
         spokes_known: whether rays are dense enough there to tell spokes from openings.
         widest_spoke: angle of the widest solid part in the rim's plane [rad].

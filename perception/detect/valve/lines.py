@@ -30,7 +30,6 @@ class Line:
 
     Attributes:
         place: (3,) on it [m].
-        axis: (3,) unit.
         first, last: where it begins and ends, from ``place`` along ``axis`` [m].
         radius: of the tube its points lie in [m].
         members: indices of its points.

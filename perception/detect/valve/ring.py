@@ -40,7 +40,6 @@ class Ring:
     """A torus of elliptic section.
 
     Attributes:
-        centre: (3,) [m].
         axis: (3,) unit, towards the sensor.
         radius: of the section's centre line [m].
         half_width: of the section along the radius [m].

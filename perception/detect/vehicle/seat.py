@@ -47,7 +47,6 @@ class Seat:
         width, depth: of the cushion's top [m].
         floor: world z of the vehicle's floor before it [m]; NaN when not seen.
         back_share: share of what was seen of the place of its back that is solid.
-        confidence: 0 to 1.
         patch: the cushion's top.
     """
 

@@ -29,11 +29,7 @@ class Car:
 
     Attributes:
         place: x, y of its frame's origin in the world [m].
-        yaw: of its forward direction [rad].
         floor: height of its floor over the ground [m].
-        half_width: to the body's side [m].
-        seat_width: of each cushion [m].
-        seat_depth: of each cushion [m].
         seat_height: of the cushion's top over the car's floor [m].
         seat_y: of the cushions' middles, to either side [m].
         opening: from the body behind the seats to the front fender [m].
@@ -154,8 +150,6 @@ class FromSeat:
 
     Attributes:
         floor_height: of the car over the ground, within 3 cm [m].
-        opening: width of the openings [m].
-        look_at: what the robot looks at [m].
     """
 
     floor_height: float = 0.4

@@ -31,7 +31,6 @@ class Clutter:
 
     Attributes:
         arrange: gives the things for a generator of details.
-        look_at: what the robot looks at [m].
     """
 
     arrange: Callable[[np.random.Generator], list[PlacedObjects]]

@@ -30,10 +30,7 @@ class Debris:
     """A heap before the robot.
 
     Attributes:
-        n_beams: in it.
-        middle: x, y [m].
         spread: of the beams' middles before they fall, each way [m].
-        n_boxes: beside it.
     """
 
     n_beams: int

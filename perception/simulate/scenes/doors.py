@@ -40,16 +40,11 @@ class Door:
         hinge_on: which side the hinges are on for a viewer.
         side: "pull": it opens towards the viewer; "push": away, the leaf lies deep in its frame.
         ajar: how far it is open [rad].
-        width: of the leaf [m].
         height: of the leaf's top over the floor [m].
-        thickness: of the leaf [m].
-        furniture: what opens it.
         handle_z: height of the handle over the floor [m].
         backset: from the leaf's free edge to the handle's spindle [m].
         lever_length: from the spindle to the lever's end [m].
-        wall_thickness: [m].
         wall_reach: how far the wall goes on beside the frame, hinge side and latch side [m].
-        wall_height: [m].
         eye: x, y it is looked at from, which decides which face of an open leaf is the seen one [m].
     """
 
@@ -225,7 +220,6 @@ class Doorway:
         hinge_on: the side, as the robot sees it.
         side: the robot is on: "pull", the door opens towards it, or "push".
         ajar_deg: how far it is open, within 4 degrees; 0: shut.
-        furniture: what opens it.
         width: of the leaf, within 3 cm [m].
         distance: of the doorway's middle, within 8 cm [m].
         turned_deg: of the wall about z, from square to the robot, within 3 degrees.

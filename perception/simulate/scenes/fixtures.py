@@ -32,8 +32,6 @@ class Panel:
     Attributes:
         centre: of the front face [m].
         normal: of the front face, out.
-        width: [m].
-        height: [m].
         depth: from the front face to the wall [m].
         buttons: x, y, radius of each, in the panel's frame [m].
         proud: how far a button stands out [m].
@@ -75,11 +73,7 @@ class BoxLever:
         normal: of the box's front, the pivot axis.
         angle: of the lever about the pivot axis, from the horizontal x of the box [rad].
         length: from the pivot to the lever's end [m].
-        radius: of the lever [m].
         stand_off: of the lever's middle line over the front [m].
-        width: of the box [m].
-        height: of the box [m].
-        depth: of the box [m].
     """
 
     pivot: tuple[float, float, float]
@@ -113,7 +107,6 @@ class Standpipe:
     """A pipe with an elbow and an open threaded end, or a hose's coupling held the same way.
 
     Attributes:
-        mouth: centre of the opening [m].
         direction: out of the opening, unit.
         radius: outer, of the end [m].
         wall: thickness at the end [m].
@@ -155,7 +148,6 @@ class ButtonPanel:
 
     Attributes:
         buttons: x, y, radius of each in the panel's frame [m].
-        size: width and height [m].
         turned_deg: of its face aside from the robot, within 3 degrees.
     """
 
@@ -182,7 +174,6 @@ class SwitchBox:
 
     Attributes:
         angle: of the lever from the horizontal, within 0.2 [rad].
-        length: of the lever [m].
         turned_deg: of the box aside from the robot.
     """
 

@@ -66,9 +66,6 @@ class Beam:
 
     Attributes:
         pose: (4, 4) of its centre, x along, z along its smallest side.
-        length: [m].
-        width: [m].
-        thickness: [m].
     """
 
     pose: np.ndarray

@@ -30,7 +30,6 @@ class Truth:
     """An object as it is, in the words of :class:`perception.Detection`.
 
     Attributes:
-        kind: what it is.
         pose_world_object: (4, 4); the frame of the detector of that kind.
         sizes: lengths [m] and angles [rad] by the names that detector uses.
     """
@@ -45,8 +44,6 @@ class PlacedObjects:
     """Objects in the world.
 
     Attributes:
-        meshes: of all of them.
-        truth: what a detector should find.
         lookalikes: (kind, place) of what a detector may take for a kind without being wrong, as a door's handle is a
             lever and a steering wheel a wheel; a place is (3,) [m].
     """
@@ -143,10 +140,6 @@ class SimulatedScene:
     """A world with its truth; the robot stands at the origin on the floor z = 0 and faces +x.
 
     Attributes:
-        name: of the scene.
-        seed: its details were drawn from.
-        meshes: all there is.
-        truth: what detectors should find.
         lookalikes: (kind, place) of what a detector may take for a kind without being wrong.
         poses: of the sensor; the first is where the scan is taken from, others judge it.
     """

@@ -34,7 +34,6 @@ class PipedWheel:
     """A wheel valve whose stem leads into a body on a straight pipe.
 
     Attributes:
-        wheel: rim, spokes, hub and stem.
         pipe_direction: of the pipe; made square to the wheel's axis.
         pipe_radius: outer [m].
         pipe_length: each way from the body [m].
@@ -75,9 +74,7 @@ class LeverValve:
         axis: unit, of the stem, from the pipe to the person who turns it.
         along: where the lever points; made square to the axis.
         length: of the lever, from the pivot [m].
-        radius: of the lever [m].
         stem_length: from the pivot to the pipe's middle [m].
-        pipe_direction: of the pipe.
         pipe_radius: outer [m].
         pipe_length: each way from the body [m].
     """
@@ -154,10 +151,7 @@ class Wheel:
         angles: of its axis: aside and up, within 4 degrees.
         outer: radius [m].
         tube: radius of the rim's section [m].
-        n_spokes: evenly spaced.
         stem: from the rim's plane to the pipe's middle [m].
-        pipe: direction of the pipe.
-        pipe_radius: [m].
         wall_x: where the wall is; None: 20 cm behind the pipe [m].
         is_crossed: whether a thin pipe stands before the wheel.
     """
