@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece, Scene
 from costs.stopping import never, poll, stops_when
-from perception.cleaning.clean import Reach, voxel_downsample
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import Reach, nearest, voxel_downsample
 from perception.cloud import Cloud
 from perception.convex.clock import Clock
 from perception.convex.piece import Piece

@@ -17,11 +17,10 @@ from perception.errors import MeshError
 from perception.perceive import drop_explained
 from perception.simulate import Pose, Room, Scanner, box, join_meshes, scan, torus
 from perception.solids.cache import PartsCache
-from perception.solids.closed import is_closed, make_solid, unite_solids
 from perception.solids.decompose import CoacdResources, CoacdSettings, split_solid
 from perception.solids.fit import MeshPose, Region, Surface, fit_pose
 from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, locate, match_mesh
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import Mesh, is_closed, make_solid, unite_solids
 from perception.solids.read import read_mesh
 from perception.view import View
 

@@ -9,8 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.cleaning.clean import row_keys
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest, row_keys
 
 STARTS_APART = 0.1
 RADIUS = 0.03

@@ -1,4 +1,4 @@
-"""Cleaning of points: crop to a reach, exact copies, downsample, the robot's own points."""
+"""Basic steps on points: crop, voxels, exact copies, robot hulls and nearest neighbours."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from costs.stopping import poll
+from costs.threads import thread_count
 from perception.errors import PerceptionError
 
 SELF_MARGIN = 0.025
 _FEW_VOXELS = 4
+# Neighbours that one thread finds between two polls: some 30 ms.
+_AT_ONCE = 50_000
 
 
 @dataclass(frozen=True)
@@ -159,3 +162,27 @@ def _convex_hull(vertices: Float[np.ndarray, "V 3"]) -> ConvexHull:
     except (QhullError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise PerceptionError(f"a hull of {len(vertices)} vertices spans no volume: {reason}") from None
+
+
+def nearest(
+    tree: cKDTree,
+    points: Float[np.ndarray, "N d"],
+    k: int | list[int] | Int[np.ndarray, "K"],
+    within: float = np.inf,
+) -> tuple[Float[np.ndarray, "N *K"], Int[np.ndarray, "N *K"]]:
+    """Return distances and indices as ``tree.query`` does: infinite and ``tree.n`` beyond ``within``.
+
+    It uses as many threads as ``costs.threads`` says; they have ended when it returns, or raises.
+
+    Raises:
+        Stopped: the caller wants to stop (``costs.stopping``).
+    """
+    n_neighbours, n_threads = k if isinstance(k, int) else int(np.max(k, initial=1)), thread_count()
+    step = max(1, n_threads * _AT_ONCE // max(n_neighbours, 4))
+    parts = []
+    for first in range(0, max(len(points), 1), step):
+        poll()
+        parts.append(tree.query(points[first : first + step], k=k, distance_upper_bound=within, workers=n_threads))
+    if len(parts) == 1:
+        return np.asarray(parts[0][0]), np.asarray(parts[0][1])
+    return np.concatenate([distance for distance, _ in parts]), np.concatenate([index for _, index in parts])

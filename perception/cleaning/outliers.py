@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from costs.stopping import poll
 from perception.cleaning.beside import RADIUS, RADIUS_SHARE, STARTS_APART, depth_noise, spacing_radius, support
-from perception.cleaning.clean import row_keys, voxel_index
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest, row_keys, voxel_index
 
 _LEAST_NEIGHBOURS = 5
 _WIDE = 0.7

@@ -11,13 +11,12 @@ from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece
 from perception.convex.clock import Clock
-from perception.convex.coarse import Coarse, Groups, coarsen
+from perception.convex.coarse import Coarse, Groups, coarsen, measure_spacing, smooth_points
 from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.hulls import SKIN, Hull, limit_vertices, make_hull, thicken
 from perception.convex.piece import Piece, measure_evidence
 from perception.convex.planes import Plane, PlaneSettings, find_planes
 from perception.convex.slabs import FRONT, Slab, attach_hulls, make_slabs
-from perception.convex.smooth import measure_spacing, smooth_points
 from perception.convex.split import find_clusters, merge, refine_hulls, split
 
 VOXEL = 0.015

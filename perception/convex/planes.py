@@ -10,7 +10,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest
 
 _CELL = 0.04
 _AT_A_TIME = 16

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import SKIN, Hull, make_hull, thicken
 from perception.convex.towards import Sheaf

@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from perception.convex.coarse import Coarse, coarsen
+from perception.convex.coarse import Coarse, coarsen, smooth_points
 from perception.convex.freespace import FreeSpace
 from perception.convex.hulls import Hull
 from perception.convex.piece import Piece
-from perception.convex.smooth import smooth_points
 from perception.convex.split import find_clusters
 
 _WITHIN = 0.01

@@ -13,8 +13,7 @@ from perception.errors import CloudError
 from perception.files.bag import Message
 from perception.files.parse import is_bag, parse_to_values
 from perception.files.placing import PoseInput, place_scan
-from perception.files.scan import Scan
-from perception.files.thinning import pick_rows
+from perception.files.scan import Scan, pick_rows
 from perception.limits import MAX_PARSER_BYTES, MAX_PARSER_CPU_S, MAX_PARSER_WALL_S, MAX_POINTS
 from perception.sandbox import Cause, ProcessLimits, SandboxError, run_in_sandbox
 

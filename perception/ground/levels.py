@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest
 from perception.ground.extent import convex_patches, pierced_cells
 from perception.ground.floor import FloorPlane
 from perception.ground.outlines import is_unbroken, outlines_of

@@ -16,8 +16,7 @@ from perception.convex.hulls import MAX_VERTICES, limit_vertices
 from perception.errors import MeshError
 from perception.sandbox import ProcessLimits
 from perception.solids.cache import Parts, PartsCache
-from perception.solids.closed import Solid
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import Mesh, Solid
 from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import simplify_mesh, wrap_mesh
 

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from perception.convex.split import find_clusters
 from perception.errors import MeshError
 from perception.sightlines import sight_index
-from perception.solids.closed import Solid, make_solid
 from perception.solids.fit import (
     MIN_AGREEING,
     MeshPose,
@@ -24,7 +23,7 @@ from perception.solids.fit import (
     lie_on_planes,
     make_pose_judge,
 )
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import Mesh, Solid, make_solid
 from perception.view import View
 
 CONFIDENT = 0.5

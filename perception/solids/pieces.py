@@ -10,14 +10,13 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest
 from perception.convex.clock import Clock
-from perception.convex.coarse import coarsen
+from perception.convex.coarse import coarsen, smooth_points
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import limit_vertices, make_hull
 from perception.convex.piece import Piece, measure_evidence
 from perception.convex.pieces import Pieces
-from perception.convex.smooth import smooth_points
 from perception.convex.split import is_free_of
 from perception.solids.cache import Parts
 from perception.solids.decompose import CoacdResources, CoacdSettings, decompose

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.errors import MeshError
-from perception.solids.closed import MAX_TRIANGLES
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import MAX_TRIANGLES, Mesh
 
 SUFFIXES = (".stl", ".obj", ".ply")
 MAX_BYTES = 32 * 2**20

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.solids.closed import is_closed
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import Mesh, is_closed
 
 _SIMPLER = 0.1  # share of the triangles that is left of a cell's own where the surface is smooth
 _SIMPLER_SHELL = 0.01  # of a shell's, whose cells follow a surface without noise

@@ -13,8 +13,7 @@ from costs.robot import RobotError, StillShape, read_object_shapes
 from service.errors import RequestError
 
 if TYPE_CHECKING:
-    from perception.solids.closed import Solid
-    from perception.solids.mesh import Mesh
+    from perception.solids.mesh import Mesh, Solid
 
 URDF = ".urdf"
 FORMATS = (".stl", ".obj", ".ply", URDF)
@@ -32,7 +31,7 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
         RequestError: naming ``field``: no such file, another format, too large or broken.
     """
     from perception import PerceptionError  # takes a while, and most scenes need none
-    from perception.solids.closed import make_solid, unite_solids
+    from perception.solids.mesh import make_solid, unite_solids
     from perception.solids.read import read_mesh
 
     if not path.is_file():

@@ -12,8 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.cleaning.clean import voxel_downsample
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest, voxel_downsample
 from perception.detect.shared.arithmetic import sum_about
 from perception.sightlines import SightIndex
 from perception.view import View
