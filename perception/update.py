@@ -1,4 +1,4 @@
-"""A new scan of a scene that was perceived before: what did not change stays the very same piece."""
+"""Update of a perceived scene by a new scan: pieces that did not change stay the same objects."""
 
 from __future__ import annotations
 

@@ -195,7 +195,7 @@ def on_grazed_surface(
 
 @dataclass
 class _Nearest:
-    """The surface points nearest to each of some points, ascending.
+    """Nearest 24 surface points of each of K points, nearest first.
 
     Attributes:
         distance: (K, 24) [m].

@@ -47,7 +47,7 @@ class Hull:
 
     @property
     def simplified(self) -> Hull:
-        """The same hull with each plane once in its faces, which then are those of no triangle."""
+        """Return the hull with each face's plane once and without triangles."""
         rounded = np.round(self.faces, 9)
         faces = rounded[np.unique(row_keys(rounded), return_index=True)[1]]
         return replace(self, faces=faces, triangles=self.triangles[:0])

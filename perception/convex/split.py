@@ -96,7 +96,7 @@ def _may_be_free(hull: Hull, free: FreeSpace, allowed: Allowance) -> bool:
 
 
 def _cut(points: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
-    """The cut whose two boxes have the smallest volume together, along the points' principal or the world's axes."""
+    """Cut the points in two across a principal or world axis, so that the volume of both boxes is least."""
     axes = np.linalg.eigh(np.cov((points - points.mean(axis=0)).T))[1]
     best: tuple[float, Int[np.ndarray, "K"], int] | None = None
     for frame in (axes, np.eye(3)):
@@ -114,7 +114,7 @@ def _cut(points: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, "K"], Int[np
 
 
 def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
-    """Summed volume of the boxes of the first i + 1 and the remaining points, each 1 cm larger all round."""
+    """Return the summed volume of the boxes of the first i + 1 and the remaining points, each 1 cm larger all round."""
     skin = 0.01
     low, high = np.minimum.accumulate(ordered), np.maximum.accumulate(ordered)
     low_r, high_r = np.minimum.accumulate(ordered[::-1])[::-1], np.maximum.accumulate(ordered[::-1])[::-1]

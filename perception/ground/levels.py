@@ -231,7 +231,7 @@ def _under_robot(
 
 
 def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
-    """Return whether in the midst of the plane many points lie under it, as under a table."""
+    """Return whether many points lie under the middle of the plane, as under a table."""
     lower = level.cells.min(axis=0) - 1
     picture = np.zeros(level.cells.max(axis=0) - lower + 2, dtype=bool)
     picture[tuple((level.cells - lower).T)] = True

@@ -152,7 +152,7 @@ def _drop_slivers(parts: Parts) -> Parts:
 
 
 def _grow_to_contain(parts: Parts, mesh: Mesh) -> Parts:
-    """Grow the parts by what thinning their vertices had cut off: every corner and middle of a triangle is inside."""
+    """Grow thinned parts until all corners, edge middles and face middles of the mesh lie inside."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     surface = np.concatenate([mesh.vertices, (a + b + c) / 3.0, (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0])
     if not parts:

@@ -76,9 +76,9 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
     Sizes are length, width and thickness.  A beam of which one face is seen may be thicker than it looks: residuals
     hold ``doubt``, how far off its centre may then be [m].  Where something lies over its ends or before them,
-    ``hidden_length`` says by how much it may be longer [m], and the confidence is low.  An end that is hidden along up
-    to 20 cm is taken for the middle of that, so it may be as much shorter; of one that may be anywhere further on, the
-    length is that of what is seen, and 10 cm are told.
+    ``hidden_length`` says by how much it may be longer [m], and the confidence is low.  An end hidden along up to 20 cm
+    is placed in the middle of that stretch, so the beam may be shorter by as much.  With a longer hidden stretch the
+    length is the seen one, and ``hidden_length`` is 10 cm.
 
     Args:
         hint: (3,) a point near the beam: only what lies within 0.7 m of it is looked at [m].

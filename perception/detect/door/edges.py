@@ -27,9 +27,9 @@ class Edge:
 
     Attributes:
         at: along the plane [m].
-        jump: how far what stands beside it lies out of the face's plane [m]; NaN when nothing does.
-        step: how far something right beside it surely stands out of that plane or lies behind it [m].
-        open_share: share of the storeys beside it in which rays went on behind the face's plane.
+        jump: distance of the surface beside it from the face's plane [m]; NaN without one.
+        step: sure distance of anything right beside it from that plane [m].
+        open_share: share of the height bands beside it in which rays went on behind the face's plane.
         is_seen: whether anything is known of what is beside it.
     """
 
@@ -111,7 +111,7 @@ def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"], uneven: float) -
 
 
 def _wall_before(profile: Profile, end: int, side: int) -> int | None:
-    """Return the border of the column where a nearer wall begins that hides the face's edge; None when none does."""
+    """Return the border of the column where a nearer wall begins that hides the face's edge; None without one."""
     for n in range(round(_HIDDEN / BIN)):
         at = end + n if side > 0 else end - 1 - n
         if not 0 <= at < len(profile.depth) or profile.open_storeys[at] > 2:

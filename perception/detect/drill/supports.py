@@ -49,7 +49,7 @@ class StandingCluster:
 
 
 def standing_clusters(view: View) -> list[StandingCluster]:
-    """Return what stands on boards, tables and the floor, largest first."""
+    """Return clusters of points that stand on boards, tables or the floor, largest first."""
     points, _ = voxel_downsample(view.obstacles, _VOXEL)
     levels = level_heights(points)
     if view.floor is not None:

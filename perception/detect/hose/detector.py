@@ -89,12 +89,12 @@ class _End:
 def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
     """Find hose ends and standpipes, best first; origin the centre of the opening, z out of it, x horizontal.
 
-    The size is the outer radius at the opening.  An end that is not looked into is none to act on without a hint; a
-    vessel that stands on a board and opens upwards is none at all.
+    The size is the outer radius at the opening.  Without a hint, an end that rays do not enter
+    gets a low confidence.  A vessel that stands on a board and opens upwards is not reported.
 
     Args:
-        hint: (3,) a point near the opening: only what lies within half a metre of it is looked at, and what cannot be
-            seen of it is taken for granted sooner [m].
+        hint: (3,) a point near the opening: only points within half a metre of it are searched, and hidden parts lower
+            the confidence less [m].
     """
     if not len(view.obstacles):
         return []

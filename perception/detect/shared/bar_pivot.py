@@ -139,8 +139,8 @@ def _passes_behind(
 def _zone(held: Float[np.ndarray, "K"], free: Float[np.ndarray, "M"], end: float, bar: Bar) -> tuple[float, float]:
     """Return how surely the bar is free, and how surely it is held, at one of its ends.
 
-    Where hardly any ray went past further inwards there is a neck, and those that went past nearer to the bar's end, as
-    from above past a neck at the top, do not deny it.
+    Where hardly any ray went past further inwards the bar has a neck; rays that went past nearer to its end, for
+    example over the top of the neck, are then not counted.
     """
     depths = [np.abs(x[(np.abs(x - end) < _ZONE) & (x > bar.first) & (x < bar.last)] - end) for x in (held, free)]
     n_held, n_free = float(len(depths[0])), len(depths[1]) / len(_LEVELS)

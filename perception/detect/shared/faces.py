@@ -52,7 +52,7 @@ class Face:
 
     @property
     def size(self) -> Float[np.ndarray, "2"]:
-        """[m]."""
+        """Extent along x and y [m]."""
         return np.asarray(self.high - self.low)
 
     def local(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:

@@ -121,9 +121,9 @@ def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:
 def _in_air(
     lines: Sequence[Line], index: SightIndex, floor: FloorPlane | None, radii: Sequence[tuple[float, float]]
 ) -> list[Line]:
-    """Return lines on which, for bars of one of the sizes, most rays that reach them end and beside which most go on.
+    """Return lines that may be bars in air: for one of the sizes most rays end on the bar, and most beside it go on.
 
-    A row of a scan on a wall is a line as well, and there are many; looking at the rays takes a hundredth of a fit.
+    Each scan row on a wall is a line as well.  This check takes a hundredth of the time of a fit.
     """
     kept = []
     for line in lines:

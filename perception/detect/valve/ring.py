@@ -165,7 +165,7 @@ CLOSE = Gate(0.03, 0.004)
 
 
 def rough_gate(ring: Ring) -> Gate:
-    """Return the gate of a ring that is only a guess: the larger it is the further off it may be."""
+    """Return the gate for a first guess of a ring, wider for larger rings."""
     return Gate(0.04 + 0.1 * ring.radius, 0.008 + 0.06 * ring.radius)
 
 

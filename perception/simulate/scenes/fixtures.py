@@ -24,6 +24,9 @@ from perception.simulate.scenes.scene import (
 )
 from perception.simulate.scenes.valves import Vector, tilt_axis
 
+_PIPE_WALL = 0.004
+_STRAIGHT = 0.15  # from the mouth to the elbow [m]
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -104,39 +107,29 @@ class BoxLever:
 
 @dataclass(frozen=True)
 class Standpipe:
-    """A pipe with an elbow and an open threaded end, or a hose's coupling held the same way.
+    """A pipe from the floor with an elbow, a coupling ring and an open end.
 
     Attributes:
         direction: out of the opening, unit.
         radius: outer, of the end [m].
-        wall: thickness at the end [m].
-        straight: length of the end piece before the elbow [m].
-        foot: where the pipe comes from: 0 the floor, otherwise a height [m].
-        collar: whether a wider coupling ring sits behind the end.
     """
 
     mouth: tuple[float, float, float]
     direction: tuple[float, float, float] = (-1.0, 0.0, 0.0)
     radius: float = 0.035
-    wall: float = 0.004
-    straight: float = 0.15
-    foot: float = 0.0
-    collar: bool = True
 
     def build(self) -> PlacedObjects:
         """Build it; z of its frame points out; ``radius`` is the outer one at the mouth."""
         out = np.asarray(self.direction, dtype=float) / np.linalg.norm(self.direction)
         mouth = np.array(self.mouth)
-        back = mouth - self.straight * out
+        back = mouth - _STRAIGHT * out
         meshes = [
-            pipe(back.tolist(), mouth.tolist(), self.radius, self.wall),
-            bent_bar([back.tolist(), [back[0], back[1], self.foot]], self.radius),
+            pipe(back.tolist(), mouth.tolist(), self.radius, _PIPE_WALL),
+            bent_bar([back.tolist(), [back[0], back[1], 0.0]], self.radius),
         ]
-        if self.collar:
-            ring = mouth - 0.4 * self.straight * out
-            meshes.append(
-                pipe((ring - 0.03 * out).tolist(), ring.tolist(), 1.3 * self.radius, 0.3 * self.radius + self.wall)
-            )
+        ring = mouth - 0.4 * _STRAIGHT * out
+        wall_of_ring = 0.3 * self.radius + _PIPE_WALL
+        meshes.append(pipe((ring - 0.03 * out).tolist(), ring.tolist(), 1.3 * self.radius, wall_of_ring))
         sideways = np.cross([0.0, 0.0, 1.0], out) if abs(out[2]) < 0.95 else np.array([0.0, 1.0, 0.0])
         truth = Truth("hose", frame(self.mouth, sideways.tolist(), out.tolist()), {"radius": self.radius})
         return PlacedObjects(tuple(meshes), (truth,))
@@ -200,15 +193,11 @@ class HoseEnd:
         mouth: centre of the opening, within 5 cm [m].
         direction: out of it, within a few degrees.
         radius: outer [m].
-        foot: height its pipe comes from [m].
-        wall_x: of the wall behind [m].
     """
 
     mouth: Vector
     direction: Vector = (-1.0, 0.0, 0.0)
     radius: float = 0.035
-    foot: float = 0.0
-    wall_x: float = 1.2
 
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
@@ -216,8 +205,8 @@ class HoseEnd:
         x, y, z = np.array(self.mouth) + rng.uniform(-0.05, 0.05, 3)
         out = np.array(self.direction) + rng.normal(0.0, 0.06, 3)
         a, b, c = out / np.linalg.norm(out)
-        hose = Standpipe((x, y, z), (a, b, c), self.radius, foot=self.foot)
-        parts = [hose.build(), floor(), wall(self.wall_x), upright_pipe(self.wall_x - 0.1, y + 0.6, 0.05)]
+        hose = Standpipe((x, y, z), (a, b, c), self.radius)
+        parts = [hose.build(), floor(), wall(1.2), upright_pipe(1.2 - 0.1, y + 0.6, 0.05)]
         return assemble(name, seed, parts, (x, y, z))
 
 

@@ -26,6 +26,9 @@ from perception.simulate.scenes.scene import (
 from perception.simulate.valve_scene import Valve
 
 Vector = tuple[float, float, float]
+# y, z, outer radius [m] and number of spokes of each wheel.
+_MANIFOLD = ((0.28, 1.05, 0.15, 5), (-0.2, 1.1, 0.09, 3), (0.05, 1.5, 0.11, 4))
+_STEM, _LEVER_PIPE_RADIUS, _PIPE_LENGTH = 0.11, 0.04, 1.0  # of lever valves [m]
 _UP, _ACROSS = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 
 
@@ -74,9 +77,6 @@ class LeverValve:
         axis: unit, of the stem, from the pipe to the person who turns it.
         along: where the lever points; made square to the axis.
         length: of the lever, from the pivot [m].
-        stem_length: from the pivot to the pipe's middle [m].
-        pipe_radius: outer [m].
-        pipe_length: each way from the body [m].
     """
 
     pivot: tuple[float, float, float]
@@ -84,26 +84,23 @@ class LeverValve:
     along: tuple[float, float, float] = (0.0, 0.0, 1.0)
     length: float = 0.25
     radius: float = 0.013
-    stem_length: float = 0.11
     pipe_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    pipe_radius: float = 0.04
-    pipe_length: float = 1.0
 
     def build(self) -> PlacedObjects:
         """Build it; the lever also looks like a lever."""
         pose = frame(self.pivot, self.along, self.axis)
         pivot, axis, along = pose[:3, 3], pose[:3, 2], pose[:3, 0]
-        body = pivot - self.stem_length * axis
+        body = pivot - _STEM * axis
         end = pivot + (self.length - self.radius) * along
         meshes = (
             bent_bar([pivot.tolist(), end.tolist()], self.radius),
             cylinder((body).tolist(), (pivot + (self.radius + 0.004) * axis).tolist(), 0.014, 24),
             lathe(
-                [(0.0, 0.7 * self.stem_length), (0.02, 0.7 * self.stem_length), (0.03, 0.0)],
+                [(0.0, 0.7 * _STEM), (0.02, 0.7 * _STEM), (0.03, 0.0)],
                 body.tolist(),
                 axis.tolist(),
             ),
-            *valve_body(body, axis, self.pipe_direction, self.pipe_radius, self.pipe_length),
+            *valve_body(body, axis, self.pipe_direction, _LEVER_PIPE_RADIUS, _PIPE_LENGTH),
         )
         sizes = {"lever_length": self.length, "lever_radius": self.radius}
         alike = (("lever", pivot), ("lever", 0.5 * (pivot + end)))
@@ -188,23 +185,13 @@ class Wheel:
 
 @dataclass(frozen=True)
 class Manifold:
-    """Three wheels of different sizes on pipes side by side.
-
-    Attributes:
-        rows: y, z, outer radius and number of spokes of each.
-    """
-
-    rows: tuple[tuple[float, float, float, int], ...] = (
-        (0.28, 1.05, 0.15, 5),
-        (-0.2, 1.1, 0.09, 3),
-        (0.05, 1.5, 0.11, 4),
-    )
+    """Three wheels of different sizes on pipes side by side."""
 
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
         rng = generator(name, seed)
         parts = [floor(), wall(1.15)]
-        for y, z, outer, n_spokes in self.rows:
+        for y, z, outer, n_spokes in _MANIFOLD:
             centre = (0.8 + rng.uniform(-0.03, 0.03), y, z)
             axis = tilt_axis(rng.uniform(-8.0, 8.0), rng.uniform(-5.0, 10.0))
             wheel = Valve(centre, axis, outer - 0.012, 0.012, n_spokes, rng.uniform(0.0, 2.0), stem_length=0.17)
