@@ -128,7 +128,7 @@ def test_an_enum_value_of_a_later_version_is_refused_by_name() -> None:
     message.robot.name = "atlas"
     message.goal.posture = "stand"
     message.options.qp = 99  # type: ignore[assignment]
-    with pytest.raises(RequestError, match=r"options\.qp: .*piqp.* would do, got '99'"):
+    with pytest.raises(RequestError, match=r"options\.qp: .*piqp.*, got '99'"):
         request_from_message(message)
 
 
@@ -159,7 +159,7 @@ def test_whole_numbers_of_a_trajopt_problem_stay_whole() -> None:
         ("goal.joints.sha256:: a finite number is needed, got -inf", "goal.joints"),
         ("keep belongs to a goal; a task knows itself what it holds", "keep"),
         ("exactly one of goal, task is needed, none is given", ""),
-        ("unknown key 'a b': c; robot would do", ""),
+        ("unknown key 'a b': c; expected robot", ""),
     ],
 )
 def test_violation_names_the_field_of_a_problem(problem: str, field: str) -> None:
