@@ -170,7 +170,10 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
             f"start: {{joint_names: [{'a, ' * 1001}], positions: []}}",
             "start.joint_names: expected at most 1000 entries",
         ),
-        (f"start: {{joints: {{{', '.join(f'j{i}: 0' for i in range(1001))}}}}}", "start.joints: expected at most 1000 entries"),
+        (
+            f"start: {{joints: {{{', '.join(f'j{i}: 0' for i in range(1001))}}}}}",
+            "start.joints: expected at most 1000 entries",
+        ),
         ("start: {joint_names: [a, b], joints: {b: 0}, positions: [0, 0]}", "start: joint 'b' is given twice"),
         ("keep: [{link: a, relative_to: a}]", "keep[0]: link and relative_to are both 'a'; two links are needed"),
         ("keep: [{link: a, relativ_to: b}]", "keep[0]: unknown key 'relativ_to'; expected relative_to, …"),
@@ -269,7 +272,10 @@ def test_every_problem_is_told_but_not_without_end(tmp_path: Path) -> None:
 
 def test_files_that_are_no_text_or_too_large_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "request.yaml"
-    for content, problem in ((b"\xff\xfe\x00", "no UTF-8 text"), (b"#" * 1_000_001, "1000001 bytes long; expected at most")):
+    for content, problem in (
+        (b"\xff\xfe\x00", "no UTF-8 text"),
+        (b"#" * 1_000_001, "1000001 bytes long; expected at most"),
+    ):
         path.write_bytes(content)
         with pytest.raises(RequestError, match=problem):
             load_request(path)
