@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from costs.robot import bundled_robots
-from service.errors import RequestError
+from service.errors import RequestError, would_do
 from service.request.file import load_scene, load_start, parse_request
 from service.request.schema import PlanRequest
 from service.trajopt.document import read_document
-from service.trajopt.fields import did_you_mean
 from service.trajopt.reader import robot_named_in
 
 
@@ -75,7 +74,7 @@ def _robot(files: TrajoptFiles, named: str, folder: Path) -> Mapping[str, Any]:
     path = folder / given if files.robot is None else Path(given)
     if not path.is_file():
         raise RequestError(
-            f"{what}: {given!r} is neither a bundled robot nor a file; {did_you_mean(given, bundled_robots())}"
+            f"{what}: {given!r} is neither a bundled robot nor a file; expected {would_do(given, bundled_robots())}"
         )
     section: dict[str, Any] = {"urdf": str(path.resolve()), **root}
     if files.srdf is not None:
