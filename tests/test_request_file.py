@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import RequestError
-from service.request.file import load_request, load_start, parse_request, replace_cloud, request_hash, to_json
-from service.request.schema import PlanRequest, PoseRequest
+from service.request.file import load_request, load_section, parse_request, replace_cloud, request_hash, to_json
+from service.request.schema import PlanRequest, PoseRequest, StartRequest
 
 ROOT = Path(__file__).parents[1]
 ORDERS = [(("neck_ry", 0.1), ("back_bkz", 0.2)), (("back_bkz", 0.2), ("neck_ry", 0.1))]
@@ -331,10 +331,10 @@ def test_another_cloud_is_found_from_the_request_folder(tmp_path: Path, monkeypa
 def test_a_start_file_is_read_like_a_request(tmp_path: Path) -> None:
     path = tmp_path / "start.yaml"
     path.write_text("posture: stand\njoints: {neck_ry: 0.1}\n")
-    assert load_start(path).joints == {"neck_ry": 0.1}
+    assert load_section(StartRequest, path).joints == {"neck_ry": 0.1}
     path.write_text("postur: stand\n")
     with pytest.raises(RequestError, match=r"start\.yaml: unknown key 'postur'; expected posture, joints, "):
-        load_start(path)
+        load_section(StartRequest, path)
 
 
 KEYS = st.sampled_from(

@@ -9,8 +9,9 @@ from typing import Any
 
 from costs.robot import bundled_robots
 from service.errors import RequestError, would_do
-from service.request.file import load_scene, load_start, parse_request
-from service.request.schema import PlanRequest
+from service.request.file import load_section, parse_request
+from service.request.scene import SceneRequest
+from service.request.schema import PlanRequest, StartRequest
 from service.trajopt.document import read_document
 from service.trajopt.reader import robot_named_in
 
@@ -55,9 +56,9 @@ def load_trajopt_request(problem: Path, files: TrajoptFiles) -> PlanRequest:
         problem.parent if files.scene is None else files.scene.parent,
     )
     if files.scene is not None:
-        request = replace(request, scene=load_scene(files.scene))
+        request = replace(request, scene=load_section(SceneRequest, files.scene))
     if files.start is not None:
-        request = replace(request, start=load_start(files.start))
+        request = replace(request, start=load_section(StartRequest, files.start))
     return request
 
 
