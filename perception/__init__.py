@@ -18,7 +18,6 @@ from perception.cleaning.clean import Reach, inside_hulls, voxel_downsample
 from perception.cleaning.outliers import inliers
 from perception.cloud import Cloud, make_cloud
 from perception.convex.piece import Evidence, Piece
-from perception.convex.pieces import Pieces, make_pieces
 from perception.detect import KINDS, detect, detect_each, detect_kinds
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.bodies import (
@@ -26,21 +25,18 @@ from perception.detect.valve.bodies import (
     has_clear_spokes,
     rim_bodies,
     select_wheels,
-    stem_of,
     valve_bodies,
     wheel_points,
 )
 from perception.detect.valve.ring import wheel_basis
 from perception.detect.valve.wheel import detect_valves
 from perception.errors import CloudError, PerceptionError
-from perception.files.formats import SUFFIXES
 from perception.files.npz import write_npz
 from perception.files.pcd import write_pcd
 from perception.files.placing import METRES_BY_UNIT, rigid_pose
 from perception.files.read import read_cloud, read_clouds
 from perception.ground.floor import FloorPlane, floor_piece, floor_pieces, on_floor, on_floors
 from perception.ground.levels import find_floors
-from perception.limits import MAX_FILE_BYTES, MAX_POINTS
 from perception.memory import Memory
 from perception.perceive import Perceived, perceive
 from perception.update import Earlier, update
@@ -49,10 +45,7 @@ from perception.view import View, make_view
 __all__ = [
     "CONFIDENT",
     "KINDS",
-    "MAX_FILE_BYTES",
-    "MAX_POINTS",
     "METRES_BY_UNIT",
-    "SUFFIXES",
     "Cloud",
     "CloudError",
     "Detection",
@@ -63,7 +56,6 @@ __all__ = [
     "Perceived",
     "PerceptionError",
     "Piece",
-    "Pieces",
     "Reach",
     "ValveDetection",
     "View",
@@ -78,7 +70,6 @@ __all__ = [
     "inliers",
     "inside_hulls",
     "make_cloud",
-    "make_pieces",
     "make_view",
     "on_floor",
     "on_floors",
@@ -88,7 +79,6 @@ __all__ = [
     "rigid_pose",
     "rim_bodies",
     "select_wheels",
-    "stem_of",
     "update",
     "valve_bodies",
     "voxel_downsample",

@@ -8,8 +8,8 @@ class PerceptionError(ValueError):
 
 
 class CloudError(PerceptionError):
-    """A cloud or cloud file that cannot be used; one line: what is wrong with which, and what is expected."""
+    """A cloud or cloud file that cannot be used; the one-line message names it, the fault and what is expected."""
 
 
 class MeshError(PerceptionError):
-    """A mesh or mesh file that cannot be used; one line: what is wrong with which, and what is expected."""
+    """A mesh or mesh file that cannot be used; the one-line message names it, the fault and what is expected."""

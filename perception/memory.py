@@ -67,7 +67,7 @@ def content_key(cloud: Cloud, settings: Mapping[str, Any]) -> str:
 
 
 def _feed(update: Callable[[bytes], None], value: object) -> None:
-    """Return a value with its type and length, so that no two values read the same."""
+    """Add a value to the hash with its type and length, so that different values give different bytes."""
     if isinstance(value, np.ndarray):
         update(f"array {value.dtype} {value.shape};".encode())
         update(np.ascontiguousarray(value).tobytes())

@@ -279,7 +279,7 @@ def _mark_blocks(
 def _meet(
     rays: _Rays, chosen: Int[np.ndarray, "K"], near: float, blocks: Bool[np.ndarray, "X Y Z"]
 ) -> Bool[np.ndarray, "K"]:
-    """Find the chosen rays that pass any of these blocks in one block of distances, by its middle."""
+    """Find the chosen rays that are in any of these blocks in the middle of a block of distances."""
     poll()
     is_there = np.zeros(len(chosen), dtype=bool)
     middle = np.float32(near + _BLOCK / 2)

@@ -241,7 +241,7 @@ class _Part:
         return len(self.members), int(self.members[0])
 
     def find_beside(self, others: list[_Part]) -> Int[np.ndarray, "J"]:
-        """Find those of the others whose rectangles are at most 6 cm away."""
+        """Find the other parts whose rectangles are at most 6 cm away."""
         lower = np.array([other.lower for other in others]).reshape(-1, 2)
         upper = np.array([other.upper for other in others]).reshape(-1, 2)
         near = (lower <= self.upper + _BESIDE) & (upper >= self.lower - _BESIDE)

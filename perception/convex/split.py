@@ -30,7 +30,7 @@ _LEAST_VOLUME = 5e-5
 
 @dataclass(frozen=True)
 class Allowance:
-    """How much seen-free space a hull may hold, since noise explains it.
+    """Seen-free space that a hull may hold, since noise explains it.
 
     Attributes:
         volume: at most so much [m^3],
@@ -82,7 +82,7 @@ def split(
 
 
 def is_free_of(hull: Hull, free: FreeSpace, allowed: Allowance = _DEFAULT) -> bool:
-    """Whether the hull holds no more seen-free space than noise explains."""
+    """Return whether the hull holds no more seen-free space than noise explains."""
     if allowed.skin > 0.0:
         hull = make_hull(thicken(hull.vertices, allowed.skin), hull.members)
     most = int(min(allowed.volume, allowed.share * hull.volume) / free.size**3 + 1e-6)
@@ -90,7 +90,7 @@ def is_free_of(hull: Hull, free: FreeSpace, allowed: Allowance = _DEFAULT) -> bo
 
 
 def _may_be_free(hull: Hull, free: FreeSpace, allowed: Allowance) -> bool:
-    """Whether ``is_free_of`` may hold; a quick test without a skin, which takes longer to make."""
+    """Return whether ``is_free_of`` may hold; a quick test without a skin, which takes longer to make."""
     most = int(allowed.volume / free.size**3 + 1e-6)
     return free.count_inside(hull, most) <= most
 
@@ -179,7 +179,7 @@ class _Merger:
 
 
 def _is_open_between(hull: Hull, other: Hull, free: FreeSpace) -> bool:
-    """Whether free cells half-way between the two show without a joint hull that there can be none."""
+    """Return whether free cells half-way between two hulls already rule out a joint hull."""
     a, b = (hull.vertices[:: -(-len(hull.vertices) // _PROBES)] for hull in (hull, other))
     centre = 0.5 * (a.mean(axis=0) + b.mean(axis=0))
     halfway = 0.5 * (a[:, None] + b).reshape(-1, 3)

@@ -143,7 +143,7 @@ def _count_grazed(piece: Piece, free: FreeSpace) -> int:
 
 
 def _is_passed(hull: Hull, free: FreeSpace, grazed: int) -> bool:
-    """Whether rays pass through a piece of which nothing is seen, and which may be thinner than the cells tell."""
+    """Return whether rays pass through an unseen piece that may be thinner than the cells."""
     heights = hull.faces[:, :3] @ hull.vertices.T
     thickness = float(np.ptp(heights, axis=1).min())
     margin = 0.25 * free.size * float(np.clip(thickness / free.size - 1.0, 0.0, 1.0))

@@ -109,7 +109,7 @@ def _read_columns(
 
 
 def _is_placed(rotation: Float[np.ndarray, "3 3"], position: Float[np.ndarray, "3"]) -> bool:
-    """Whether a pose is known; writers without one leave it out or write the identity."""
+    """Return whether a pose is known; writers without one leave it out or write the identity."""
     return bool(position.any()) or not np.array_equal(rotation, np.eye(3))
 
 

@@ -69,7 +69,7 @@ def parse_to_values(path: str, topic: str | None, message: Message) -> dict[str,
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a bag's file or the folder of a ROS 2 bag."""
+    """Return whether a path is a bag's file or the folder of a ROS 2 bag."""
     return path.suffix.lower() in BAG_SUFFIXES or (os.path.isdir(path) and (path / BAG_FOLDER_HAS).is_file())
 
 

@@ -103,7 +103,7 @@ def parse_viewpoint(words: Sequence[str], name: str) -> tuple[float, ...]:
 
 
 def parse_natural(word: str) -> int | None:
-    """Parse a whole number of at least 0 in decimal digits; None if it is none, or larger than any file's content."""
+    """Parse a whole number of at least 0 in decimal digits; None for other words and absurdly large numbers."""
     return int(word) if word.isdecimal() and word.isascii() and len(word) <= 15 else None
 
 

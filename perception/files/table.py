@@ -222,7 +222,7 @@ def _parse_header(line: str) -> Header | None:
 
 
 def _names_columns(line: str) -> bool:
-    """Whether a line looks like names of at least three columns, whatever they are."""
+    """Return whether a line looks like names of at least three columns, whatever they are."""
     cells = split_cells(line, find_separator(line))[:3]
     return len(cells) == 3 and all(cell[:1].isalpha() and not _is_number(cell) for cell in cells)
 

@@ -67,7 +67,7 @@ def trim(line: str) -> str:
 
 
 def fits(cells: Sequence[str], width: int) -> bool:
-    """Whether a row has so many columns; a separator at its end may open one more, which is empty."""
+    """Return whether a row has so many columns; a separator at its end may open one more, which is empty."""
     return len(cells) == width or (len(cells) == width + 1 and cells[-1] == "")
 
 

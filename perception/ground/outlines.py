@@ -41,16 +41,16 @@ def is_unbroken(
     lower = np.floor(own[:, :2].min(axis=0) / _PART_CELL).astype(int) - _MARGIN
     shape = np.floor(own[:, :2].max(axis=0) / _PART_CELL).astype(int) - lower + _MARGIN + 1
 
-    def counted(places: Float[np.ndarray, "M 3"]) -> np.ndarray:
+    def count(places: Float[np.ndarray, "M 3"]) -> np.ndarray:
         cells = np.floor(places[:, :2] / _PART_CELL).astype(int) - lower
         cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
         return np.bincount(cells @ [shape[1], 1], minlength=shape.prod()).reshape(shape)
 
     above = plane.above(points)
-    n_off = counted(points[(above < -_OFF) | ((above > _OFF) & (above < _OVER))])
-    n_on = counted(points[np.abs(above) < _NEAR])
+    n_off = count(points[(above < -_OFF) | ((above > _OFF) & (above < _OVER))])
+    n_on = count(points[np.abs(above) < _NEAR])
     # Gaps between scan lines are no gaps of the level; where something else is seen it has one.
-    closed = ndimage.binary_closing(counted(own) > 0, structure=_AROUND, iterations=2) & (n_on >= n_off)
+    closed = ndimage.binary_closing(count(own) > 0, structure=_AROUND, iterations=2) & (n_on >= n_off)
     label, n_parts = ndimage.label(ndimage.binary_erosion(closed, structure=_AROUND), structure=_AROUND)
     size, on, off = (
         np.bincount(label.ravel(), weights=weights, minlength=n_parts + 1)

@@ -27,7 +27,7 @@ _OUTSIDE = 0.0005  # [m]
 
 @dataclass(frozen=True)
 class CoacdSettings:
-    """How closely parts follow a mesh, and how hard CoACD (Wei et al., SIGGRAPH 2022) looks for few of them.
+    """Accuracy of the parts, and search effort of CoACD (Wei et al., SIGGRAPH 2022) for few of them.
 
     Its search is shallower than by default, which takes a table from 18 s to 4 s.
 

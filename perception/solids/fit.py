@@ -81,12 +81,12 @@ class MeshPose:
         return np.asarray((points - self.shift) @ self.rotation)
 
     def rotate(self, turn: Float[np.ndarray, "3"], about: Float[np.ndarray, "3"]) -> MeshPose:
-        """Turned by a rotation vector about a point of the world."""
+        """Return the pose turned by a rotation vector about a point of the world."""
         rotation = Rotation.from_rotvec(turn).as_matrix()
         return MeshPose(rotation @ self.rotation, rotation @ (self.shift - about) + about)
 
     def translate(self, by: Float[np.ndarray, "3"]) -> MeshPose:
-        """Moved in the world."""
+        """Return the pose moved by a vector of the world."""
         return MeshPose(self.rotation, self.shift + by)
 
 

@@ -37,7 +37,7 @@ class Mesh:
 
     @property
     def volume(self) -> float:
-        """What a closed mesh holds, negative when it is wound inside out [m^3]."""
+        """Volume of a closed mesh, negative when it is wound inside out [m^3]."""
         a, b, c = np.moveaxis(self.vertices[self.triangles] - self.vertices.mean(axis=0), 1, 0)
         return float((a * np.cross(b, c)).sum() / 6.0)
 
@@ -197,13 +197,13 @@ def _turn_outward(part: Mesh) -> tuple[Mesh, int]:
 
 
 def _is_closed(triangles: Int[np.ndarray, "F 3"]) -> bool:
-    """Whether every edge is run through once each way."""
+    """Return whether each edge occurs once in either direction."""
     number, upwards, counts = _count_edges(triangles)
     return bool((counts == 2).all() and (np.bincount(number, weights=upwards) == 1).all())
 
 
 def is_closed(mesh: Mesh) -> bool:
-    """Whether every edge of the mesh has a triangle on either side, wound alike."""
+    """Return whether every edge of the mesh has a triangle on either side, wound alike."""
     return len(mesh.triangles) > 0 and _is_closed(mesh.triangles)
 
 

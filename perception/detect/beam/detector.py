@@ -185,7 +185,7 @@ def _settle_again(index: SightIndex, beam: _Beam, beams: Sequence[_Beam], floor:
 
 
 def _continues(bar: Bar, other: Bar) -> bool:
-    """Return whether one bar lies in the line of another, little space between them."""
+    """Return whether one bar continues another: in its line and close to its end."""
     offset = bar.middle - other.middle
     along = float(offset @ other.axis)
     off = float(np.linalg.norm(offset - along * other.axis))

@@ -336,7 +336,7 @@ def _misfit(bins: Int[np.ndarray, "B"], course: Float[np.ndarray, "B 3"]) -> flo
 
 
 def _refit(strip: Strip, members: Float[np.ndarray, "K 3"]) -> Strip:
-    """Make the strip as long, wide and inclined as these of its points."""
+    """Fit the strip to some of its points: length, width and direction."""
     middle = members.mean(axis=0)
     vectors = np.linalg.eigh(np.cov((members - middle).T))[1]
     axis = vectors[:, 2] * np.sign(vectors[:, 2] @ strip.axis)

@@ -142,12 +142,12 @@ def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube) -> Tu
     """Return the tube of least misfit near one (Nelder and Mead's simplex)."""
     across, over = square_to(tube.axis)
 
-    def moved(change: Float[np.ndarray, "6"]) -> Tube:
+    def move(change: Float[np.ndarray, "6"]) -> Tube:
         axis = tube.axis + change[0] * across + change[1] * over
         return Tube(tube.mouth + change[2:5], axis / np.linalg.norm(axis), max(tube.radius + change[5], _LEAST_RADIUS))
 
     def misfit(change: Float[np.ndarray, "6"]) -> float:
-        return float(misfits(rays, mine, [moved(change)])[0])
+        return float(misfits(rays, mine, [move(change)])[0])
 
     simplex = np.concatenate([np.zeros((1, 6)), np.diag(_STEPS)])
     best = minimize(
@@ -156,7 +156,7 @@ def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube) -> Tu
         method="Nelder-Mead",
         options={"initial_simplex": simplex, "maxfev": _MOST_EVALUATIONS, "xatol": 5e-4, "fatol": 1e-4},
     )
-    return moved(best.x)
+    return move(best.x)
 
 
 def square_to(axis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

@@ -110,7 +110,7 @@ def _solve(
         weighted = jacobian / root[:, None]
         gradient = np.where(better[:, None], np.einsum("bnm,bm->bn", weighted, residuals), gradient)
         curvature = np.where(better[:, None, None], weighted @ jacobian.transpose(0, 2, 1), curvature)
-        best, cost = _chosen(better, state, best), np.where(better, now, cost)
+        best, cost = _choose(better, state, best), np.where(better, now, cost)
         if step == _STEPS:
             break
         damping = np.where(better, 0.3 * damping, 5.0 * damping)
@@ -168,7 +168,7 @@ def _step(
     return np.asarray(np.clip(step, -_LARGEST_STEP[: len(scale)], _LARGEST_STEP[: len(scale)]))
 
 
-def _chosen(these: Bool[np.ndarray, "B"], new: _State, old: _State) -> _State:
+def _choose(these: Bool[np.ndarray, "B"], new: _State, old: _State) -> _State:
     return _State(
         np.where(these[:, None, None], new.frames, old.frames),
         np.where(these[:, None], new.centres, old.centres),

@@ -148,7 +148,7 @@ def starts_about(
     bars = _at_their_depth(sample, bars)
     likely = np.argsort(_misfits(sample, bars.crossed_by(sample.rays), _BLUR), kind="stable")
     likely = np.unique(np.concatenate([_leaders(bars.side[likely], likely), likely[:_LIKELY]]))
-    bars = _at_their_depth(sample, bars.chosen(likely))
+    bars = _at_their_depth(sample, bars.choose(likely))
     return _best(sample, bars, run, most, _BLUR)
 
 
@@ -210,7 +210,7 @@ class _Many:
     def crossed_by(self, rays: SurroundingRays) -> BarCrossing:
         return cross_sections(rays, self.frames, self.centres, self.halves[self.size], self.section)
 
-    def chosen(self, keep: Int[np.ndarray, "K"]) -> _Many:
+    def choose(self, keep: Int[np.ndarray, "K"]) -> _Many:
         return replace(
             self, frames=self.frames[keep], centres=self.centres[keep], size=self.size[keep], side=self.side[keep]
         )

@@ -202,7 +202,7 @@ def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
 
 
 def _refine(face: Face, index: SightIndex) -> Face | None:
-    """Return the plane through what is flat of the rays' ends, not through what stands out; None when little is."""
+    """Return the plane through the flat part of the rays' ends, without what stands out; None if that is small."""
     seen = face_rays(face, index, 0.0)
     return fit_face(face, seen.ends[((seen.ends[:, :2] > face.low) & (seen.ends[:, :2] < face.high)).all(axis=1)])
 

@@ -182,7 +182,7 @@ class Agreement:
     Attributes:
         on: (C, N) which points lie on each.
         count: (C,) of them.
-        share: (C,) of the points about each one's disc that lie on it: clutter fills a disc, a wheel is mostly rim.
+        share: (C,) share of points about each disc that lie on the circle; clutter fills the disc, a wheel does not.
     """
 
     on: Bool[np.ndarray, "C N"]

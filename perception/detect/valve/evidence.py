@@ -62,7 +62,7 @@ class WheelEvidence:
 
     @property
     def confidence(self) -> float:
-        """That it is a wheel, all evidence taken together."""
+        """Confidence that it is a wheel, from all evidence."""
         return self.rim * self.air * self.open * self.middle * self.spokes * self.free * self.sharp * self.aside
 
     @property

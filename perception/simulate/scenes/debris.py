@@ -67,13 +67,13 @@ def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], sp
         pose[:3, :3] = rotation.as_matrix()
         pose[:2, 3] = np.array(middle) + rng.uniform(-spread, spread, 2)
         pose[2, 3] = 1.5 if not boxes else max(place[2, 3] + size[0] for place, size in boxes) + length
-        pose = _tip(_sunk(pose, half, boxes), half, boxes)
+        pose = _tip(_sink(pose, half, boxes), half, boxes)
         boxes.append((pose, half))
         placed.append(Beam(pose, length, width, thickness).build())
     return placed
 
 
-def _sunk(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def _sink(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Lower it as far as it goes."""
     pose = pose.copy()
     # Steps smaller than a beam is thick, then small ones.
@@ -109,7 +109,7 @@ def _tip(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np
             if _touches(tried, half, others):
                 break
             last, degree = tried, degree + step
-    return _sunk(last, half, others)
+    return _sink(last, half, others)
 
 
 def _shift(x: float) -> np.ndarray:
