@@ -15,8 +15,7 @@ from service.executor import Control
 from service.request.scene import KnownMeshRequest
 from service.request.schema import GoalRequest, PlanRequest, RobotRequest
 from service.scan.cloud import CloudInput
-from service.work.plan import ROBOTS, Refused
-from service.work.stopping import stops_with
+from service.work.plan import ROBOTS, Refused, stops_with
 
 OVERRIDES = " (this server's own, which overrides scopt's robot of that name)"
 
@@ -78,12 +77,7 @@ def detect(
 
 
 def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | Refused:
-    """Verify a recorded motion; returns what ``scopt verify`` prints.
-
-    Args:
-        files: files of a result folder, by their path in it.
-        control: stops the work.
-    """
+    """Verify a result folder, given as its files by path; returns what ``scopt verify`` prints."""
     from service.replay.replay import verify_result
 
     with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:
