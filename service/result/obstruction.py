@@ -76,8 +76,8 @@ def _get_end(setup: PlanSetup) -> _End | None:
     if request.goal is not None:
         body = WholeBody.standing(robot, setup.scene, setup.start, setup.contacts, Aims())
         goal = Goal.of(body, request.goal)
-        poses = [(pose.link, np.array(pose.position), rotation_of(pose)) for pose in goal.poses]
-        q = goal.applied_to(setup.start) if goal.joints else None
+        poses = [(pose.link, np.array(pose.position), rotation_of(pose)) for pose in goal.request.poses]
+        q = goal.apply_joints(setup.start) if goal.joints else None
         return _End(goal.targets(0.0), q, _complete_poses(setup, poses))
     if setup.program is not None:
         return _get_program_end(setup, setup.program)
