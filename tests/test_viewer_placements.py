@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from costs.robot import load_robot
 from service.viewer import LinkPlacements, place_links, write_viewer
-from service.viewer.placements import continuous
+from service.viewer.placements import align_signs
 
 
 def test_placements_agree_with_pinocchio_at_every_sample():
@@ -41,7 +41,7 @@ def test_continuous_keeps_rotations_and_never_jumps_to_the_far_side(seed):
     poses[:, 0, 3], poses[:, 0, 6] = np.cos(angle / 2), np.sin(angle / 2)
     flipped = poses.copy()
     flipped[..., 3:] *= rng.choice([-1.0, 1.0], (40, 1, 1))
-    mended = continuous(flipped)[:, 0, 3:]
+    mended = align_signs(flipped)[:, 0, 3:]
     assert np.all(np.sum(mended[1:] * mended[:-1], axis=1) > 0.9)
     np.testing.assert_allclose(np.abs(np.sum(mended * poses[:, 0, 3:], axis=1)), 1.0, atol=1e-12)
 

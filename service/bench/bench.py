@@ -40,37 +40,21 @@ def run_problem(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
 
 def _plan_problem(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
     """Plan a problem; return the columns of its result, of a refusal or of an error of the planner."""
+    columns = {"success_claimed": False, "path": [], "verdict": ERROR, "clearance_m": None, "start": "", "reason": ""}
     try:
         result = plan(problem.request, robot=robot)
     except RequestError as error:
-        return _make_row(Verdict.INVALID_REQUEST.value, reason=error.problems[0])
+        return {**columns, "verdict": Verdict.INVALID_REQUEST.value, "reason": error.problems[0]}
     except Exception as error:  # one problem must not cost the others their rows
-        return _make_row(ERROR, reason=" ".join(f"{type(error).__name__}: {error}".split()))
-    certificate = result.certificate
-    clearance_m = np.inf if certificate is None else certificate.min_clearance_m
-    return _make_row(
-        result.verdict.value,
-        path=_list_path(result, problem.joints),
-        clearance_m=float(clearance_m) if np.isfinite(clearance_m) else None,
-        start=result.found_from,
-        reason=next(iter(result.explanation), "") if result.conflict is None else result.conflict.brief,
-    )
-
-
-def _make_row(
-    verdict: str,
-    path: Sequence[Sequence[float]] = (),
-    clearance_m: float | None = None,
-    start: str = "",
-    reason: str = "",
-) -> dict[str, Any]:
+        return {**columns, "reason": " ".join(f"{type(error).__name__}: {error}".split())}
+    clearance_m = np.inf if result.certificate is None else result.certificate.min_clearance_m
     return {
-        "success_claimed": verdict == Verdict.CERTIFIED.value,
-        "path": path,
-        "verdict": verdict,
-        "clearance_m": clearance_m,
-        "start": start,
-        "reason": reason,
+        "success_claimed": result.verdict is Verdict.CERTIFIED,
+        "path": _list_path(result, problem.joints),
+        "verdict": result.verdict.value,
+        "clearance_m": float(clearance_m) if np.isfinite(clearance_m) else None,
+        "start": result.found_from,
+        "reason": next(iter(result.explanation), "") if result.conflict is None else result.conflict.brief,
     }
 
 

@@ -170,6 +170,6 @@ def _judge(planned: object, certificate: Certificate) -> tuple[str, list[str]]:
     if certificate.status is Status.CERTIFIED:
         if planned not in WITHOUT_CERTIFICATE:
             raise ResultError(f"verdict is {shown(planned)}; expected CERTIFIED, {', '.join(WITHOUT_CERTIFICATE)}")
-        return str(planned), [f"the motion holds, but its plan is {planned}: it does not do all that was asked"]
+        return str(planned), [f"the motion holds, but its plan is {planned}: it does not meet the whole request"]
     is_feasible = certificate.status is Status.FEASIBLE_AT_SAMPLES
     return "FEASIBLE_AT_SAMPLES" if is_feasible else "NOT_FOUND", [check.text for check in certificate.failed()]

@@ -1,9 +1,9 @@
-"""The best plan found so far: complete enough at any time to be returned."""
+"""Best attempt at a request during planning, from which a result can be made at any time."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -98,7 +98,7 @@ class Attempt:
             planning_time_s=time.perf_counter() - monitor.started,
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
-            detections=_list_detections(setup),
+            detections=tuple({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves),
             obstruction=self._describe_obstruction(setup),
             cloud=setup.surroundings.points,
         )
@@ -121,7 +121,3 @@ def list_shortfalls(certificate: Certificate) -> tuple[str, ...]:
         else f"{check.text} (at {check.where.time_s:.2f} s)"
         for check in checks
     )
-
-
-def _list_detections(setup: PlanSetup) -> tuple[Mapping[str, Any], ...]:
-    return tuple({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves)

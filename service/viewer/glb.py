@@ -13,7 +13,7 @@ from jaxtyping import Float, Shaped
 from service.viewer.files import replace_file
 from service.viewer.hulls import make_convex_mesh
 from service.viewer.payload import sample_times, select_samples
-from service.viewer.placements import LinkPlacements, continuous
+from service.viewer.placements import LinkPlacements, align_signs
 
 Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """Rotation (xyzw) of the root node: world z up to glTF's y up."""
@@ -75,7 +75,7 @@ def _add_movables(
         angles = angles[kept] if len(angles) == n_samples > 0 else np.zeros(max(len(kept), 1))
         half = 0.5 * angles[:, None]
         rotations = np.hstack([np.cos(half), np.sin(half) * axis / np.linalg.norm(axis)])
-        poses = continuous(np.hstack([np.tile(origin, (len(angles), 1)), rotations])[:, None])[:, 0]
+        poses = align_signs(np.hstack([np.tile(origin, (len(angles), 1)), rotations])[:, None])[:, 0]
         shapes = [(np.asarray(body["vertices"], dtype=float) - origin, "movable") for body in movable["bodies"]]
         moving.append((writer.add_node(str(movable["name"]), shapes, poses[0]), poses))
     return moving

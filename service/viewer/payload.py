@@ -38,7 +38,7 @@ def make_payload(result: Mapping[str, Any], placements: LinkPlacements) -> dict[
     return {
         **_summarize(result),
         "checks": _place_checks(result, proof),
-        "clearance": pack(_make_track_rows(proof), "f4"),
+        "clearance": pack(np.empty((0, 2)) if proof is None else np.column_stack([proof.times, proof.clearance]), "f4"),
         "gaps": [] if proof is None else [{"names": list(g.pair), "start": g.start, "end": g.end} for g in proof.gaps],
         "obstruction": result.get("obstruction"),
         "shapeless": _list_shapeless(result, placements),
@@ -156,10 +156,6 @@ def _place_checks(result: Mapping[str, Any], proof: ClearanceTrack | None) -> li
             where = {"time_s": proof.time_s, "position": None, "names": list(proof.pair)}
         checks.append({**check, "where": where})
     return checks
-
-
-def _make_track_rows(proof: ClearanceTrack | None) -> Float[np.ndarray, "N 2"]:
-    return np.empty((0, 2)) if proof is None else np.column_stack([proof.times, proof.clearance])
 
 
 def _list_unchecked(result: Mapping[str, Any]) -> list[str]:

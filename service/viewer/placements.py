@@ -50,7 +50,7 @@ def place_links(robot: RobotModel, q: Float[np.ndarray, "S n"], links: Sequence[
         for column, frame in enumerate(frames):
             x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(data.oMf[frame])
             poses[sample, column] = (x, y, z, qw, qx, qy, qz)
-    return LinkPlacements(tuple(links), continuous(poses))
+    return LinkPlacements(tuple(links), align_signs(poses))
 
 
 def list_drawn_frames(robot: RobotModel, result: Mapping[str, Any]) -> tuple[str, ...]:
@@ -64,7 +64,7 @@ def list_drawn_frames(robot: RobotModel, result: Mapping[str, Any]) -> tuple[str
     return tuple(dict.fromkeys(name for name in names if robot.model.existFrame(name)))
 
 
-def continuous(poses: Float[np.ndarray, "S L 7"]) -> Float[np.ndarray, "S L 7"]:
+def align_signs(poses: Float[np.ndarray, "S L 7"]) -> Float[np.ndarray, "S L 7"]:
     """Return the poses with unit quaternions whose signs do not flip from one sample to the next.
 
     ``q`` and ``-q`` are the same rotation, but interpolation between them turns the link by a full turn.

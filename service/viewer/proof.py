@@ -59,6 +59,8 @@ def trace_clearance(result: Mapping[str, Any]) -> ClearanceTrack | None:
         times = np.linspace(law.times[0], law.times[-1], N_TIMES)
         path = law.at(times)[0]
     edges = np.asarray(stretches["edges"], dtype=float)
+    # Bounds of the pairs that were not examined.
+    floors = np.array([np.inf if floor is None else float(floor) for floor in stretches["floors"]])
     first, last, distance, bound = (
         np.asarray(stretches[key], dtype=float) for key in ("first", "last", "distance", "bound")
     )
@@ -67,7 +69,7 @@ def trace_clearance(result: Mapping[str, Any]) -> ClearanceTrack | None:
         path,
         np.concatenate([edges[:-1], first]),
         np.concatenate([edges[1:], last]),
-        np.concatenate([_read_floors(stretches), proven]),
+        np.concatenate([floors, proven]),
     )
     claimed = certificate.get("min_clearance_m")
     if claimed is not None and clearance.min() > claimed:
@@ -91,11 +93,6 @@ def _read_law(curve: Mapping[str, Any]) -> tuple[TimeLaw | None, TimeOf]:
         return None, lambda s: s
     time_law = TimeLaw(*(np.asarray(law[key], dtype=float) for key in ("times", "path", "speed")))
     return time_law, lambda s: times_of(time_law, s)
-
-
-def _read_floors(stretches: Mapping[str, Any]) -> Float[np.ndarray, "E-1"]:
-    """Return the bounds of the pairs that were not examined; infinite where all were examined."""
-    return np.array([np.inf if floor is None else float(floor) for floor in stretches["floors"]])
 
 
 def _find_least(

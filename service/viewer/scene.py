@@ -24,15 +24,15 @@ _CELL = 0.05  # smallest edge of the grid's cells [m]
 _MARGIN = 0.15  # of the grid around the points [m]
 
 
-def render_scene(seen: BuiltScene, title: str) -> str:
+def render_scene(built: BuiltScene, title: str) -> str:
     """Return the page of a scan, which works offline."""
-    return render_page(make_scene_payload(seen, title), title, "scene")
+    return render_page(make_scene_payload(built, title), title, "scene")
 
 
-def make_scene_payload(seen: BuiltScene, title: str) -> dict[str, Any]:
+def make_scene_payload(built: BuiltScene, title: str) -> dict[str, Any]:
     """Return everything the page draws, JSON-ready."""
-    scene, perceived = seen.data, seen.perceived
-    points, owner = _assign_points(seen)
+    scene, perceived = built.data, built.perceived
+    points, owner = _assign_points(built)
     change = {name: how for how in ("stayed", "changed", "new") for name in scene.get("update", {}).get(how, ())}
     return {
         "title": title,
@@ -51,7 +51,7 @@ def make_scene_payload(seen: BuiltScene, title: str) -> dict[str, Any]:
         ],
         "detections": [
             {**entry, "points": quantize(thin_points(np.asarray(hit.points, dtype=float), MAX_DETECTION_POINTS))}
-            for entry, hit in zip(scene["detections"], seen.hits, strict=True)
+            for entry, hit in zip(scene["detections"], built.hits, strict=True)
         ],
         "meshes": scene["meshes"],
         "cloud": quantize(points),
@@ -61,12 +61,12 @@ def make_scene_payload(seen: BuiltScene, title: str) -> dict[str, Any]:
     }
 
 
-def _assign_points(seen: BuiltScene) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
+def _assign_points(built: BuiltScene) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
     """Return the points in reach, thinned, and the owner of each: index of its piece, or one of the constants above."""
-    view = seen.perceived.view
-    number = {piece["name"]: i for i, piece in enumerate(seen.data["pieces"])}
+    view = built.perceived.view
+    number = {piece["name"]: i for i, piece in enumerate(built.data["pieces"])}
     obstacles = np.full(len(view.obstacles), UNASSIGNED)
-    for name, points in (*seen.mesh_points.items(), *((piece.name, piece.points) for piece in seen.perceived.pieces)):
+    for name, points in (*built.mesh_points.items(), *((piece.name, piece.points) for piece in built.perceived.pieces)):
         obstacles[points] = number[name]
     is_floor = on_floors(view.near.points, view.floors)
     rest = view.near.points[~is_floor & ~_find_among(view.near.points, view.obstacles)]
