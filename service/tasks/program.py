@@ -14,11 +14,10 @@ from service.body.phases import PhaseSolver, path_via, posture_guesses, report_s
 from service.body.sampling import Tree, resample_path
 from service.body.task_plan import LEAST_CLEARANCE, PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
-from service.errors import RequestError
+from service.errors import RequestError, would_do
 from service.explain.distance import find_out_of_reach
 from service.start.overlaps import describe_collisions, find_overlaps_and_unresolved
 from service.trajopt import Builder, Program, Promises, Timeline
-from service.trajopt.fields import did_you_mean
 from service.trajopt.problem import CollisionTerm, PoseTerm
 
 PHASE = "trajopt"
@@ -78,7 +77,7 @@ def _check_pairs(program: Program, body: WholeBody) -> None:
     links = {name for member in body.robot.bodies for name in (member.link, member.name)}
     known = [*sorted(links), *(piece.name for piece in body.scene.pieces)]
     problems = [
-        f"{pair.path}.pair[{k}]: {other!r} is neither a link nor a piece of the scene; {did_you_mean(other, known)}"
+        f"{pair.path}.pair[{k}]: {other!r} is no link and no piece of the scene; expected {would_do(other, known)}"
         for term in program.problem.terms
         if isinstance(term, CollisionTerm)
         for pair in term.pairs
