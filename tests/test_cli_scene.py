@@ -20,9 +20,9 @@ from service.scan import make_scene as scene_file
 from service.scan.cloud import CloudInput, numbers
 from service.scan.make_scene import SceneInput, build_scene
 from service.scan.time_limit import TimeOver
-from service.viewer.frames import quantize
 from service.viewer.html import render_page
-from service.viewer.scene import payload_of
+from service.viewer.payload import quantize
+from service.viewer.scene import make_scene_payload
 
 SCAN = Path(__file__).parents[1] / "examples" / "data" / "valve_scan.pcd"
 
@@ -419,7 +419,7 @@ def test_the_page_tells_residuals_in_their_units_and_where_the_origin_is(browser
     seen = build_scene(SceneInput(CloudInput((tmp_path / "a.npz",)), unknown="occupied"), lambda _: None)
     residuals = {"rms": 0.002, "axis_spread_rad": 0.01, "air_share": 0.5, "n_ends_seen": 2.0, "rival_ratio": 0.25}
     hit = {"kind": "beam", "confidence": 1.0, "pose_world_object": np.eye(4).tolist(), "sizes": {"length": 1.5}}
-    payload = payload_of(seen, "a") | {
+    payload = make_scene_payload(seen, "a") | {
         "detections": [{**hit, "residuals": residuals, "points": quantize(np.zeros((1, 3)))}]
     }
     (tmp_path / "a.html").write_text(render_page(payload, "a", "scene"))
@@ -448,7 +448,7 @@ def test_the_page_outlines_what_is_there_to_be_gripped_and_pressed(browser: Brow
     }
     hit = {"confidence": 1.0, "pose_world_object": np.eye(4).tolist(), "residuals": {}}
     hits = [{**hit, "kind": kind, "sizes": of, "points": quantize(np.zeros((1, 3)))} for kind, of in sizes.items()]
-    (tmp_path / "a.html").write_text(render_page(payload_of(seen, "a") | {"detections": hits}, "a", "scene"))
+    (tmp_path / "a.html").write_text(render_page(make_scene_payload(seen, "a") | {"detections": hits}, "a", "scene"))
     browser.open((tmp_path / "a.html").as_uri())
     browser.settle()
     door, panel, drill = (np.reshape(browser.run(f"window.__viewer.outlineOf({i})"), (-1, 2, 3)) for i in range(3))

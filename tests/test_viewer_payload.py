@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from viewer_results import box, make_result
 
+from service.json_data import plain
 from service.viewer import LinkPlacements, write_viewer
-from service.viewer.frames import kept_samples, pack, quantize
 from service.viewer.html import render_viewer
-from service.viewer.hulls import convex_mesh
-from service.viewer.payload import json_safe, make_payload
+from service.viewer.hulls import make_convex_mesh
+from service.viewer.payload import make_payload, pack, quantize, select_samples
 
 
 def unpack(entry):
@@ -39,17 +39,17 @@ def signed_volume(mesh):
 @given(st.integers(0, 2**32 - 1), st.integers(5, 40))
 def test_hull_triangles_face_outward_and_enclose_the_hulls_volume(seed, n):
     points = np.random.default_rng(seed).normal(size=(n, 3))
-    assert signed_volume(convex_mesh(points)) == pytest.approx(ConvexHull(points).volume, rel=1e-9)
+    assert signed_volume(make_convex_mesh(points)) == pytest.approx(ConvexHull(points).volume, rel=1e-9)
 
 
 def test_a_box_has_its_twelve_edges_at_right_angles():
-    mesh = convex_mesh(np.array(box((1, 2, 3), (0.2, 0.4, 0.6))))
+    mesh = make_convex_mesh(np.array(box((1, 2, 3), (0.2, 0.4, 0.6))))
     assert len(mesh.edges) == 12
     assert mesh.bends == pytest.approx(np.full(12, np.pi / 2))
 
 
 def test_a_flat_set_becomes_a_two_sided_polygon():
-    mesh = convex_mesh(np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1], [0.5, 0.5, 1.0]]))
+    mesh = make_convex_mesh(np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1], [0.5, 0.5, 1.0]]))
     assert len(mesh.triangles) == 4
     assert len(mesh.edges) == 4
     assert signed_volume(mesh) == pytest.approx(0.0, abs=1e-12)
@@ -57,26 +57,26 @@ def test_a_flat_set_becomes_a_two_sided_polygon():
 
 @pytest.mark.parametrize("points", [[[1, 2, 3]], [[0, 0, 0], [1, 1, 1]], [[0, 0, 0], [1, 1, 1], [2, 2, 2]]])
 def test_a_point_or_line_has_no_surface(points):
-    assert len(convex_mesh(np.array(points, dtype=float)).triangles) == 0
+    assert len(make_convex_mesh(np.array(points, dtype=float)).triangles) == 0
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.array([[0, 0, np.nan]]), np.zeros((3, 2))])
 def test_a_hull_of_nothing_or_of_nan_is_refused(points):
     with pytest.raises(ValueError, match="finite vertices"):
-        convex_mesh(points)
+        make_convex_mesh(points)
 
 
 @given(st.integers(1, 400), st.floats(0.1, 30.0), st.lists(st.integers(0, 399), max_size=8))
 def test_kept_samples_hold_ends_and_waypoints_at_no_more_than_thirty_per_second(n, duration, waypoints):
     times = np.linspace(0.0, duration, n)
     inside = [i for i in waypoints if i < n]
-    kept = kept_samples(times, waypoints)
+    kept = select_samples(times, waypoints)
     assert {0, n - 1, *inside} <= set(kept.tolist())
     assert len(kept) <= 30.0 * duration + 2 + len(set(inside))
 
 
 def test_few_samples_are_all_kept():
-    assert kept_samples(np.linspace(0.0, 2.0, 21), []).tolist() == list(range(21))
+    assert select_samples(np.linspace(0.0, 2.0, 21), []).tolist() == list(range(21))
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -141,7 +141,7 @@ def test_a_body_without_placement_is_refused_by_name():
 
 
 def test_numbers_that_json_lacks_become_null():
-    assert json_safe({"a": [float("nan"), np.float64(1.0)], "b": np.array([np.inf, 2.0])}) == {
+    assert plain({"a": [float("nan"), np.float64(1.0)], "b": np.array([np.inf, 2.0])}) == {
         "a": [None, 1.0],
         "b": [None, 2.0],
     }

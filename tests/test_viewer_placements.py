@@ -9,15 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from costs.robot import load_robot
-from service.viewer import LinkPlacements, placements_of, write_viewer
-from service.viewer.placements import continuous
+from service.viewer import LinkPlacements, place_links, write_viewer
+from service.viewer.placements import align_signs
 
 
 def test_placements_agree_with_pinocchio_at_every_sample():
     robot = load_robot("atlas")
     rng = np.random.default_rng(5)
     q = robot.postures["stand"] + rng.uniform(-0.3, 0.3, (4, robot.n))
-    placements = placements_of(robot, q, ["l_hand", "pelvis"])
+    placements = place_links(robot, q, ["l_hand", "pelvis"])
     data = robot.model.createData()
     for sample in range(4):
         pin.framesForwardKinematics(robot.model, data, q[sample])
@@ -30,7 +30,7 @@ def test_placements_agree_with_pinocchio_at_every_sample():
 def test_an_unknown_link_is_named():
     robot = load_robot("atlas")
     with pytest.raises(ValueError, match="'third_arm'"):
-        placements_of(robot, robot.postures["stand"][None], ["pelvis", "third_arm"])
+        place_links(robot, robot.postures["stand"][None], ["pelvis", "third_arm"])
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -41,7 +41,7 @@ def test_continuous_keeps_rotations_and_never_jumps_to_the_far_side(seed):
     poses[:, 0, 3], poses[:, 0, 6] = np.cos(angle / 2), np.sin(angle / 2)
     flipped = poses.copy()
     flipped[..., 3:] *= rng.choice([-1.0, 1.0], (40, 1, 1))
-    mended = continuous(flipped)[:, 0, 3:]
+    mended = align_signs(flipped)[:, 0, 3:]
     assert np.all(np.sum(mended[1:] * mended[:-1], axis=1) > 0.9)
     np.testing.assert_allclose(np.abs(np.sum(mended * poses[:, 0, 3:], axis=1)), 1.0, atol=1e-12)
 
@@ -71,5 +71,5 @@ def test_atlas_with_two_thousand_samples_stays_below_three_megabytes(tmp_path):
         "cloud": rng.uniform(-2.0, 2.0, (60_000, 3)).tolist(),
     }
     path = tmp_path / "viewer.html"
-    write_viewer(result, placements_of(robot, q, links), path)
+    write_viewer(result, place_links(robot, q, links), path)
     assert path.stat().st_size < 3_000_000

@@ -9,9 +9,9 @@ import pytest
 from viewer_results import make_result
 
 from costs.robot import load_robot
-from service.viewer import drawn_frames
+from service.viewer import list_drawn_frames
 from service.viewer.payload import make_payload
-from service.viewer.proof import clearance_track
+from service.viewer.proof import trace_clearance
 
 
 def proven_result():
@@ -40,12 +40,12 @@ def proven_result():
 
 @pytest.mark.parametrize(("time", "expected"), [(0.7, 0.08), (2.0, 0.04), (4.0, 0.025), (5.5, 0.1)])
 def test_clearance_at_a_time_is_the_least_of_floor_and_covering_rows(time, expected):
-    track = clearance_track(proven_result()[0])
+    track = trace_clearance(proven_result()[0])
     assert np.interp(time, track.times, track.clearance) == pytest.approx(expected)
 
 
 def test_the_place_of_least_clearance_is_the_middle_of_its_stretch():
-    track = clearance_track(proven_result()[0])
+    track = trace_clearance(proven_result()[0])
     assert track.pair == ("l_hand", "crate")
     assert track.time_s == pytest.approx(0.625 * 6.0, abs=1e-3)
 
@@ -53,7 +53,7 @@ def test_the_place_of_least_clearance_is_the_middle_of_its_stretch():
 def test_the_same_pair_counts_in_a_phase_where_it_may_not_touch():
     result, _ = proven_result()
     result["certificate"]["exempt"][0]["phase"] = "reach"
-    assert clearance_track(result).clearance.min() == pytest.approx(-0.005)
+    assert trace_clearance(result).clearance.min() == pytest.approx(-0.005)
 
 
 def test_the_clearance_check_points_to_the_place_of_least_clearance():
@@ -83,14 +83,14 @@ def test_what_was_not_checked_is_carried_but_for_neighbours():
 def test_without_certificate_or_time_law_there_is_no_track(missing):
     result, _ = proven_result()
     result[missing] = None
-    assert clearance_track(result) is None
+    assert trace_clearance(result) is None
 
 
 def test_a_proof_without_near_pairs_has_floors_only():
     result, _ = proven_result()
     for key in ("pair", "first", "last", "distance", "bound"):
         result["certificate"]["stretches"][key] = []
-    track = clearance_track(result)
+    track = trace_clearance(result)
     assert track.pair is None
     assert set(track.clearance) == {0.2, 0.1}
 
@@ -102,4 +102,4 @@ def test_drawn_frames_are_those_with_bodies_targets_and_checks():
         "phases": [{"targets": [{"kind": "pose", "frame": "l_tool"}, {"kind": "joints"}]}],
         "checks": [{"where": {"names": ["back_bkz", "crate"]}}, {"where": None}],
     }
-    assert drawn_frames(robot, result) == ("pelvis", "l_tool", "back_bkz")
+    assert list_drawn_frames(robot, result) == ("pelvis", "l_tool", "back_bkz")

@@ -1,1 +1,1 @@
-"""Plans of a whole problem set, summed up in one table."""
+"""Plans of a whole problem set with a summary table."""

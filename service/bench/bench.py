@@ -1,12 +1,11 @@
-"""Running a problem set through the planner: one row per problem, a table per scene, resumable."""
+"""Run of a problem set through the planner: one row per problem, a table per scene, resumable."""
 
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from service.errors import RequestError
 from service.planner import plan
 from service.result.motion_json import samples_of
 from service.result.result import PlanResult, Verdict
+from service.viewer.files import replace_file
 
 PEER = "scopt"
 ERROR = "ERROR"  # of the planner itself
@@ -26,50 +26,35 @@ COLUMNS = ("scene", "problems", "certified", "CPU median [ms]", "CPU p95 [ms]", 
 
 
 def run_problem(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
-    """One row of the result file; CPU time is of all threads, from the problem in memory to the verdict."""
+    """Return a row of the result file; CPU time is that of all threads, from the problem in memory to the verdict."""
     wall, cpu = time.perf_counter(), time.process_time()
-    answer = _answer(problem, robot)
+    columns = _plan_problem(problem, robot)
     return {
         "problem": problem.name,
         "scene": problem.scene,
         "time_s": time.perf_counter() - wall,
         "cpu_s": time.process_time() - cpu,
-        **answer,
+        **columns,
     }
 
 
-def _answer(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
-    """What the planner makes of a problem, as columns; what it refuses, or fails at, is an answer too."""
+def _plan_problem(problem: BenchProblem, robot: RobotModel) -> dict[str, Any]:
+    """Plan a problem; return the columns of its result, of a refusal or of an error of the planner."""
+    columns = {"success_claimed": False, "path": [], "verdict": ERROR, "clearance_m": None, "start": "", "reason": ""}
     try:
         result = plan(problem.request, robot=robot)
     except RequestError as error:
-        return _row(Verdict.INVALID_REQUEST.value, reason=error.problems[0])
+        return {**columns, "verdict": Verdict.INVALID_REQUEST.value, "reason": error.problems[0]}
     except Exception as error:  # one problem must not cost the others their rows
-        return _row(ERROR, reason=" ".join(f"{type(error).__name__}: {error}".split()))
-    certificate = result.certificate
-    return _row(
-        result.verdict.value,
-        path=_path(result, problem.joints),
-        clearance_m=None if certificate is None else _number(certificate.min_clearance_m),
-        start=result.found_from,
-        reason=next(iter(result.explanation), "") if result.conflict is None else result.conflict.brief,
-    )
-
-
-def _row(
-    verdict: str,
-    path: Sequence[Sequence[float]] = (),
-    clearance_m: float | None = None,
-    start: str = "",
-    reason: str = "",
-) -> dict[str, Any]:
+        return {**columns, "reason": " ".join(f"{type(error).__name__}: {error}".split())}
+    clearance_m = np.inf if result.certificate is None else result.certificate.min_clearance_m
     return {
-        "success_claimed": verdict == Verdict.CERTIFIED.value,
-        "path": path,
-        "verdict": verdict,
-        "clearance_m": clearance_m,
-        "start": start,
-        "reason": reason,
+        "success_claimed": result.verdict is Verdict.CERTIFIED,
+        "path": _list_path(result, problem.joints),
+        "verdict": result.verdict.value,
+        "clearance_m": float(clearance_m) if np.isfinite(clearance_m) else None,
+        "start": result.found_from,
+        "reason": next(iter(result.explanation), "") if result.conflict is None else result.conflict.brief,
     }
 
 
@@ -79,29 +64,29 @@ def run_bench(
     out: Path,
     on_progress: Callable[[str, float], None],
 ) -> list[dict[str, Any]]:
-    """Rows of all problems; those that ``out`` holds already are kept, and it is written after every problem."""
-    rows = {row["problem"]: row for row in _earlier(out)}
+    """Return the rows of all problems; ``out`` keeps its earlier rows and is written after every problem."""
+    rows = {row["problem"]: row for row in _read_rows(out)}
     for done, problem in enumerate(problems):
         on_progress(problem.name, done / len(problems))
         if problem.name not in rows:
             rows[problem.name] = run_problem(problem, robot)
-            _write(out, rows.values())
+            replace_file(out, json.dumps({"peer": PEER, "results": list(rows.values())}).encode())
     return [rows[problem.name] for problem in problems]
 
 
 def summarize_scenes(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Per scene and in all: problems, certified, CPU time median and 95th percentile, failures by verdict."""
+    """Return ``COLUMNS`` for each scene and for all problems."""
     scenes = sorted({row["scene"] for row in rows})
     groups = [(scene, [row for row in rows if row["scene"] == scene]) for scene in scenes]
-    return [_summary(name, group) for name, group in (*groups, ("all", list(rows)))]
+    return [_summarize(name, group) for name, group in (*groups, ("all", list(rows)))]
 
 
 def list_failures(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Every problem that was not certified: its name, verdict and first reason."""
+    """Return ``FAILURE_COLUMNS`` for every problem that was not certified."""
     return [(row["problem"], row["verdict"], row["reason"]) for row in rows if not row["success_claimed"]]
 
 
-def _summary(name: str, rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def _summarize(name: str, rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     cpu = 1e3 * np.array([row["cpu_s"] for row in rows])
     certified = [row for row in rows if row["success_claimed"]]
     clearances = [1e3 * row["clearance_m"] for row in certified if row["clearance_m"] is not None]
@@ -117,8 +102,8 @@ def _summary(name: str, rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     )
 
 
-def _path(result: PlanResult, joints: Sequence[str]) -> list[list[float]]:
-    """The executed samples in the problem's joint order, to be read joint-linearly."""
+def _list_path(result: PlanResult, joints: Sequence[str]) -> list[list[float]]:
+    """Return the executed samples in the problem's joint order, for linear interpolation."""
     if result.motion is None:
         return []
     columns = [result.robot.joint_names.index(joint) for joint in joints]
@@ -126,12 +111,8 @@ def _path(result: PlanResult, joints: Sequence[str]) -> list[list[float]]:
     return rows
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _earlier(out: Path) -> list[dict[str, Any]]:
-    """Rows of an earlier run that was interrupted."""
+def _read_rows(out: Path) -> list[dict[str, Any]]:
+    """Return the rows of an earlier run; none if ``out`` is another file."""
     if not out.is_file():
         return []
     try:
@@ -139,10 +120,3 @@ def _earlier(out: Path) -> list[dict[str, Any]]:
         return list(data["results"]) if data.get("peer") == PEER else []
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError):
         return []
-
-
-def _write(out: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """As a whole or not at all."""
-    fresh = out.with_name(out.name + ".part")
-    fresh.write_text(json.dumps({"peer": PEER, "results": list(rows)}), encoding="utf-8")
-    os.replace(fresh, out)

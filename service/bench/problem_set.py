@@ -17,13 +17,13 @@ SHAPES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "heigh
 
 @dataclass(frozen=True)
 class BenchProblem:
-    """One problem.
+    """Benchmark problem.
 
     Attributes:
         name: its ``id`` in the file.
         scene: the family it belongs to.
         joints: order of the joints in start, goal and result paths.
-        request: what is asked of the planner.
+        request: the same problem as a request.
     """
 
     name: str
@@ -34,14 +34,14 @@ class BenchProblem:
 
 @dataclass(frozen=True)
 class BenchRobot:
-    """The files of the robot that a problem set is judged with."""
+    """Files of the robot that a problem set is judged with."""
 
     urdf: Path
     srdf: Path | None = None
     package_root: Path | None = None
 
     def to_request(self) -> dict[str, Any]:
-        """The ``robot`` section of a request."""
+        """Return the ``robot`` section of a request."""
         section: dict[str, Any] = {"urdf": str(self.urdf.resolve())}
         if self.srdf is not None:
             section["srdf"] = str(self.srdf.resolve())
@@ -53,16 +53,10 @@ class BenchRobot:
 def read_problems(
     path: Path, robot: BenchRobot, options: Mapping[str, Any], limit: int | None = None
 ) -> list[BenchProblem]:
-    """All problems of a file, or of the JSON files of a folder.
-
-    Args:
-        path: file or folder.
-        robot: whose joints they speak of.
-        options: of the requests.
-        limit: most problems of a scene; all if None.
+    """Return the problems of a file or of the JSON files of a folder, at most ``limit`` of each scene.
 
     Raises:
-        RequestError: a file that is not there or does not follow the form.
+        RequestError: a file is missing or not a problem file.
     """
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
     if not files or not files[0].is_file():
@@ -71,7 +65,7 @@ def read_problems(
     for file in files:
         try:
             data = json.loads(file.read_text(encoding="utf-8"))
-            problems += _of_file(data, robot, options)
+            problems += _read_file(data, robot, options)
         except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
             raise RequestError(f"{file}: cannot be read as JSON ({error})") from None
         except (KeyError, TypeError, ValueError) as error:
@@ -81,21 +75,21 @@ def read_problems(
     return problems
 
 
-def _of_file(data: Mapping[str, Any], robot: BenchRobot, options: Mapping[str, Any]) -> Iterator[BenchProblem]:
+def _read_file(data: Mapping[str, Any], robot: BenchRobot, options: Mapping[str, Any]) -> Iterator[BenchProblem]:
     joints = tuple(data["joints"])
     for problem in data["problems"]:
         request = {
             "robot": robot.to_request(),
             "start": {"joints": dict(zip(joints, problem["start"], strict=True))},
-            "scene": {"obstacles": [_obstacle(index, o) for index, o in enumerate(problem["obstacles"])]},
+            "scene": {"obstacles": [_to_obstacle(index, o) for index, o in enumerate(problem["obstacles"])]},
             "goal": {"joints": dict(zip(joints, problem["goal"], strict=True))},
             "options": dict(options),
         }
         yield BenchProblem(str(problem["id"]), str(problem["scene"]), joints, parse_request(request))
 
 
-def _obstacle(index: int, obstacle: Mapping[str, Any]) -> dict[str, Any]:
-    """An obstacle in the request's terms; names get their index, since sets repeat them."""
+def _to_obstacle(index: int, obstacle: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert an obstacle to that of a request; names get their index, since problem sets repeat them."""
     x, y, z, w = obstacle["quat_xyzw"]
     sizes = {
         ("height" if key == "length" else key): obstacle[key]

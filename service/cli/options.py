@@ -10,58 +10,47 @@ import typer
 
 Json = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout.")]
 
-Clouds = Annotated[list[Path], typer.Argument(help="Point cloud files; several are merged.", metavar="CLOUD...")]
-Unit = Annotated[
-    list[str] | None,
-    typer.Option("--unit", help="Of the files' lengths: m (as by default), cm, mm, km, in, ft.", metavar="UNIT"),
-]
-Transforms = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--transform",
-        help="Pose of the points in the world: 'X Y Z YAW PITCH ROLL' (radians), 'X Y Z QW QX QY QZ' or 16 numbers; "
-        "once, or for each file.",
-        metavar="NUMBERS",
-    ),
-]
-Sensor = Annotated[
-    list[str] | None, typer.Option("--sensor", help="Where rays started, if the files do not say.", metavar="'X Y Z'")
-]
-Viewpoint = Annotated[bool, typer.Option("--apply-viewpoint", help="The points are in the sensor's frame.")]
-Topic = Annotated[str | None, typer.Option("--topic", help="Of a bag with clouds on several topics.")]
-Message = Annotated[
-    str, typer.Option("--message", help="Of a bag: number of the message, -1 for the last, or all.", metavar="NUMBER")
-]
-Radius = Annotated[float, typer.Option("--reach", help="Horizontal radius kept, in metres.", min=0.1, max=50.0)]
-Top = Annotated[float, typer.Option("--top", help="Height up to which points are kept, in metres.")]
-Bottom = Annotated[float, typer.Option("--bottom", help="Height from which on points are kept, in metres.")]
-RobotThere = Annotated[
-    str | None, typer.Option("--robot", help="Robot whose own points are left out: a bundled one, or a URDF.")
-]
-Posture = Annotated[
-    Path | None,
-    typer.Option("--posture", help="That robot's posture by name, or a file with its start (as in a request)."),
-]
-Seed = Annotated[int, typer.Option("--seed", help="Of all random choices.", min=0)]
-
 
 @dataclass(frozen=True)
 class CloudOptions:
     """Cloud files and how to read them."""
 
-    files: Clouds
-    unit: Unit = None
-    transforms: Transforms = None
-    sensor: Sensor = None
-    apply_viewpoint: Viewpoint = False
-    topic: Topic = None
-    message: Message = "0"
-    reach_m: Radius = 4.0
-    top_m: Top = 3.0
-    bottom_m: Bottom = -0.5
-    robot: RobotThere = None
-    posture: Posture = None
-    seed: Seed = 0
+    files: Annotated[list[Path], typer.Argument(help="Point cloud files; several are merged.", metavar="CLOUD...")]
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(help="Of the files' lengths: m (as by default), cm, mm, km, in, ft.", metavar="UNIT"),
+    ] = None
+    transforms: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--transform",
+            help="Pose of the points in the world: 'X Y Z YAW PITCH ROLL' (radians), 'X Y Z QW QX QY QZ' or 16 "
+            "numbers; once, or for each file.",
+            metavar="NUMBERS",
+        ),
+    ] = None
+    sensor: Annotated[
+        list[str] | None, typer.Option(help="Where rays started, if the files do not say.", metavar="'X Y Z'")
+    ] = None
+    apply_viewpoint: Annotated[
+        bool, typer.Option("--apply-viewpoint", help="The points are in the sensor's frame.")
+    ] = False
+    topic: Annotated[str | None, typer.Option(help="Of a bag with clouds on several topics.")] = None
+    message: Annotated[
+        str, typer.Option(help="Of a bag: number of the message, -1 for the last, or all.", metavar="NUMBER")
+    ] = "0"
+    reach_m: Annotated[float, typer.Option("--reach", help="Horizontal radius kept, in metres.", min=0.1, max=50.0)] = (
+        4.0
+    )
+    top_m: Annotated[float, typer.Option("--top", help="Height up to which points are kept, in metres.")] = 3.0
+    bottom_m: Annotated[float, typer.Option("--bottom", help="Height from which on points are kept, in metres.")] = -0.5
+    robot: Annotated[
+        str | None, typer.Option(help="Robot whose own points are left out: a bundled one, or a URDF.")
+    ] = None
+    posture: Annotated[
+        Path | None, typer.Option(help="That robot's posture by name, or a file with its start (as in a request).")
+    ] = None
+    seed: Annotated[int, typer.Option(help="Of all random choices.", min=0)] = 0
 
     def __post_init__(self) -> None:
         """Raise ``typer.BadParameter`` for options that exclude each other or are repeated."""

@@ -130,7 +130,10 @@ def cancellable(stderr: Console) -> Iterator[Callable[[], bool]]:
 
     def request_stop(signum: int, frame: FrameType | None) -> None:
         if stop.is_set():
-            _end_at_once()
+            with suppress(RuntimeError, OSError):  # a write may be in progress
+                _PRINT_END.get()(_CANCELLED)
+                sys.stdout.flush()
+            os._exit(_CANCELLED.exit_code)
         stop.set()
         stderr.print("stopping; Ctrl-C again stops at once", style="yellow")
 
@@ -139,13 +142,6 @@ def cancellable(stderr: Console) -> Iterator[Callable[[], bool]]:
         yield stop.is_set
     finally:
         signal.signal(signal.SIGINT, earlier)
-
-
-def _end_at_once() -> None:
-    with suppress(RuntimeError, OSError):  # a write may be in progress
-        _PRINT_END.get()(_CANCELLED)
-        sys.stdout.flush()
-    os._exit(_CANCELLED.exit_code)
 
 
 @contextmanager

@@ -78,11 +78,12 @@ def draw_status(status: GetStatusResponse, target: str, problem: str = "") -> Gr
         head.append(f"   {' '.join(problem.split())}", style="bold red")
     elif status.is_draining:
         head.append("   draining: no new requests", style="bold yellow")
+    verdicts = sorted(status.verdicts.items(), key=lambda verdict: (-verdict[1], verdict[0]))
     lines = [
         f"queue       {status.queued} of {status.queue_limit}",
         f"solve       {_describe_latency(status)}",
         f"memory      {status.resident_bytes / MIB:.0f} MB, {status.worker_restarts} workers restarted",
-        f"verdicts    {', '.join(f'{name} {count}' for name, count in _sort_by_count(status)) or 'none yet'}",
+        f"verdicts    {', '.join(f'{name} {count}' for name, count in verdicts) or 'none yet'}",
     ]
     table = Table(box=None, pad_edge=False)
     for column in ("worker", "state", "work", "done", "MB"):
@@ -97,10 +98,6 @@ def _describe_latency(status: GetStatusResponse) -> str:
     if not status.verdicts:
         return "none yet"
     return f"median {status.solve_p50_s:.2f} s, 99 % within {status.solve_p99_s:.2f} s"
-
-
-def _sort_by_count(status: GetStatusResponse) -> list[tuple[str, int]]:
-    return sorted(status.verdicts.items(), key=lambda verdict: (-verdict[1], verdict[0]))
 
 
 def _describe_span(seconds: float) -> str:

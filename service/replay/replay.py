@@ -1,4 +1,4 @@
-"""Verify a result folder anew: its curve is held to what the request demands, not to what the folder promises."""
+"""Verification of a result folder: its motion is held to the request's demands, not to those in the folder."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from costs.robot import RobotError, RobotModel, load_robot
 from service.demands import Demands, HeldMotion, compare_pace, compare_turn, hold_to_request
 from service.errors import RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, find_contradictions
-from service.replay.demanded import Grounds, Record, rebuild_demands
+from service.replay.rebuild import Grounds, Record, rebuild_demands
 from service.request.file import load_request, parse_request
 from service.request.schema import PlanRequest
 from service.result.folder import TRAJECTORY_NAME, read_result, result_path
@@ -31,19 +31,18 @@ WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_L
 
 
 def verify_result(path: str | Path, request: Path | None = None, clouds: Sequence[Path] = ()) -> dict[str, Any]:
-    """The verdict on a result folder, with the keys of ``result.json`` that speak of it and ``held_to``.
+    """Return the verdict on a result folder: the keys of ``summary_json`` and ``held_to``.
 
-    The folder proves nothing about itself: what a certified motion must do is made anew from the request, and the
-    record is compared with that.
+    The demands on a certified motion are rebuilt from the request, and the folder's are compared with them.
 
     Args:
         path: the folder or its ``result.json``.
-        request: file that holds what the user asked; by default what the folder says was asked.
-        clouds: files of the request's scan, to be looked at again; by default the recorded pieces are taken.
+        request: file of the user's request; by default the request in the folder.
+        clouds: files of the request's scan, to be read again; by default the recorded pieces are taken.
 
     Raises:
         ResultError: the folder cannot be read, or its data contradict each other or the request.
-        RequestError: the request that is given, or a file it names, cannot be used.
+        RequestError: the user's request, or a file that it names, cannot be used.
     """
     started = time.perf_counter()
     data = read_result(path)
@@ -54,26 +53,26 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         raise ResultError(f"{folder}: the verdict is CERTIFIED, and there is no certificate; {CHANGED}")
     held, grounds, demands = HeldMotion(recorded, ()), None, None
     if is_claimed:
-        demands, grounds = _demands(data, folder, Record(robot, recorded.scene), request, clouds)
-        with _readable(folder):
+        demands, grounds = _read_demands(data, folder, Record(robot, recorded.scene), request, clouds)
+        with _explain_defects(folder):
             held = hold_to_request(demands, recorded)
     table = folder / TRAJECTORY_NAME
-    with _readable(folder):
+    with _explain_defects(folder):
         certificate = verify(held.motion)
-        found = held.differences
+        differences = held.differences
         if demands is not None:
-            found += tuple(compare_pace(demands.request, certificate))
+            differences += tuple(compare_pace(demands.request, certificate))
             if demands.request.task is not None and demands.request.task.valve is not None:
-                found += tuple(compare_turn(demands.request.task.valve, data["figures"]))
+                differences += tuple(compare_turn(demands.request.task.valve, data["figures"]))
         if data.get("certificate") is not None:
-            found += find_contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
-    if certificate.status is Status.CERTIFIED and is_claimed and found:
+            differences += find_contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
+    if certificate.status is Status.CERTIFIED and is_claimed and differences:
         why = CHANGED if request is None else OTHER
-        raise ResultError("\n".join(f"{folder}: {line}; {why}" for line in found))
-    verdict, explanation = _judged(data["verdict"], certificate)
+        raise ResultError("\n".join(f"{folder}: {line}; {why}" for line in differences))
+    verdict, explanation = _judge(data["verdict"], certificate)
     return {
         "verdict": verdict,
-        "explanation": [*explanation, *found],
+        "explanation": [*explanation, *differences],
         "notes": list(certificate.notes),
         "held_to": None if grounds is None else grounds.sentence(),
         "timings": {"verify": time.perf_counter() - started},
@@ -82,13 +81,13 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     }
 
 
-def _demands(
+def _read_demands(
     data: dict[str, Any], folder: Path, record: Record, given: Path | None, clouds: Sequence[Path]
 ) -> tuple[Demands, Grounds]:
-    """What the request demands, and what that rests on."""
-    request = _recorded_request(data, folder) if given is None else load_request(given)
-    with _readable(folder):
-        record = replace(record, valves=_recorded_valves(data))
+    """Return the demands of the user's or the recorded request, and their sources."""
+    request = _read_request(data, folder) if given is None else load_request(given)
+    with _explain_defects(folder):
+        record = replace(record, valves=_read_valves(data))
     try:
         return rebuild_demands(request, record, given, clouds)
     except RequestError as error:
@@ -98,12 +97,12 @@ def _demands(
         raise ResultError(f"{folder}: the request in this folder cannot be used: {line}; {CHANGED}") from None
 
 
-def _recorded_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
-    """The valves of ``detections``."""
+def _read_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
+    """Read the valves of ``detections``."""
     hits = [hit for hit in data["detections"] if hit["kind"] == "valve"]
     if not hits:
         return ()
-    from perception import ValveDetection  # takes a while, and few results need it
+    from perception import ValveDetection  # slow to import
 
     plain = [{field.name: hit[field.name] for field in fields(ValveDetection)} for hit in hits]
     vectors = [{name: np.array(hit[name], dtype=float) for name in ("centre", "axis")} for hit in plain]
@@ -111,7 +110,7 @@ def _recorded_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
     return tuple(ValveDetection(**{**a, **b, **c}) for a, b, c in zip(plain, tuples, vectors, strict=True))
 
 
-def _recorded_request(data: dict[str, Any], folder: Path) -> PlanRequest:
+def _read_request(data: dict[str, Any], folder: Path) -> PlanRequest:
     try:
         return parse_request(data.get("request"), folder)
     except RequestError as error:
@@ -120,7 +119,7 @@ def _recorded_request(data: dict[str, Any], folder: Path) -> PlanRequest:
 
 
 def read_motion(data: dict[str, Any], folder: Path) -> Motion:
-    """The motion of a parsed ``result.json`` whose robot files are in ``folder``.
+    """Return the motion of a parsed ``result.json`` whose robot files are in ``folder``.
 
     Raises:
         ResultError: there is no motion, or the data contradict each other.
@@ -129,17 +128,17 @@ def read_motion(data: dict[str, Any], folder: Path) -> Motion:
 
 
 def _read_record(data: dict[str, Any], folder: Path) -> tuple[RobotModel, Motion]:
-    """The robot of a result's folder, without what the task moves, and the motion."""
+    """Return the robot of a result's folder, without the joints that the task moves, and the motion."""
     if data.get("curve") is None:
         raise ResultError(f"{folder}: the result has no motion to verify; its verdict is {shown(data.get('verdict'))}")
-    with _readable(folder):
+    with _explain_defects(folder):
         robot = _read_robot(data["robot"], folder)
         return robot, motion_from_json(data, robot)
 
 
 @contextmanager
-def _readable(folder: Path) -> Iterator[None]:
-    """What is wrong with the data of a result, as one line that names the folder."""
+def _explain_defects(folder: Path) -> Iterator[None]:
+    """Turn errors in a result's data into a ``ResultError`` of one line that names the folder."""
     try:
         yield
     except KeyError as error:
@@ -150,27 +149,27 @@ def _readable(folder: Path) -> Iterator[None]:
 
 
 def _read_robot(robot: dict[str, Any], folder: Path) -> RobotModel:
-    def inside(name: str) -> Path:
+    def resolve(name: str) -> Path:
         resolved = (folder / name).resolve()
         if not resolved.is_relative_to(folder.resolve()):
             raise ResultError(f"{folder}: robot file {shown(name)} lies outside the result folder")
         return resolved
 
     return load_robot(
-        urdf=inside(robot["urdf"]),
-        srdf=None if robot["srdf"] is None else inside(robot["srdf"]),
-        package_dirs=[inside(name) for name in robot["package_dirs"]],
+        urdf=resolve(robot["urdf"]),
+        srdf=None if robot["srdf"] is None else resolve(robot["srdf"]),
+        package_dirs=[resolve(name) for name in robot["package_dirs"]],
         root=robot["root"],
     )
 
 
-def _judged(planned: object, certificate: Certificate) -> tuple[str, list[str]]:
-    """The verdict and its reasons: a motion that holds is certified only if it also does what was asked."""
+def _judge(planned: object, certificate: Certificate) -> tuple[str, list[str]]:
+    """Return the verdict and its reasons: a motion without defects is certified only if its plan was."""
     if certificate.status is Status.CERTIFIED and planned == Status.CERTIFIED.value:
         return Status.CERTIFIED.value, []
     if certificate.status is Status.CERTIFIED:
         if planned not in WITHOUT_CERTIFICATE:
             raise ResultError(f"verdict is {shown(planned)}; expected CERTIFIED, {', '.join(WITHOUT_CERTIFICATE)}")
-        return str(planned), [f"the motion holds, but its plan is {planned}: it does not do all that was asked"]
+        return str(planned), [f"the motion holds, but its plan is {planned}: it does not meet the whole request"]
     is_feasible = certificate.status is Status.FEASIBLE_AT_SAMPLES
     return "FEASIBLE_AT_SAMPLES" if is_feasible else "NOT_FOUND", [check.text for check in certificate.failed()]

@@ -1,9 +1,9 @@
-"""The best plan found so far: complete enough at any time to be returned."""
+"""Best attempt at a request during planning, from which a result can be made at any time."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -24,13 +24,13 @@ _VERDICT_OF_STATUS = {
 
 @dataclass
 class Attempt:
-    """The best attempt at a request so far.
+    """Best attempt at a request so far.
 
     Attributes:
-        verdict, explanation: as they would be returned now.
-        task: the plan of the task that the verdict is about.
+        verdict, explanation: those of a result at this moment.
+        task: the task plan that the verdict is about.
         motion, certificate: the best verified motion.
-        conflict: constraints that exclude each other where the search got stuck.
+        conflict: constraints that exclude each other at the step without a solution.
         unverified: the newest plan with a motion that has no certificate yet.
     """
 
@@ -43,7 +43,7 @@ class Attempt:
     unverified: tuple[TaskPlan, Motion] | None = None
 
     def begin(self, task: TaskPlan) -> None:
-        """Start with another plan of the task; it is the one to return until a motion is verified."""
+        """Take another task plan, which is returned until a motion is verified."""
         if self.certificate is None:
             self.task, self.explanation = task, task.reasons
             self.verdict = Verdict.INFEASIBLE if task.is_impossible else Verdict.NOT_FOUND
@@ -64,19 +64,19 @@ class Attempt:
         return task.is_feasible and self.certificate is not None and self.certificate.fails_by_description()
 
     def interrupt(self, verdict: Verdict, reason: str) -> None:
-        """End with TIME_LIMIT or CANCELLED; what was known about the task stays in the explanation."""
+        """End with TIME_LIMIT or CANCELLED; the task's reasons stay in the explanation."""
         known = () if self.task is None else self.task.reasons
         self.verdict, self.explanation = verdict, (reason, *known)
 
     def take_unverified(self, make_motion: Callable[[TaskPlan], Motion]) -> None:
-        """Fill in the best motion that has no certificate, where there is no verified one."""
+        """Take the best motion without a certificate if none is verified."""
         if self.motion is None and self.unverified is not None:
             self.task, self.motion = self.unverified
         if self.motion is None and self.task is not None and self.task.phases:
             self.motion = make_motion(self.task)
 
     def explain(self, conflict: Conflict) -> None:
-        """Replace the explanation by the conflict that was found."""
+        """Replace the explanation by a conflict."""
         self.conflict = conflict
         self.explanation = (*conflict.sentences(), *(() if self.task is None else self.task.obstacle))
 
@@ -98,13 +98,13 @@ class Attempt:
             planning_time_s=time.perf_counter() - monitor.started,
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
-            detections=_list_detections(setup),
-            obstruction=self._describe_goal(setup),
+            detections=tuple({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves),
+            obstruction=self._describe_obstruction(setup),
             cloud=setup.surroundings.points,
         )
 
-    def _describe_goal(self, setup: PlanSetup) -> dict[str, Any] | None:
-        """Return the goal to draw where there is no motion, unless time was up."""
+    def _describe_obstruction(self, setup: PlanSetup) -> dict[str, Any] | None:
+        """Return the goal to draw if the search ended without a motion."""
         if self.motion is not None or self.verdict not in (Verdict.INFEASIBLE, Verdict.NOT_FOUND):
             return None
         from service.result.obstruction import describe_obstruction  # few results need it
@@ -113,14 +113,11 @@ class Attempt:
 
 
 def list_shortfalls(certificate: Certificate) -> tuple[str, ...]:
-    """Return failed checks or, if there are none, unproven ones, each with the time at which it was seen."""
+    """Return the texts of failed checks or, if there are none, of unproven ones, each with its time."""
     checks = certificate.failed() or tuple(c for c in certificate.checks if c.basis is Basis.UNPROVEN)
-    times = (None if check.where is None else check.where.time_s for check in checks)
     return tuple(
-        check.text if time_s is None else f"{check.text} (at {time_s:.2f} s)"
-        for check, time_s in zip(checks, times, strict=True)
+        check.text
+        if check.where is None or check.where.time_s is None
+        else f"{check.text} (at {check.where.time_s:.2f} s)"
+        for check in checks
     )
-
-
-def _list_detections(setup: PlanSetup) -> tuple[Mapping[str, Any], ...]:
-    return tuple({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves)

@@ -1,4 +1,4 @@
-"""A result's folder: what is in it, replaced as a whole or not at all, read back with the care of any other input."""
+"""The result folder: its file names, its replacement as a whole, and the reader of ``result.json``."""
 
 from __future__ import annotations
 
@@ -53,31 +53,28 @@ class ResultFiles:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that a result must not replace.
+    """Check that a result may replace a folder.
 
     Raises:
-        ResultError: it is a file, or holds something other than an earlier result.
+        ResultError: it is a file or holds something other than an earlier result.
     """
     if not folder.exists():
         return
     if not folder.is_dir():
         raise ResultError(f"{folder} is a file; name a folder for the result")
-    found = {path.name for path in folder.iterdir()}
-    if found and not (folder / RESULT_NAME).is_file():
+    names = {path.name for path in folder.iterdir()}
+    if names and not (folder / RESULT_NAME).is_file():
         raise ResultError(f"{folder} holds other files and no {RESULT_NAME}; name a new or empty folder")
-    if found and not _is_ours(folder / RESULT_NAME):
+    if names and not _is_result(folder / RESULT_NAME):
         raise ResultError(f"{folder} holds a {RESULT_NAME} of something else; name a new or empty folder")
-    if found - WRITTEN:
-        first = min(found - WRITTEN)
+    if names - WRITTEN:
+        first = min(names - WRITTEN)
         raise ResultError(f"{folder} holds {first}, which is of no result; move it or name a new or empty folder")
 
 
 @contextmanager
 def replace_folder(folder: Path) -> Iterator[Path]:
-    """A fresh folder beside ``folder`` that takes its place when the body succeeds, and vanishes when it does not.
-
-    One that nothing was put into takes no place either.
-    """
+    """Yield a new folder that replaces ``folder`` if the body succeeds and put something into it."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
         fresh, earlier = Path(scratch) / "fresh", Path(scratch) / "earlier"
@@ -96,41 +93,43 @@ def replace_folder(folder: Path) -> Iterator[Path]:
 
 
 def read_result(path: str | Path) -> dict[str, Any]:
-    """The content of a result folder's ``result.json``, given the folder or the file.
+    """Return the content of a ``result.json``; ``path`` is the file or its folder.
 
     Raises:
-        ResultError: not there, not JSON, or another format.
+        ResultError: the file is missing, not JSON, or of another format.
     """
     path = result_path(path)
     try:
         size = path.stat().st_size
         if size > MAX_RESULT_BYTES:
             raise ResultError(f"{path} has {size} bytes; at most {MAX_RESULT_BYTES} are read")
-        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
+        data = json.loads(
+            path.read_text(encoding="utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_make_object
+        )
     except OSError as error:
         raise ResultError(f"{path} cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise ResultError(f"{path} is no JSON: {shown(str(error))}") from None
     if not isinstance(data, dict) or data.get("format") != FORMAT:
-        found = data.get("format") if isinstance(data, dict) else data
-        raise ResultError(f"{path}: format is {shown(found)}; expected {FORMAT!r}")
+        name = data.get("format") if isinstance(data, dict) else data
+        raise ResultError(f"{path}: format is {shown(name)}; expected {FORMAT!r}")
     return data
 
 
 def result_path(path: str | Path) -> Path:
-    """The ``result.json`` that a user means by a folder or a file."""
+    """Return the ``result.json`` of a folder, or the file itself."""
     path = Path(path)
     return path / RESULT_NAME if path.is_dir() else path
 
 
-def _is_ours(path: Path) -> bool:
-    """Whether a ``result.json`` begins as ours do, of whatever version."""
+def _is_result(path: Path) -> bool:
+    """Return whether a file begins like a ``result.json`` of any version."""
     with path.open("rb") as file:
         return file.read(len(BEGINNING)) == BEGINNING
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON whose keys differ: readers do not agree on which of two values counts."""
+def _make_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuse a repeated key: JSON readers differ in which of its values they take."""
     members = dict(pairs)
     if len(members) < len(pairs):
         repeated = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)

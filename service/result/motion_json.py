@@ -1,4 +1,4 @@
-"""A motion as the plain data of ``result.json``, and back: samples, curve, phases, and what the task moves."""
+"""Writer and reader of the motion in ``result.json``: samples, curve, phases, and movables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "
 
 
 def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
-    """The keys of ``result.json`` that speak of the motion; ``robot`` is the motion's without what the task moves."""
+    """Return the motion's keys of ``result.json``; ``robot`` is the motion's without the joints that the task moves."""
     s = samples_of(motion)
     q = motion.curve(s)
     phases = [phase_json(phase, s) for phase in motion.phases]
@@ -34,22 +34,22 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
             "positions": file_positions(robot, q[:, : robot.n]).tolist(),
             "times": sample_times(motion).tolist(),
         },
-        "curve": _curve(motion, s),
+        "curve": _write_curve(motion, s),
         "waypoints": [sample_index(s, knot) for knot in motion.curve.knots],
         "phases": phases,
         "waived": sorted(motion.waived or ()),
-        "movables": [_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
+        "movables": [_write_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
         "support_polygons": [
             {"first": phase["first"], "last": phase["last"], **phase["support"], "zmp": zmp_of_phase}
             for phase, zmp_of_phase in zip(standing, zmp_of_phases, strict=True)
         ],
-        "com": _centres_of_mass(robot, q[:, : robot.n]),
+        "com": _compute_com(robot, q[:, : robot.n]),
         "zmp": zmp,
     }
 
 
 def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
-    """The motion of a parsed ``result.json``, for a robot read from the files beside it.
+    """Return the motion of a parsed ``result.json``, for the robot read from the files beside it.
 
     Raises:
         KeyError, TypeError, ValueError: the data do not follow docs/result-format.md.
@@ -66,7 +66,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         )
     curve, law = data["curve"], data["curve"]["law"]
     if tuple(curve["joint_names"]) != robot.joint_names:
-        raise ValueError("curve.joint_names are not the joints of the robot and of what the task moves")
+        raise ValueError("curve.joint_names are not the joints of the robot and the movables")
     s = np.array(curve["samples"], dtype=float)
     return Motion(
         robot=robot,
@@ -81,29 +81,29 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
 
 
 def samples_of(motion: Motion) -> Float[np.ndarray, "S"]:
-    """Path parameters of the exported samples: the motion's own, or its knots."""
+    """Return the path parameters of the exported samples: the motion's own, or its knots."""
     return motion.curve.knots if motion.samples is None else motion.samples
 
 
 def sample_times(motion: Motion) -> Float[np.ndarray, "S"]:
-    """When the samples are reached [s]; without a time law, the path parameter stands for the time."""
+    """Return the times of the samples [s]; the path parameters if the motion is untimed."""
     s = samples_of(motion)
     return s if motion.law is None else times_of(motion.law, s)
 
 
 def file_columns(robot: RobotModel) -> tuple[str, ...]:
-    """Column names of a trajectory in files: a floating base as position and quaternion, then the joints."""
+    """Return a trajectory's columns in files: a floating base as position and quaternion, then the joints."""
     return BASE_COLUMNS + robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
 
 
 def file_positions(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "S k"]:
-    """Configurations in the columns of ``file_columns``."""
+    """Convert configurations to the columns of ``file_columns``."""
     if not robot.is_floating or not len(q):
         return q if len(q) else np.zeros((0, len(file_columns(robot))))
     return np.hstack([q[:, :3], make_quaternions(q[:, 3:6]), q[:, 6:]])
 
 
-def _curve(motion: Motion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
+def _write_curve(motion: Motion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
     law = motion.law
     return {
         "joint_names": list(motion.robot.joint_names),
@@ -117,8 +117,8 @@ def _curve(motion: Motion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
     }
 
 
-def _movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.ndarray, "S n"]) -> dict[str, Any]:
-    """One mechanism joint of the motion's robot: its bodies in the world at angle 0, and its angle at each sample."""
+def _write_movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.ndarray, "S n"]) -> dict[str, Any]:
+    """Return a mechanism joint of the motion's robot: its bodies in the world at angle 0, its angle at each sample."""
     augmented = motion.robot
     joint = augmented.model.getJointId(augmented.joint_names[column])
     placement, free = augmented.model.jointPlacements[joint], augmented.model.joints[joint]
@@ -130,7 +130,7 @@ def _movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.ndarray
         "joint": augmented.joint_names[column],
         "type": "revolute",
         "origin": placement.translation.tolist(),
-        "axis": (placement.rotation @ _axis(augmented, free)).tolist(),
+        "axis": (placement.rotation @ _get_axis(augmented, free)).tolist(),
         "lower": float(augmented.lower[column]),
         "upper": float(augmented.upper[column]),
         "velocity": float(augmented.velocity[column]),
@@ -147,15 +147,15 @@ def _movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.ndarray
     }
 
 
-def _axis(robot: RobotModel, joint: pin.JointModel) -> Float[np.ndarray, "3"]:
-    """The direction a revolute joint turns about, in its own frame."""
+def _get_axis(robot: RobotModel, joint: pin.JointModel) -> Float[np.ndarray, "3"]:
+    """Return the axis of a revolute joint in its own frame."""
     data = joint.createData()
     joint.calc(data, np.zeros(robot.n), np.zeros(robot.n))
     return np.asarray(data.S).reshape(6)[3:]
 
 
-def _centres_of_mass(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> list[list[float] | None]:
-    """In the world at every sample, null where the robot's file names no masses."""
+def _compute_com(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> list[list[float] | None]:
+    """Return the centre of mass in the world at every sample; None if the robot has no masses."""
     if not sum(inertia.mass for inertia in robot.model.inertias[1:]) > 0.0:
         return [None] * len(q)
     data = robot.model.createData()

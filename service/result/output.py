@@ -1,4 +1,4 @@
-"""The result folder: written as a whole or not at all."""
+"""Writer of the result folder."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from service.result.folder import (
 from service.result.motion_json import samples_of
 from service.result.result import PlanResult
 from service.result.result_json import to_result_json
-from service.viewer import drawn_frames, placements_of, write_glb, write_openrave, write_viewer
+from service.viewer import list_drawn_frames, place_links, write_glb, write_openrave, write_viewer
 
 
 def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
-    """Write a result folder, replacing an earlier one; nothing is left half-written, whatever interrupts it.
+    """Write a result folder as a whole, also when interrupted; an earlier result is replaced.
 
     Raises:
-        ResultError: the folder holds something else, or cannot be written.
+        ResultError: the folder holds something else or cannot be written.
     """
     folder = Path(folder)
     check_folder(folder)
@@ -70,7 +70,7 @@ def _write_robot(robot: RobotModel, folder: Path) -> None:
 
 def _write_views(result: PlanResult, data: Mapping[str, Any], folder: Path) -> None:
     q = result.start[None] if result.motion is None else result.motion.curve(samples_of(result.motion))
-    placements = placements_of(result.robot, q[:, : result.robot.n], drawn_frames(result.robot, data))
+    placements = place_links(result.robot, q[:, : result.robot.n], list_drawn_frames(result.robot, data))
     write_viewer(data, placements, folder / VIEWER_NAME)
     write_glb(data, placements, folder / GLB_NAME)
     write_openrave(data, folder / OPENRAVE_NAME)

@@ -1,4 +1,4 @@
-"""What a user gets: verdict, motion, certificate, and everything needed to check and to draw them."""
+"""Result of a plan: verdict, motion, certificate, and everything needed to check and draw them."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class PlanResult:
-    """The answer to a request; the best motion found always comes along.
+    """Result of a plan, with the best motion found.
 
     Attributes:
-        request: as it was understood.
-        verdict: how it ended; ``explanation`` says what stands in the way (empty when certified).
-        robot: the robot, without the joints of what the task moves.
-        scene: the pieces it was planned and checked against.
-        start: (n,) configuration at which the robot stands at first.
-        motion: what is executed, timed and sampled, with its phases; its robot may have the joints of a mechanism as
-            its last coordinates. None when there is nothing to execute.
-        certificate: what the verifier says of ``motion``.
-        conflict: the demands that stand against each other at a step without a solution; None where there is none.
-        found_from: the start of the optimiser that led to the motion, in words; empty where there was but one.
-        notes: what was snapped, assumed or detected.
-        planning_time_s: wall time of it all; ``timings`` maps its steps to seconds.
-        figures: numbers the task reports (JSON-ready); detections: what perception found (JSON-ready).
-        obstruction: where a motion that was never planned should have ended (JSON-ready).
+        request: the request with all defaults filled in.
+        verdict: how the plan ended.
+        robot: the robot, without the joints that the task moves.
+        scene: pieces that the motion was planned and checked against.
+        start: (n,) first configuration.
+        motion: the motion, timed and sampled; the last coordinates of its robot may be joints of a mechanism.
+        certificate: the verifier's certificate of ``motion``.
+        explanation: what prevents a certified motion; empty when certified.
+        conflict: demands that contradict each other at a step without a solution.
+        found_from: start of the optimiser that led to the motion; empty if there was only one.
+        notes: what was adjusted, assumed or detected.
+        planning_time_s: wall time of the plan; ``timings`` maps its steps to seconds.
+        figures, detections: numbers reported by the task, and objects in the scan (JSON-ready).
+        obstruction: the requested end of a motion that was not found (JSON-ready).
         cloud: (N, 3) obstacle points to draw [m].
     """
 

@@ -1,4 +1,4 @@
-"""A result as the plain data of ``result.json`` (docs/result-format.md)."""
+"""Content of ``result.json`` (docs/result-format.md)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
 
 from costs.robot import RobotModel
 from service.json_data import piece_json, plain
@@ -14,48 +13,50 @@ from service.request.file import request_hash, to_json
 from service.result.folder import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
 from service.result.result import PlanResult
-from service.verify import Certificate
+from service.verify import Certificate, Motion
 from service.verify.hashes import link_vertices, robot_hash
 
 MAX_CLOUD_POINTS = 60_000
 
 
 def to_result_json(result: PlanResult) -> dict[str, Any]:
-    """Everything ``result.json`` holds, as JSON-ready data."""
+    """Return the content of ``result.json``."""
+    from service.viewer.payload import thin_points  # slow to import, and not needed for a summary
+
     robot = result.robot
     return {
         "format": FORMAT,
         "request": to_json(result.request),
         "request_hash": request_hash(result.request),
-        **_summary(result),
-        "robot": _robot(robot),
+        **_summarize(result),
+        "robot": _write_robot(robot),
         "bodies": [
             {"name": b.name, "link": b.link, "vertices": link_vertices(robot, b.link, b.vertices).tolist()}
             for b in robot.bodies
         ],
         "ignored_pairs": sorted(list(pair) for pair in robot.ignored_pairs),
         "pieces": [piece_json(piece) for piece in result.scene.pieces],
-        **(_at_rest(result) if result.motion is None else motion_json(result.motion, robot)),
+        **(_write_start(result) if result.motion is None else motion_json(result.motion, robot)),
         "certificate": None if result.certificate is None else result.certificate.to_dict(),
         "obstruction": plain(result.obstruction),
-        "cloud": _thinned(result.cloud).tolist(),
+        "cloud": np.round(thin_points(result.cloud, MAX_CLOUD_POINTS), 4).tolist(),
     }
 
 
 def summary_json(result: PlanResult) -> dict[str, Any]:
-    """What ``--json`` prints: the verdict and its figures, without the motion and its proof."""
+    """Return what ``--json`` prints: the verdict and its figures, without the motion and its proof."""
     motion = result.motion
     return {
         "format": FORMAT,
         "request_hash": request_hash(result.request),
-        **_summary(result),
-        "phases": [] if motion is None else _phase_times(result),
+        **_summarize(result),
+        "phases": [] if motion is None else _list_phase_times(motion),
         "duration_s": None if motion is None else float(sample_times(motion)[-1]),
     }
 
 
 def proof_summary(certificate: Certificate | None) -> dict[str, Any]:
-    """The figures, checks and exempt pairs of a certificate; absent figures are null."""
+    """Return figures, checks, exempt pairs and coverage of a certificate; null or empty without one."""
     proof = {} if certificate is None else certificate.to_dict()
     return {
         "min_clearance_m": proof.get("min_clearance_m"),
@@ -67,7 +68,7 @@ def proof_summary(certificate: Certificate | None) -> dict[str, Any]:
     }
 
 
-def _summary(result: PlanResult) -> dict[str, Any]:
+def _summarize(result: PlanResult) -> dict[str, Any]:
     return {
         "verdict": result.verdict.value,
         "explanation": list(result.explanation),
@@ -82,22 +83,20 @@ def _summary(result: PlanResult) -> dict[str, Any]:
     }
 
 
-def _phase_times(result: PlanResult) -> list[dict[str, Any]]:
-    if result.motion is None:
-        return []
-    s, times = samples_of(result.motion), sample_times(result.motion)
+def _list_phase_times(motion: Motion) -> list[dict[str, Any]]:
+    s, times = samples_of(motion), sample_times(motion)
     return [
         {
             "name": phase.name,
             "start_s": float(np.interp(phase.first, s, times)),
             "end_s": float(np.interp(phase.last, s, times)),
         }
-        for phase in result.motion.phases
+        for phase in motion.phases
     ]
 
 
-def _at_rest(result: PlanResult) -> dict[str, Any]:
-    """The motion's keys when there is none: the start as the only sample."""
+def _write_start(result: PlanResult) -> dict[str, Any]:
+    """Return the motion's keys of a result without a motion: the start is the only sample."""
     return {
         "trajectory": {
             "joint_names": list(file_columns(result.robot)),
@@ -109,8 +108,8 @@ def _at_rest(result: PlanResult) -> dict[str, Any]:
     }
 
 
-def _robot(robot: RobotModel) -> dict[str, Any]:
-    """Paths are relative to the result's folder, where ``service.result.output`` writes the files."""
+def _write_robot(robot: RobotModel) -> dict[str, Any]:
+    """Return the robot's section, with paths relative to the result's folder."""
     return {
         "name": robot.name,
         "urdf": "robot/robot.urdf",
@@ -123,12 +122,7 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
 
 
 def links_without_shape(robot: RobotModel) -> list[str]:
-    """Links that have no collision shape, so that nothing of them is checked, in the robot's order."""
+    """Return the links without a collision shape, which are not checked, in the robot's order."""
     shaped = {body.link for body in robot.bodies}
     frames = (frame for frame in robot.model.frames if frame.type == pin.FrameType.BODY)
     return [frame.name for frame in frames if frame.name != "universe" and frame.name not in shaped]
-
-
-def _thinned(cloud: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "K 3"]:
-    step = max(1, -(-len(cloud) // MAX_CLOUD_POINTS))
-    return np.round(cloud[::step], 4)

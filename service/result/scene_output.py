@@ -1,4 +1,4 @@
-"""Where ``scopt scene`` puts what it made: the scene's file, and the page beside it that shows it."""
+"""Output of ``scopt scene``: the scene's file and its page."""
 
 from __future__ import annotations
 
@@ -11,82 +11,63 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from service.errors import RequestError, ResultError, shown
+from service.viewer.files import SCRATCH_PREFIX, replace_file
 
 if TYPE_CHECKING:
     from service.scan.make_scene import BuiltScene
 
-_SCRATCH = ".scopt-"
-
 
 def check_out(path: Path, inputs: Iterable[Path]) -> None:
-    """Refuse a place for the scene that cannot be written, or where something is that it is made from.
+    """Check that scene and page can be written.
 
     Raises:
-        RequestError: the name does not end in .json, or is, as the page's may be, a folder or one of the inputs, or
-            its folder takes no files.
+        RequestError: the name does not end in .json, one of the two names is a folder or an input, or the folder
+            cannot be written.
     """
     if path.name.lower() == ".json":
         raise RequestError(f"--out: {path} has no name before its ending; expected one like scene.json")
     if path.suffix.lower() != ".json":
         raise RequestError(f"--out: {path} does not end in .json; expected a name that does, of a file for the pieces")
     try:
-        for written in (path, _page_beside(path)):
-            if os.path.lexists(written) and written.is_dir():
-                raise RequestError(f"--out: {written} is a folder; expected the name of a file")
+        for output in (path, path.with_suffix(".html")):
+            if os.path.lexists(output) and output.is_dir():
+                raise RequestError(f"--out: {output} is a folder; expected the name of a file")
         _try_folder(path)
     except OSError as error:
         why = error.strerror or error
         raise RequestError(f"--out: {shown(str(path))} cannot be written ({why}); expected another place") from None
-    read = {os.path.realpath(one) for one in inputs}
-    for written in (path, _page_beside(path)):
-        if os.path.realpath(written) in read:
-            raise RequestError(f"--out: {written} is read and would be overwritten; expected another name")
+    read = {os.path.realpath(file) for file in inputs}
+    for output in (path, path.with_suffix(".html")):
+        if os.path.realpath(output) in read:
+            raise RequestError(f"--out: {output} is read and would be overwritten; expected another name")
 
 
 def _try_folder(path: Path) -> None:
-    """Write a file, and take it away, in the innermost folder about the path that is there.
+    """Create and delete a file in the innermost existing parent of a path.
 
     Raises:
-        OSError: that cannot be done, or no file can be called so.
+        OSError: the folder cannot be written, or the name is invalid.
     """
     with contextlib.suppress(FileNotFoundError):
         path.lstat()
     folder = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
-    with tempfile.NamedTemporaryFile(dir=folder, prefix=_SCRATCH):
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=SCRATCH_PREFIX):
         pass
 
 
-def write_scene(seen: BuiltScene, path: Path) -> Path:
-    """Write the scene as JSON, and beside it the page that shows it; each as a whole or not at all.
-
-    Args:
-        seen: what to write.
-        path: a name that ``check_out`` accepts.
-
-    Returns:
-        The page's path.
+def write_scene(scene: BuiltScene, path: Path) -> Path:
+    """Write the scene as JSON to a path that ``check_out`` accepts, and its page beside it; return the page's path.
 
     Raises:
         ResultError: a file cannot be written.
     """
     from service.viewer.scene import render_scene
 
-    page = _page_beside(path)
-    _replace(path, json.dumps(seen.data, allow_nan=False))
-    _replace(page, render_scene(seen, path.stem))
+    page = path.with_suffix(".html")
+    for file, text in ((path, json.dumps(scene.data, allow_nan=False)), (page, render_scene(scene, path.stem))):
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            replace_file(file, text.encode())
+        except OSError as error:
+            raise ResultError(f"{file} cannot be written: {error.strerror or error}") from None
     return page
-
-
-def _page_beside(path: Path) -> Path:
-    return path.with_suffix(".html")
-
-
-def _replace(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=path.parent) as scratch:
-            fresh = Path(scratch) / path.name
-            fresh.write_text(text, encoding="utf-8")
-            os.replace(fresh, path)
-    except OSError as error:
-        raise ResultError(f"{path} cannot be written: {error.strerror or error}") from None

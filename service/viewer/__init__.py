@@ -1,8 +1,8 @@
-"""Results to look at: one HTML file, a GLB, and OpenRAVE's environment and trajectory."""
+"""Viewer files of a result: an HTML page, a GLB, and OpenRAVE's environment and trajectory."""
 
 from service.viewer.glb import write_glb
 from service.viewer.html import write_viewer
 from service.viewer.openrave import write_openrave
-from service.viewer.placements import LinkPlacements, drawn_frames, placements_of
+from service.viewer.placements import LinkPlacements, list_drawn_frames, place_links
 
-__all__ = ["LinkPlacements", "drawn_frames", "placements_of", "write_glb", "write_openrave", "write_viewer"]
+__all__ = ["LinkPlacements", "list_drawn_frames", "place_links", "write_glb", "write_openrave", "write_viewer"]

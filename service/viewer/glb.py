@@ -11,10 +11,9 @@ import pygltflib as gltf
 from jaxtyping import Float, Shaped
 
 from service.viewer.files import replace_file
-from service.viewer.frames import kept_samples
-from service.viewer.hulls import convex_mesh
-from service.viewer.payload import sample_times
-from service.viewer.placements import LinkPlacements, continuous
+from service.viewer.hulls import make_convex_mesh
+from service.viewer.payload import sample_times, select_samples
+from service.viewer.placements import LinkPlacements, align_signs
 
 Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """Rotation (xyzw) of the root node: world z up to glTF's y up."""
@@ -32,13 +31,13 @@ COLOURS: Mapping[str, tuple[float, float, float, float]] = {
 def write_glb(result: Mapping[str, Any], placements: LinkPlacements, path: Path) -> None:
     """Write the scene and, with two samples or more, one animation named ``trajectory``.
 
-    Every link is a node named after it, every piece and movable likewise; arguments as for ``write_viewer``.
+    Links, pieces and movables become nodes of the same names.  Arguments as for ``write_viewer``.
 
     Raises:
         ValueError: placements and trajectory have different numbers of samples.
     """
     times = sample_times(result, placements)
-    kept = kept_samples(times, [int(index) for index in result.get("waypoints") or []])
+    kept = select_samples(times, [int(index) for index in result.get("waypoints") or []])
     writer = _Writer()
     moving = [*_add_links(writer, result, placements, kept), *_add_movables(writer, result, len(times), kept)]
     for piece in result.get("pieces") or []:
@@ -46,18 +45,20 @@ def write_glb(result: Mapping[str, Any], placements: LinkPlacements, path: Path)
         writer.add_node(str(piece["name"]), [(piece["vertices"], material)])
     if len(kept) > 1:
         writer.animate(times[kept] - times[kept[0]], moving)
-    replace_file(path, b"".join(writer.document().save_to_bytes()))
+    replace_file(path, b"".join(writer.finish().save_to_bytes()))
 
 
 def _add_links(
     writer: _Writer, result: Mapping[str, Any], placements: LinkPlacements, kept: Shaped[np.ndarray, "F"]
 ) -> list[tuple[int, Float[np.ndarray, "F 7"]]]:
-    """A node per link that has bodies, with its poses; none when there is no pose to show them in."""
+    """Add a node per link with bodies; return the nodes and their poses, none without samples."""
     if len(kept) == 0:
         return []
     moving = []
     for column, link in enumerate(placements.links):
-        shapes = [(body["vertices"], _tone(link)) for body in result.get("bodies") or [] if body["link"] == link]
+        shapes = [
+            (body["vertices"], _choose_material(link)) for body in result.get("bodies") or [] if body["link"] == link
+        ]
         if shapes:
             poses = placements.poses[kept, column]
             moving.append((writer.add_node(link, shapes, poses[0]), poses))
@@ -74,13 +75,13 @@ def _add_movables(
         angles = angles[kept] if len(angles) == n_samples > 0 else np.zeros(max(len(kept), 1))
         half = 0.5 * angles[:, None]
         rotations = np.hstack([np.cos(half), np.sin(half) * axis / np.linalg.norm(axis)])
-        poses = continuous(np.hstack([np.tile(origin, (len(angles), 1)), rotations])[:, None])[:, 0]
+        poses = align_signs(np.hstack([np.tile(origin, (len(angles), 1)), rotations])[:, None])[:, 0]
         shapes = [(np.asarray(body["vertices"], dtype=float) - origin, "movable") for body in movable["bodies"]]
         moving.append((writer.add_node(str(movable["name"]), shapes, poses[0]), poses))
     return moving
 
 
-def _tone(link: str) -> str:
+def _choose_material(link: str) -> str:
     if any(part in link for part in ("hand", "foot", "hook")):
         if link.startswith(("l_", "left")):
             return "left"
@@ -90,7 +91,7 @@ def _tone(link: str) -> str:
 
 
 class _Writer:
-    """Collects nodes, meshes and buffers of one glTF document."""
+    """Writer of one glTF document: nodes, meshes and buffers."""
 
     def __init__(self) -> None:
         self._gltf = gltf.GLTF2(asset=gltf.Asset(version="2.0", generator="scopt"), scene=0)
@@ -100,8 +101,8 @@ class _Writer:
         self._blob = bytearray()
 
     def add_node(self, name: str, shapes: Sequence[tuple[Any, str]], pose: Float[np.ndarray, "7"] | None = None) -> int:
-        """A child of the root with the hulls of ``shapes`` (vertices, material) at a pose; returns its index."""
-        primitives = [primitive for vertices, tone in shapes if (primitive := self._primitive(vertices, tone))]
+        """Add a child of the root with the hulls of ``shapes`` (vertices, material) at a pose; return its index."""
+        primitives = [primitive for vertices, colour in shapes if (primitive := self._add_primitive(vertices, colour))]
         node = gltf.Node(name=name)
         if primitives:
             self._gltf.meshes.append(gltf.Mesh(name=name, primitives=primitives))
@@ -114,51 +115,51 @@ class _Writer:
         return index
 
     def animate(self, times: Float[np.ndarray, "F"], moving: Sequence[tuple[int, Float[np.ndarray, "F 7"]]]) -> None:
-        """One animation that moves nodes along their poses (``x y z qw qx qy qz``, signs continuous)."""
+        """Add an animation that moves nodes along their poses (``x y z qw qx qy qz``, signs continuous)."""
         if not moving:
             return
-        clock = self._accessor(times.astype(np.float32), gltf.SCALAR, with_bounds=True)
+        clock = self._add_accessor(times.astype(np.float32), gltf.SCALAR, with_bounds=True)
         animation = gltf.Animation(name="trajectory", samplers=[], channels=[])
         for node, poses in moving:
             # Translation and rotation (xyzw) of one node share its clock.
             for target, columns, kind in (("translation", [0, 1, 2], gltf.VEC3), ("rotation", [4, 5, 6, 3], gltf.VEC4)):
-                output = self._accessor(poses[:, columns].astype(np.float32), kind)
+                output = self._add_accessor(poses[:, columns].astype(np.float32), kind)
                 animation.samplers.append(gltf.AnimationSampler(input=clock, output=output, interpolation="LINEAR"))
                 channel = gltf.AnimationChannelTarget(node=node, path=target)
                 sampler = len(animation.samplers) - 1
                 animation.channels.append(gltf.AnimationChannel(sampler=sampler, target=channel))
         self._gltf.animations.append(animation)
 
-    def document(self) -> gltf.GLTF2:
-        """The finished document."""
+    def finish(self) -> gltf.GLTF2:
+        """Return the document with its buffer."""
         self._gltf.buffers = [gltf.Buffer(byteLength=len(self._blob))]
         self._gltf.set_binary_blob(bytes(self._blob))
         return self._gltf
 
-    def _primitive(self, vertices: Any, tone: str) -> gltf.Primitive | None:
-        """Flat-shaded hull; nothing for a set too thin to have a surface."""
-        mesh = convex_mesh(np.asarray(vertices, dtype=float))
+    def _add_primitive(self, vertices: Any, material: str) -> gltf.Primitive | None:
+        """Add a flat-shaded hull; None for a set too thin to have a surface."""
+        mesh = make_convex_mesh(np.asarray(vertices, dtype=float))
         if len(mesh.triangles) == 0:
             return None
         corners = mesh.vertices[mesh.triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        position = self._accessor(corners.reshape(-1, 3).astype(np.float32), gltf.VEC3, with_bounds=True)
-        normal = self._accessor(np.repeat(normals, 3, axis=0).astype(np.float32), gltf.VEC3)
+        position = self._add_accessor(corners.reshape(-1, 3).astype(np.float32), gltf.VEC3, with_bounds=True)
+        normal = self._add_accessor(np.repeat(normals, 3, axis=0).astype(np.float32), gltf.VEC3)
         attributes = gltf.Attributes(POSITION=position, NORMAL=normal)
-        return gltf.Primitive(attributes=attributes, material=self._material(tone))
+        return gltf.Primitive(attributes=attributes, material=self._find_material(material))
 
-    def _material(self, tone: str) -> int:
-        if tone not in self._materials:
-            colour = list(COLOURS[tone])
+    def _find_material(self, name: str) -> int:
+        if name not in self._materials:
+            colour = list(COLOURS[name])
             surface = gltf.PbrMetallicRoughness(baseColorFactor=colour, metallicFactor=0.05, roughnessFactor=0.7)
             blend = gltf.BLEND if colour[3] < 1.0 else gltf.OPAQUE
-            self._gltf.materials.append(gltf.Material(name=tone, pbrMetallicRoughness=surface, alphaMode=blend))
-            self._materials[tone] = len(self._gltf.materials) - 1
-        return self._materials[tone]
+            self._gltf.materials.append(gltf.Material(name=name, pbrMetallicRoughness=surface, alphaMode=blend))
+            self._materials[name] = len(self._gltf.materials) - 1
+        return self._materials[name]
 
-    def _accessor(self, array: Shaped[np.ndarray, "N ..."], kind: str, with_bounds: bool = False) -> int:
-        """Append float32 rows to the buffer, as a view and an accessor of their own."""
+    def _add_accessor(self, array: Shaped[np.ndarray, "N ..."], kind: str, with_bounds: bool = False) -> int:
+        """Append float32 rows to the buffer with a view and an accessor; return the accessor's index."""
         data = np.ascontiguousarray(array, dtype="<f4")
         view = gltf.BufferView(buffer=0, byteOffset=len(self._blob), byteLength=data.nbytes)
         self._blob.extend(data.tobytes())

@@ -1,4 +1,4 @@
-"""The viewer file: one HTML page that holds program, style and data, and asks the network for nothing."""
+"""Viewer files: one HTML page with program, style and data, which works offline."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from service.json_data import plain
 from service.viewer.files import replace_file
-from service.viewer.payload import json_safe, make_payload
+from service.viewer.payload import make_payload
 from service.viewer.placements import LinkPlacements
 
 DIST = Path(__file__).parent / "page" / "dist"
-"""What ``npm run build`` made of the sources in ``page/src``."""
+"""Output of ``npm run build`` in ``page``."""
 
 
 def write_viewer(result: Mapping[str, Any], placements: LinkPlacements, path: Path) -> None:
@@ -23,8 +24,8 @@ def write_viewer(result: Mapping[str, Any], placements: LinkPlacements, path: Pa
 
     Args:
         result: a parsed ``result.json`` (docs/result-format.md).
-        placements: where the links of ``result["bodies"]`` are at each sample of the trajectory.
-        path: file to write; it is replaced in one step.
+        placements: poses of the links of ``result["bodies"]`` at each sample of the trajectory.
+        path: file to write.
 
     Raises:
         ValueError: see ``make_payload``.
@@ -33,19 +34,19 @@ def write_viewer(result: Mapping[str, Any], placements: LinkPlacements, path: Pa
 
 
 def render_viewer(payload: Mapping[str, Any]) -> str:
-    """The page around the payload of a result."""
+    """Return the page for the payload of a result."""
     title = " · ".join(str(part) for part in (payload["robot"], payload["task"], payload["verdict"]) if part)
     return render_page(payload, title, "viewer")
 
 
 def render_page(payload: Mapping[str, Any], title: str, program: str) -> str:
-    """One of the programs in ``DIST``, with its data.
+    """Return a page with one of the programs in ``DIST`` and its data.
 
-    The policy names program and style by hash and allows nothing else, so that a hostile name in the data cannot run.
+    The content security policy allows only that program and style, by hash: no name in the data can run as code.
     """
     script, style = (DIST / f"{program}.js").read_text("utf-8"), (DIST / "viewer.css").read_text("utf-8")
     # "<" is the one character that could end the data's script element early.
-    data = json.dumps(json_safe(payload), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    data = json.dumps(plain(payload), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     policy = (
         f"default-src 'none'; script-src '{_source_hash(script)}'; style-src '{_source_hash(style)}'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"

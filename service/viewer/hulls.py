@@ -1,4 +1,4 @@
-"""Convex vertex sets as triangles and feature edges, flat and thin ones included."""
+"""Triangles and feature edges of convex vertex sets, flat and thin ones included."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class ConvexMesh:
     bends: Float[np.ndarray, "E"]
 
 
-def convex_mesh(vertices: Float[np.ndarray, "V 3"]) -> ConvexMesh:
-    """Hull of ``vertices`` as a mesh; a flat set becomes a two-sided polygon, a line or a point has no triangles.
+def make_convex_mesh(vertices: Float[np.ndarray, "V 3"]) -> ConvexMesh:
+    """Return the hull of ``vertices`` as a mesh: a flat set as a two-sided polygon, a line or point without triangles.
 
     Raises:
         ValueError: no vertex, not three columns, or a value that is not finite.
@@ -44,17 +44,17 @@ def convex_mesh(vertices: Float[np.ndarray, "V 3"]) -> ConvexMesh:
     rank = int(np.sum(extents > FLAT))
     if rank == 3:
         try:
-            return _solid(points)
+            return _mesh_solid(points)
         except QhullError:
-            rank = 2  # Qhull's own flatness test is relative: what it cannot build is as good as flat
+            rank = 2  # Qhull's own flatness test is relative; treat what it refuses as flat
     if rank == 2:
-        return _polygon(points, centred @ axes[:2].T)
+        return _mesh_polygon(points, centred @ axes[:2].T)
     along = centred @ axes[0]
     ends = points[[int(along.argmin()), int(along.argmax())]]
     return ConvexMesh(ends, np.empty((0, 3), dtype=int), np.array([[0, 1]]), np.array([np.pi]))
 
 
-def _solid(points: Float[np.ndarray, "V 3"]) -> ConvexMesh:
+def _mesh_solid(points: Float[np.ndarray, "V 3"]) -> ConvexMesh:
     hull = ConvexHull(points)
     triangles: Int[np.ndarray, "F 3"] = np.array(hull.simplices, dtype=int)
     corners = points[triangles]
@@ -64,14 +64,14 @@ def _solid(points: Float[np.ndarray, "V 3"]) -> ConvexMesh:
     triangles[inward] = triangles[inward][:, [0, 2, 1]]
     used, compact = np.unique(triangles, return_inverse=True)
     triangles = compact.reshape(triangles.shape)
-    edges, bends = _feature_edges(triangles, hull.equations[:, :3])
+    edges, bends = _find_feature_edges(triangles, hull.equations[:, :3])
     return ConvexMesh(points[used], triangles, edges, bends)
 
 
-def _feature_edges(
+def _find_feature_edges(
     triangles: Int[np.ndarray, "F 3"], normals: Float[np.ndarray, "F 3"]
 ) -> tuple[Int[np.ndarray, "E 2"], Float[np.ndarray, "E"]]:
-    """Edges whose two triangles do not share a plane, and by how much those bend [rad]."""
+    """Return the edges whose two triangles do not share a plane, and the angles between those [rad]."""
     sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(triangles)), 3)
     order = np.lexsort((sides[:, 1], sides[:, 0]))
@@ -81,7 +81,7 @@ def _feature_edges(
     return sides[first][is_edge], np.arccos(np.clip(cosine[is_edge], -1.0, 1.0))
 
 
-def _polygon(points: Float[np.ndarray, "V 3"], flat: Float[np.ndarray, "V 2"]) -> ConvexMesh:
+def _mesh_polygon(points: Float[np.ndarray, "V 3"], flat: Float[np.ndarray, "V 2"]) -> ConvexMesh:
     ring = np.asarray(ConvexHull(flat).vertices)
     n = len(ring)
     fan = np.array([[0, i, i + 1] for i in range(1, n - 1)])

@@ -1,4 +1,4 @@
-"""A result as OpenRAVE reads it: an environment of trimesh kinbodies and a GenericTrajectory.
+"""OpenRAVE files of a result: an environment of trimesh kinbodies and a GenericTrajectory.
 
 Formats: OpenRAVE's "kinbody" XML (a trimesh's ``vertices`` are nine numbers per triangle) and its trajectory XML
 (http://openrave.org/docs/latest_stable/, GenericTrajectory).  The robot itself is the URDF of
@@ -16,7 +16,7 @@ from jaxtyping import Float
 from lxml import etree
 
 from service.viewer.files import replace_file
-from service.viewer.hulls import convex_mesh
+from service.viewer.hulls import make_convex_mesh
 
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 AFFINE_DOFS = 39
@@ -27,36 +27,35 @@ PIECE_COLOUR = "0.50 0.62 0.82"
 
 
 def write_openrave(result: Mapping[str, Any], folder: Path) -> tuple[Path, ...]:
-    """Write ``environment.xml`` and, when the result has a trajectory, ``trajectory.xml``; returns what was written."""
+    """Write ``environment.xml`` and, if the result has a trajectory, ``trajectory.xml``; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    documents = {"environment.xml": environment_of(result)}
+    documents = {"environment.xml": make_environment(result)}
     if (result.get("trajectory") or {}).get("times"):
-        documents["trajectory.xml"] = trajectory_of(result)
+        documents["trajectory.xml"] = make_trajectory(result)
     for name, root in documents.items():
         text = etree.tostring(root, encoding="utf-8", pretty_print=True, xml_declaration=True)
         replace_file(folder / name, text)
     return tuple(folder / name for name in documents)
 
 
-def environment_of(result: Mapping[str, Any]) -> Any:
-    """``<environment>``: one static kinbody per piece, one with a hinge per movable."""
+def make_environment(result: Mapping[str, Any]) -> Any:
+    """Return ``<environment>`` with a static kinbody per piece and one with a hinge per movable."""
     root = etree.Element("environment")
     for piece in result.get("pieces") or []:
-        kinbody = etree.SubElement(root, "kinbody", name=_identifier(piece["name"]))
+        kinbody = etree.SubElement(root, "kinbody", name=_make_identifier(piece["name"]))
         _add_geom(etree.SubElement(kinbody, "body", name="base", type="static"), piece)
     for movable in result.get("movables") or []:
         _add_movable(root, movable)
     return root
 
 
-def trajectory_of(result: Mapping[str, Any]) -> Any:
-    """``<trajectory>``: base pose, joint values and time step of the robot, and the angle of every movable.
+def make_trajectory(result: Mapping[str, Any]) -> Any:
+    """Return ``<trajectory>``: base pose, joint values and time step of the robot, and the angle of every movable.
 
-    Degrees of freedom count in the order of ``trajectory.joint_names``; the description lists those names, for a
-    reader whose loader numbers them otherwise.
+    Degrees of freedom are numbered in the order of ``trajectory.joint_names``, which the description lists.
     """
     trajectory = result["trajectory"]
-    robot = _identifier((result.get("robot") or {}).get("name") or "robot")
+    robot = _make_identifier((result.get("robot") or {}).get("name") or "robot")
     names: Sequence[str] = trajectory["joint_names"]
     positions = np.asarray(trajectory["positions"], dtype=float)
     times = np.asarray(trajectory["times"], dtype=float)
@@ -69,7 +68,7 @@ def trajectory_of(result: Mapping[str, Any]) -> Any:
     for movable in result.get("movables") or []:
         if len(movable.get("angles") or []) == len(times):
             angles = np.asarray(movable["angles"], dtype=float)[:, None]
-            groups.append((f"joint_values {_identifier(movable['name'])} 0", "linear", angles))
+            groups.append((f"joint_values {_make_identifier(movable['name'])} 0", "linear", angles))
     groups.append(("deltatime", "", np.diff(times, prepend=times[0])[:, None]))
 
     root = etree.Element("trajectory", type="GenericTrajectory")
@@ -80,7 +79,7 @@ def trajectory_of(result: Mapping[str, Any]) -> Any:
         etree.SubElement(configuration, "group", **attributes, interpolation=interpolation)
         offset += columns.shape[1]
     data = etree.SubElement(root, "data", count=str(len(times)))
-    data.text = "\n".join(_numbers(row) for row in np.hstack([columns for _, _, columns in groups]))
+    data.text = "\n".join(_format_numbers(row) for row in np.hstack([columns for _, _, columns in groups]))
     etree.SubElement(
         root, "description"
     ).text = f"{robot} {result.get('verdict', '')}; dofs: {' '.join(names[n_base:])}"
@@ -88,35 +87,37 @@ def trajectory_of(result: Mapping[str, Any]) -> Any:
 
 
 def _add_movable(root: Any, movable: Mapping[str, Any]) -> None:
-    kinbody = etree.SubElement(root, "kinbody", name=_identifier(movable["name"]))
-    # A hinge joins two bodies; the one that stays has no shape of its own.
+    kinbody = etree.SubElement(root, "kinbody", name=_make_identifier(movable["name"]))
+    # A hinge joins two bodies; the static one has no shape.
     etree.SubElement(kinbody, "body", name="base", type="static")
     moving = etree.SubElement(kinbody, "body", name="moving", type="dynamic")
     for body in movable["bodies"]:
         _add_geom(moving, body)
-    joint = etree.SubElement(kinbody, "joint", name=_identifier(movable.get("joint") or "turn"), type="hinge")
+    joint = etree.SubElement(kinbody, "joint", name=_make_identifier(movable.get("joint") or "turn"), type="hinge")
     for name in ("base", "moving"):
         etree.SubElement(joint, "body").text = name
     etree.SubElement(joint, "offsetfrom").text = "base"
-    etree.SubElement(joint, "anchor").text = _numbers(movable["origin"])
-    etree.SubElement(joint, "axis").text = _numbers(movable["axis"])
+    etree.SubElement(joint, "anchor").text = _format_numbers(movable["origin"])
+    etree.SubElement(joint, "axis").text = _format_numbers(movable["axis"])
     etree.SubElement(joint, "limitsdeg").text = "-720 720"
 
 
 def _add_geom(body: Any, piece: Mapping[str, Any]) -> None:
-    """The hull of a piece as a trimesh; a piece too thin to have a surface is left out."""
-    mesh = convex_mesh(np.asarray(piece["vertices"], dtype=float))
+    """Add the hull of a piece as a trimesh, unless it is too thin to have a surface."""
+    mesh = make_convex_mesh(np.asarray(piece["vertices"], dtype=float))
     if len(mesh.triangles) == 0:
         return
-    geom = etree.SubElement(body, "geom", type="trimesh", name=_identifier(piece["name"]))
-    etree.SubElement(geom, "vertices").text = "\n".join(_numbers(t.ravel()) for t in mesh.vertices[mesh.triangles])
+    geom = etree.SubElement(body, "geom", type="trimesh", name=_make_identifier(piece["name"]))
+    etree.SubElement(geom, "vertices").text = "\n".join(
+        _format_numbers(t.ravel()) for t in mesh.vertices[mesh.triangles]
+    )
     etree.SubElement(geom, "diffusecolor").text = COLOURS.get(piece.get("kind", ""), PIECE_COLOUR)
 
 
-def _numbers(values: Sequence[float] | Float[np.ndarray, "m"]) -> str:
+def _format_numbers(values: Sequence[float] | Float[np.ndarray, "m"]) -> str:
     return " ".join(f"{float(value):.9g}" for value in values)
 
 
-def _identifier(name: str) -> str:
-    """The name without blanks, which would end it early in a group's name."""
+def _make_identifier(name: str) -> str:
+    """Return the name without blanks, which separate words in a group's name."""
     return "_".join(str(name).split()) or "unnamed"

@@ -1,4 +1,4 @@
-"""Where every link is at every sample: what all viewer files are drawn from."""
+"""Poses of all links at all samples, for the viewer files."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class LinkPlacements:
             raise ValueError("poses must be finite")
 
 
-def placements_of(robot: RobotModel, q: Float[np.ndarray, "S n"], links: Sequence[str]) -> LinkPlacements:
-    """Forward kinematics of ``links`` at configurations ``q`` (internal coordinates, see ``RobotModel``).
+def place_links(robot: RobotModel, q: Float[np.ndarray, "S n"], links: Sequence[str]) -> LinkPlacements:
+    """Return the poses of ``links`` at configurations ``q`` (internal coordinates, see ``RobotModel``).
 
     Raises:
-        ValueError: a link the robot does not have.
+        ValueError: the robot lacks a link.
     """
     unknown = [link for link in links if not robot.model.existFrame(link)]
     if unknown:
@@ -50,27 +50,24 @@ def placements_of(robot: RobotModel, q: Float[np.ndarray, "S n"], links: Sequenc
         for column, frame in enumerate(frames):
             x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(data.oMf[frame])
             poses[sample, column] = (x, y, z, qw, qx, qy, qz)
-    return LinkPlacements(tuple(links), continuous(poses))
+    return LinkPlacements(tuple(links), align_signs(poses))
 
 
-def drawn_frames(robot: RobotModel, result: Mapping[str, Any]) -> tuple[str, ...]:
-    """Links and frames a viewer needs of a result: all links, those aimed at, and those its checks speak of.
-
-    A joint counts as the frame of its name, so that a check of a joint can be shown at the joint.
-    """
+def list_drawn_frames(robot: RobotModel, result: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the links and frames that a viewer draws: all links, and the frames and joints of targets and checks."""
     names = [body["link"] for body in result.get("bodies") or []]
     names.extend((result.get("robot") or {}).get("links_without_shape") or [])
-    for aimed in (*(result.get("phases") or []), result.get("obstruction") or {}):
-        names.extend(target["frame"] for target in aimed.get("targets") or [] if target.get("frame"))
+    for section in (*(result.get("phases") or []), result.get("obstruction") or {}):
+        names.extend(target["frame"] for target in section.get("targets") or [] if target.get("frame"))
     for check in result.get("checks") or []:
         names.extend((check.get("where") or {}).get("names") or [])
     return tuple(dict.fromkeys(name for name in names if robot.model.existFrame(name)))
 
 
-def continuous(poses: Float[np.ndarray, "S L 7"]) -> Float[np.ndarray, "S L 7"]:
-    """The same poses with unit quaternions, each on the same side as the one before it.
+def align_signs(poses: Float[np.ndarray, "S L 7"]) -> Float[np.ndarray, "S L 7"]:
+    """Return the poses with unit quaternions whose signs do not flip from one sample to the next.
 
-    ``q`` and ``-q`` are one rotation; a viewer that interpolates between them would turn the link the long way round.
+    ``q`` and ``-q`` are the same rotation, but interpolation between them turns the link by a full turn.
     """
     poses = np.array(poses, dtype=float)
     poses[..., 3:] /= np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)

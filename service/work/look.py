@@ -15,8 +15,7 @@ from service.executor import Control
 from service.request.scene import KnownMeshRequest
 from service.request.schema import GoalRequest, PlanRequest, RobotRequest
 from service.scan.cloud import CloudInput
-from service.work.plan import ROBOTS, Refused
-from service.work.stopping import stops_with
+from service.work.plan import ROBOTS, Refused, stops_with
 
 OVERRIDES = " (this server's own, which overrides scopt's robot of that name)"
 
@@ -53,13 +52,13 @@ def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
     from service.scan.make_scene import build_scene as make_scene
 
     meshes = tuple(mesh_from_request(mesh, path) for mesh, path in task.meshes)
-    given = SceneInput(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
+    scene_input = SceneInput(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
     try:
         with stops_with(control):
             if task.update is not None:
                 earlier = replace(read_earlier_scene(task.update[0]), path=Path(task.update[1]))
-                given = apply_earlier_settings(earlier, given, task.said, "update")
-            return json.dumps(make_scene(given, control.report).data, allow_nan=False).encode()
+                scene_input = apply_earlier_settings(earlier, scene_input, task.said, "update")
+            return json.dumps(make_scene(scene_input, control.report).data, allow_nan=False).encode()
     except RequestError as error:
         return Refused(error.problems)
 
@@ -78,12 +77,7 @@ def detect(
 
 
 def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | Refused:
-    """Verify a recorded motion; returns what ``scopt verify`` prints.
-
-    Args:
-        files: files of a result folder, by their path in it.
-        control: stops the work.
-    """
+    """Verify a result folder, given as its files by path; returns what ``scopt verify`` prints."""
     from service.replay.replay import verify_result
 
     with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:

@@ -6,6 +6,8 @@ import io
 import tarfile
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -14,9 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from costs.stopping import Stopped, stops_when
 from scopt import Iteration as Trial
 from service.errors import RequestError, UnplannedTaskError
 from service.executor import Control
+from service.executor.errors import JobCancelled
 from service.planner import plan
 from service.proto.planner.v1.planner_pb2 import Iteration, PlanProgress
 from service.request.schema import PlanRequest
@@ -24,7 +28,6 @@ from service.result.output import write_result
 from service.result.result import PlanResult
 from service.wire.results import result_to_message
 from service.work.robots import RobotCache
-from service.work.stopping import stops_with
 
 REPORT_EVERY_S = 0.02  # shortest time between reported iterations, each of which is a message
 MIN_TIME_S = 0.01
@@ -90,6 +93,20 @@ class Refused:
 
     problems: tuple[str, ...]
     is_unplanned: bool = False
+
+
+@contextmanager
+def stops_with(control: Control) -> Iterator[None]:
+    """Stop the body at its next poll once the job is cancelled.
+
+    Raises:
+        JobCancelled: the body was stopped.
+    """
+    try:
+        with stops_when(control.should_stop):
+            yield
+    except Stopped:
+        raise JobCancelled("stopped on request") from None
 
 
 def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:

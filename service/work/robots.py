@@ -38,7 +38,8 @@ class RobotCache:
         known = self._loaded.get(key)
         if known is None or known[0] != _read_stamps(path for path, _, _ in known[0]):
             # Stamps of before and after, so that a file that changes meanwhile is read again next time.
-            before = _read_stamps(_list_files(request))
+            named = (request.robot.urdf, request.robot.srdf)
+            before = _read_stamps(str(request.resolve(path)) for path in named if path is not None)
             robot = load_requested_robot(request)
             files = (str(path) for path in robot.source.files.values())
             self._loaded[key] = ((*before, *_read_stamps(files)), robot)
@@ -46,12 +47,6 @@ class RobotCache:
         while len(self._loaded) > self._max_robots:
             self._loaded.popitem(last=False)
         return self._loaded[key][1]
-
-
-def _list_files(request: PlanRequest) -> list[str]:
-    """Return the robot's files that the request itself names."""
-    robot = request.robot
-    return [str(request.resolve(path)) for path in (robot.urdf, robot.srdf) if path is not None]
 
 
 def _read_stamps(paths: Iterable[str]) -> tuple[Stamp, ...]:

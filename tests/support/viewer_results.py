@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from service.viewer import LinkPlacements
-from service.viewer.placements import continuous
+from service.viewer.placements import align_signs
 
 LINKS = ("pelvis", "torso", "l_hand", "r_hand", "l_foot", "r_foot")
 SIZES = {
@@ -51,7 +51,7 @@ def placements(n_samples: int) -> LinkPlacements:
     poses[:, hand, 2] += 0.15 * np.cos(angle)
     torso = LINKS.index("torso")
     poses[:, torso, 3], poses[:, torso, 6] = np.cos(0.2 * u), np.sin(0.2 * u)
-    return LinkPlacements(LINKS, continuous(poses))
+    return LinkPlacements(LINKS, align_signs(poses))
 
 
 def _may_touch(rim: str) -> dict[str, Any]:

@@ -1,0 +1,170 @@
+"""Demands of a result's request, rebuilt for the verifier: robot, start and scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot import RobotModel, bundled_robots
+from costs.scene import ConvexPiece, Scene
+from service.demands import Demands, ProgramDemand, compose_scene, has_scan, planted_feet, recorded_obstacles
+from service.demands.wheel import Wheel, wheel_of
+from service.errors import RequestError
+from service.request.file import replace_clouds
+from service.request.scene import MeshRequest
+from service.request.schema import PlanRequest
+from service.setup.prepare import resolve_start
+from service.setup.world import Surroundings, build_obstacles, read_surroundings
+from service.start.robot import attach_bodies, load_requested_robot
+from service.start.standing import move_floor_to_soles, sole_corners
+
+if TYPE_CHECKING:
+    from perception import ValveDetection
+    from service.trajopt import Program
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """Sources of a verification, as phrases that follow "for".
+
+    Attributes:
+        request: source of the demands.
+        scene: source of the pieces.
+        robot: source of the robot.
+        without: constraints of the request that the verifier cannot check.
+    """
+
+    request: str
+    scene: str
+    robot: str
+    without: tuple[str, ...] = ()
+
+    def sentence(self) -> str:
+        """Return the phrase for the verdict's line; equal sources are named once."""
+        sources = dict.fromkeys((self.request, self.robot, self.scene))
+        without = f", without {', '.join(self.without)}" if self.without else ""
+        return f"for {' and '.join(sources)}{without}"
+
+
+@dataclass(frozen=True)
+class Record:
+    """Robot and scene of a result's folder.
+
+    Attributes:
+        robot: the robot, without the joints that the task moves.
+        scene: its pieces.
+        valves: valves detected in the scan; the first is the task's.
+    """
+
+    robot: RobotModel
+    scene: Scene
+    valves: tuple[ValveDetection, ...] = ()
+
+
+def rebuild_demands(
+    request: PlanRequest, record: Record, given: Path | None, clouds: Sequence[Path]
+) -> tuple[Demands, Grounds]:
+    """Return a request's demands and their sources.
+
+    Args:
+        request: the user's or the folder's request.
+        record: robots given by path and scans, unless they are read again.
+        given: file of the user's request, whose files are then read again; None for the folder's request.
+        clouds: cloud files (or the scene's file) of the request, to be read again.
+
+    Raises:
+        RequestError: the request, or a file that it names, cannot be used.
+    """
+    request_from = "the request in this folder" if given is None else given.name
+    robot, robot_from = _rebuild_robot(request, record, given is not None, request_from)
+    start, _, program = resolve_start(robot, request)
+    feet = planted_feet(robot, request.options.feet) if program is None else program.planted
+    is_read = bool(clouds) or (given is not None and request.scene.file is not None)
+    surroundings = Surroundings(_select_scanned(request, record.scene), record.valves)
+    scene_from = request_from
+    if is_read:
+        surroundings = _read_scan(request, robot, start, feet, clouds)
+        scene_from = ", ".join(path.name for path in clouds) or str(request.scene.file)
+    elif has_scan(request):
+        scene_from = "the recorded scene"
+    obstacles, are_recorded = _rebuild_obstacles(request, record.scene, surroundings, given is not None)
+    scene, _ = compose_scene(request, robot, start, surroundings.pieces, obstacles)
+    scene_from = "the recorded scene" if are_recorded else scene_from
+    demands = Demands(
+        request, robot, start, scene, _get_program(program, robot), _get_wheel(request, surroundings.valves)
+    )
+    without = () if demands.program is None else demands.program.unproven
+    return demands, Grounds(request_from, scene_from, robot_from, without)
+
+
+def _get_program(program: Program | None, robot: RobotModel) -> ProgramDemand | None:
+    if program is None:
+        return None
+    from service.trajopt.demanded import program_demand  # slow to import
+
+    return program_demand(program, robot)
+
+
+def _get_wheel(request: PlanRequest, detections: Sequence[ValveDetection]) -> Wheel | None:
+    """Return the wheel of the request's task."""
+    task = None if request.task is None else request.task.valve
+    if task is None:
+        return None
+    from service.tasks.valve_task import read_given_valve
+
+    valve = read_given_valve(task) or next(iter(detections), None)
+    if valve is None:
+        raise RequestError("task.valve: the scene shows no valve")
+    return wheel_of(valve)
+
+
+def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request_from: str) -> tuple[RobotModel, str]:
+    """Return the robot and its source; only a user's request has robot files read again."""
+    if is_given or (request.robot.urdf is None and request.robot.name in bundled_robots()):
+        return attach_bodies(load_requested_robot(request), request), request_from
+    links = {body.link for body in record.robot.bodies}
+    missing = [attached.name for attached in request.attached if attached.name not in links]
+    if missing:
+        raise RequestError(f"attached: the robot in this folder does not carry {', '.join(missing)}")
+    return record.robot, "the robot in this folder"
+
+
+def _select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:
+    """Return the pieces of a recorded scene that come from its scan."""
+    if not has_scan(request):
+        return ()
+    own = {obstacle.name for obstacle in request.scene.obstacles}
+    parts = {piece.name for piece in recorded_obstacles(request, recorded)}
+    return tuple(piece for piece in recorded.pieces if piece.name not in own | parts)
+
+
+def _read_scan(
+    request: PlanRequest,
+    robot: RobotModel,
+    start: Float[np.ndarray, "n"],
+    feet: Sequence[str],
+    clouds: Sequence[Path],
+) -> Surroundings:
+    soles = {foot: sole_corners(robot, start, foot) for foot in feet}
+    if clouds:
+        request = replace_clouds(request, clouds)
+    surroundings = read_surroundings(request, robot, start, soles, None)
+    return replace(surroundings, pieces=move_floor_to_soles(surroundings.pieces, soles)[0])
+
+
+def _rebuild_obstacles(
+    request: PlanRequest, recorded: Scene, surroundings: Surroundings, is_given: bool
+) -> tuple[tuple[ConvexPiece, ...], bool]:
+    """Return the request's obstacles in its order, and whether meshes had to be taken from the record."""
+    obstacles, matches = request.scene.obstacles, surroundings.matches
+    meshes = [obstacle for obstacle in obstacles if isinstance(obstacle, MeshRequest)]
+    if not meshes or (is_given and all(mesh.name in matches for mesh in meshes if mesh.match)):
+        return build_obstacles(request, matches).pieces, False
+    shapes = tuple(obstacle for obstacle in obstacles if not isinstance(obstacle, MeshRequest))
+    pieces = build_obstacles(replace(request, scene=replace(request.scene, obstacles=shapes))).pieces
+    return (*pieces, *recorded_obstacles(request, recorded)), True
