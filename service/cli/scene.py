@@ -121,10 +121,9 @@ def _scene(
     with progress(err, "read cloud") as report, cancellable(err) as should_stop:
         from service.result.scene_output import check_out, write_scene
         from service.scan.cloud import parse_cloud_options
-        from service.scan.earlier import read_earlier_scene
+        from service.scan.detect import OutOfTimeError
         from service.scan.known_meshes import parse_mesh_option
-        from service.scan.make_scene import SceneInput, apply_earlier_settings, build_scene
-        from service.scan.time_limit import OutOfTimeError
+        from service.scan.make_scene import SceneInput, apply_earlier_settings, build_scene, read_earlier_scene
 
         known = tuple(parse_mesh_option(text, scale) for text, scale in meshes)
         asked = SceneInput(parse_cloud_options(clouds.asked()), **chosen, meshes=known)
@@ -178,8 +177,7 @@ def _detect(
     use_all_cores()
     with progress(err, "read cloud") as report, cancellable(err) as should_stop:
         from service.scan.cloud import parse_cloud_options
-        from service.scan.detect import detect_file
-        from service.scan.time_limit import OutOfTimeError
+        from service.scan.detect import OutOfTimeError, detect_file
 
         try:
             wanted = parse_cloud_options(clouds.asked())
