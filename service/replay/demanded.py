@@ -161,9 +161,9 @@ def _obstacles(
     is_mesh = [isinstance(one, MeshRequest) for one in request.scene.obstacles]
     is_whole = is_given and all(one.name in about.matches for one in request.scene.obstacles if _needs_match(one))
     if is_whole or not any(is_mesh):
-        return build_obstacles(request, about.matches).pieces, False
+        return build_obstacles(request, about.matches)[0], False
     plain = tuple(one for one, mesh in zip(request.scene.obstacles, is_mesh, strict=True) if not mesh)
-    shapes = build_obstacles(replace(request, scene=replace(request.scene, obstacles=plain))).pieces
+    shapes = build_obstacles(replace(request, scene=replace(request.scene, obstacles=plain)))[0]
     return (*shapes, *recorded_obstacles(request, recorded)), True
 
 

@@ -38,6 +38,12 @@ class _Placed(Section):
     position: Point = (0.0, 0.0, 0.0)
     quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        """Edge lengths of a box; radius and, if it has one, height of a round shape [m]; empty for others."""
+        fields = vars(self)
+        return (*fields.get("size", ()), *(fields[name] for name in ("radius", "height") if name in fields))
+
 
 @dataclass(config=SECTION, kw_only=True)
 class BoxRequest(_Placed):
