@@ -25,8 +25,8 @@ from perception import (
     update,
 )
 from perception.convex.hulls import make_hull
-from perception.solids.closed import Solid
 from perception.solids.match import KnownMesh
+from perception.solids.mesh import Solid
 from service.errors import RequestError, shown
 from service.json_data import encode_piece, to_json_data
 from service.request.choices import Method, Unknown

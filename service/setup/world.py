@@ -24,8 +24,8 @@ from service.start.standing import place_bodies
 
 if TYPE_CHECKING:
     from perception import Perceived, ValveDetection
-    from perception.solids.closed import Solid
     from perception.solids.match import KnownMesh, MeshMatch
+    from perception.solids.mesh import Solid
 
 
 @dataclass(frozen=True)
