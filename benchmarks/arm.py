@@ -111,7 +111,7 @@ def judged(
         assert request.goal is not None
         start = np.array([request.start.positions_by_joint[joint] for joint in robot.joint_names])
         goal = np.array([request.goal.joints[joint] for joint in robot.joint_names])
-        pieces = [piece.vertices for piece in build_obstacles(request).pieces]
+        pieces = [piece.vertices for piece in build_obstacles(request)[0]]
         length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
         yield {
             "length": float(length / np.linalg.norm(goal - start)),

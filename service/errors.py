@@ -1,4 +1,4 @@
-"""Errors of the service: what is wrong with what a user asked."""
+"""Errors of the service, and quoting of values in their messages."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 from costs.names import would_do as would_do  # loads no library, so that clients may have it
 
-MAX_PROBLEMS = 10  # a file of garbage need not be listed to its end
+MAX_PROBLEMS = 10  # most problems in one message
 MAX_VALUE_CHARACTERS = 60
-_MOST_BITS = 1024  # an integer of more is shown in hexadecimals
+_MOST_BITS = 1024  # longer integers are shown in hexadecimals
 
 
 class ServiceError(Exception):
@@ -30,7 +30,7 @@ class RequestError(ServiceError):
 
 
 class UnplannedTaskError(RequestError):
-    """A request for a task that is understood, and that nothing here can plan yet."""
+    """A valid request for a task without a planner."""
 
 
 class ResultError(ServiceError):
@@ -38,20 +38,20 @@ class ResultError(ServiceError):
 
 
 def shown(value: object) -> str:
-    """``value`` as a person would quote it, cut to one short line."""
+    """Quote a value, cut to one short line."""
     text = " ".join(repr(_beginning(value, iter(range(1, MAX_VALUE_CHARACTERS)))).split())
     return text if len(text) <= MAX_VALUE_CHARACTERS else text[: MAX_VALUE_CHARACTERS - 1] + "…"
 
 
 def _beginning(value: object, entries: Iterator[int]) -> object:
-    """As much of a value as is shown: all of a message's millions of bytes would be read for one line."""
+    """Return the part of a value that is shown, since ``repr`` of millions of bytes takes long."""
     if type(value) in (str, bytes):
         return value[: 4 * MAX_VALUE_CHARACTERS]  # type: ignore[index]
     if type(value) in (list, tuple):
-        some = [_beginning(one, entries) for one, _ in zip(value, entries, strict=False)]  # type: ignore[call-overload]
+        some = [_beginning(entry, entries) for entry, _ in zip(value, entries, strict=False)]  # type: ignore[call-overload]
         return some if type(value) is list else tuple(some)
     if type(value) is dict:
-        return {key: _beginning(one, entries) for (key, one), _ in zip(value.items(), entries, strict=False)}
+        return {key: _beginning(entry, entries) for (key, entry), _ in zip(value.items(), entries, strict=False)}
     if type(value) is int and value.bit_length() > _MOST_BITS:  # Python refuses to write it in decimals
         return _Hexadecimal(value)
     return value

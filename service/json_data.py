@@ -11,19 +11,19 @@ import numpy as np
 from costs.scene import ConvexPiece
 
 
-def piece_json(piece: ConvexPiece) -> dict[str, Any]:
-    """A piece of the world."""
+def encode_piece(piece: ConvexPiece) -> dict[str, Any]:
+    """Return a piece of a scene as JSON data."""
     return {"name": piece.name, "kind": piece.kind, "vertices": piece.vertices.tolist()}
 
 
-def plain(value: Any) -> Any:
-    """``value`` as JSON data: arrays as lists, numbers that JSON lacks as null."""
+def to_json_data(value: Any) -> Any:
+    """Convert arrays to lists, and numbers that JSON lacks to null."""
     if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
+        return {str(key): to_json_data(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
+        return [to_json_data(entry) for entry in value]
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return to_json_data(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, str | bool | int):

@@ -23,7 +23,7 @@ from service.cli.report import make_hit_row
 from service.cli.run import progress
 from service.request.choices import KINDS
 from service.scan import detect as detect_file
-from service.scan.time_limit import TimeOver, limit_time
+from service.scan.detect import TimeOver, limit_time
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,9 @@ from little_scan import crate_scan, little_scan, scopt
 
 from perception import Cloud, rigid_pose, write_npz, write_pcd
 from service.scan import make_scene as scene_file
-from service.scan.cloud import CloudInput, numbers
+from service.scan.cloud import CloudInput, parse_numbers
+from service.scan.detect import TimeOver
 from service.scan.make_scene import SceneInput, build_scene
-from service.scan.time_limit import TimeOver
 from service.viewer.html import render_page
 from service.viewer.payload import quantize
 from service.viewer.scene import make_scene_payload
@@ -166,7 +166,7 @@ def test_options_that_do_not_go_together_are_usage_errors(arguments: tuple[str, 
 
 @pytest.mark.parametrize("text", ["[[1 0 0 2]\n [0 1 0 3]\n [0 0 1 4]\n [0 0 0 1]]", "(2, 3, 4); (0, 0, 0)"])
 def test_a_matrix_may_be_given_as_programs_print_it(text: str) -> None:
-    pose = rigid_pose(numbers(text, "--transform"))
+    pose = rigid_pose(parse_numbers(text, "--transform"))
     np.testing.assert_array_equal(pose[:3, 3], [2, 3, 4])
     np.testing.assert_array_equal(pose[:3, :3], np.eye(3))
 

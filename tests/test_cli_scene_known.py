@@ -14,9 +14,8 @@ from perception.solids.match import MeshMatch
 from perception.solids.mesh import Solid
 from service.errors import RequestError
 from service.scan.cloud import CloudInput
-from service.scan.earlier import read_earlier_scene
 from service.scan.known_meshes import explain_low_confidence, load_known_meshes, parse_mesh_option
-from service.scan.make_scene import SceneInput
+from service.scan.make_scene import SceneInput, read_earlier_scene
 
 SIZE = tuple(np.subtract(CRATE[1], CRATE[0]).tolist())
 PLACE = "1 -0.3 0"

@@ -242,7 +242,7 @@ def test_round_obstacles_are_contained_in_their_pieces() -> None:
             {"name": "pill", "type": "capsule", "radius": 0.1, "height": 1.0},
         ]},
     })  # fmt: skip
-    pieces = {piece.name: ConvexHull(piece.vertices).equations for piece in build_obstacles(request).pieces}
+    pieces = {piece.name: ConvexHull(piece.vertices).equations for piece in build_obstacles(request)[0]}
     directions = rng.normal(size=(500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     ring = directions[:, :2] / np.linalg.norm(directions[:, :2], axis=1, keepdims=True)
@@ -260,7 +260,7 @@ def test_an_obstacle_turns_about_its_own_position() -> None:
     turned = {"position": [5, 0, 1], "quaternion_wxyz": [np.cos(0.25), 0, 0, np.sin(0.25)]}  # 0.5 rad about z
     plank = {"name": "plank", "type": "box", "size": [2.0, 0.2, 0.1], **turned}
     request = parse_request({"robot": {"name": "atlas"}, "goal": GOAL, "scene": {"obstacles": [plank]}})
-    (piece,) = build_obstacles(request).pieces
+    ((piece,), _) = build_obstacles(request)
     corner = [5 + np.cos(0.5) - 0.1 * np.sin(0.5), np.sin(0.5) + 0.1 * np.cos(0.5), 1.05]
     assert np.linalg.norm(piece.vertices - corner, axis=1).min() < 1e-12
 

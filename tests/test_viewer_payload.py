@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from viewer_results import box, make_result
 
-from service.json_data import plain
+from service.json_data import to_json_data
 from service.viewer import LinkPlacements, write_viewer
 from service.viewer.html import render_viewer
 from service.viewer.hulls import make_convex_mesh
@@ -141,7 +141,7 @@ def test_a_body_without_placement_is_refused_by_name():
 
 
 def test_numbers_that_json_lacks_become_null():
-    assert plain({"a": [float("nan"), np.float64(1.0)], "b": np.array([np.inf, 2.0])}) == {
+    assert to_json_data({"a": [float("nan"), np.float64(1.0)], "b": np.array([np.inf, 2.0])}) == {
         "a": [None, 1.0],
         "b": [None, 2.0],
     }

@@ -67,7 +67,7 @@ def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotM
     bodies = list(robot.bodies)
     for item in attached:
         frame = find_body_frame(model, item.name)
-        points = _make_points(item) @ frame.placement.rotation.T + frame.placement.translation
+        points = shapes.make_points(item.kind, item.size) @ frame.placement.rotation.T + frame.placement.translation
         vertices = find_hull_vertices(points, f"attached body '{item.name}'")
         shape = make_round_shape(item.kind, item.size)
         exact = None if shape is None else shape.move(frame.placement.homogeneous)
@@ -98,16 +98,6 @@ def _check_names(robot: RobotModel, item: AttachedBody) -> None:
     for link in (item.link, *item.touching):
         if not robot.model.existFrame(link):
             raise RobotError(f"attached body '{item.name}': unknown link '{link}'; expected {would_do(link, links)}")
-
-
-def _make_points(item: AttachedBody) -> Float[np.ndarray, "V 3"]:
-    match item.kind:
-        case "box":
-            return shapes.box(np.array(item.size))
-        case "sphere":
-            return shapes.sphere(item.size[0])
-        case "cylinder":
-            return shapes.cylinder(*item.size)
 
 
 def _make_link(item: AttachedBody) -> etree._Element:

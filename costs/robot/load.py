@@ -151,25 +151,10 @@ def _make_bodies(
     return tuple(bodies), files
 
 
-def make_primitive_points(shape: Shape) -> Float[np.ndarray, "V 3"]:
-    """Make points whose hull contains a shape other than a mesh, in its own frame [m]."""
-    match shape.kind:
-        case "box":
-            return shapes.box(shape.size)
-        case "sphere":
-            return shapes.sphere(float(shape.size[0]))
-        case "cylinder":
-            return shapes.cylinder(float(shape.size[0]), float(shape.size[1]))
-        case "capsule":
-            return shapes.capsule(float(shape.size[0]), float(shape.size[1]))
-        case _:
-            raise ValueError(f"{shape.kind} is not a primitive shape")
-
-
 def _read_points(shape: Shape, roots: Sequence[Path], files: dict[str, Path], where: str) -> Float[np.ndarray, "V 3"]:
     """Return points whose hull contains the shape, in its own frame [m]; add a mesh's file to ``files``."""
     if shape.kind != "mesh":
-        return make_primitive_points(shape)
+        return shapes.make_points(shape.kind, shape.size)
     key, path = resolve_mesh(shape.uri, roots, where)
     if files.setdefault(key, path) != path:
         raise RobotError(f"{where}: mesh '{shape.uri}' names another file than '{key}' elsewhere; rename one")

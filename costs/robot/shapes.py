@@ -25,6 +25,21 @@ def allowed_excess(radius: float) -> float:
     return max(EXCESS_M, EXCESS_SHARE * radius)
 
 
+def make_points(kind: str, size: Float[np.ndarray, "k"] | tuple[float, ...]) -> Float[np.ndarray, "V 3"]:
+    """Make points whose hull contains a shape in its own frame [m].
+
+    Args:
+        kind: ``box``, ``sphere``, ``cylinder`` or ``capsule``.
+        size: edge lengths of a box; else the radius and, if the shape has one, the length [m].
+    """
+    if kind == "box":
+        return box(np.asarray(size))
+    radius = float(size[0])
+    if kind == "sphere":
+        return sphere(radius)
+    return cylinder(radius, float(size[1])) if kind == "cylinder" else capsule(radius, float(size[1]))
+
+
 def box(size: Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 3"]:
     """Make the corners of a box with full edge lengths ``size`` [m]."""
     signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot.errors import RobotError
-from costs.robot.load import make_primitive_points
 from costs.robot.meshes import resolve_mesh
+from costs.robot.shapes import make_points
 from costs.robot.urdf import Urdf, parse_urdf
 from costs.robot.urdf_elements import MOVABLE
 from costs.robot.xmlfile import parse_xml, read_xml_text
@@ -66,7 +66,7 @@ def read_object_shapes(urdf: Path) -> tuple[StillShape, ...]:
             _, path = resolve_mesh(shape.uri, (urdf.parent,), inside)
             shapes.append(StillShape(inside, None, path, shape.size, pose))
         else:
-            shapes.append(StillShape(inside, make_primitive_points(shape), None, np.ones(3), pose))
+            shapes.append(StillShape(inside, make_points(shape.kind, shape.size), None, np.ones(3), pose))
     return tuple(shapes)
 
 

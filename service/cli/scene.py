@@ -92,9 +92,8 @@ def scene_command(
     with progress(stderr, "read cloud") as report, cancellable(stderr) as should_stop:
         from service.result.scene_output import check_out, write_scene
         from service.scan.cloud import parse_cloud_options
-        from service.scan.earlier import read_earlier_scene
         from service.scan.known_meshes import parse_mesh_option
-        from service.scan.make_scene import SceneInput, apply_earlier_settings, build_scene
+        from service.scan.make_scene import SceneInput, apply_earlier_settings, build_scene, read_earlier_scene
 
         cloud_input = parse_cloud_options(clouds.to_settings())
         meshes = tuple(parse_mesh_option(text, mesh_scale) for text in mesh or ())
@@ -167,7 +166,7 @@ def _is_explicit(context: typer.Context, name: str) -> bool:
 @contextmanager
 def _stop_in_time(should_stop: Callable[[], bool]) -> Iterator[None]:
     """Stop the body on Ctrl-C; a time limit that was reached without any result ends the command."""
-    from service.scan.time_limit import OutOfTimeError
+    from service.scan.detect import OutOfTimeError
 
     try:
         with stops_when(should_stop):

@@ -164,7 +164,7 @@ def _rebuild_obstacles(
     obstacles, matches = request.scene.obstacles, surroundings.matches
     meshes = [obstacle for obstacle in obstacles if isinstance(obstacle, MeshRequest)]
     if not meshes or (is_given and all(mesh.name in matches for mesh in meshes if mesh.match)):
-        return build_obstacles(request, matches).pieces, False
+        return build_obstacles(request, matches)[0], False
     shapes = tuple(obstacle for obstacle in obstacles if not isinstance(obstacle, MeshRequest))
-    pieces = build_obstacles(replace(request, scene=replace(request.scene, obstacles=shapes))).pieces
+    pieces = build_obstacles(replace(request, scene=replace(request.scene, obstacles=shapes)))[0]
     return (*pieces, *recorded_obstacles(request, recorded)), True

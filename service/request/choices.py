@@ -1,4 +1,4 @@
-"""How a scan becomes a world: the choices that a request's scene and ``scopt scene`` offer alike."""
+"""Choices that a request's scene and ``scopt scene`` share."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ Method = Literal["planes", "coacd"]
 """How pieces are made: slabs and hulls, or cells split by CoACD (docs/piece-methods.md)."""
 
 Unknown = Literal["free", "occupied"]
-"""What space is taken for that no ray has seen."""
+"""How space that no ray has seen is treated."""
 
 KINDS = ("valve", "door", "drill", "beam", "hose", "lever", "panel", "seat", "opening")
-"""Objects that can be looked for, as ``perception.KINDS``, told without its libraries."""
+"""Kinds of detectable objects: ``perception.KINDS`` without its libraries."""
 
 EVERY_KIND = "all"
-"""All of them."""
+"""Name for all kinds."""

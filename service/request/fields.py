@@ -1,4 +1,4 @@
-"""The fields a request is made of: numbers, points, quaternions, names, and sections that know their keys."""
+"""Field types of a request: numbers, points, quaternions, names, and sections that refuse unknown keys."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from service.errors import shown, would_do
 
-QUATERNION_NORM_TOLERANCE = 1e-3  # what rounding to a few digits explains
+QUATERNION_NORM_TOLERANCE = 1e-3  # rounding to a few digits
 WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
-LARGEST_M = 100.0  # no obstacle near a robot is wider: beyond this its numbers are in another unit
-MAX_JOINTS = 1000  # of a robot that anybody plans for
-MAX_DEPTH = 30  # of plain data in a request
-MAX_BITS = 1023  # of an integer in plain data
+LARGEST_M = 100.0  # a larger obstacle is in another unit
+MAX_JOINTS = 1000
+MAX_DEPTH = 30  # levels of plain data in a request
+MAX_BITS = 1023  # size of an integer in plain data
 MAP_M = 1e8  # map coordinates are offset from zero by thousands of kilometres
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -43,7 +43,7 @@ def at_most(most: int) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+def _normalize(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     norm = math.hypot(*quaternion)
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
         w, x, y, z = quaternion
@@ -57,7 +57,7 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
     return (w, x, y, z)
 
 
-def _in_metres(sizes: float | tuple[float, ...]) -> float | tuple[float, ...]:
+def _check_metres(sizes: float | tuple[float, ...]) -> float | tuple[float, ...]:
     """Refuse a size that only another unit explains."""
     for size in (sizes,) if isinstance(sizes, float) else sizes:
         if size > LARGEST_M:
@@ -69,35 +69,35 @@ def _in_metres(sizes: float | tuple[float, ...]) -> float | tuple[float, ...]:
     return sizes
 
 
-def _flag_or_height(value: object) -> object:
+def _check_floor(value: object) -> object:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if isinstance(value, bool) or (is_number and abs(value) <= WORKSPACE_M):  # type: ignore[arg-type]
         return value
     raise PydanticCustomError("floor", "expected true, false or a height in metres")
 
 
-def _number_or_all(value: object) -> object:
+def _check_message(value: object) -> object:
     if value == "all" or (isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**9):
         return value
     raise PydanticCustomError("message", "expected a whole number or 'all'")
 
 
-def _single_line(name: str) -> str:
+def _check_printable(name: str) -> str:
     if not name.isprintable():
         raise PydanticCustomError("name", "a name has no control characters")
     return name
 
 
-def _finite(data: dict[str, Any]) -> dict[str, Any]:
-    """Refuse numbers that JSON has no word for, and depths that nobody writes, anywhere in plain data."""
+def _check_plain_data(data: dict[str, Any]) -> dict[str, Any]:
+    """Refuse numbers that JSON lacks and too many levels, anywhere in plain data."""
     level: list[tuple[str, object]] = [("", data)]
     for _ in range(MAX_DEPTH):
         deeper: list[tuple[str, object]] = []
         for path, value in level:
             if isinstance(value, Mapping):
-                deeper += [(f"{path}.{key}" if path else str(key), one) for key, one in value.items()]
+                deeper += [(f"{path}.{key}" if path else str(key), entry) for key, entry in value.items()]
             elif isinstance(value, list | tuple):
-                deeper += [(f"{path}[{k}]", one) for k, one in enumerate(value)]
+                deeper += [(f"{path}[{k}]", entry) for k, entry in enumerate(value)]
             elif _is_beyond_json(value):
                 raise PydanticCustomError(
                     "plain_data",
@@ -111,26 +111,26 @@ def _finite(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _is_beyond_json(value: object) -> bool:
-    """Whether a number is infinite, NaN, or an integer that no double comes near."""
+    """Return whether a number is infinite, NaN, or an integer beyond doubles."""
     if isinstance(value, float):
         return not math.isfinite(value)
     return isinstance(value, int) and value.bit_length() > MAX_BITS
 
 
 _Size = Annotated[Number, Field(gt=0.0)]
-Size = Annotated[_Size, AfterValidator(_in_metres)]
-Sizes = Annotated[tuple[_Size, _Size, _Size], AfterValidator(_in_metres)]
-PlainData = Annotated[dict[str, JsonValue], AfterValidator(_finite)]
+Size = Annotated[_Size, AfterValidator(_check_metres)]
+Sizes = Annotated[tuple[_Size, _Size, _Size], AfterValidator(_check_metres)]
+PlainData = Annotated[dict[str, JsonValue], AfterValidator(_check_plain_data)]
 Joints = Annotated[dict[Name, Number], at_most(MAX_JOINTS)]
-Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
-Floor = Annotated[bool | float, BeforeValidator(_flag_or_height)]
-Message = Annotated[int | Literal["all"], BeforeValidator(_number_or_all)]
-Label = Annotated[Name, AfterValidator(_single_line)]
-FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
+Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_normalize)]
+Floor = Annotated[bool | float, BeforeValidator(_check_floor)]
+Message = Annotated[int | Literal["all"], BeforeValidator(_check_message)]
+Label = Annotated[Name, AfterValidator(_check_printable)]
+FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValidator(_check_printable)]
 
 
 class Section:
-    """Refuses keys that are not fields, naming the ones that may have been meant."""
+    """Section of a request; refuses keys that are not its fields."""
 
     @model_validator(mode="before")
     @classmethod
@@ -148,15 +148,15 @@ class Section:
 
 
 def find_repeated(names: Iterable[str]) -> list[str]:
-    """Those that stand there more than once, sorted."""
+    """Return the names that occur more than once, sorted."""
     return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
 def require_exactly_one(section: object, names: tuple[str, ...]) -> None:
-    given = [name for name in names if getattr(section, name)]
-    if len(given) != 1:
+    present = [name for name in names if getattr(section, name)]
+    if len(present) != 1:
         raise PydanticCustomError(
             "exactly_one",
             "exactly one of {names} is needed, {given}",
-            {"names": ", ".join(names), "given": f"not {' and '.join(given)}" if given else "none is given"},
+            {"names": ", ".join(names), "given": f"not {' and '.join(present)}" if present else "none is given"},
         )

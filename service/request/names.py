@@ -1,4 +1,4 @@
-"""Names that can be told apart: no piece of a scene is called like a link, a body, or a part of what the task moves."""
+"""Unique names: no piece of a scene has the name of a link, a body, or a part of the task's mechanism."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class TakenNames:
     """Names that pieces and carried bodies leave to the robot and to the task's mechanism.
 
     Attributes:
-        owners: who has a name, in words (``a link of atlas``).
-        mechanism: link of what the task moves, whose parts are ``LINK/...``; None where it moves nothing.
+        owners: the owner of each name, in words (``a link of atlas``).
+        mechanism: link of the task's mechanism, whose parts are ``LINK/...``; None without one.
     """
 
     owners: Mapping[str, str]
@@ -32,7 +32,7 @@ class TakenNames:
 
     @staticmethod
     def of(robot: RobotModel, request: PlanRequest) -> TakenNames:
-        """What a robot and the request's task call their own."""
+        """Collect the names of a robot and of the request's task."""
         owners = {body.name: f"a body of {robot.name}" for body in robot.bodies}
         links = [frame.name for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
         owners |= dict.fromkeys([*links, *(body.link for body in robot.bodies)], f"a link of {robot.name}")
@@ -40,26 +40,21 @@ class TakenNames:
         return TakenNames(owners, VALVE_LINK if moves_valve else None)
 
     def is_of_mechanism(self, name: str) -> bool:
-        """Whether the mechanism, or a part of it, is or could be called so."""
+        """Return whether the name belongs to the mechanism or to a part of it."""
         return self.mechanism is not None and (name == self.mechanism or name.startswith(f"{self.mechanism}/"))
 
     def owner(self, name: str) -> str:
-        """Who has the name, in words; empty where nobody has."""
+        """Return the owner of the name, in words; empty if the name is free."""
         if self.is_of_mechanism(name):
             return f"the {self.mechanism} that the task turns, or a part of it"
         return self.owners.get(name, "")
 
 
 def check_names(request: PlanRequest, robot: RobotModel, taken: TakenNames) -> None:
-    """Refuse obstacles, carried bodies and robots whose names would be another's.
-
-    Args:
-        request: the request.
-        robot: its robot, with what it carries.
-        taken: of that robot and the task.
+    """Refuse obstacles, carried bodies and robots with names that are taken.
 
     Raises:
-        RequestError: one line for each name that two would have.
+        RequestError: one line per repeated name.
     """
     problems = []
     for index, obstacle in enumerate(request.scene.obstacles):
@@ -67,8 +62,8 @@ def check_names(request: PlanRequest, robot: RobotModel, taken: TakenNames) -> N
         if isinstance(obstacle, MeshRequest):  # its pieces are numbered
             names += [name for name in taken.owners if _is_numbered(name, obstacle.name)]
         clashes = [name for name in names if taken.owner(name)]
-        problems += [f"scene.obstacles[{index}].name: {_is_taken(name, taken)}" for name in clashes[:1]]
-    carried = {one.name: index for index, one in enumerate(request.attached)}
+        problems += [f"scene.obstacles[{index}].name: {_describe_owner(name, taken)}" for name in clashes[:1]]
+    carried = {item.name: index for index, item in enumerate(request.attached)}
     for name in taken.owners:
         if taken.is_of_mechanism(name):
             field = f"attached[{carried[name]}].name" if name in carried else "robot"
@@ -80,12 +75,14 @@ def check_names(request: PlanRequest, robot: RobotModel, taken: TakenNames) -> N
 
 
 def check_scene_file_names(pieces: Sequence[ConvexPiece], taken: TakenNames) -> None:
-    """Refuse pieces of a scene's file that have another's name.
+    """Refuse pieces of a scene's file with names that are taken.
 
     Raises:
-        RequestError: one line for each.
+        RequestError: one line per piece.
     """
-    problems = [f"scene.file: piece {_is_taken(one.name, taken)}" for one in pieces if taken.owner(one.name)]
+    problems = [
+        f"scene.file: piece {_describe_owner(piece.name, taken)}" for piece in pieces if taken.owner(piece.name)
+    ]
     if problems:
         raise RequestError(problems)
 
@@ -93,12 +90,12 @@ def check_scene_file_names(pieces: Sequence[ConvexPiece], taken: TakenNames) -> 
 def rename_clashing(
     pieces: Sequence[ConvexPiece], taken: TakenNames, others: Collection[str] = ()
 ) -> tuple[tuple[ConvexPiece, ...], tuple[str, ...]]:
-    """Pieces that nobody has named yet, with a number behind each name that is another's, and a note about each.
+    """Number the names of a scan's pieces that are taken; return the pieces and a note for each new name.
 
     Args:
-        pieces: with names that are unique among themselves.
-        taken: by the robot and the task.
-        others: further names that are taken.
+        pieces: pieces with unique names.
+        taken: names of the robot and the task.
+        others: further taken names.
     """
     used = {*others, *(piece.name for piece in pieces)}
     free, notes = [], []
@@ -108,7 +105,7 @@ def rename_clashing(
             continue
         stem = f"seen/{piece.name}" if taken.is_of_mechanism(piece.name) else piece.name
         numbered = (f"{stem}-{number}" for number in itertools.count(2))
-        name = next(one for one in numbered if one not in used and not taken.owner(one))
+        name = next(new for new in numbered if new not in used and not taken.owner(new))
         used.add(name)
         free.append(replace(piece, name=name))
         owner = taken.owner(piece.name) or "an obstacle of the request"
@@ -116,10 +113,10 @@ def rename_clashing(
     return tuple(free), tuple(notes)
 
 
-def _is_taken(name: str, taken: TakenNames) -> str:
+def _describe_owner(name: str, taken: TakenNames) -> str:
     return f"{shown(name)} is {taken.owner(name)}; expected another name"
 
 
 def _is_numbered(name: str, stem: str) -> bool:
-    """Whether a name is a stem with a number: ``crate/3``."""
+    """Return whether a name is a stem with a number: ``crate/3``."""
     return name.startswith(f"{stem}/") and name.removeprefix(f"{stem}/").isdecimal()

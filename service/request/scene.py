@@ -29,7 +29,7 @@ from service.request.fields import (
 )
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
-"""Mesh files that are whole by themselves, so that they can be uploaded; a URDF may name others."""
+"""Mesh files without references to other files, so that they can be uploaded."""
 
 
 @dataclass(config=SECTION)
@@ -37,6 +37,12 @@ class _Placed(Section):
     name: Label
     position: Point = (0.0, 0.0, 0.0)
     quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        """Edge lengths of a box; radius and, if it has one, height of a round shape [m]; empty for others."""
+        fields = vars(self)
+        return (*fields.get("size", ()), *(fields[name] for name in ("radius", "height") if name in fields))
 
 
 @dataclass(config=SECTION, kw_only=True)
@@ -85,9 +91,8 @@ class ConvexRequest(_Placed):
 class MeshRequest(_Placed):
     """A mesh file (STL, OBJ, PLY, or a URDF with every joint at zero), split into convex pieces.
 
-    ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is one piece.  With ``match`` it is
-    looked for in the scan around where it is placed, and stands where it was found; what of the scan is on it or in it
-    makes no further pieces.
+    ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is one piece.  With ``match`` it
+    is searched in the scan around its place and stands where it is found; points on or in it make no further pieces.
     """
 
     type: Literal["mesh"]
@@ -113,7 +118,7 @@ class CloudFileRequest(Section):
 
     @property
     def transform(self) -> tuple[float, ...] | None:
-        """Position and quaternion; None where the points are in the world as they stand."""
+        """Position and quaternion; None if the points are in the world frame."""
         pose = (*self.position, *self.quaternion_wxyz)
         return None if pose == (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0) else pose
 
@@ -134,19 +139,19 @@ CloudRequest = Annotated[
 
 @dataclass(config=SECTION)
 class SceneRequest(Section):
-    """What surrounds the robot: a scan or a scene made of one, obstacles, or both.
+    """Surroundings of the robot: a scan or a scene made of one, obstacles, or both.
 
     Attributes:
-        file: a scene as ``scopt scene`` writes it, planned in as it stands: its pieces, and its valve.
+        file: a scene file of ``scopt scene``; its pieces and its valve are used as they are.
         cloud: point cloud file, or several with their poses, merged.
-        unit: of the files' lengths.
+        unit: unit of the files' lengths.
         apply_viewpoint: whether the points are in the sensor's frame and its VIEWPOINT takes them to the world (or to
             what ``position`` and ``quaternion_wxyz`` take to the world).
-        sensor: where the rays of a file that does not say so started.
-        topic: of a bag with several clouds.
-        message: of a bag, the number of the message, or all of them merged.
+        sensor: start of the rays if the file does not hold it.
+        topic: topic of a bag with several clouds.
+        message: number of a bag's message, or all of them merged.
         method: how the scan becomes pieces.
-        unknown: what space no ray has seen is taken for.
+        unknown: how space that no ray has seen is treated.
         hint: a point in the world near the object of the task.
         obstacles: shapes with unique names.
         floor: a height [m], or whether there is a floor at 0 (a scan brings its own); by default there is one for a
@@ -181,7 +186,7 @@ class SceneRequest(Section):
             raise PydanticCustomError("file", "file and cloud exclude each other: a scene was made of its own scan")
         if self.unknown == "occupied" and not self.cloud:
             raise PydanticCustomError("unknown", "unknown: occupied needs a scan that says what was seen; give cloud")
-        lost = [one.name for one in self.obstacles if isinstance(one, MeshRequest) and one.match]
+        lost = [mesh.name for mesh in self.obstacles if isinstance(mesh, MeshRequest) and mesh.match]
         if lost and not self.cloud:
             raise PydanticCustomError(
                 "obstacles", "match of {name} needs a scan to look in; give scene.cloud", {"name": shown(lost[0])}
@@ -194,11 +199,11 @@ class KnownMeshRequest(Section):
 
     Attributes:
         file: STL, OBJ, PLY or URDF.
-        name: of its pieces; by default that of the file.
+        name: name of its pieces; by default the file's.
         scale: metres per unit of the file.
-        position: where it stands, or about where it is looked for; everywhere without it.
-        quaternion_wxyz: how it is turned there; without it, it may be turned in any way, or not at all if it is placed.
-        is_placed: whether it stands exactly there; else the scan tells where.
+        position: its place, or the place to search around; without it, everywhere.
+        quaternion_wxyz: its rotation; without it, any rotation is searched, and a placed mesh is not rotated.
+        is_placed: whether it stands exactly there; else it is placed by the scan.
     """
 
     file: FilePath
@@ -219,12 +224,12 @@ class KnownMeshRequest(Section):
 
 @dataclass(config=SECTION)
 class KnownRequest(Section):
-    """Known objects, and a scene file that the clouds are held against."""
+    """Known objects, and a scene file to update by the clouds."""
 
     meshes: Annotated[tuple[KnownMeshRequest, ...], at_most(20)] = ()
     update: FilePath | None = None
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All files, as they are named."""
+        """All files, as the request names them."""
         return (*(mesh.file for mesh in self.meshes), *(() if self.update is None else (self.update,)))

@@ -1,7 +1,7 @@
-"""What a user asks: the schema of a request file, as frozen dataclasses that check themselves.
+"""Schema of a request file, as frozen dataclasses that check themselves.
 
 Lengths in metres, angles in radians unless a suffix says otherwise, quaternions as w x y z, world frame z up.
-Only what a request can tell by itself is checked here; ``service.setup.prepare`` checks it against the robot.
+Only the request itself is checked here; ``service.setup.prepare`` checks it against the robot.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
 
 @dataclass(config=SECTION)
 class RobotRequest(Section):
-    """Which robot: a bundled one by ``name``, or one read from ``urdf`` (and ``srdf``, ``package_dirs``).
+    """The robot: a bundled one by ``name``, or one read from ``urdf`` (and ``srdf``, ``package_dirs``).
 
-    ``root`` says whether the base is free (by default a bundled robot's is, another's is not); ``tool_distance_m`` is
-    how far the bundled robot's hook reaches from the hand's origin.
+    ``root`` is the joint of the base (by default floating for a bundled robot, else fixed); ``tool_distance_m`` is the
+    distance of the bundled robot's hook from the hand's origin.
     """
 
     name: Label | None = None
@@ -70,7 +70,7 @@ class PoseRequest(Section):
 
 @dataclass(config=SECTION)
 class StartRequest(Section):
-    """Where the robot stands at first: a named posture, overridden joint by joint.
+    """Start of the robot: a named posture, overridden joint by joint.
 
     Joints come as ``joints`` (name to position) or as the two lists ``joint_names`` and ``positions``.
     """
@@ -100,7 +100,7 @@ class StartRequest(Section):
 
 @dataclass(config=SECTION)
 class PoseGoalRequest(Section):
-    """A pose that ``link`` (a link or frame of the robot) has at the end; no quaternion leaves the orientation free."""
+    """A pose of ``link`` (a link or frame of the robot) at the end; without a quaternion the orientation is free."""
 
     link: Name
     position: Point
@@ -116,7 +116,7 @@ class PoseGoalRequest(Section):
 
 @dataclass(config=SECTION)
 class GoalRequest(Section):
-    """Where the motion ends: joint positions, poses of links, or a named posture."""
+    """End of the motion: joint positions, poses of links, or a named posture."""
 
     joints: Joints = field(default_factory=dict)
     poses: Annotated[tuple[PoseGoalRequest, ...], at_most(20)] = ()
@@ -132,7 +132,7 @@ class GoalRequest(Section):
 
 @dataclass(config=SECTION)
 class ValveRequest(Section):
-    """Turn a valve: detected in the scan (near ``hint``), or given by ``centre``, ``axis`` and ``radius``.
+    """Turn a valve, which is detected in the scan (near ``hint``) or given by ``centre``, ``axis`` and ``radius``.
 
     Attributes:
         mode: ``hook`` rests a hook between the spokes, ``grasp`` turns the hand with the wheel.
@@ -180,14 +180,7 @@ class EgressRequest(Section):
 
 @dataclass(config=SECTION)
 class TaskRequest(Section):
-    """What to do.
-
-    Attributes:
-        valve: to turn.
-        door: to open; not planned yet.
-        egress: out of a vehicle; not planned yet.
-        trajopt: a TrajOpt problem to solve, as in its JSON files (docs/trajopt.md).
-    """
+    """The task; doors and egress are not planned yet, ``trajopt`` is a problem as in its files (docs/trajopt.md)."""
 
     valve: ValveRequest | None = None
     door: DoorRequest | None = None
@@ -200,18 +193,18 @@ class TaskRequest(Section):
 
 @dataclass(config=SECTION)
 class Options(Section):
-    """How to plan.
+    """Options of planning.
 
     Attributes:
         waypoints: per phase; left to the planner when absent.
         time_limit_s: wall time for the whole plan.
-        margin_m: clearance aimed at.
-        seed: of every random draw.
+        margin_m: requested clearance.
+        seed: seed of every random draw.
         balance_margin_m: how far inside the support polygon the balance point stays.
         feet: links planted at the start; the robot's own when absent.
-        starts: how many starting trajectories are tried at most.
+        starts: largest number of starting trajectories.
         qp: solver of the convex subproblems.
-        velocity_scale, acceleration_scale: share of the robot's limits that is used.
+        velocity_scale, acceleration_scale: used share of the robot's limits.
         timed: whether the motion gets a time law; without one the path alone is planned and certified.
         escape: whether a start in collision is left first, instead of being refused.
     """
@@ -265,7 +258,7 @@ class _Carried(Section):
     Attributes:
         link: the link that carries it.
         touches: further links that hold it; each is kept relative to ``link``.
-        mass_kg: spread evenly.
+        mass_kg: its mass, spread evenly.
     """
 
     link: Name
@@ -293,10 +286,10 @@ AttachedRequest = Annotated[AttachedBox | AttachedSphere | AttachedCylinder, Fie
 
 @dataclass(config=SECTION)
 class PlanRequest(Section):
-    """What a user asks: a robot, where it stands, what surrounds it, and where it shall go or what it shall do.
+    """A request: a robot, its start, its surroundings, and a goal or a task.
 
-    ``keep`` lists relative poses that hold along the whole motion to a goal, ``attached`` what links carry.
-    ``folder`` is where relative paths start; it is no part of the request's meaning, of its JSON or of its hash.
+    ``keep`` lists relative poses that hold along the whole motion to a goal, ``attached`` the carried bodies.
+    Relative paths start at ``folder``, which is no part of the request's JSON or hash.
     """
 
     robot: RobotRequest
@@ -315,15 +308,12 @@ class PlanRequest(Section):
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
 
     def resolve(self, path: str) -> Path:
-        """The file or folder that ``path`` of this request means."""
+        """Return the file or folder of a path in this request."""
         return self.folder / path
 
 
 def check_task_has_planner(request: PlanRequest) -> None:
-    """
-    Raises:
-        UnplannedTaskError: the task is one that nothing here can plan yet.
-    """
+    """Refuse a task without a planner (UnplannedTaskError)."""
     for name, words in UNPLANNED.items():
         if request.task is not None and getattr(request.task, name) is not None:
             raise UnplannedTaskError(

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from costs.robot import RobotModel
-from service.json_data import piece_json, plain
+from service.json_data import encode_piece, to_json_data
 from service.request.file import request_hash, to_json
 from service.result.folder import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
@@ -35,10 +35,10 @@ def to_result_json(result: PlanResult) -> dict[str, Any]:
             for b in robot.bodies
         ],
         "ignored_pairs": sorted(list(pair) for pair in robot.ignored_pairs),
-        "pieces": [piece_json(piece) for piece in result.scene.pieces],
+        "pieces": [encode_piece(piece) for piece in result.scene.pieces],
         **(_write_start(result) if result.motion is None else motion_json(result.motion, robot)),
         "certificate": None if result.certificate is None else result.certificate.to_dict(),
-        "obstruction": plain(result.obstruction),
+        "obstruction": to_json_data(result.obstruction),
         "cloud": np.round(thin_points(result.cloud, MAX_CLOUD_POINTS), 4).tolist(),
     }
 
@@ -76,10 +76,10 @@ def _summarize(result: PlanResult) -> dict[str, Any]:
         "found_from": result.found_from,
         "notes": list(result.notes),
         "planning_time_s": result.planning_time_s,
-        "timings": plain(result.timings),
+        "timings": to_json_data(result.timings),
         **proof_summary(result.certificate),
-        "figures": plain(result.figures),
-        "detections": plain(result.detections),
+        "figures": to_json_data(result.figures),
+        "detections": to_json_data(result.detections),
     }
 
 

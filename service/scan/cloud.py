@@ -1,4 +1,4 @@
-"""What ``scopt scene`` and ``scopt detect`` are asked: which clouds, where they lie, what of them matters."""
+"""Cloud files of ``scopt scene`` and ``scopt detect``: options, poses, cropping, and the robot in them."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _BETWEEN_NUMBERS = str.maketrans(dict.fromkeys(",;()[]", " "))
 
 @dataclass(frozen=True)
 class CloudInput:
-    """Cloud files and how they are to be read.
+    """Cloud files and how to read them.
 
     Attributes:
         files: one or several, merged.
         unit: of the files' lengths.
-        transforms: pose_world_cloud as 6, 7 or 16 numbers in a text; one for all files, or one for each.
+        transforms: texts with pose_world_cloud as 6, 7 or 16 numbers; one for all files, or one for each.
         apply_viewpoint: whether the points are in the sensor's frame.
-        sensor: where the rays of files that do not say so started [m].
+        sensor: start of the rays where the files do not hold it [m].
         topic: of a bag with clouds on several.
         message: of a bag; its number, or all of them merged.
         reach_m: horizontal radius about the world's origin that is kept [m].
         top_m, bottom_m: heights between which points are kept [m].
-        robot: whose own points are left out.
-        start: where that robot stands; None: as it stands by default.
+        robot: the robot whose own points are left out.
+        start: its configuration; None for its default.
         seed: of all random choices.
     """
 
@@ -58,12 +58,12 @@ class CloudInput:
 
     @property
     def reach(self) -> Reach:
-        """What matters."""
+        """The volume in which points are kept."""
         return Reach(radius=self.reach_m, top=self.top_m, bottom=self.bottom_m)
 
     @property
-    def named(self) -> str:
-        """The files, as an error about what they show names them."""
+    def files_text(self) -> str:
+        """The files, as errors name them."""
         return ", ".join(map(str, self.files))
 
 
@@ -77,7 +77,7 @@ class CloudRead:
 
 
 def parse_cloud_options(options: Mapping[str, Any]) -> CloudInput:
-    """What was asked on a command line.
+    """Read the options of a command line.
 
     There ``sensor``, ``message`` and ``robot`` are texts, the last a bundled robot's name or a URDF, and ``posture`` is
     the name of a posture or a file with a request's ``start``.
@@ -85,54 +85,56 @@ def parse_cloud_options(options: Mapping[str, Any]) -> CloudInput:
     Raises:
         RequestError: the sensor is not three numbers, the message no number, or the file cannot be used.
     """
-    given = dict(options)
+    values = dict(options)
     for height in ("top", "bottom"):
-        if not np.isfinite(given[f"{height}_m"]):
-            raise RequestError(f"--{height}: {given[f'{height}_m']:g} m is no height; expected a finite number")
-    if given["top_m"] <= given["bottom_m"]:
-        raise RequestError(f"--top: {given['top_m']:g} m is not above --bottom {given['bottom_m']:g} m; expected more")
-    sensor, posture, message = given.pop("sensor"), given.pop("posture"), given.pop("message")
-    robot = given.pop("robot")
+        if not np.isfinite(values[f"{height}_m"]):
+            raise RequestError(f"--{height}: {values[f'{height}_m']:g} m is no height; expected a finite number")
+    if values["top_m"] <= values["bottom_m"]:
+        raise RequestError(
+            f"--top: {values['top_m']:g} m is not above --bottom {values['bottom_m']:g} m; expected more"
+        )
+    sensor, posture, message = values.pop("sensor"), values.pop("posture"), values.pop("message")
+    robot = values.pop("robot")
     return CloudInput(
-        **given,
-        sensor=None if sensor is None else point(sensor, "--sensor"),
-        robot=None if robot is None else _robot(robot),
-        start=None if posture is None else _start(posture),
-        message=_message(message),
+        **values,
+        sensor=None if sensor is None else parse_point(sensor, "--sensor"),
+        robot=None if robot is None else _parse_robot(robot),
+        start=None if posture is None else _parse_start(posture),
+        message=_parse_message(message),
     )
 
 
-def read_input(asked: CloudInput, on_step: OnStep) -> CloudRead:
+def read_input(clouds: CloudInput, on_step: OnStep) -> CloudRead:
     """Read the files and place the robot.
 
     Raises:
         RequestError: one line for a file, name or value that cannot be used.
     """
-    if asked.unit not in METRES_BY_UNIT:
-        raise RequestError(f"--unit: unknown unit '{asked.unit}'; expected {would_do(asked.unit, METRES_BY_UNIT)}")
-    poses = _poses(asked)
+    if clouds.unit not in METRES_BY_UNIT:
+        raise RequestError(f"--unit: unknown unit '{clouds.unit}'; expected {would_do(clouds.unit, METRES_BY_UNIT)}")
+    poses = _poses(clouds)
     hulls: list[np.ndarray] = []
     soles: list[np.ndarray] = []
-    if asked.robot is not None:
+    if clouds.robot is not None:
         on_step("load robot")
-        hulls, soles = _robot_in_the_way(asked.robot, asked.start)
+        hulls, soles = _place_robot(clouds.robot, clouds.start)
     on_step("read cloud")
     try:
         cloud = read_clouds(
-            list(zip(asked.files, poses, strict=True)),
-            unit=asked.unit,
-            apply_viewpoint=asked.apply_viewpoint,
-            sensor=asked.sensor,
-            topic=asked.topic,
-            message=asked.message,
+            list(zip(clouds.files, poses, strict=True)),
+            unit=clouds.unit,
+            apply_viewpoint=clouds.apply_viewpoint,
+            sensor=clouds.sensor,
+            topic=clouds.topic,
+            message=clouds.message,
         )
     except PerceptionError as error:
         raise RequestError(str(error)) from None
     return CloudRead(cloud, hulls, soles)
 
 
-def view_figures(read: CloudRead, view: View) -> dict[str, int]:
-    """What became of the points: those that were read are the sum of all that follow but the rays."""
+def count_points(read: CloudRead, view: View) -> dict[str, int]:
+    """Count the points of each kind; ``points`` is the sum of all others but the rays."""
     return {
         "points": len(read.cloud.points),
         "copied_points": len(read.cloud.points) - len(view.cloud.points),
@@ -145,8 +147,8 @@ def view_figures(read: CloudRead, view: View) -> dict[str, int]:
     }
 
 
-def numbers(text: str, option: str) -> tuple[float, ...]:
-    """Numbers separated by spaces or commas, perhaps in the brackets in which programs print a matrix.
+def parse_numbers(text: str, option: str) -> tuple[float, ...]:
+    """Read numbers separated by spaces or commas, with or without the brackets of a printed matrix.
 
     Raises:
         RequestError: something in the text is no number.
@@ -157,24 +159,19 @@ def numbers(text: str, option: str) -> tuple[float, ...]:
         raise RequestError(f"{option}: expected numbers separated by spaces or commas, got '{text}'") from None
 
 
-def point(text: str, option: str) -> tuple[float, float, float]:
-    """Three finite numbers.
+def parse_point(text: str, option: str) -> tuple[float, float, float]:
+    """Read three finite numbers.
 
     Raises:
         RequestError: the text holds something else.
     """
-    values = numbers(text, option)
+    values = parse_numbers(text, option)
     if len(values) != 3 or not np.isfinite(values).all():
         raise RequestError(f"{option}: expected three numbers 'X Y Z' (in quotes), got '{text}'")
     return values[0], values[1], values[2]
 
 
-def _message(text: str) -> int | Literal["all"]:
-    """A message's number, or all.
-
-    Raises:
-        RequestError: the text is neither.
-    """
+def _parse_message(text: str) -> int | Literal["all"]:
     if text == "all":
         return "all"
     try:
@@ -183,23 +180,23 @@ def _message(text: str) -> int | Literal["all"]:
         raise RequestError(f"--message: expected a whole number, -1 for the last, or all, got '{text}'") from None
 
 
-def _poses(asked: CloudInput) -> list[np.ndarray | None]:
-    n_files, n_given = len(asked.files), len(asked.transforms)
-    if n_given not in (0, 1, n_files):
+def _poses(clouds: CloudInput) -> list[np.ndarray | None]:
+    n_files, n_poses = len(clouds.files), len(clouds.transforms)
+    if n_poses not in (0, 1, n_files):
         raise RequestError(
-            f"--transform is given {n_given} times for {n_files} clouds; expected once, or once for each"
+            f"--transform is given {n_poses} times for {n_files} clouds; expected once, or once for each"
         )
     try:
-        poses = [rigid_pose(numbers(text, "--transform")) for text in asked.transforms]
+        poses = [rigid_pose(parse_numbers(text, "--transform")) for text in clouds.transforms]
     except PerceptionError as error:
         raise RequestError(f"--transform: {error}") from None
     if not poses:
         return [None] * n_files
-    return list(poses * n_files if n_given == 1 else poses)
+    return list(poses * n_files if n_poses == 1 else poses)
 
 
-def _robot(text: str) -> RobotRequest:
-    """A bundled robot, or the one of a URDF whose meshes are in its folder."""
+def _parse_robot(text: str) -> RobotRequest:
+    """Read a bundled robot's name, or the path of a URDF whose meshes are in its folder."""
     path = Path(text)
     if path.suffix != ".urdf":
         try:
@@ -211,21 +208,21 @@ def _robot(text: str) -> RobotRequest:
     return RobotRequest(urdf=str(path), package_dirs=(str(path.parent),))
 
 
-def _start(posture: Path) -> StartRequest:
+def _parse_start(posture: Path) -> StartRequest:
     if posture.suffix or os.path.exists(posture):
         return load_section(StartRequest, posture)
     return parse_section(StartRequest, {"posture": str(posture)})
 
 
-def _robot_in_the_way(asked: RobotRequest, start: StartRequest | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Hulls and soles of a robot in the world."""
+def _place_robot(request: RobotRequest, start: StartRequest | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return the hulls and soles of a robot in the world."""
     try:
-        if asked.urdf is None:
-            robot = load_robot(asked.name, root=asked.root)
+        if request.urdf is None:
+            robot = load_robot(request.name, root=request.root)
         else:
-            srdf = None if asked.srdf is None else Path(asked.srdf)
-            folders = [Path(folder) for folder in asked.package_dirs]
-            robot = load_robot(urdf=Path(asked.urdf), srdf=srdf, package_dirs=folders, root=asked.root)
+            srdf = None if request.srdf is None else Path(request.srdf)
+            folders = [Path(folder) for folder in request.package_dirs]
+            robot = load_robot(urdf=Path(request.urdf), srdf=srdf, package_dirs=folders, root=request.root)
     except RobotError as error:
         raise RequestError(f"--robot: {error}") from None
     q, _ = make_start_configuration(robot, start or StartRequest())

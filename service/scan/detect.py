@@ -1,23 +1,24 @@
-"""``scopt detect``: objects of a kind in cloud files, best first."""
+"""``scopt detect``: objects of a kind in cloud files, best first, within a time limit."""
 
 from __future__ import annotations
 
 import logging
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from costs.stopping import Stopped, poll, stops_when
 from perception import Detection, PerceptionError, View, detect_each, make_view
-from service.errors import RequestError, would_do
-from service.json_data import plain
+from service.errors import RequestError, ServiceError, would_do
+from service.json_data import to_json_data
 from service.request.choices import EVERY_KIND, KINDS
-from service.scan.cloud import CloudInput, OnStep, read_input, view_figures
-from service.scan.time_limit import OutOfTimeError, TimeOver, limit_time
+from service.scan.cloud import CloudInput, OnStep, count_points, read_input
 
 _LOG = logging.getLogger(__name__)
 
@@ -26,73 +27,100 @@ _NEAR_HINT_M = 0.5
 _SHOWN_KINDS = 12
 
 
+class TimeOver(Exception):  # noqa: N818 - how a command ends early, not an error
+    """Raised by ``limit_time`` when the time is over and its body has stopped."""
+
+
+class OutOfTimeError(ServiceError):
+    """The time of a command was over before its first result."""
+
+
+@contextmanager
+def limit_time(seconds: float | None) -> Iterator[None]:
+    """Stop the body at its first poll after the time limit; None for no limit.
+
+    Raises:
+        TimeOver: the time was over.
+        Stopped: an outer ``stops_when`` asks to stop, too.
+    """
+    if seconds is None:
+        yield
+        return
+    end = time.monotonic() + seconds
+    try:
+        with stops_when(lambda: time.monotonic() >= end):
+            yield
+    except Stopped:
+        poll()
+        raise TimeOver from None
+
+
 def detect_file(
-    asked: CloudInput,
+    clouds: CloudInput,
     kind: str,
     hint: tuple[float, float, float] | None,
     on_step: OnStep,
     time_limit_s: float | None = None,
 ) -> dict[str, Any]:
-    """Hits and figures, JSON-ready.
+    """Find objects in cloud files; return hits and figures, JSON-ready.
 
     Args:
-        asked: the clouds.
         kind: one of ``perception.KINDS``, or ``all``.
         hint: a point near the object, as an operator would click it [m].
-        on_step: told the name of each step before it begins.
+        on_step: called with the name of each step before it begins.
         time_limit_s: of all together; what was found until then is given, and what was not looked for is named.
 
     Raises:
         RequestError: one line for a file, name or value that cannot be used.
-        OutOfTimeError: the time was over before the first kind was looked for.
+        OutOfTimeError: the time was over before the search of the first kind.
     """
     started = time.perf_counter()
     kinds = check_kinds((kind,), "KIND")
     check_hint(hint)
-    looked = None
+    search = None
     try:
         with limit_time(time_limit_s):
-            read = read_input(asked, on_step)
+            read = read_input(clouds, on_step)
             on_step("clean")
-            view = make_view(read.cloud, reach=asked.reach, robot_hulls=read.hulls, soles=read.soles, seed=asked.seed)
-            looked = Search()
-            search_objects(kinds, view, hint, on_step, looked)
+            view = make_view(read.cloud, reach=clouds.reach, robot_hulls=read.hulls, soles=read.soles, seed=clouds.seed)
+            search = Search()
+            search_objects(kinds, view, hint, on_step, search)
     except PerceptionError as error:
-        raise RequestError(f"{asked.named}: {error}") from None
+        raise RequestError(f"{clouds.files_text}: {error}") from None
     except TimeOver:
-        if looked is None:
+        if search is None:
             raise OutOfTimeError(
                 f"--time-limit: {time_limit_s:g} s were over before anything could be looked for; expected more"
             ) from None
-    hits = sorted(looked.hits, key=lambda hit: -hit.confidence)
+    hits = sorted(search.hits, key=lambda hit: -hit.confidence)
     return {
         "format": FORMAT,
         "kind": kind,
-        "searched": list(looked.kinds),
-        "unfinished": looked.unfinished(kinds),
-        "hits": [hit_json(hit) for hit in hits],
-        "figures": {**view_figures(read, view), "time_s": round(time.perf_counter() - started, 3)},
-        "notes": [*view.notes, *hint_notes(view, hint), *looked.notes],
+        "searched": list(search.kinds),
+        "unfinished": search.unfinished(kinds),
+        "hits": [encode_hit(hit) for hit in hits],
+        "figures": {**count_points(read, view), "time_s": round(time.perf_counter() - started, 3)},
+        "notes": [*view.notes, *hint_notes(view, hint), *search.notes],
     }
 
 
 @dataclass(frozen=True)
 class Search:
-    """What was found so far.
+    """Hits of a search so far.
 
     Attributes:
-        hits: of all kinds.
-        kinds: those that were looked for to the end.
-        failed: by kind, what went wrong where a detector failed.
+        hits: hits of all kinds.
+        kinds: the kinds whose search is complete.
+        failed: the error of each failed detector, by kind.
     """
 
     hits: list[Detection] = field(default_factory=list)
     kinds: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
 
-    def unfinished(self, asked: Sequence[str]) -> list[str]:
-        """The kinds that there was no time for."""
-        return [kind for kind in asked if kind not in self.kinds and kind not in self.failed]
+    def unfinished(self, requested: Sequence[str]) -> list[str]:
+        """Return the kinds without a search, for lack of time."""
+        return [kind for kind in requested if kind not in self.kinds and kind not in self.failed]
 
     @property
     def notes(self) -> list[str]:
@@ -118,16 +146,16 @@ def search_objects(
     """Add the hits of each kind, best first within it, and the kind itself to the search; a detector may fail alone."""
     place = None if hint is None else np.array(hint)
 
-    def tell(kind: str) -> None:
+    def announce(kind: str) -> None:
         on_step(f"look for {kind}")
 
-    for kind, hits in detect_each(kinds, view, place, on_kind=tell, on_failure=search.fail):
+    for kind, hits in detect_each(kinds, view, place, on_kind=announce, on_failure=search.fail):
         search.hits.extend(hits)
         search.kinds.append(kind)
 
 
 def check_kinds(kinds: Sequence[str], option: str) -> tuple[str, ...]:
-    """The kinds, ``all`` spelled out, each once.
+    """Return the kinds, each once, with ``all`` replaced by every kind.
 
     Raises:
         RequestError: a kind is unknown.
@@ -140,17 +168,14 @@ def check_kinds(kinds: Sequence[str], option: str) -> tuple[str, ...]:
 
 
 def check_hint(hint: tuple[float, float, float] | None) -> None:
-    """
-    Raises:
-        RequestError: the hint is no place.
-    """
+    """Refuse a hint that is not finite (RequestError)."""
     if hint is not None and not np.isfinite(hint).all():
-        given = " ".join(f"{value:g}" for value in hint)
-        raise RequestError(f"--hint: {given} is no place; expected three finite numbers X Y Z")
+        text = " ".join(f"{value:g}" for value in hint)
+        raise RequestError(f"--hint: {text} is no place; expected three finite numbers X Y Z")
 
 
 def hint_notes(view: View, hint: tuple[float, float, float] | None) -> tuple[str, ...]:
-    """What to tell about a hint near which nothing was seen."""
+    """Return a note if no point is near the hint."""
     if hint is None or not len(view.near.points):
         return ()
     nearest = float(np.linalg.norm(view.near.points - np.array(hint), axis=1).min())
@@ -162,12 +187,12 @@ def hint_notes(view: View, hint: tuple[float, float, float] | None) -> tuple[str
     )
 
 
-def hit_json(hit: Detection) -> dict[str, Any]:
-    """A detection; lengths in metres, angles in radians, confidence from 0 to 1."""
+def encode_hit(hit: Detection) -> dict[str, Any]:
+    """Return a detection as JSON data; lengths in metres, angles in radians, confidence from 0 to 1."""
     return {
         "kind": hit.kind,
         "confidence": round(float(hit.confidence), 4),
-        "pose_world_object": plain(np.asarray(hit.pose_world_object, dtype=float)),
-        "sizes": plain(dict(hit.sizes)),
-        "residuals": plain(dict(hit.residuals)),
+        "pose_world_object": to_json_data(np.asarray(hit.pose_world_object, dtype=float)),
+        "sizes": to_json_data(dict(hit.sizes)),
+        "residuals": to_json_data(dict(hit.residuals)),
     }

@@ -1,4 +1,4 @@
-"""Known meshes of ``scopt scene``: what is asked with ``--mesh``, and what becomes of each."""
+"""Known meshes of ``scopt scene --mesh``: their options, files, and places in the scene."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from perception.perceive import FRINGE
 from perception.solids.match import KnownMesh, MeshMatch
 from perception.solids.mesh import Solid
 from service.errors import RequestError
-from service.json_data import plain
+from service.json_data import to_json_data
 from service.request.scene import KnownMeshRequest
-from service.scan.cloud import numbers
+from service.scan.cloud import parse_numbers
 from service.scan.meshes import FORMATS, read_solid, split_convex
 from service.scan.scene_file import Placing
 from service.trust.folders import UPLOADED
 
 KIND = "object"
-UPLOAD_NAME = "mesh"  # of one whose file is an upload, where it is given none
-# What no mesh may be called: pieces of these names are made of the scan.
+UPLOAD_NAME = "mesh"  # name of an uploaded mesh without a name
+# Names of pieces made of the scan, which no mesh may have.
 _TAKEN = ("floor", "plane", "wall", "clutter", "unknown", "coacd", "stem")
 _OPTION = "--mesh"
 _SPANS = (1e-3, 100.0)
@@ -45,16 +45,16 @@ _RESIDUALS = {
 
 @dataclass(frozen=True)
 class MeshInput:
-    """A mesh file, and what is known of where the mesh stands.
+    """A mesh file, and the known or approximate place of the mesh.
 
     Attributes:
         file: STL, OBJ, PLY or URDF.
         scale: metres per unit of the file.
         pose_world_mesh: (4, 4); None where it is to be found.
         hint: (3,) a point near it, where there is no pose [m].
-        is_placed: whether it stands exactly at its pose; else it is matched to the scan about it.
-        name: of its pieces; empty for that of the file.
-        called: what the file is called where it is spoken of; empty for its path.
+        is_placed: whether it stands exactly at its pose; else it is matched to the scan around it.
+        name: name of its pieces; empty for the file's name.
+        called: name of the file in messages; empty for its path.
     """
 
     file: Path
@@ -66,24 +66,24 @@ class MeshInput:
     called: str = ""
 
     @property
-    def words(self) -> str:
-        """The file, where it is spoken of."""
+    def file_text(self) -> str:
+        """The file, as messages name it."""
         return self.called or str(self.file)
 
 
 @dataclass(frozen=True)
 class PlacedMesh:
-    """What became of a known mesh.
+    """A known mesh after its match with the scan.
 
     Attributes:
-        known: the mesh, and where it was said to be.
-        file: that it was read from, as it was named.
+        known: the mesh and its requested place.
+        file: its file, as messages name it.
         placing: ``given`` (it stands where it was placed), ``found`` (it stands where the scan shows it), ``not found``
             or ``gone`` (it does not stand in the scene).
-        match: what the scan says of it.
-        pose_world_mesh: (4, 4) of the file's own frame; None where nothing was found at all.
+        match: its match with the scan.
+        pose_world_mesh: (4, 4) of the file's own frame; None without any match.
         pieces: its convex parts in the world; none unless it stands there.
-        notes: what was repaired in it and what is odd about where it is.
+        notes: repairs of the mesh, and doubts about its place.
     """
 
     known: KnownMesh
@@ -95,19 +95,19 @@ class PlacedMesh:
     notes: tuple[str, ...]
 
     def explains(self, points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "K"]:
-        """Indices of the points that it stands for."""
+        """Return the indices of the points on or in it."""
         if not self.pieces or self.match.confidence < CONFIDENT:
             return np.arange(0)
         return np.flatnonzero(self.match.explains(points, FRINGE))
 
     def to_json(self) -> dict[str, Any]:
-        """As the scene file holds it; lengths in metres."""
+        """Return its entry in a scene file; lengths in metres."""
         return {
             "name": self.known.name,
             "file": self.file,
             "placing": self.placing,
             "confidence": round(self.match.confidence, 4),
-            "pose_world_mesh": plain(self.pose_world_mesh),
+            "pose_world_mesh": to_json_data(self.pose_world_mesh),
             "residuals": {
                 _RESIDUALS.get(name, name): float(value)
                 for name, value in self.match.residuals.items()
@@ -118,15 +118,15 @@ class PlacedMesh:
 
 
 def parse_mesh_option(text: str, scale: float = 1.0) -> MeshInput:
-    """What one ``--mesh`` asks: a file, where it stands (``at``), or about where to look for it (``near``).
+    """Read one ``--mesh``: a file, its place (``at``), or the place to look for it (``near``).
 
     Raises:
         RequestError: there is no such file, or what follows its name is no pose.
     """
     file, how, words = Path(text), "", ""
-    said = re.fullmatch(r"(.+)\s+(at|near)(?:\s+(.*))?", text.strip(), re.DOTALL)
-    if said is not None and not os.path.isfile(file):
-        file, how, words = Path(said[1]), said[2], said[3] or ""
+    parts = re.fullmatch(r"(.+)\s+(at|near)(?:\s+(.*))?", text.strip(), re.DOTALL)
+    if parts is not None and not os.path.isfile(file):
+        file, how, words = Path(parts[1]), parts[2], parts[3] or ""
     if not os.path.isfile(file):
         how = "is a folder" if os.path.isdir(file) else "is not there"
         raise RequestError(f"{_OPTION}: {file} {how}; expected {_FORMS}")
@@ -135,7 +135,7 @@ def parse_mesh_option(text: str, scale: float = 1.0) -> MeshInput:
         raise RequestError(f"{_OPTION}: {file}: format '{file.suffix}' is not read; expected {known}")
     if not how:
         return MeshInput(file, scale)
-    values = numbers(words, f"{_OPTION}: {file} {how}")
+    values = parse_numbers(words, f"{_OPTION}: {file} {how}")
     if len(values) not in _AFTER:
         forms = ", ".join(f"'{form}'" for form in _AFTER.values())
         raise RequestError(f"{_OPTION}: {file} {how}: expected {forms}, got '{words}'")
@@ -149,43 +149,43 @@ def parse_mesh_option(text: str, scale: float = 1.0) -> MeshInput:
 
 
 def mesh_from_request(request: KnownMeshRequest, file: Path) -> MeshInput:
-    """What a request says of a mesh whose file is kept here."""
+    """Convert a request's mesh whose file is on this server."""
     place, turn = request.position, request.quaternion_wxyz
     name = request.name or (UPLOAD_NAME if request.file.startswith(UPLOADED) else "")
-    asked = MeshInput(file, request.scale, is_placed=request.is_placed, name=name, called=request.file)
+    mesh = MeshInput(file, request.scale, is_placed=request.is_placed, name=name, called=request.file)
     if place is None:
-        return asked
+        return mesh
     if turn is None and not request.is_placed:
-        return replace(asked, hint=np.array(place))
-    return replace(asked, pose_world_mesh=rigid_pose((*place, *(turn or (1.0, 0.0, 0.0, 0.0)))))
+        return replace(mesh, hint=np.array(place))
+    return replace(mesh, pose_world_mesh=rigid_pose((*place, *(turn or (1.0, 0.0, 0.0, 0.0)))))
 
 
-def load_known_meshes(asked: Sequence[MeshInput], taken: Collection[str] = ()) -> tuple[KnownMesh, ...]:
-    """The meshes read, each named as its file, numbered where that name is taken.
+def load_known_meshes(meshes: Sequence[MeshInput], taken: Collection[str] = ()) -> tuple[KnownMesh, ...]:
+    """Read the meshes; each has its file's name, numbered where that name is taken.
 
     Raises:
         RequestError: a file that cannot be used, or a scale with which it would be no object of this world.
     """
-    names = _names([one.name or one.file.stem for one in asked], {*_TAKEN, *taken})
+    names = _make_names([mesh.name or mesh.file.stem for mesh in meshes], {*_TAKEN, *taken})
     return tuple(
-        KnownMesh(name, _solid(one), one.pose_world_mesh, one.hint, one.is_placed)
-        for name, one in zip(names, asked, strict=True)
+        KnownMesh(name, _read_mesh(mesh), mesh.pose_world_mesh, mesh.hint, mesh.is_placed)
+        for name, mesh in zip(names, meshes, strict=True)
     )
 
 
-def _solid(asked: MeshInput) -> Solid:
-    solid = read_solid(asked.file, _OPTION, asked.scale)
-    vertices = np.concatenate([mesh.vertices for mesh in (*solid.closed, *solid.open)])
+def _read_mesh(mesh: MeshInput) -> Solid:
+    solid = read_solid(mesh.file, _OPTION, mesh.scale)
+    vertices = np.concatenate([part.vertices for part in (*solid.closed, *solid.open)])
     span = float(np.ptp(vertices, axis=0).max())
     if not _SPANS[0] <= span <= _SPANS[1]:
         raise RequestError(
-            f"{_OPTION}: {asked.words} spans {span:.3g} m at --mesh-scale {asked.scale:g}; "
+            f"{_OPTION}: {mesh.file_text} spans {span:.3g} m at --mesh-scale {mesh.scale:g}; "
             f"expected {_SPANS[0]:g} to {_SPANS[1]:g} m"
         )
     return solid
 
 
-def _names(stems: Sequence[str], taken: set[str]) -> Iterator[str]:
+def _make_names(stems: Sequence[str], taken: set[str]) -> Iterator[str]:
     for stem in stems:
         name, number = stem, 1
         while name in taken:
@@ -196,14 +196,14 @@ def _names(stems: Sequence[str], taken: set[str]) -> Iterator[str]:
 
 
 def place_meshes(
-    known: Sequence[KnownMesh], asked: Sequence[MeshInput], matches: Mapping[str, MeshMatch]
+    known: Sequence[KnownMesh], meshes: Sequence[MeshInput], matches: Mapping[str, MeshMatch]
 ) -> list[PlacedMesh]:
-    """What became of each; those that stand in the scene are split into convex parts.
+    """Place the meshes; those that stand in the scene are split into convex parts.
 
     Raises:
         RequestError: CoACD crashed or needs too much.
     """
-    return [_place_mesh(one, mesh.words, matches[one.name]) for one, mesh in zip(known, asked, strict=True)]
+    return [_place_mesh(item, mesh.file_text, matches[item.name]) for item, mesh in zip(known, meshes, strict=True)]
 
 
 def _place_mesh(known: KnownMesh, file: str, match: MeshMatch) -> PlacedMesh:
@@ -229,14 +229,16 @@ def _place_mesh(known: KnownMesh, file: str, match: MeshMatch) -> PlacedMesh:
 
 
 def explain_low_confidence(match: MeshMatch) -> str:
-    """Why a mesh's confidence is low, in words."""
-    told = match.residuals
+    """Return the reasons for a low confidence, in words."""
+    residuals = match.residuals
     shares = {
         "hidden": "of the rays towards it ended before it",
         "seen_through": "of the rays that reached its place went on",
     }
-    reasons = [f"{100.0 * told[name]:.0f} % {words}" for name, words in shares.items() if told.get(name, 0.0) > 0.1]
+    reasons = [
+        f"{100.0 * residuals[name]:.0f} % {words}" for name, words in shares.items() if residuals.get(name, 0.0) > 0.1
+    ]
     if not reasons:
-        reasons = [f"{int(told['n_points'])} points lie on it"]
+        reasons = [f"{int(residuals['n_points'])} points lie on it"]
     # Rounded down: what is a little too little must not read as enough.
     return f"confidence {np.floor(100.0 * match.confidence) / 100.0:.2f}, {CONFIDENT} is needed ({', '.join(reasons)})"

@@ -1,41 +1,175 @@
-"""``scopt scene``: cloud files as pieces, floor, objects and figures, JSON-ready."""
+"""``scopt scene``: a scene of cloud files, or an earlier scene updated by them, JSON-ready."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
-from perception import Detection, FloorPlane, Perceived, PerceptionError, Piece, perceive, update
+from costs.scene import ConvexPiece, Scene
+from perception import (
+    Detection,
+    Earlier,
+    Evidence,
+    FloorPlane,
+    Perceived,
+    PerceptionError,
+    Piece,
+    Reach,
+    perceive,
+    update,
+)
+from perception.convex.hulls import make_hull
 from perception.solids.match import KnownMesh
-from service.errors import RequestError
-from service.json_data import piece_json, plain
+from perception.solids.mesh import Solid
+from service.errors import RequestError, shown
+from service.json_data import encode_piece, to_json_data
 from service.request.choices import Method, Unknown
-from service.scan.cloud import CloudInput, CloudRead, OnStep, read_input, view_figures
-from service.scan.detect import Search, check_hint, check_kinds, hint_notes, hit_json, search_objects
-from service.scan.earlier import EarlierScene
-from service.scan.known_meshes import MeshInput, PlacedMesh, load_known_meshes, place_meshes
-from service.scan.scene_file import SceneSettings, scene_document
-from service.scan.time_limit import OutOfTimeError, TimeOver, limit_time
+from service.scan.cloud import CloudInput, CloudRead, OnStep, count_points, read_input
+from service.scan.detect import (
+    OutOfTimeError,
+    Search,
+    TimeOver,
+    check_hint,
+    check_kinds,
+    encode_hit,
+    hint_notes,
+    limit_time,
+    search_objects,
+)
+from service.scan.known_meshes import (
+    KIND,
+    MeshInput,
+    PlacedMesh,
+    explain_low_confidence,
+    load_known_meshes,
+    place_meshes,
+)
+from service.scan.meshes import hull_mesh
+from service.scan.scene_file import (
+    EvidenceRecord,
+    MeshRecord,
+    SceneSettings,
+    UpdatableRecord,
+    read_record,
+    scene_document,
+)
+
+_OPTION = "--update"
+_GONE = 0.5  # of the rays that should have met a mesh went on
+_AGAIN = "; make it anew with 'scopt scene'"
+
+
+@dataclass(frozen=True)
+class EarlierScene:
+    """An earlier scene, read from its file, to be updated by a new scan.
+
+    Attributes:
+        path: path of the file.
+        settings: settings of the scene.
+        scene: all its pieces.
+        pieces: the pieces made of points.
+        meshes: the known meshes in it.
+    """
+
+    path: Path
+    settings: SceneSettings
+    scene: Scene
+    pieces: tuple[Piece, ...]
+    meshes: tuple[MeshRecord, ...]
+
+    def meshes_without(self, names: Collection[str]) -> tuple[MeshRecord, ...]:
+        """Return the meshes with other names."""
+        return tuple(mesh for mesh in self.meshes if mesh.name not in names)
+
+    @property
+    def earlier(self) -> Earlier:
+        """The input of an update, without the known meshes."""
+        reach = Reach(radius=self.settings.reach_m, top=self.settings.top_m, bottom=self.settings.bottom_m)
+        return Earlier(self.scene, self.pieces, reach, self.settings.seed)
+
+    def rebuild_mesh(self, mesh: MeshRecord) -> KnownMesh:
+        """Make a mesh of its pieces, which are in the world already."""
+        parts = [piece.vertices for piece in self._parts(mesh)]
+        return KnownMesh(mesh.name, Solid(tuple(hull_mesh(part) for part in parts), (), ()), np.eye(4), None, True)
+
+    def place_mesh(self, mesh: MeshRecord, seen: Perceived) -> PlacedMesh:
+        """Keep a mesh, unless it was found by a scan and most rays now go through it."""
+        known, match = self.rebuild_mesh(mesh), seen.matches[mesh.name]
+        pose = None if mesh.pose_world_mesh is None else np.array(mesh.pose_world_mesh)
+        if mesh.placing == "found" and match.residuals["seen_through"] > _GONE:
+            reason = explain_low_confidence(match)
+            note = f"{mesh.name} is gone: {reason}; {_OPTION} with --mesh '{mesh.file}' looks for it again"
+            return PlacedMesh(known, mesh.file, "gone", match, pose, (), (note,))
+        return PlacedMesh(known, mesh.file, mesh.placing, match, pose, self._parts(mesh), ())
+
+    def _parts(self, mesh: MeshRecord) -> tuple[ConvexPiece, ...]:
+        return tuple(piece for piece in self.scene.pieces if piece.name in mesh.pieces)
+
+    def list_changes(self, pieces: Sequence[ConvexPiece]) -> dict[str, list[str]]:
+        """Return the names of unchanged, changed, new and gone pieces."""
+        earlier = {piece.name: piece.vertices for piece in self.scene.pieces}
+        names = {piece.name for piece in pieces}
+        known = [piece for piece in pieces if piece.name in earlier]
+        is_same = {piece.name: np.array_equal(earlier[piece.name], piece.vertices) for piece in known}
+        return {
+            "stayed": [name for name, same in is_same.items() if same],
+            "changed": [name for name, same in is_same.items() if not same],
+            "new": [piece.name for piece in pieces if piece.name not in earlier],
+            "gone": [name for name in earlier if name not in names],
+        }
+
+
+def read_earlier_scene(path: Path) -> EarlierScene:
+    """Read a scene that ``scopt scene`` wrote.
+
+    Raises:
+        RequestError: it is missing, no scene, or of an older release that wrote too little.
+    """
+    record = read_record(path, _OPTION, UpdatableRecord, advice=_AGAIN)
+    try:
+        return _to_scene(path, record)
+    except ValueError as error:
+        raise RequestError(f"{_OPTION}: {path}: {error}{_AGAIN}") from None
+
+
+def _to_scene(path: Path, record: UpdatableRecord) -> EarlierScene:
+    scene = Scene(tuple(entry.piece for entry in record.pieces))
+    pieces = tuple(_to_piece(entry.piece, entry.seen) for entry in record.pieces if entry.seen is not None)
+    standing = {piece.name for piece in scene.pieces if piece.kind == KIND}
+    meshes = tuple(mesh for mesh in record.meshes if mesh.pieces)
+    for mesh in meshes:
+        if not standing.issuperset(mesh.pieces):
+            raise ValueError(f"meshes: {shown(mesh.name)} names pieces that are not there")
+    return EarlierScene(path, record.settings, scene, pieces, meshes)
+
+
+def _to_piece(shape: ConvexPiece, seen: EvidenceRecord) -> Piece:
+    if not shape.name.rpartition("/")[2].isdecimal():
+        raise ValueError(f"pieces: {shown(shape.name)} is no name of a piece made of points")
+    evidence = Evidence(seen.free_cells, seen.free_share, seen.open_share)
+    plane: Float[np.ndarray, "4"] | None = None if seen.plane is None else np.array(seen.plane)
+    hull = make_hull(shape.vertices)
+    return Piece(shape, np.arange(0), evidence, hull.simplified, plane)
 
 
 @dataclass(frozen=True)
 class SceneInput:
-    """What to make of the clouds.
+    """Clouds, and the settings and objects of their scene.
 
     Attributes:
         clouds: the files.
-        kinds: of objects to look for; ``all`` for every kind.
-        hint: a point near the object that is looked for [m].
-        unknown: what space no ray has seen is taken for.
+        kinds: kinds of objects to look for; ``all`` for every kind.
+        hint: a point near the object [m].
+        unknown: how space that no ray has seen is treated.
         method: how pieces are made.
         meshes: known objects, placed or to be found.
-        before: what an earlier scan of the same scene showed, which is held against this one; it was made with the
-            same reach, seed, ``unknown`` and ``method``.
+        before: the scene to update, made with the same reach, seed, ``unknown`` and ``method``.
     """
 
     clouds: CloudInput
@@ -48,14 +182,14 @@ class SceneInput:
 
     @property
     def settings(self) -> SceneSettings:
-        """What the scene is made with, apart from its clouds."""
+        """The settings of the scene, without its clouds."""
         clouds = self.clouds
         return SceneSettings(clouds.reach_m, clouds.top_m, clouds.bottom_m, clouds.seed, self.unknown, self.method)
 
 
 @dataclass(frozen=True)
 class BuiltScene:
-    """A scan's world: ``data`` is what the file holds, the rest what the page is made from.
+    """A built scene: ``data`` is the content of its file; the page is made of the rest.
 
     ``mesh_points`` are indices of the obstacle points of known meshes, by the name of a piece of the mesh.
     """
@@ -66,128 +200,135 @@ class BuiltScene:
     mesh_points: Mapping[str, Int[np.ndarray, "K"]]
 
 
-def apply_earlier_settings(before: EarlierScene, asked: SceneInput, said: Mapping[str, str], option: str) -> SceneInput:
-    """What was asked, with the settings of the scene before.
+def apply_earlier_settings(
+    before: EarlierScene, request: SceneInput, explicit: Mapping[str, str], option: str
+) -> SceneInput:
+    """Return the input with the settings of the earlier scene.
 
     Args:
-        said: settings that the user has said, and what they are called there; they have to be those of the scene.
-        option: what the update is called there.
+        explicit: names of the settings that the user gave, and their options; their values have to be the scene's.
+        option: name of the update's option.
 
     Raises:
-        RequestError: one of them is not.
+        RequestError: a given setting differs.
     """
-    of = before.settings
-    for name, called in sorted(said.items()):
-        was, wanted = getattr(of, name), getattr(asked.settings, name)
+    settings = before.settings
+    for name, flag in sorted(explicit.items()):
+        was, wanted = getattr(settings, name), getattr(request.settings, name)
         if was != wanted:
             raise RequestError(
-                f"{called}: {before.path} was made with {was}, and an update keeps to that; leave it out, "
+                f"{flag}: {before.path} was made with {was}, and an update keeps to that; leave it out, "
                 f"or leave out {option}"
             )
-    clouds = replace(asked.clouds, reach_m=of.reach_m, top_m=of.top_m, bottom_m=of.bottom_m, seed=of.seed)
-    return replace(asked, clouds=clouds, unknown=of.unknown, method=of.method, before=before)
+    clouds = replace(
+        request.clouds, reach_m=settings.reach_m, top_m=settings.top_m, bottom_m=settings.bottom_m, seed=settings.seed
+    )
+    return replace(request, clouds=clouds, unknown=settings.unknown, method=settings.method, before=before)
 
 
-def build_scene(asked: SceneInput, on_step: OnStep, time_limit_s: float | None = None) -> BuiltScene:
-    """Pieces, floor, objects and figures of cloud files.
+def build_scene(request: SceneInput, on_step: OnStep, time_limit_s: float | None = None) -> BuiltScene:
+    """Build the scene of cloud files, or update an earlier one.
 
     Args:
-        asked: files and what to make of them.
-        on_step: told the name of each step before it begins.
-        time_limit_s: of all together; objects found until then are given, and what was not looked for is named.
+        request: clouds and settings.
+        on_step: called with the name of each step before it begins.
+        time_limit_s: for all together; hits until then are returned, and kinds not searched are listed.
 
     Raises:
         RequestError: one line for a file, name or value that cannot be used.
         OutOfTimeError: the time was over before the pieces were made.
     """
     started = time.perf_counter()
-    kinds = check_kinds(asked.kinds, "--detect")
-    check_hint(asked.hint)
+    kinds = check_kinds(request.kinds, "--detect")
+    check_hint(request.hint)
     search = None
     try:
         with limit_time(time_limit_s):
-            known = load_known_meshes(asked.meshes)
-            read = read_input(asked.clouds, on_step)
-            on_step("find pieces" if asked.before is None else "update pieces")
-            seen = _seen(asked, read, known)
+            known = load_known_meshes(request.meshes)
+            read = read_input(request.clouds, on_step)
+            on_step("find pieces" if request.before is None else "update pieces")
+            seen = _perceive(request, read, known)
             if known:
                 on_step("split meshes")
-            meshes = place_meshes(known, asked.meshes, seen.matches)
+            meshes = place_meshes(known, request.meshes, seen.matches)
             search = Search()
-            search_objects(kinds, seen.view, asked.hint, on_step, search)
+            search_objects(kinds, seen.view, request.hint, on_step, search)
     except PerceptionError as error:
-        raise RequestError(f"{asked.clouds.named}: {error}") from None
+        raise RequestError(f"{request.clouds.files_text}: {error}") from None
     except TimeOver:
         if search is None:
             raise OutOfTimeError(
                 f"--time-limit: {time_limit_s:g} s were over before the pieces were made; expected more"
             ) from None
-    if asked.before is not None:
-        meshes += [asked.before.placed(one, seen) for one in asked.before.without([one.name for one in known])]
+    if request.before is not None:
+        meshes += [
+            request.before.place_mesh(mesh, seen)
+            for mesh in request.before.meshes_without([mesh.name for mesh in known])
+        ]
     mesh_points = {mesh.pieces[0].name: mesh.explains(seen.view.obstacles) for mesh in meshes if mesh.pieces}
     data = scene_document(
-        asked.settings,
-        _pieces(asked, seen, meshes),
-        floor=[_level_json(level) for level in seen.view.floors],
+        request.settings,
+        _encode_pieces(request, seen, meshes),
+        floor=[_encode_level(level) for level in seen.view.floors],
         searched=list(search.kinds),
         unfinished=search.unfinished(kinds),
-        detections=[hit_json(hit) for hit in search.hits],
+        detections=[encode_hit(hit) for hit in search.hits],
         meshes=[mesh.to_json() for mesh in meshes],
-        timings=plain(dict(seen.timings)),
+        timings=to_json_data(dict(seen.timings)),
         notes=[
             *seen.notes,
-            *hint_notes(seen.view, asked.hint),
+            *hint_notes(seen.view, request.hint),
             *(note for mesh in meshes for note in mesh.notes),
             *search.notes,
         ],
     )
     data["figures"] = {
-        **view_figures(read, seen.view),
-        **_figures(data),
-        "covered_points": _share(seen, mesh_points),
-        "reach_m": asked.clouds.reach_m,
-        "top_m": asked.clouds.top_m,
-        "bottom_m": asked.clouds.bottom_m,
+        **count_points(read, seen.view),
+        **_count_parts(data),
+        "covered_points": _covered_share(seen, mesh_points),
+        "reach_m": request.clouds.reach_m,
+        "top_m": request.clouds.top_m,
+        "bottom_m": request.clouds.bottom_m,
         "time_s": round(time.perf_counter() - started, 3),
     }
     return BuiltScene(data, seen, tuple(search.hits), mesh_points)
 
 
-def _seen(asked: SceneInput, read: CloudRead, known: tuple[KnownMesh, ...]) -> Perceived:
-    """What the scan shows, by itself or held against the scene before."""
-    before = asked.before
+def _perceive(request: SceneInput, read: CloudRead, known: tuple[KnownMesh, ...]) -> Perceived:
+    """Perceive the scan, alone or as an update of the earlier scene."""
+    before = request.before
     if before is not None:
-        still = tuple(before.known(one) for one in before.without([one.name for one in known]))
+        still = tuple(before.rebuild_mesh(mesh) for mesh in before.meshes_without([mesh.name for mesh in known]))
         return update(before.earlier, read.cloud, robot_hulls=read.hulls, soles=read.soles, known=(*known, *still))
     return perceive(
         read.cloud,
-        reach=asked.clouds.reach,
+        reach=request.clouds.reach,
         robot_hulls=read.hulls,
         soles=read.soles,
-        unknown=asked.unknown,
-        seed=asked.clouds.seed,
-        method=asked.method,
+        unknown=request.unknown,
+        seed=request.clouds.seed,
+        method=request.method,
         known=known,
     )
 
 
-def _pieces(asked: SceneInput, seen: Perceived, meshes: Sequence[PlacedMesh]) -> dict[str, Any]:
-    """The pieces, each with what the scan says of it, and how they differ from those of the scene before."""
+def _encode_pieces(request: SceneInput, seen: Perceived, meshes: Sequence[PlacedMesh]) -> dict[str, Any]:
+    """Return the pieces with their evidence, and the changes since the earlier scene."""
     pieces = [*seen.scene.pieces, *(piece for mesh in meshes for piece in mesh.pieces)]
-    facts = {piece.name: {"seen": piece_evidence(piece)} for piece in seen.pieces}
-    told: dict[str, Any] = {"pieces": [{**piece_json(piece), **facts.get(piece.name, {})} for piece in pieces]}
-    if asked.before is not None:
-        told["update"] = {"previous": str(asked.before.path), **asked.before.changes(pieces)}
-    return told
+    facts = {piece.name: {"seen": _encode_evidence(piece)} for piece in seen.pieces}
+    data: dict[str, Any] = {"pieces": [{**encode_piece(piece), **facts.get(piece.name, {})} for piece in pieces]}
+    if request.before is not None:
+        data["update"] = {"previous": str(request.before.path), **request.before.list_changes(pieces)}
+    return data
 
 
-def piece_evidence(piece: Piece) -> dict[str, object]:
-    """What a scan says of a piece: how many points it stands for, what the rays about it saw, the plane it is on."""
-    told = {key: value for key, value in piece.summary().items() if key not in ("name", "kind")}
-    return {**told, "plane": plain(piece.plane)}
+def _encode_evidence(piece: Piece) -> dict[str, object]:
+    """Return the evidence of a piece: number of points, shares of rays, and the plane it is on."""
+    summary = {key: value for key, value in piece.summary().items() if key not in ("name", "kind")}
+    return {**summary, "plane": to_json_data(piece.plane)}
 
 
-def _figures(data: Mapping[str, Any]) -> dict[str, Any]:
+def _count_parts(data: Mapping[str, Any]) -> dict[str, Any]:
     changes = data.get("update", {})
     return {
         "pieces": len(data["pieces"]),
@@ -199,21 +340,21 @@ def _figures(data: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _share(seen: Perceived, mesh_points: Mapping[str, Int[np.ndarray, "K"]]) -> float | None:
-    """Share of the obstacle points that a piece stands for; None when there are none."""
+def _covered_share(seen: Perceived, mesh_points: Mapping[str, Int[np.ndarray, "K"]]) -> float | None:
+    """Return the share of the obstacle points within a piece; None without obstacle points."""
     is_held = np.zeros(len(seen.view.obstacles), dtype=bool)
     for points in (*(piece.points for piece in seen.pieces), *mesh_points.values()):
         is_held[points] = True
     return round(float(is_held.mean()), 4) if len(is_held) else None
 
 
-def _level_json(level: FloorPlane) -> dict[str, Any]:
-    """A level of the floor: the plane ``normal . x == offset``; without outlines it goes on as far as it matters."""
+def _encode_level(level: FloorPlane) -> dict[str, Any]:
+    """Return a level of the floor: the plane ``normal . x == offset``, unbounded without outlines."""
     return {
-        "normal": plain(level.normal),
+        "normal": to_json_data(level.normal),
         "offset": float(level.offset),
         "slope_deg": round(level.slope_deg, 3),
         "rms_m": float(level.rms),
         "area_m2": round(float(level.area), 3),
-        "outlines": plain(list(level.outlines)),
+        "outlines": to_json_data(list(level.outlines)),
     }

@@ -20,11 +20,11 @@ FORMATS = (".stl", ".obj", ".ply", URDF)
 
 
 def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
-    """What a file describes, in its own frame [m].
+    """Read a mesh file, in its own frame [m].
 
     Args:
         path: STL, OBJ or PLY, or a URDF, whose collision shapes with every joint at zero are one object.
-        field: of the request that names it.
+        field: field of the request that names it.
         scale: metres per unit of the file.
 
     Raises:
@@ -42,32 +42,24 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
         if path.suffix.lower() != URDF:
             return make_solid(read_mesh(path, scale), path.name)
         return unite_solids(
-            [make_solid(_body(shape, scale), shape.where) for shape in read_object_shapes(path)], path.name
+            [make_solid(_read_shape(shape, scale), shape.where) for shape in read_object_shapes(path)], path.name
         )
     except (PerceptionError, RobotError) as error:
         raise RequestError(f"{field}: {error}") from None
 
 
-def split_convex(
-    solid: Solid,
-    name: str,
-    field: str,
-    *,
-    decompose: bool = True,
-) -> list[Float[np.ndarray, "V 3"]]:
-    """Vertices of convex parts that together contain a solid [m].
+def split_convex(solid: Solid, name: str, field: str, *, decompose: bool = True) -> list[Float[np.ndarray, "V 3"]]:
+    """Return the vertices of convex parts that together contain a solid [m].
 
     A convex mesh is one part. CoACD's parts (Wei et al., SIGGRAPH 2022) follow the surface to about 1 cm.
 
     Args:
-        solid: the object.
-        name: what to call it in errors.
-        field: of the request that names its file.
+        name: its name in errors.
+        field: field of the request that names its file.
         decompose: whether to split it; else its hull is the one part.
 
     Raises:
         RequestError: naming ``field``: CoACD crashed or needs too much.
-        Stopped: it was asked to stop.
     """
     from perception import PerceptionError
     from perception.solids import decompose as solids
@@ -80,8 +72,8 @@ def split_convex(
         raise RequestError(f"{field}: {error}") from None
 
 
-def _body(shape: StillShape, scale: float) -> Mesh:
-    """A shape's triangles in the object's frame; a round one as the polytope around it."""
+def _read_shape(shape: StillShape, scale: float) -> Mesh:
+    """Return a shape's triangles in the object's frame; of a round shape, those of the polytope around it."""
     from perception.solids.read import read_mesh
 
     pose = shape.pose_object_shape.copy()
@@ -92,7 +84,7 @@ def _body(shape: StillShape, scale: float) -> Mesh:
 
 
 def hull_mesh(points: Float[np.ndarray, "N 3"]) -> Mesh:
-    """The convex hull of points as triangles wound outwards."""
+    """Return the convex hull of points as triangles wound outwards."""
     from perception.solids.mesh import Mesh
 
     hull = ConvexHull(points)

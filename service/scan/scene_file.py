@@ -25,7 +25,7 @@ MOST_PIECES, MOST_VERTICES = 20_000, 1000
 VALVE = "valve"
 LEAST_THICKNESS_M = 1e-6
 LEAST_AXIS = 1e-6
-ROUND_WHEEL_M = 0.02  # what of the scan is this near to a wheel is the wheel's
+ROUND_WHEEL_M = 0.02  # pieces of the scan this near to a wheel belong to it
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 Vertex = tuple[Number, Number, Number]
@@ -124,34 +124,34 @@ def scene_document(settings: SceneSettings, pieces: Mapping[str, Any], **content
 
 @dataclass(frozen=True)
 class SceneFile:
-    """What a scene's file says.
+    """Pieces and hits of a scene file.
 
     Attributes:
-        pieces: all of them.
-        hits: the objects that were found in the scan.
+        pieces: all pieces.
+        hits: the objects detected in the scan.
     """
 
     pieces: tuple[ConvexPiece, ...]
     hits: tuple[HitRecord, ...]
 
     def valves(self, hint: Sequence[float] | None) -> tuple[ValveDetection, ...]:
-        """The wheel valves: with a hint the nearest first, else the surest."""
-        found = [_valve(hit) for hit in self.hits if _is_wheel(hit)]
+        """Return the wheel valves: with a hint the nearest first, else the surest."""
+        valves = [_valve(hit) for hit in self.hits if _is_valve(hit)]
         if hint is None:
-            return tuple(sorted(found, key=lambda valve: -valve.confidence))
-        return tuple(sorted(found, key=lambda valve: float(np.linalg.norm(valve.centre - hint))))
+            return tuple(sorted(valves, key=lambda valve: -valve.confidence))
+        return tuple(sorted(valves, key=lambda valve: float(np.linalg.norm(valve.centre - hint))))
 
     def pieces_without(self, valves: Sequence[ValveDetection]) -> tuple[ConvexPiece, ...]:
-        """The pieces but for those that lie within a wheel, which is to be touched."""
-        return tuple(piece for piece in self.pieces if not any(_is_of(valve, piece.vertices) for valve in valves))
+        """Return the pieces outside the wheels, which are to be touched."""
+        return tuple(piece for piece in self.pieces if not any(_is_within(valve, piece.vertices) for valve in valves))
 
 
 def read_scene(path: Path, field: str) -> SceneFile:
     """Read a scene file to plan in.
 
     Args:
-        path: of the file.
-        field: of the request that names it.
+        path: path of the file.
+        field: field of the request that names it.
 
     Raises:
         RequestError: the file cannot be read or is no scene.
@@ -170,9 +170,9 @@ def read_record(path: Path, field: str, kind: type[RecordT], *, if_scan: str = "
     """Read a scene file and check it against its schema.
 
     Args:
-        path: of the file.
-        field: of the request, or option, that names it.
-        kind: which keys are needed.
+        path: path of the file.
+        field: field of the request, or option, that names it.
+        kind: schema with the required keys.
         if_scan: added to the error where the file may be a scan.
         advice: added to the error where a key is wrong.
 
@@ -203,10 +203,10 @@ def _read_json(path: Path, field: str, if_scan: str) -> Mapping[str, Any]:
         raise RequestError(
             f"{field}: {path} is no JSON; expected the file that 'scopt scene' writes{if_scan}"
         ) from None
-    named = data.get("format") if isinstance(data, Mapping) else None
-    if named != FORMAT:
-        scan = if_scan if named is None else ""
-        raise RequestError(f"{field}: {path} is no scene, its format is {shown(named)}; expected {FORMAT}{scan}")
+    file_format = data.get("format") if isinstance(data, Mapping) else None
+    if file_format != FORMAT:
+        scan = if_scan if file_format is None else ""
+        raise RequestError(f"{field}: {path} is no scene, its format is {shown(file_format)}; expected {FORMAT}{scan}")
     return dict(data)
 
 
@@ -217,12 +217,12 @@ def _check_solid(pieces: Sequence[ConvexPiece]) -> None:
 
 
 def _thickness(vertices: Float[np.ndarray, "V 3"]) -> float:
-    """Of a body along the direction in which it is thinnest, about [m]."""
+    """Return the approximate size of a body in its thinnest direction [m]."""
     return float(np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[-1])
 
 
-def _is_wheel(hit: HitRecord) -> bool:
-    """Whether it is a valve that is told well enough: with a radius and an axis."""
+def _is_valve(hit: HitRecord) -> bool:
+    """Return whether a hit is a valve with a radius and an axis."""
     has_axis = np.linalg.norm(np.array(hit.pose_world_object)[:3, 2]) > LEAST_AXIS
     return hit.kind == VALVE and hit.sizes.get("rim_radius", 0.0) > 0.0 and bool(has_axis)
 
@@ -237,11 +237,13 @@ def _valve(hit: HitRecord) -> ValveDetection:
 def wheel_from_circle(
     centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], rim_radius: float, tube_radius: float
 ) -> ValveDetection:
-    """A valve known by its rim alone; nothing is known of its spokes.
+    """Make a valve of its rim alone, without spokes.
 
     Args:
-        centre: of the rim [m]; axis: towards the robot, of any length but zero.
-        rim_radius: of the rim's centre line; tube_radius: half the rim's thickness [m].
+        centre: centre of the rim [m].
+        axis: direction towards the robot, of any length but zero.
+        rim_radius: radius of the rim's centre line [m].
+        tube_radius: half the rim's thickness [m].
     """
     return ValveDetection(
         centre=centre,
@@ -259,10 +261,10 @@ def wheel_from_circle(
     )
 
 
-def _is_of(valve: ValveDetection, vertices: Float[np.ndarray, "V 3"]) -> bool:
-    """Whether a piece lies within the disc of a wheel, and a little around it."""
+def _is_within(valve: ValveDetection, vertices: Float[np.ndarray, "V 3"]) -> bool:
+    """Return whether a piece lies within the disc of a wheel and ``ROUND_WHEEL_M`` around it."""
     offset = vertices - valve.centre
     height = offset @ valve.axis
     radius = np.linalg.norm(offset - height[:, None] * valve.axis, axis=1)
-    room = ROUND_WHEEL_M
-    return bool(np.all(radius <= valve.outer_radius + room) and np.all(np.abs(height) <= valve.half_depth + room))
+    is_within = (radius <= valve.outer_radius + ROUND_WHEEL_M) & (np.abs(height) <= valve.half_depth + ROUND_WHEEL_M)
+    return bool(is_within.all())

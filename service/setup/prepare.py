@@ -116,14 +116,14 @@ def prepare(
             with _timed(timings, "perceive"):
                 around = read_surroundings(request, robot, start, soles, see)
             with _timed(timings, "build_scene"):
-                obstacles = build_obstacles(request, around.matches)
+                obstacles, obstacle_notes = build_obstacles(request, around.matches)
     except Stopped:
         nothing = Scene(())
         return PlanSetup(
             request, robot, start, nothing, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
         )
     pieces, moved = move_floor_to_soles(around.pieces, soles)
-    scene, renamed = compose_scene(request, robot, start, pieces, obstacles.pieces)
+    scene, renamed = compose_scene(request, robot, start, pieces, obstacles)
     announce("check start")
     with _timed(timings, "check_start"):
         check = check_start(robot, start, scene, soles, request, program)
@@ -137,7 +137,7 @@ def prepare(
         kept,
         program,
         check.overlaps,
-        (*notes, *check.notes, *obstacles.notes, *around.notes, *moved, *renamed),
+        (*notes, *check.notes, *obstacle_notes, *around.notes, *moved, *renamed),
         timings,
         unresolved=check.unresolved,
     )

@@ -1,4 +1,4 @@
-"""Whether the lengths of a request can be metres: nothing that matters to a robot is a hundred metres away from it."""
+"""Check of a request's unit: lengths and places a hundred metres from the robot are refused."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from service.request.scene import (
 from service.request.schema import PlanRequest
 from service.start.standing import place_bodies
 
-FAR_M = 100.0  # farther from the robot than this is in another unit, or in another frame
-IDLE_M = 30.0  # nothing at such a distance has a bearing on a motion, which is worth a word
+FAR_M = 100.0  # a larger distance from the robot is in another unit or frame
+IDLE_M = 30.0  # an obstacle at this distance has no influence on the motion
 MOST_NAMED = 3
 _MM = 1e-3
 
@@ -40,18 +40,12 @@ class _Box:
         return _Box(points.min(axis=0), points.max(axis=0))
 
     def gap(self, other: _Box) -> float:
-        """Distance between two boxes [m], 0 where they meet."""
+        """Return the distance between two boxes [m], 0 if they meet."""
         return float(np.linalg.norm(np.maximum(np.maximum(self.low - other.high, other.low - self.high), 0.0)))
 
 
 def find_unit_problems(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
-    """One line for each length of a request that only another unit, or another frame, explains.
-
-    Args:
-        request: whose obstacles, floor, goals, hints and base are looked at; sizes were when it was read.
-        robot: as it is asked for.
-        start: (n,) where it stands.
-    """
+    """Return obstacle line per length that only another unit or frame explains; sizes are checked by the schema."""
     here = _robot_box(robot, start)
     base = None if request.start.base is None else np.array(request.start.base.position)
     problems: list[str] = []
@@ -72,9 +66,9 @@ def find_unit_problems(request: PlanRequest, robot: RobotModel, start: Float[np.
 
 
 def note_far_obstacles(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
-    """A note about obstacles that are too far away to have a bearing on the motion; none where all are near."""
+    """Return a note about obstacles too far away to influence the motion, if there are any."""
     here = _robot_box(robot, start)
-    gaps = [(here.gap(_extent(one)), one.name) for one in request.scene.obstacles]
+    gaps = [(here.gap(_extent(obstacle)), obstacle.name) for obstacle in request.scene.obstacles]
     far = [f"{name} ({gap:.0f} m)" for gap, name in gaps if gap > IDLE_M]
     if not far:
         return ()
@@ -83,21 +77,21 @@ def note_far_obstacles(request: PlanRequest, robot: RobotModel, start: Float[np.
 
 
 def _robot_box(robot: RobotModel, start: Float[np.ndarray, "n"]) -> _Box:
-    """The robot's bodies at its start; where it has none, its base, or the world's origin."""
+    """Return the box of the robot's bodies at its start; without bodies, of its base or the world's origin."""
     placed = [vertices for _, vertices in place_bodies(robot, start)]
     base = start[:3] if robot.is_floating else np.zeros(3)
     return _Box.around(np.vstack(placed) if placed else base[None])
 
 
 def _places(request: PlanRequest) -> Iterator[tuple[str, Float[np.ndarray, "3"], _Box]]:
-    """Field, the numbers it holds, and what they place in the world."""
-    for index, one in enumerate(request.scene.obstacles):
+    """Yield field, point, and the box of the placed object in the world."""
+    for index, obstacle in enumerate(request.scene.obstacles):
         field = f"scene.obstacles[{index}]"
-        box = _extent(one)
-        if isinstance(one, ConvexRequest) and not any(one.position):
-            yield f"{field}.points", np.array(one.points[0]), box
+        box = _extent(obstacle)
+        if isinstance(obstacle, ConvexRequest) and not any(obstacle.position):
+            yield f"{field}.points", np.array(obstacle.points[0]), box
         else:
-            yield f"{field}.position", np.array(one.position), box
+            yield f"{field}.position", np.array(obstacle.position), box
     points: list[tuple[str, tuple[float, float, float] | None]] = [("scene.hint", request.scene.hint)]
     if request.goal is not None:
         points += [(f"goal.poses[{k}].position", pose.position) for k, pose in enumerate(request.goal.poses)]
@@ -117,9 +111,9 @@ def _places(request: PlanRequest) -> Iterator[tuple[str, Float[np.ndarray, "3"],
 
 
 def _convex_problems(request: PlanRequest) -> Iterator[str]:
-    for index, one in enumerate(request.scene.obstacles):
-        if isinstance(one, ConvexRequest):
-            span = float(np.ptp(np.array(one.points), axis=0).max())
+    for index, obstacle in enumerate(request.scene.obstacles):
+        if isinstance(obstacle, ConvexRequest):
+            span = float(np.ptp(np.array(obstacle.points), axis=0).max())
             if span > LARGEST_M:
                 yield (
                     f"scene.obstacles[{index}].points: {span:g} m is larger than {LARGEST_M:g} m; "
@@ -140,31 +134,31 @@ def _floor_problems(request: PlanRequest, here: _Box) -> Iterator[str]:
 
 
 def _relative_problems(request: PlanRequest) -> Iterator[str]:
-    """Places in the frame of a link."""
-    given = [(f"keep[{k}].position", keep.position) for k, keep in enumerate(request.keep) if keep.relative_to]
-    given += [(f"attached[{k}].position", one.position) for k, one in enumerate(request.attached)]
-    for field, position in given:
+    """Yield the problems of points in the frame of a link."""
+    points = [(f"keep[{k}].position", keep.position) for k, keep in enumerate(request.keep) if keep.relative_to]
+    points += [(f"attached[{k}].position", item.position) for k, item in enumerate(request.attached)]
+    for field, position in points:
         if position is not None and np.linalg.norm(position) > FAR_M:
             point = np.array(position)
             line = f"{field}: {_row(point)} is {np.linalg.norm(point):.0f} m from its link, farther than {FAR_M:g} m"
             yield f"{line}; are these millimetres? Use {_row(_MM * point)}."
 
 
-def _extent(one: ObstacleRequest) -> _Box:
-    """An axis-aligned box around an obstacle; around a mesh, whose size is not known yet, the largest there may be."""
-    rotation = Rotation.from_quat(one.quaternion_wxyz, scalar_first=True).as_matrix()
-    centre = np.array(one.position)
-    match one:
+def _extent(obstacle: ObstacleRequest) -> _Box:
+    """Return the axis-aligned box around an obstacle; for a mesh, which is not read yet, the largest box."""
+    rotation = Rotation.from_quat(obstacle.quaternion_wxyz, scalar_first=True).as_matrix()
+    centre = np.array(obstacle.position)
+    match obstacle:
         case ConvexRequest():
-            return _Box.around(np.array(one.points) @ rotation.T + centre)
+            return _Box.around(np.array(obstacle.points) @ rotation.T + centre)
         case BoxRequest():
-            half = np.array(one.size) / 2.0
+            half = np.array(obstacle.size) / 2.0
         case SphereRequest():
-            half = np.full(3, one.radius)
+            half = np.full(3, obstacle.radius)
         case CylinderRequest():
-            half = np.array([one.radius, one.radius, one.height / 2.0])
+            half = np.array([obstacle.radius, obstacle.radius, obstacle.height / 2.0])
         case CapsuleRequest():
-            half = np.array([one.radius, one.radius, one.height / 2.0 + one.radius])
+            half = np.array([obstacle.radius, obstacle.radius, obstacle.height / 2.0 + obstacle.radius])
         case _:
             return _Box(centre - LARGEST_M, centre + LARGEST_M)
     reach = np.abs(rotation) @ half

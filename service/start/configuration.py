@@ -1,4 +1,4 @@
-"""Where the robot stands at first: the start configuration of a request, and whether a robot can stand so."""
+"""Start configuration of a request, and checks of joint names and limits."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ LARGEST_PITCH_DEG = 85.0
 
 
 def make_start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
-    """Configuration of a start request, and notes about what was assumed or snapped.
+    """Return the start configuration, and notes about assumed and snapped joints.
 
     Raises:
         RequestError: an unknown posture or joint, or a joint beyond its limits by more than 1e-3.
     """
     q, notes = _posture(robot, start)
-    given = start.positions_by_joint
-    problems = find_unknown_joints(robot, given, "start.joints")
+    positions = start.positions_by_joint
+    problems = find_unknown_joints(robot, positions, "start.joints")
     if problems:
         raise RequestError(problems)
-    for name, position in given.items():
+    for name, position in positions.items():
         q[robot.joint_names.index(name)] = position
     if start.base is not None:
         if not robot.is_floating:
@@ -40,7 +40,7 @@ def make_start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Fl
 
 
 def find_unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence[str], field: str) -> list[str]:
-    """One line for each name that is no joint of the robot."""
+    """Return one line per name that is no joint of the robot."""
     joints = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
     return [
         f"unknown joint {name!r} in {field}; {robot.name} has {would_do(name, joints)}"
@@ -52,7 +52,7 @@ def find_unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence
 def find_limit_violations(
     robot: RobotModel, positions: Mapping[str, float], field: str, tolerance: float = 0.0
 ) -> list[str]:
-    """One line for each joint position that is beyond the joint's limits by more than ``tolerance``."""
+    """Return one line per joint position beyond its limits by more than ``tolerance``."""
     problems = []
     for name, position in positions.items():
         index = robot.joint_names.index(name)
@@ -73,16 +73,15 @@ def _posture(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, 
     if STANDING_POSTURE in robot.postures:
         return robot.postures[STANDING_POSTURE].copy(), ()
     q = np.clip(np.zeros(robot.n), robot.lower, robot.upper)
-    given = set(start.positions_by_joint)
     joints = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
-    assumed = [name for name in joints if name not in given]
-    if not assumed:
+    n_assumed = len(set(joints).difference(start.positions_by_joint))
+    if not n_assumed:
         return q, ()
-    return q, (f"{len(assumed)} joints without a start position start at 0 or at the nearest limit",)
+    return q, (f"{n_assumed} joints without a start position start at 0 or at the nearest limit",)
 
 
 def _yaw_pitch_roll(quaternion_wxyz: tuple[float, float, float, float]) -> Float[np.ndarray, "3"]:
-    """The base's coordinates are intrinsic z-y-x angles, which have no unique value at a pitch of 90 degrees."""
+    """Return the base's intrinsic z-y-x angles, which are not unique at a pitch of 90 degrees."""
     rotation = Rotation.from_quat(quaternion_wxyz, scalar_first=True)
     pitch_deg = math.degrees(math.asin(np.clip(-rotation.as_matrix()[2, 0], -1.0, 1.0)))
     if abs(pitch_deg) > LARGEST_PITCH_DEG:

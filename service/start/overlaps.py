@@ -28,11 +28,11 @@ class Overlap:
     """A link inside a piece or inside another link, by their shapes or by the hulls that stand for them alone.
 
     Attributes:
-        link: the one.
+        link: the link.
         other: name of the piece or of the other link.
-        depth: how far one would have to be moved to be free [m]; negative where only the hulls overlap.
-        kind: of the piece; None for a link.
-        hull_depth: the same of the hulls that stand for them in planning [m].
+        depth: penetration depth [m]; negative if only the hulls overlap.
+        kind: kind of the piece; None for a link.
+        hull_depth: penetration depth of their hulls in planning [m].
     """
 
     link: str
@@ -54,62 +54,61 @@ class Overlap:
 
     @property
     def nearness(self) -> str:
-        """Where only the hulls overlap: ``l2 is 0.4 mm from ball (obstacle), nearer than ... hulls resolve ...``."""
+        """If only the hulls overlap: ``l2 is 0.4 mm from ball (obstacle), nearer than ... hulls resolve ...``."""
+        hull_depth = _format_length(self.hull_depth)
         if self.depth > 0.0:
-            return (
-                f"{self}, as far as tolerances allow, while the planner's hulls overlap by {_length(self.hull_depth)}"
-            )
+            return f"{self}, as far as tolerances allow, while the planner's hulls overlap by {hull_depth}"
         kind = "" if self.kind in (None, "", self.other) else f" ({self.kind})"
         return (
-            f"{self.link} is {_length(max(-self.depth, 0.0))} from {self.other}{kind}, nearer than the planner's hulls "
-            f"resolve, which overlap by {_length(self.hull_depth)}"
+            f"{self.link} is {_format_length(max(-self.depth, 0.0))} from {self.other}{kind}, nearer than the "
+            f"planner's hulls resolve, which overlap by {hull_depth}"
         )
 
     def __str__(self) -> str:
-        return f"{self.link} is {_length(self.depth)} {self.where}"
+        return f"{self.link} is {_format_length(self.depth)} {self.where}"
 
 
 def describe_collisions(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> list[str]:
-    """One line for each pair that is in collision at ``q``, the deepest first; planted feet may touch the floor."""
+    """Return one line per pair in collision at ``q``, the deepest first; planted feet may touch the floor."""
     return [str(overlap) for overlap in find_overlaps(robot, q, scene, planted)]
 
 
 def find_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
-    """Every pair that is in collision at ``q`` by its shapes, the deepest first; planted feet may touch the floor."""
+    """Return the pairs in collision at ``q`` by their shapes, the deepest first; planted feet may touch the floor."""
     return find_overlaps_and_unresolved(robot, q, scene, planted)[0]
 
 
 def find_overlaps_and_unresolved(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> tuple[list[Overlap], list[Overlap]]:
-    """Pairs in collision by their shapes, and pairs of which only the hulls overlap; the deepest first."""
-    found = _find_hull_overlaps(robot, q, scene, planted)
-    inside = _keep_deepest([one for one, is_inside in found if is_inside])
-    met = {frozenset(one.pair) for one in inside}
-    return inside, _keep_deepest([one for one, _ in found if frozenset(one.pair) not in met])
+    """Return the pairs in collision by their shapes, and those of which only the hulls overlap; the deepest first."""
+    overlaps = _find_hull_overlaps(robot, q, scene, planted)
+    inside = _keep_deepest([overlap for overlap, is_inside in overlaps if is_inside])
+    pairs = {frozenset(overlap.pair) for overlap in inside}
+    return inside, _keep_deepest([overlap for overlap, _ in overlaps if frozenset(overlap.pair) not in pairs])
 
 
 def find_hull_overlaps(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> list[Overlap]:
-    """Every pair whose hulls overlap at ``q``, with the hulls' depths, the deepest first."""
-    found = _find_hull_overlaps(robot, q, scene, planted)
-    return _keep_deepest([replace(one, depth=one.hull_depth) for one, _ in found])
+    """Return the pairs whose hulls overlap at ``q``, with the hulls' depths, the deepest first."""
+    overlaps = _find_hull_overlaps(robot, q, scene, planted)
+    return _keep_deepest([replace(overlap, depth=overlap.hull_depth) for overlap, _ in overlaps])
 
 
 def _find_hull_overlaps(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> list[tuple[Overlap, bool]]:
-    """Bodies and what their hulls are deeper in than they may be, and whether that is so by their shapes too."""
+    """Return overlaps of hulls beyond the allowed depth, and whether the shapes overlap too."""
     things: list[LinkBody | ConvexPiece] = [*robot.bodies, *scene.pieces]
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     here = np.eye(4)
-    poses = [data.oMi[one.joint].homogeneous if isinstance(one, LinkBody) else here for one in things]
-    vertices = [one.vertices @ pose[:3, :3].T + pose[:3, 3] for one, pose in zip(things, poses, strict=True)]
-    found: list[tuple[Overlap, bool]] = []
+    poses = [data.oMi[thing.joint].homogeneous if isinstance(thing, LinkBody) else here for thing in things]
+    vertices = [thing.vertices @ pose[:3, :3].T + pose[:3, 3] for thing, pose in zip(things, poses, strict=True)]
+    overlaps: list[tuple[Overlap, bool]] = []
     for k, j in _find_box_pairs(vertices, len(robot.bodies)):
         body, other = robot.bodies[k], things[j]
         allowed = _allowed_depth(robot, body, other, planted)
@@ -123,20 +122,20 @@ def _find_hull_overlaps(
             allowed = max(allowed, EXACT_ROUNDING_M)
             depth = min(ExactShape.of(body).depth_in(ExactShape.of(other), poses[k], poses[j]), hull_depth)
         name, kind = (other.link, None) if isinstance(other, LinkBody) else (other.name, other.kind)
-        found.append((Overlap(body.link, name, depth, kind, hull_depth), depth > allowed))
-    return found
+        overlaps.append((Overlap(body.link, name, depth, kind, hull_depth), depth > allowed))
+    return overlaps
 
 
-def _keep_deepest(found: Sequence[Overlap]) -> list[Overlap]:
-    """Of each pair the bodies that are deepest, the deepest pair first."""
+def _keep_deepest(overlaps: Sequence[Overlap]) -> list[Overlap]:
+    """Return the deepest overlap of each pair, the deepest pair first."""
     deepest: dict[frozenset[BodyRef], Overlap] = {}
-    for overlap in sorted(found, key=lambda one: (-one.depth, -one.hull_depth)):
+    for overlap in sorted(overlaps, key=lambda overlap: (-overlap.depth, -overlap.hull_depth)):
         deepest.setdefault(frozenset(overlap.pair), overlap)
     return list(deepest.values())
 
 
-def _length(metres: float) -> str:
-    """A length as it is told: ``7.6 mm``, ``23 mm``, ``1.250 m``."""
+def _format_length(metres: float) -> str:
+    """Format a length: ``7.6 mm``, ``23 mm``, ``1.250 m``."""
     if metres >= 1.0:
         return f"{metres:.3f} m"
     if metres < 5e-5:
@@ -145,7 +144,7 @@ def _length(metres: float) -> str:
 
 
 def describe_dead_end(overlap: Overlap, planted: Sequence[str]) -> str:
-    """Why an overlap cannot be left; empty when it can."""
+    """Return the reason why an overlap cannot be left; empty if it can."""
     names = [overlap.link, overlap.other] if overlap.kind is None else [overlap.link]
     if all(name in planted for name in names):
         return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} planted and cannot leave"
@@ -153,14 +152,14 @@ def describe_dead_end(overlap: Overlap, planted: Sequence[str]) -> str:
 
 
 def _find_box_pairs(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
-    """Bodies (the first sets) with a later set whose bounding box meets theirs."""
+    """Return index pairs of a body and a later set of vertices whose bounding boxes meet."""
     low, high = (np.array([end(points, axis=0) for points in vertices]).reshape(-1, 3) for end in (np.min, np.max))
     meets = np.all((low[:n_bodies, None] <= high) & (low <= high[:n_bodies, None]), axis=2)
     return [(k, j) for k, j in np.argwhere(meets).tolist() if k < j]
 
 
 def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPiece, planted: Sequence[str]) -> float:
-    """How deep a body may be in something at the start [m]; infinite for a pair that is not checked."""
+    """Return the allowed depth at the start [m]; infinite for a pair that is not checked."""
     if isinstance(other, LinkBody):
         pair = (min(body.link, other.link), max(body.link, other.link))
         return np.inf if body.joint == other.joint or pair in robot.ignored_pairs else TOUCH_M
@@ -171,12 +170,12 @@ def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPi
 
 @dataclass(frozen=True)
 class ExactShape:
-    """A shape for coal, in the frame of what it belongs to.
+    """A shape for coal, in the frame of its body or piece.
 
     Attributes:
         geometry: the shape.
-        pose: (4, 4) of the shape in the frame of the body's joint, or in the world for a piece.
-        is_round: whether it differs from the hull that stands for it in planning.
+        pose: (4, 4) pose in the frame of the body's joint, or in the world for a piece.
+        is_round: whether it differs from its hull in planning.
     """
 
     geometry: coal.CollisionGeometry
@@ -185,23 +184,20 @@ class ExactShape:
 
     @staticmethod
     def of(thing: LinkBody | ConvexPiece) -> ExactShape:
-        """The shape that was given for a body or a piece."""
+        """Make the exact shape of a body or a piece."""
         if thing.exact is None:
             return ExactShape.of_hull(thing)
         return ExactShape(_geometry(thing.exact), thing.exact.pose, True)
 
     @staticmethod
     def of_hull(thing: LinkBody | ConvexPiece) -> ExactShape:
-        """The hull that stands for a body or a piece in planning and in the certificate."""
+        """Make the hull of a body or a piece in planning and in the certificate."""
         return ExactShape(convex_of(thing.vertices), np.eye(4), False)
 
     def depth_in(
         self, other: ExactShape, pose: Float[np.ndarray, "4 4"] | None = None, pose_other: np.ndarray | None = None
     ) -> float:
-        """How far one of the two would have to be moved to be free of the other, negative when apart [m].
-
-        The poses place the frames of what the shapes belong to in the world; without one, a frame is the world's.
-        """
+        """Return the penetration depth, negative when apart [m]; a shape's frame without a pose is the world's."""
         return penetration_depth(self.geometry, other.geometry, _at(pose, self.pose), _at(pose_other, other.pose))
 
 
@@ -211,10 +207,7 @@ def penetration_depth(
     pose_first: coal.Transform3s | None = None,
     pose_second: coal.Transform3s | None = None,
 ) -> float:
-    """How far one of two shapes would have to be moved to be free of the other, negative when apart [m].
-
-    The poses place them in the world; without one a shape is there already.
-    """
+    """Return the penetration depth of two shapes in the world, negative when apart [m]."""
     result, here = coal.DistanceResult(), coal.Transform3s()
     poses = (pose_first or here, pose_second or here)
     return -float(coal.distance(first, poses[0], second, poses[1], coal.DistanceRequest(), result))

@@ -1,4 +1,4 @@
-"""The robot of a request: loaded, with the bodies that its links carry."""
+"""Loading of a request's robot with the bodies that its links carry."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from costs.kinematics import locate_frame
 from costs.robot import AttachedBody, RobotError, RobotModel, load_robot, with_attached
 from service.errors import RequestError, would_do
-from service.request.schema import AttachedBox, AttachedRequest, AttachedSphere, KeepRequest, PlanRequest
+from service.request.schema import AttachedRequest, KeepRequest, PlanRequest
 
 
 def load_requested_robot(request: PlanRequest) -> RobotModel:
@@ -26,8 +26,8 @@ def load_requested_robot(request: PlanRequest) -> RobotModel:
         if robot.urdf is None:
             return load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m)
         return load_robot(
-            urdf=_existing(request, robot.urdf, "robot.urdf"),
-            srdf=None if robot.srdf is None else _existing(request, robot.srdf, "robot.srdf"),
+            urdf=_find_file(request, robot.urdf, "robot.urdf"),
+            srdf=None if robot.srdf is None else _find_file(request, robot.srdf, "robot.srdf"),
             package_dirs=[request.resolve(folder) for folder in robot.package_dirs],
             root=robot.root,
         )
@@ -35,7 +35,7 @@ def load_requested_robot(request: PlanRequest) -> RobotModel:
         raise RequestError(f"robot: {error}") from None
 
 
-def _existing(request: PlanRequest, path: str, field: str) -> Path:
+def _find_file(request: PlanRequest, path: str, field: str) -> Path:
     resolved = request.resolve(path)
     if not resolved.is_file():
         raise RequestError(f"{field}: {resolved} is not there; paths start at the request's folder")
@@ -53,58 +53,59 @@ def attach_bodies(robot: RobotModel, request: PlanRequest) -> RobotModel:
     if problems:
         raise RequestError(problems)
     try:
-        carrying = with_attached(robot, [_body(one) for one in attached])
+        carrying = with_attached(robot, [_make_body(item) for item in attached])
     except RobotError as error:
         raise RequestError(f"attached: {error}") from None
-    problems = [line for k, one in enumerate(attached) for line in _find_loose(carrying, request.keep, one, k)]
+    problems = [line for k, item in enumerate(attached) for line in _find_loose(carrying, request.keep, item, k)]
     if problems:
         raise RequestError(problems)
     return carrying
 
 
-def _body(one: AttachedRequest) -> AttachedBody:
-    pose: Float[np.ndarray, "4 4"] = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(one.quaternion_wxyz, scalar_first=True).as_matrix()
-    pose[:3, 3] = one.position
-    size: tuple[float, ...]
-    if isinstance(one, AttachedBox):
-        size = one.size
-    elif isinstance(one, AttachedSphere):
-        size = (one.radius,)
-    else:
-        size = (one.radius, one.height)
-    return AttachedBody(one.name, one.link, pose, one.type, size, one.mass_kg, one.touches)
+def pose_matrix(
+    position: tuple[float, float, float], quaternion_wxyz: tuple[float, float, float, float]
+) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of a request's position [m] and quaternion."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
+    pose[:3, 3] = position
+    return pose
+
+
+def _make_body(item: AttachedRequest) -> AttachedBody:
+    pose = pose_matrix(item.position, item.quaternion_wxyz)
+    return AttachedBody(item.name, item.link, pose, item.type, item.lengths, item.mass_kg, item.touches)
 
 
 def _find_unusable(robot: RobotModel, attached: Sequence[AttachedRequest], index: int) -> Iterator[str]:
-    """Names in use, and links that the robot does not have."""
-    one, field, names = attached[index], f"attached[{index}]", [other.name for other in attached]
+    """Yield a problem for each name in use and each unknown link."""
+    item, field, names = attached[index], f"attached[{index}]", [other.name for other in attached]
     frames = sorted({frame.name for frame in robot.model.frames} - {"universe"})
-    if one.name in frames or one.name in {body.name for body in robot.bodies}:
-        yield f"{field}.name: {one.name!r} is a link of {robot.name}; expected another name"
-    if one.name in names[:index]:
-        yield f"{field}.name: {one.name!r} is given twice; expected another name"
-    for key, links in (("link", (one.link,)), ("touches", one.touches)):
+    if item.name in frames or item.name in {body.name for body in robot.bodies}:
+        yield f"{field}.name: {item.name!r} is a link of {robot.name}; expected another name"
+    if item.name in names[:index]:
+        yield f"{field}.name: {item.name!r} is given twice; expected another name"
+    for key, links in (("link", (item.link,)), ("touches", item.touches)):
         for link in links:
             if link not in frames:
                 yield f"unknown link {link!r} in {field}.{key}; {robot.name} has {would_do(link, frames)}"
 
 
-def _find_loose(robot: RobotModel, keep: Sequence[KeepRequest], one: AttachedRequest, index: int) -> Iterator[str]:
-    """Links that hold the body and may move against it: nothing would be known of how deep they are in it."""
+def _find_loose(robot: RobotModel, keep: Sequence[KeepRequest], item: AttachedRequest, index: int) -> Iterator[str]:
+    """Yield a problem for each holding link that may move against the body, since their overlap could then change."""
     kept = [
         {_joint(robot, other.link), _joint(robot, other.relative_to)} for other in keep if other.free_axis == "none"
     ]
-    carrier = _joint(robot, one.link)
-    for link in one.touches:
+    carrier = _joint(robot, item.link)
+    for link in item.touches:
         joint = _joint(robot, link)
         if joint != carrier and {joint, carrier} not in kept:
             yield (
-                f"attached[{index}].touches: {link} may move against {one.link}; "
-                f"expected keep: [{{link: {link}, relative_to: {one.link}}}]"
+                f"attached[{index}].touches: {link} may move against {item.link}; "
+                f"expected keep: [{{link: {link}, relative_to: {item.link}}}]"
             )
 
 
 def _joint(robot: RobotModel, frame: str | None) -> int | None:
-    """The joint that carries a frame; None for a frame that the robot does not have."""
+    """Return the joint that carries a frame; None for an unknown frame."""
     return locate_frame(robot, frame)[0] if frame is not None and robot.model.existFrame(frame) else None

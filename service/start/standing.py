@@ -16,8 +16,6 @@ from service.errors import RequestError
 from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, ground_gaps
 
 FEET_GROUP = "feet"
-
-
 SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
 FLOOR_KIND = "floor"
 LARGEST_SHIFT_M = 0.03  # of a scanned floor: its height is that uncertain
@@ -25,7 +23,7 @@ LEAST_MASS_KG = 1e-3
 
 
 def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
-    """Corners of a foot's sole in the world [m]: the link's vertices within 2 mm of its lowest one at ``q``."""
+    """Return the corners of a foot's sole in the world [m]: the vertices within 2 mm of its lowest at ``q``."""
     vertices = np.vstack([v for body, v in place_bodies(robot, q) if body.link == link])
     return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
 
@@ -33,7 +31,7 @@ def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Flo
 def find_standing_problems(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> list[str]:
-    """One line for each planted foot that stands on nothing, and one when the centre of mass is outside the soles."""
+    """Return one line per planted foot off the ground, and one if the centre of mass is outside the soles."""
     problems = [line for _, line in find_ground_problems(scene.pieces, soles)]
     weightless = _weightless_links(robot)
     if weightless:
@@ -52,19 +50,19 @@ def find_standing_problems(
 
 
 def _weightless_links(robot: RobotModel) -> list[str]:
-    """A link with a shape for each joint that moves shapes without any mass."""
-    found = {b.joint: b.link for b in reversed(robot.bodies) if b.link not in robot.mechanism_links}
-    return [link for joint, link in sorted(found.items()) if joint and not robot.model.inertias[joint].mass > 0.0]
+    """Return a link with a shape for each joint that moves shapes without any mass."""
+    links = {b.joint: b.link for b in reversed(robot.bodies) if b.link not in robot.mechanism_links}
+    return [link for joint, link in sorted(links.items()) if joint and not robot.model.inertias[joint].mass > 0.0]
 
 
 def move_floor_to_soles(
     seen: Sequence[ConvexPiece], soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> tuple[tuple[ConvexPiece, ...], tuple[str, ...]]:
-    """What a scan showed, its floor moved up or down to planted soles where it is near them, and a note about that.
+    """Move a scan's floor up or down to the planted soles if it is near them; return the pieces and a note.
 
     Args:
         seen: pieces of a scan.
-        soles: for each planted link, the corners of its sole in the world [m].
+        soles: corners of each planted link's sole in the world [m].
     """
     floors = [piece for piece in seen if piece.kind == FLOOR_KIND]
     if not floors or not soles:
@@ -88,7 +86,7 @@ def move_floor_to_soles(
 def find_ground_problems(
     pieces: Sequence[ConvexPiece], soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> Iterator[tuple[str, str]]:
-    """Each planted link that stands on nothing, with a line that says so."""
+    """Yield each planted link off the ground, with the problem."""
     for link, corners in soles.items():
         gaps = ground_gaps(corners, pieces)
         worst = float(gaps[np.abs(gaps).argmax()])
@@ -100,10 +98,7 @@ def find_ground_problems(
 
 
 def check_masses(robot: RobotModel) -> None:
-    """
-    Raises:
-        RequestError: a robot that has to keep its balance weighs nothing.
-    """
+    """Refuse a floating robot without mass, which cannot balance (RequestError)."""
     mass = float(pin.computeTotalMass(robot.model))
     if robot.is_floating and not mass >= LEAST_MASS_KG:
         raise RequestError(
@@ -113,7 +108,7 @@ def check_masses(robot: RobotModel) -> None:
 
 
 def place_bodies(robot: RobotModel, q: Float[np.ndarray, "n"]) -> list[tuple[LinkBody, Float[np.ndarray, "V 3"]]]:
-    """Every body with its vertices in the world at ``q`` [m]."""
+    """Return every body with its vertices in the world at ``q`` [m]."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     return [(b, b.vertices @ data.oMi[b.joint].rotation.T + data.oMi[b.joint].translation) for b in robot.bodies]

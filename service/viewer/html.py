@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from service.json_data import plain
+from service.json_data import to_json_data
 from service.viewer.files import replace_file
 from service.viewer.payload import make_payload
 from service.viewer.placements import LinkPlacements
@@ -46,7 +46,7 @@ def render_page(payload: Mapping[str, Any], title: str, program: str) -> str:
     """
     script, style = (DIST / f"{program}.js").read_text("utf-8"), (DIST / "viewer.css").read_text("utf-8")
     # "<" is the one character that could end the data's script element early.
-    data = json.dumps(plain(payload), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    data = json.dumps(to_json_data(payload), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     policy = (
         f"default-src 'none'; script-src '{_source_hash(script)}'; style-src '{_source_hash(style)}'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from service.json_data import plain
+from service.json_data import to_json_data
 from service.proto.planner.v1.result_pb2 import Certificate as CertificateMessage
 from service.proto.planner.v1.result_pb2 import Check, MotionResult, PhaseTimes, Trajectory
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
@@ -35,11 +35,11 @@ def result_to_message(result: PlanResult, sha256: str = "") -> MotionResult:
         planning_time_s=result.planning_time_s,
         timings=result.timings,
     )
-    message.figures.update(plain(result.figures))
+    message.figures.update(to_json_data(result.figures))
     for detection in result.detections:
-        message.detections.add().update(plain(detection))
+        message.detections.add().update(to_json_data(detection))
     if result.conflict is not None:
-        message.conflict.update(plain(result.conflict.to_dict()))
+        message.conflict.update(to_json_data(result.conflict.to_dict()))
     if result.motion is not None:
         message.trajectory.CopyFrom(_trajectory_to_message(result, result.motion))
     if result.certificate is not None:

@@ -46,9 +46,8 @@ class SceneTask:
 
 def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
     """Make a scene's file (docs/scene-format.md); reports the names of steps."""
-    from service.scan.earlier import read_earlier_scene
     from service.scan.known_meshes import mesh_from_request
-    from service.scan.make_scene import SceneInput, apply_earlier_settings
+    from service.scan.make_scene import SceneInput, apply_earlier_settings, read_earlier_scene
     from service.scan.make_scene import build_scene as make_scene
 
     meshes = tuple(mesh_from_request(mesh, path) for mesh, path in task.meshes)
