@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
@@ -11,16 +10,6 @@ from service.errors import shown, would_do
 
 T = TypeVar("T")
 LARGEST_NUMBER = 1e9  # beyond it a number is a mistake
-CLOSE = 0.6  # how alike a name must be to be suggested
-
-
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """``did you mean x?`` where a known name is close, else the known names."""
-    names = list(known)
-    close = difflib.get_close_matches(name, names, n=1, cutoff=CLOSE)
-    if close:
-        return f"did you mean {close[0]}?"
-    return f"expected {would_do(name, names)}" if names else "there is none"
 
 
 class Fields:
@@ -107,7 +96,7 @@ class Fields:
         value = self.text(key)
         names = {name.lower(): name for name in known}
         if value and value.lower() not in names:
-            self.refuse(self.at(key), f"unknown {key} {value!r}; {did_you_mean(value, names.values())}")
+            self.refuse(self.at(key), f"unknown {key} {value!r}; expected {would_do(value, names.values())}")
         return names.get(value.lower())
 
     def numbers(
@@ -184,7 +173,7 @@ class Fields:
         """Refuse every key that was not asked for."""
         for key in self._data:
             if key not in self._known:
-                self.refuse(self.at(_printable(key)), f"unknown key; {did_you_mean(key, self._known)}")
+                self.refuse(self.at(_printable(key)), f"unknown key; expected {would_do(key, self._known)}")
 
     def _know(self, key: str) -> None:
         if key not in self._known:

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from costs.robot import bundled_robots
-from service.errors import RequestError
-from service.request.file import load_scene, load_start, parse_request
-from service.request.schema import PlanRequest
+from service.errors import RequestError, would_do
+from service.request.file import load_section, parse_request
+from service.request.scene import SceneRequest
+from service.request.schema import PlanRequest, StartRequest
 from service.trajopt.document import read_document
-from service.trajopt.fields import did_you_mean
 from service.trajopt.reader import robot_named_in
 
 
@@ -56,9 +56,9 @@ def load_trajopt_request(problem: Path, files: TrajoptFiles) -> PlanRequest:
         problem.parent if files.scene is None else files.scene.parent,
     )
     if files.scene is not None:
-        request = replace(request, scene=load_scene(files.scene))
+        request = replace(request, scene=load_section(SceneRequest, files.scene))
     if files.start is not None:
-        request = replace(request, start=load_start(files.start))
+        request = replace(request, start=load_section(StartRequest, files.start))
     return request
 
 
@@ -75,7 +75,7 @@ def _robot(files: TrajoptFiles, named: str, folder: Path) -> Mapping[str, Any]:
     path = folder / given if files.robot is None else Path(given)
     if not path.is_file():
         raise RequestError(
-            f"{what}: {given!r} is neither a bundled robot nor a file; {did_you_mean(given, bundled_robots())}"
+            f"{what}: {given!r} is neither a bundled robot nor a file; expected {would_do(given, bundled_robots())}"
         )
     section: dict[str, Any] = {"urdf": str(path.resolve()), **root}
     if files.srdf is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from costs.robot import BASE_NAMES, RobotModel
-from service.trajopt.fields import did_you_mean
+from service.errors import would_do
 
 ACTIVE, BASE = "active", "base"
 PLANAR_BASE = ("base_x", "base_y", "base_yaw")
@@ -28,8 +28,7 @@ def manip_columns(robot: RobotModel, manip: str) -> tuple[tuple[int, ...], tuple
         found = _part(robot, part)
         if found is None:
             known = [*(group for group, joints in robot.groups.items() if joints), *robot.joint_names, ACTIVE]
-            what = did_you_mean(part, known)
-            problems.append(f"{PATH}: {robot.name} has no group or joint {part!r}; {what}")
+            problems.append(f"{PATH}: {robot.name} has no group or joint {part!r}; expected {would_do(part, known)}")
         elif not found:
             problems.append(f"{PATH}: the base of {robot.name} is fixed; leave 'base' out")
         else:

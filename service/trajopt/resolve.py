@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
+from service.errors import would_do
 from service.request.schema import StartRequest
 from service.trajopt.demanded import pose_matrix
-from service.trajopt.fields import did_you_mean
 from service.trajopt.manip import manip_columns
 from service.trajopt.problem import (
     CartVelTerm,
@@ -92,9 +92,9 @@ def _unknown_links(problem: Problem, robot: RobotModel) -> Iterator[str]:
     bodied = {body.link for body in robot.bodies}
     for path, link, has_shape in _named_links(problem):
         if link not in known:
-            yield f"{path}: {robot.name} has no link {link!r}; {did_you_mean(link, known)}"
+            yield f"{path}: {robot.name} has no link {link!r}; expected {would_do(link, known)}"
         elif has_shape and link not in bodied:
-            yield f"{path}: link {link!r} has no collision shape to stand on; {did_you_mean(link, bodied)}"
+            yield f"{path}: link {link!r} has no collision shape; expected {would_do(link, bodied) or 'none'}"
 
 
 def _named_links(problem: Problem) -> Iterator[tuple[str, str, bool]]:
