@@ -122,7 +122,7 @@ def test_flat_points_have_no_hull() -> None:
 
 
 @given(kind=st.sampled_from(["sphere", "capsule", "cylinder"]), radius=RADIUS, length=LENGTH)
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_what_sweeps_contains_the_round_shape_with_no_more_vertices_than_coal_can_sweep(
     kind: str, radius: float, length: float
 ) -> None:
@@ -144,7 +144,7 @@ def test_what_sweeps_contains_the_round_shape_with_no_more_vertices_than_coal_ca
 
 
 @given(seed=SEED, radius=st.floats(0.03, 0.3), is_capsule=st.booleans())
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_a_swept_hull_of_many_vertices_is_as_far_as_the_hull_of_both_its_poses(
     seed: int, radius: float, is_capsule: bool
 ) -> None:
