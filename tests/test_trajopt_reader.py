@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import RequestError
-from service.trajopt.document import parse_document, read_document
+from service.trajopt.json_fields import parse_document, read_document
 from service.trajopt.problem import (
     CartVelTerm,
     CollisionTerm,
@@ -216,7 +216,7 @@ def test_evaluators_of_either_numbering_look_between_the_waypoints_or_not(evalua
         (changed(("constraints", 0, "params", "xyz", 1), "2"), "constraints[0].params.xyz[1]: a number is needed, got"),
         (changed(("costs", 0, "params", "coeffs", 3), -1), "costs[0].params.coeffs[3]: expected at least 0, got -1"),
         (changed(("costs", 0, "use_time"), "maybe"), "costs[0].use_time: true or false is needed, got 'maybe'"),
-        (changed(("costs", 4, "params", "gap"), 2), "costs[4].params.gap: 2 is not planned with; 1"),
+        (changed(("costs", 4, "params", "gap"), 2), "costs[4].params.gap: 2 is not planned with; expected 1"),
         (changed(("costs", 4, "params", "dist_pen"), [0.1, 0.2]), "costs[4].params.dist_pen: 1 number or 5 (one per"),
         (changed(("costs", 4, "params", "continuous"), True), "costs[4].params.evaluator_type: says the same as"),
         (changed(("costs", 4, "params", "pairs", 0, "dist_pem"), 0), "costs[4].params.pairs[0].dist_pem: unknown key"),
@@ -224,7 +224,10 @@ def test_evaluators_of_either_numbering_look_between_the_waypoints_or_not(evalua
         (changed(("costs", 1, "params", "lower_tols"), [0.1]), "costs[1].params.lower_tols: expected at most 0"),
         (changed(("costs", 0, "type"), "zmp"), "costs[0].type: zmp is a constraint only; list it under constraints"),
         (changed(("costs", 0, "type"), "total_time"), "costs[0].type: 'total_time' is not planned with"),
-        (changed(("costs", 1, "use_time"), True), "costs[1].use_time: joint_acc knows no time; joint_vel alone does"),
+        (
+            changed(("costs", 1, "use_time"), True),
+            "costs[1].use_time: joint_acc does not use time; only joint_vel does",
+        ),
         (changed(("costs", 1, "params", "last_step"), 0), "costs[1].params.last_step: 0 is before first_step, 1"),
         (changed(("basic_info", "n_steps"), 1), "basic_info.n_steps: expected 2 to 500, got 1"),
         (changed(("basic_info", "n_steps"), 5.0), "basic_info.n_steps: a whole number is needed, got 5.0"),

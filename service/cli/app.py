@@ -167,7 +167,7 @@ def _plan(
         if trajopt is None:
             request = load_request(request_file)
         else:
-            from service.trajopt.files import TrajoptFiles, load_trajopt_request
+            from service.trajopt.request import TrajoptFiles, load_trajopt_request
 
             request = load_trajopt_request(request_file, TrajoptFiles(**trajopt))
         if cloud is not None:

@@ -102,9 +102,9 @@ def rebuild_demands(
 def _program(program: Program | None, robot: RobotModel) -> ProgramDemand | None:
     if program is None:
         return None
-    from service.trajopt.demanded import program_demand  # takes a while, and few requests need it
+    from service.trajopt.verifier_targets import make_program_demand  # takes a while, and few requests need it
 
-    return program_demand(program, robot)
+    return make_program_demand(program, robot)
 
 
 def _wheel(request: PlanRequest, seen: Sequence[ValveDetection]) -> Wheel | None:

@@ -149,10 +149,10 @@ def resolve_start(
     """Return the start configuration, notes about it, and the request's TrajOpt problem, which may set the start."""
     if request.task is None or request.task.trajopt is None:
         return *make_start_configuration(robot, request.start), None
-    from service.trajopt import requested_program, requested_start  # takes a while, and few requests need it
+    from service.trajopt import complete_start, make_program  # takes a while, and few requests need it
 
-    start, notes = make_start_configuration(robot, requested_start(request, robot))
-    program = requested_program(request, robot, start)
+    start, notes = make_start_configuration(robot, complete_start(request, robot))
+    program = make_program(request, robot, start)
     return (start if program is None else program.start), notes, program
 
 

@@ -27,7 +27,7 @@ from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.errors import RequestError
 from service.start.overlaps import describe_collisions, find_overlaps_and_unresolved
 from service.trajopt import Builder, Program, Promises, Timeline
-from service.trajopt.fields import did_you_mean
+from service.trajopt.json_fields import did_you_mean
 from service.trajopt.problem import CollisionTerm, PoseTerm
 
 PHASE = "trajopt"
@@ -166,8 +166,8 @@ class _Search:
             PHASE,
             solved.x,
             solved.is_feasible,
-            holds=promises.holds(),
-            targets=lambda s_last: promises.targets(),
+            holds=promises.make_holds(),
+            targets=lambda s_last: promises.make_targets(),
             search=self,
             timeline=Timeline.of_steps(self.program.n_steps),
         ).with_waypoint_targets()
@@ -183,7 +183,7 @@ class _Search:
         builder = Builder(program, timeline, body, body.checker())
         with self.solver.monitor.step(PHASE, 0.4):
             return self.solver.trajectory(
-                PHASE, [q], fixed, builder.costs(), builder.constraints(), bounds=builder.bound
+                PHASE, [q], fixed, builder.make_costs(), builder.make_constraints(), bounds=builder.narrow_bounds
             )
 
     def _end(self) -> Float[np.ndarray, "n"] | None:
@@ -192,13 +192,13 @@ class _Search:
         last = program.n_steps - 1
         if last in program.fixed:
             return program.fixed[last]
-        alone = program.only(last)
+        alone = program.restrict_to(last)
         builder = Builder(alone, Timeline.of_steps(1), solver.body, solver.body.checker())
-        constraints = builder.constraints()
+        constraints = builder.make_constraints()
         if not constraints:
             return None
         lower, upper = solver.body.bounds(1, {})
-        builder.bound(lower, upper)
+        builder.narrow_bounds(lower, upper)
         fixed = {i: float(lower[0, i]) for i in np.flatnonzero(lower[0] == upper[0]).tolist()}
         for guess in (program.init[last], *(self._moved(posture) for _, posture in posture_guesses(solver.body))):
             with solver.monitor.step("goal pose", 0.1):
@@ -247,13 +247,13 @@ class ProgramPhase(PlannedPhase):
         """The phase with what it promises of its waypoints."""
         if self.search is None or self.timeline is None:
             return self
-        return replace(self, at_waypoints=partial(self.search.promises.at_waypoints, self.timeline))
+        return replace(self, at_waypoints=partial(self.search.promises.make_waypoint_targets, self.timeline))
 
     def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """The program solved on from a denser trajectory."""
         if self.search is None or self.timeline is None:
             return None
-        timeline = self.timeline.denser(self.q, q)
+        timeline = self.timeline.insert_waypoints(self.q, q)
         solved = self.search.solve(q, timeline)
         anew = replace(self, q=solved.x, is_feasible=solved.is_feasible, timeline=timeline)
         return anew.with_waypoint_targets()
