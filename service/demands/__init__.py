@@ -5,8 +5,8 @@ from service.demands.differences import compare_pace
 from service.demands.holding import HeldMotion, hold_to_request
 from service.demands.program import ProgramDemand
 from service.demands.recorded_turn import compare_turn
-from service.demands.scene import compose_scene, has_scan, recorded_obstacles
-from service.demands.stance import planted_feet
+from service.demands.scene import compose_scene, find_recorded_obstacles, has_scan
+from service.demands.stance import list_planted_feet
 
 __all__ = [
     "Demands",
@@ -15,8 +15,8 @@ __all__ = [
     "compare_pace",
     "compare_turn",
     "compose_scene",
+    "find_recorded_obstacles",
     "has_scan",
     "hold_to_request",
-    "planted_feet",
-    "recorded_obstacles",
+    "list_planted_feet",
 ]

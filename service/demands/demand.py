@@ -10,7 +10,7 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands.program import ProgramDemand
-from service.demands.stance import planted_feet
+from service.demands.stance import list_planted_feet
 from service.demands.wheel import Wheel
 from service.request.schema import PlanRequest
 
@@ -40,4 +40,4 @@ class Demands:
         """Planted links."""
         if self.program is not None:
             return self.program.planted
-        return planted_feet(self.robot, self.request.options.feet)
+        return list_planted_feet(self.robot, self.request.options.feet)

@@ -9,14 +9,14 @@ import numpy as np
 from costs.allowance import Allowance
 from service.demands.demand import Demands
 from service.demands.differences import ESCAPE, compare_path, compare_phase, compare_world
-from service.demands.program import program_targets
+from service.demands.program import make_program_targets
 from service.demands.recorded_turn import RecordedTurn
-from service.demands.stance import Stance, leaving_allowances, standing_allowances
-from service.demands.targets import goal_targets, kept_target
-from service.demands.wheel import robot_with_wheel
+from service.demands.stance import Stance, make_escape_allowances, make_standing_allowances
+from service.demands.targets import make_goal_targets, make_kept_target
+from service.demands.wheel import add_wheel_joint
 from service.start.overlaps import find_hull_overlaps
 from service.verify import Motion, Phase, Target
-from service.verify.coverage.required import waived_checks
+from service.verify.coverage.required import list_waived_checks
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     Raises:
         ValueError: the request's feet do not span a polygon.
     """
-    robot = demands.robot if demands.wheel is None else robot_with_wheel(demands.robot, demands.wheel)
+    robot = demands.robot if demands.wheel is None else add_wheel_joint(demands.robot, demands.wheel)
     differences = list(compare_world(demands, robot, recorded))
     if recorded.robot.joint_names != robot.joint_names:
         return HeldMotion(recorded, tuple(differences))
@@ -50,7 +50,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     differences += lines
     for phase, own in zip(recorded.phases, phases, strict=True):
         differences += compare_phase(phase, own, is_program=demands.program is not None)
-    waived = waived_checks(
+    waived = list_waived_checks(
         is_timed=demands.request.options.timed,
         is_balanced=promises.stance.hull is not None or not demands.robot.is_floating,
     )
@@ -98,19 +98,19 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
     lines: tuple[str, ...] = ()
     knots = recorded.curve.knots
     if request.goal is not None:
-        targets = goal_targets(robot, request.goal, float(knots[-1]))
+        targets = make_goal_targets(robot, request.goal, float(knots[-1]))
     elif demands.program is not None:
-        targets, lines = program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
+        targets, lines = make_program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
     turning = None
     if demands.wheel is not None and request.task is not None and request.task.valve is not None:
         turning = RecordedTurn.of(demands.wheel, request.task.valve, recorded)
         lines = turning.problems
     return _Promises(
         stance,
-        standing_allowances(feet, demands.scene),
-        leaving_allowances(inside),
+        make_standing_allowances(feet, demands.scene),
+        make_escape_allowances(inside),
         targets,
-        tuple(kept_target(robot, start, keep) for keep in request.keep),
+        tuple(make_kept_target(robot, start, keep) for keep in request.keep),
         turning,
     ), lines
 

@@ -37,7 +37,7 @@ class ProgramDemand:
     unproven: tuple[str, ...] = ()
 
 
-def program_targets(
+def make_program_targets(
     program: ProgramDemand, robot: RobotModel, knots: Float[np.ndarray, "K"], q: Float[np.ndarray, "K n"]
 ) -> tuple[tuple[Target, ...], tuple[str, ...]]:
     """Return the targets of a program at the waypoints of a motion, and a sentence for a step that no waypoint meets.

@@ -15,8 +15,8 @@ from service.body.whole_body import WholeBody
 from service.motion.spline import Path, Spline, make_spline
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Motion, Phase, PlantedContact, SupportPolygon
-from service.verify.coverage.required import waived_checks
-from service.verify.timeline import times_of
+from service.verify.coverage.required import list_waived_checks
+from service.verify.timeline import find_times
 
 SAMPLE_PERIOD_S = 0.01
 # Samples beside a rest, as shares of the knot interval: the robot leaves it at once, and a start that touches something
@@ -50,7 +50,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         curve=spline.curve,
         phases=phases,
         mechanism_links=body.robot.mechanism_links,
-        waived=waived_checks(
+        waived=list_waived_checks(
             is_timed=timing is not None, is_balanced=body.polygon is not None or not body.robot.is_floating
         ),
     )
@@ -118,7 +118,7 @@ def _samples(knots: Float[np.ndarray, "K"], law: TimeLaw, longest: Float[np.ndar
         law: of its time.
         longest: per knot interval, the longest step of the path parameter between two samples.
     """
-    times = times_of(law, knots)
+    times = find_times(law, knots)
     is_rest = np.isin(knots, law.path[law.speed == 0.0])
     samples = [knots[:1]]
     for k, length in enumerate(np.diff(knots)):
@@ -131,6 +131,6 @@ def _samples(knots: Float[np.ndarray, "K"], law: TimeLaw, longest: Float[np.ndar
         beside += [knots[k] + length * BESIDE_REST] if is_rest[k] else []
         beside += [knots[k + 1] - length * BESIDE_REST] if is_rest[k + 1] else []
         extra = np.concatenate(beside)
-        is_apart = np.abs(even[:, None] - times_of(law, extra)).min(axis=1) > SAME_TIME_S
+        is_apart = np.abs(even[:, None] - find_times(law, extra)).min(axis=1) > SAME_TIME_S
         samples += [law.at(even[is_apart])[0], extra]
     return np.unique(np.concatenate(samples))

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel, bundled_robots
 from costs.scene import ConvexPiece, Scene
-from service.demands import Demands, ProgramDemand, compose_scene, has_scan, planted_feet, recorded_obstacles
-from service.demands.wheel import Wheel, wheel_of
+from service.demands import Demands, ProgramDemand, compose_scene, find_recorded_obstacles, has_scan, list_planted_feet
+from service.demands.wheel import Wheel, make_wheel
 from service.errors import RequestError
 from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
@@ -83,7 +83,7 @@ def rebuild_demands(
     whose = "the request in this folder" if given is None else given.name
     robot, robot_from = _robot(request, record, given is not None, whose)
     start, _, program = resolve_start(robot, request)
-    feet = planted_feet(robot, request.options.feet) if program is None else program.planted
+    feet = list_planted_feet(robot, request.options.feet) if program is None else program.planted
     is_read = bool(clouds) or (given is not None and request.scene.file is not None)
     about, scene_from = Surroundings(_seen(request, record.scene), record.valves), whose
     if is_read:
@@ -117,7 +117,7 @@ def _wheel(request: PlanRequest, seen: Sequence[ValveDetection]) -> Wheel | None
     valve = given_valve(task) or next(iter(seen), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
-    return wheel_of(valve)
+    return make_wheel(valve)
 
 
 def _robot(request: PlanRequest, record: Record, is_given: bool, whose: str) -> tuple[RobotModel, str]:
@@ -136,7 +136,7 @@ def _seen(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:
     if not has_scan(request):
         return ()
     own = {one.name for one in request.scene.obstacles}
-    parts = {piece.name for piece in recorded_obstacles(request, recorded)}
+    parts = {piece.name for piece in find_recorded_obstacles(request, recorded)}
     return tuple(piece for piece in recorded.pieces if piece.name not in own | parts)
 
 
@@ -164,7 +164,7 @@ def _obstacles(
         return build_obstacles(request, about.matches).pieces, False
     plain = tuple(one for one, mesh in zip(request.scene.obstacles, is_mesh, strict=True) if not mesh)
     shapes = build_obstacles(replace(request, scene=replace(request.scene, obstacles=plain))).pieces
-    return (*shapes, *recorded_obstacles(request, recorded)), True
+    return (*shapes, *find_recorded_obstacles(request, recorded)), True
 
 
 def _needs_match(obstacle: object) -> bool:

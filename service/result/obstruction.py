@@ -15,14 +15,14 @@ from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.body.whole_body import Aims, WholeBody
-from service.demands.targets import rotation_of
+from service.demands.targets import make_goal_rotation
 from service.result.motion_json import file_positions
 from service.result.phase_json import targets_json
 from service.setup.prepare import PlanSetup
 from service.start.overlaps import find_overlaps
 from service.tasks.goal import Goal
 from service.verify import CircleTarget, JointTarget, PoseTarget, Target
-from service.verify.solids import convex_of
+from service.verify.solids import make_coal_convex
 
 FREE = np.full(3, np.inf)
 
@@ -76,7 +76,7 @@ def _end_of(setup: PlanSetup) -> _End | None:
     if request.goal is not None:
         body = WholeBody.standing(robot, setup.scene, setup.start, setup.contacts, Aims())
         goal = Goal.of(body, request.goal)
-        poses = [(one.link, np.array(one.position), rotation_of(one)) for one in goal.poses]
+        poses = [(one.link, np.array(one.position), make_goal_rotation(one)) for one in goal.poses]
         q = goal.applied_to(setup.start) if goal.joints else None
         return _End(goal.targets(0.0), q, _turned_as_at_start(setup, poses))
     if setup.program is not None:
@@ -145,12 +145,12 @@ def _inside(
         if body.link not in placed or body.link in planted:
             continue
         pose = placed[body.link] @ np.linalg.inv(locate_frame(robot, body.link)[1])
-        shape, at = convex_of(body.vertices), coal.Transform3s(pose[:3, :3], pose[:3, 3])
+        shape, at = make_coal_convex(body.vertices), coal.Transform3s(pose[:3, :3], pose[:3, 3])
         low, high = (end(body.vertices @ pose[:3, :3].T + pose[:3, 3], axis=0) for end in (np.min, np.max))
         for piece in scene.pieces:
             if np.any(low > piece.upper) or np.any(high < piece.lower):
                 continue
-            convex = convex_of(piece.vertices)
+            convex = make_coal_convex(piece.vertices)
             depth = -float(coal.distance(shape, at, convex, here, coal.DistanceRequest(), coal.DistanceResult()))
             if depth > 0.0:
                 key = (body.link, piece.name)

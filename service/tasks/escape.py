@@ -17,7 +17,7 @@ from service.body.phases import PhaseSolver, PlannedPhase, Solved, Stuck, TaskPl
 from service.body.restore import restore_feasibility
 from service.body.sampling import free_coordinates
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
-from service.demands.stance import DEPTH_ROUNDING, leaving_allowances
+from service.demands.stance import DEPTH_ROUNDING, make_escape_allowances
 from service.start.overlaps import Overlap
 from service.tasks.settle import needs_settling
 
@@ -118,7 +118,7 @@ def escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
         STEP,
         out.x if len(out.x) > 1 else np.stack([body.nominal, out.x[0]]),
         out.is_feasible,
-        allowances=leaving_allowances(overlaps),
+        allowances=make_escape_allowances(overlaps),
         is_settling=needs_settling(body),
         resolve=lambda q: _out(leaving, q, is_end_fixed=True),
     )

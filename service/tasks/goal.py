@@ -15,7 +15,7 @@ from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
 from service.body.holds import Hold, least_norm_step, linearize_holds
 from service.body.whole_body import WholeBody
-from service.demands.targets import AXES, goal_joints, goal_targets, rotation_of
+from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, make_goal_targets
 from service.explain.goal import GoalReasons, find_goal_reasons
 from service.explain.keep import find_never_kept
 from service.request.schema import GoalRequest, PoseGoalRequest
@@ -49,7 +49,7 @@ class Goal:
     @staticmethod
     def of(body: WholeBody, request: GoalRequest) -> Goal:
         """The goal of a request; a posture's base stays free, since the feet stand where they stand."""
-        return Goal(body, request, goal_joints(body.robot, request))
+        return Goal(body, request, find_goal_joints(body.robot, request))
 
     @property
     def is_complete(self) -> bool:
@@ -73,7 +73,7 @@ class Goal:
 
     def targets(self, s_last: float) -> tuple[Target, ...]:
         """What the verifier holds the end of the reach to."""
-        return goal_targets(self.body.robot, self.request, s_last)
+        return make_goal_targets(self.body.robot, self.request, s_last)
 
     def reasons(self) -> GoalReasons:
         """What stands against it before anything is planned."""
@@ -84,7 +84,7 @@ class Goal:
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
     """Position within its tolerance, orientation within its own, one axis of the frame perhaps free."""
-    rotation = rotation_of(pose)
+    rotation = make_goal_rotation(pose)
     target = np.eye(4)
     target[:3, 3] = pose.position
     if rotation is not None:
@@ -138,7 +138,7 @@ def ways(goal: Goal, share: float) -> tuple[Hold, ...]:
 
 def _way(body: WholeBody, pose: PoseGoalRequest, first: Float[np.ndarray, "4 4"], share: float) -> tuple[Hold, ...]:
     """Place and orientation of one link; of the latter as much as its goal speaks of."""
-    robot, rotation, target = body.robot, rotation_of(pose), np.eye(4)
+    robot, rotation, target = body.robot, make_goal_rotation(pose), np.eye(4)
     target[:3, 3] = (1.0 - share) * first[:3, 3] + share * np.array(pose.position)
     place: Hold = lambda waypoints: FramePose(robot, pose.link, waypoints, target, PLACE)  # noqa: E731
     if rotation is None:

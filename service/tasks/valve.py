@@ -34,7 +34,7 @@ from service.body.phases import (
     straight_path,
 )
 from service.body.whole_body import LIMIT_RESERVE, WholeBody
-from service.demands.wheel import HAND_AXIS, Hand, Wheel, hook_allowances, stroke_targets
+from service.demands.wheel import HAND_AXIS, Hand, Wheel, make_hook_allowances, make_stroke_targets
 from service.errors import RequestError
 from service.request.names import VALVE_LINK
 from service.tasks.wheel import add_wheel, tool_positions, turned_angle, wrist_of
@@ -102,7 +102,7 @@ class ValveTurn:
     @property
     def touching(self) -> tuple[Allowance, ...]:
         """The hook may touch the rim, and nothing else may."""
-        return hook_allowances(self.wheel, self.hand)
+        return make_hook_allowances(self.wheel, self.hand)
 
     def strokes(self) -> tuple[Stroke, ...]:
         """As few equal strokes as the wrist's range allows; one in hook mode."""
@@ -268,7 +268,7 @@ class ValveTurn:
         grasp = self._grasp_rotation(stroke, pose) if self.mode == "grasp" else None
 
         def targets(s_last: float) -> tuple[Target, ...]:
-            return stroke_targets(self.wheel, self.hand, self.entry, stroke.last, s_last, grasp)
+            return make_stroke_targets(self.wheel, self.hand, self.entry, stroke.last, s_last, grasp)
 
         return targets
 

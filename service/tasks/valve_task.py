@@ -11,7 +11,7 @@ from perception import ValveDetection, has_clear_spokes
 from service.body.phases import PhaseSolver, TaskPlan
 from service.body.reach import find_out_of_reach
 from service.body.whole_body import WholeBody
-from service.demands.wheel import HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, wheel_of
+from service.demands.wheel import HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, make_wheel
 from service.errors import RequestError
 from service.request.schema import ValveRequest
 from service.scan.scene_file import wheel_from_circle
@@ -98,7 +98,7 @@ def _hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> lis
 
 def _wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
     """The wheel as a mechanism, its gaps ordered by how near they are to the hand."""
-    wheel = wheel_of(valve)
+    wheel = make_wheel(valve)
     at = locate_links(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
     gaps = sorted(wheel.gaps, key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
     return replace(wheel, gaps=tuple(gaps))

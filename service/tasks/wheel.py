@@ -9,7 +9,7 @@ from costs.kinematics import KinematicsEngine, locate_frame
 from costs.robot import RobotModel
 from costs.rotation import make_tangent_basis
 from service.body.whole_body import WholeBody
-from service.demands.wheel import HAND_AXIS, Hand, Wheel, robot_with_wheel
+from service.demands.wheel import HAND_AXIS, Hand, Wheel, add_wheel_joint
 
 
 def wrist_of(hand: Hand, robot: RobotModel) -> tuple[int, float]:
@@ -24,7 +24,7 @@ def wrist_of(hand: Hand, robot: RobotModel) -> tuple[int, float]:
 
 def add_wheel(body: WholeBody, wheel: Wheel) -> WholeBody:
     """The body of a robot whose last coordinate is the wheel's angle."""
-    return body.with_robot(robot_with_wheel(body.robot, wheel), np.append(body.nominal, 0.0))
+    return body.with_robot(add_wheel_joint(body.robot, wheel), np.append(body.nominal, 0.0))
 
 
 def tool_positions(robot: RobotModel, tool: str, q: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "S 3"]:

@@ -113,7 +113,7 @@ class MassPath:
         self._prepared_motion = prepared
         self._rounding = rounding
         model: pin.Model = prepared.motion.robot.model
-        owners = mechanism_joints(prepared.motion)
+        owners = find_mechanism_joints(prepared.motion)
         self._joints = [j for j in range(1, model.njoints) if float(model.inertias[j].mass) > 0.0 and j not in owners]
         self._masses = np.array([float(model.inertias[j].mass) for j in self._joints])
         self._levers = np.array([model.inertias[j].lever for j in self._joints]).reshape(-1, 3)
@@ -137,6 +137,6 @@ class MassPath:
         return np.asarray(each.reshape(len(first), -1) @ self._masses / self._masses.sum())
 
 
-def mechanism_joints(motion: Motion) -> frozenset[int]:
+def find_mechanism_joints(motion: Motion) -> frozenset[int]:
     """Return the joints that carry a mechanism's links."""
     return frozenset(b.joint for b in motion.robot.bodies if b.link in motion.mechanism_links and b.joint > 0)

@@ -12,7 +12,7 @@ from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
 from service.verify.motion import Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.timeline import edges_within, time_of
+from service.verify.timeline import edges_within, find_time
 
 # (first (I,), last (I,)) -> upper bounds over the intervals (I,), values at their first ends (I,) and last ends (I,)
 Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -124,7 +124,7 @@ class PhaseProof:
         """
         sign = -1.0 if negate else 1.0
         point = None if position is None else (float(position[0]), float(position[1]), float(position[2]))
-        where = Where(extreme.s, time_of(self.prepared.motion.law, extreme.s), point, names)
+        where = Where(extreme.s, find_time(self.prepared.motion.law, extreme.s), point, names)
         is_ok = bool(extreme.sampled <= limit)
         value = sign * float(extreme.bound if extreme.is_proven else extreme.sampled)
         basis = Basis.PROOF if extreme.is_proven else Basis.UNPROVEN if is_ok else Basis.SAMPLES

@@ -24,7 +24,7 @@ _FLAT = 128
 _KEPT = 2048
 
 
-def convex_of(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
+def make_coal_convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
     """Return a Convex of these points, read-only: equal points give the same object."""
     return _make_convex(np.ascontiguousarray(vertices, dtype=float).tobytes())
 
@@ -104,7 +104,7 @@ class Solid:
     @cached_property
     def convex(self) -> coal.Convex:
         """Convex of coal."""
-        return convex_of(self.vertices)
+        return make_coal_convex(self.vertices)
 
     def distances(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
         """Return the distances of points in the solid's frame from it, 0 inside [m]."""

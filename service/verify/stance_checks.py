@@ -19,7 +19,7 @@ from service.verify.timeline import edges_within
 _SUPPORT_TOLERANCE_M = 1e-3
 
 
-def stance_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+def check_stance(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
     """Check balance, the support polygon and planted links of one phase."""
     proof = PhaseProof(prepared, phase, settings)
     if phase.support is not None:

@@ -22,7 +22,7 @@ from service.verify.phase_proof import Extreme, PhaseProof, values_at_ends
 from service.verify.prepared_motion import PreparedMotion
 
 
-def target_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+def check_targets(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
     """Check the targets of one phase."""
     proof = PhaseProof(prepared, phase, settings)
     for target in phase.targets:

@@ -14,7 +14,7 @@ from service.verify.clearance.search import ClearanceBounds, Examination, examin
 from service.verify.motion import Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.solids import DistanceQuery
-from service.verify.timeline import time_of
+from service.verify.timeline import find_time
 
 FLOOR_KIND = "floor"
 
@@ -51,7 +51,7 @@ def prove_clearance(prepared: PreparedMotion, settings: VerifySettings) -> Clear
     checks = [*_refuted_checks(prepared, examined), *_unproven_checks(prepared, examined)]
     if not checks:
         checks = [_summary_check(prepared, examined, smallest, pair)]
-    checks += start_checks(prepared, examined.table, settings)
+    checks += check_start(prepared, examined.table, settings)
     return Clearance(
         tuple(checks),
         smallest,
@@ -96,7 +96,7 @@ def _refuted_checks(prepared: PreparedMotion, examined: Examination) -> Iterator
         limit = 0.0 if np.isnan(sample.allowed) else -sample.allowed
         text = f"{names[0]} penetrates {names[1]} by {-1e3 * sample.distance:.1f} mm"
         x, y, z = (float(value) for value in sample.position)
-        where = Where(sample.s, time_of(prepared.motion.law, sample.s), (x, y, z), names)
+        where = Where(sample.s, find_time(prepared.motion.law, sample.s), (x, y, z), names)
         yield Check("clearance", False, sample.distance, limit, "m", text, where, Basis.SAMPLES)
 
 
@@ -114,7 +114,7 @@ def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterato
         lower, middle = float(lowers[row]), float(0.5 * (unproven.first[row] + unproven.last[row]))
         limit = -float(np.nan_to_num(table.allowed[pair, unproven.phase[row]]))
         text = f"clearance of {names[0]} and {names[1]} not shown: {1e3 * lower:.3f} mm at least"
-        where = Where(middle, time_of(prepared.motion.law, middle), None, names)
+        where = Where(middle, find_time(prepared.motion.law, middle), None, names)
         yield Check("clearance", True, lower, limit, "m", text, where, Basis.UNPROVEN)
 
 
@@ -132,7 +132,7 @@ def _summary_check(
     return Check("clearance", True, smallest, 0.0, "m", text, None, Basis.PROOF)
 
 
-def start_checks(prepared: PreparedMotion, table: PairTable, settings: VerifySettings) -> Iterator[Check]:
+def check_start(prepared: PreparedMotion, table: PairTable, settings: VerifySettings) -> Iterator[Check]:
     """Check each pair that overlaps at the first pose and that the first phase allows to touch.
 
     Planted links that rest on the floor are not listed.
@@ -155,7 +155,7 @@ def start_checks(prepared: PreparedMotion, table: PairTable, settings: VerifySet
             f"which '{phase.name}' allows down to {1e3 * allowed:.1f} mm"
         )
         is_ok = distance >= -allowed - settings.contact_tolerance_m
-        where = Where(s, time_of(prepared.motion.law, s), None, names)
+        where = Where(s, find_time(prepared.motion.law, s), None, names)
         yield Check(f"start.{names[0]}.{names[1]}", is_ok, distance, -allowed, "m", text, where, Basis.SAMPLES)
 
 
