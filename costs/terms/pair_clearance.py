@@ -101,7 +101,6 @@ class PairClearance(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: of the contacts.
             required: per interval; for single poses, per waypoint.
             poses: finds the contacts of single waypoints; None for swept ones.
         """

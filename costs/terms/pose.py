@@ -59,7 +59,6 @@ class FramePose(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the rows are measured.
             target: (4, 4) or (S, 4, 4) ``pose_reference_target``.
@@ -94,7 +93,7 @@ class FramePose(Residual[MotionState]):
             if reference:
                 angular = angular - kinematics.angular_jacobian(reference)[here]
             rows = np.concatenate([rows, log_derivative(error[:, 3:]) @ (to_target @ angular)], axis=1)
-        return _make_rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
+        return make_waypoint_rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
 
     def _error(
         self, kinematics: Kinematics
@@ -127,9 +126,8 @@ class AxisDirection(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: the robot.
             frame: link or frame name.
-            waypoints: (S,) where the rows are measured.
+            waypoints: (S,) waypoints of the rows.
             axis: (3,) in the frame.
             direction: (3,) in the reference.
             reference: frame the direction is given in; the world if None.
@@ -161,7 +159,7 @@ class AxisDirection(Residual[MotionState]):
         d_angle = along[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
         rows = across[:, None, None] * d_tangential
         rows = rows + unit[:, :, None] * (d_angle - across[:, None] * d_sine)[:, None, :]
-        return _make_rows(angle[:, None] * unit, rows, here, kinematics)
+        return make_waypoint_rows(angle[:, None] * unit, rows, here, kinematics)
 
     def _components(
         self, kinematics: Kinematics
@@ -208,7 +206,6 @@ class PointHalfSpace(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the row is measured.
             normal: (3,) in the world.
@@ -231,7 +228,7 @@ class PointHalfSpace(Residual[MotionState]):
         _, position = self._frame.pose(kinematics, here, self._local[None])
         direction = np.broadcast_to(self._normal, position.shape)
         rows = kinematics.directional_jacobian(here, np.full(len(here), self._frame.joint), position, direction)
-        return _make_rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
+        return make_waypoint_rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
 
 
 def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
@@ -242,13 +239,13 @@ def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return v / norm
 
 
-def _make_rows(
-    value: Float[np.ndarray, "S k"],
+def make_waypoint_rows(
+    value: Float[np.ndarray, "..."],
     jacobian: Float[np.ndarray, "S k n"],
     waypoints: Int[np.ndarray, "S"],
     kinematics: Kinematics,
 ) -> AffineRows:
-    """Make rows of single waypoints."""
+    """Make k rows per waypoint from values and their derivatives by that waypoint's coordinates."""
     n_rows, k, n = jacobian.shape
     return AffineRows.from_blocks(
         value.ravel(), np.repeat(waypoints, k), jacobian.reshape(n_rows * k, 1, n), kinematics.n_waypoints

@@ -46,8 +46,6 @@ def make_program_targets(
     motion's first waypoint, the last step its last.
 
     Args:
-        program: the demands.
-        robot: the robot.
         knots: (K,) path parameters of the waypoints.
         q: (K, n) configurations at the waypoints.
     """

@@ -123,8 +123,6 @@ def make_stroke_targets(
     """Return the targets of a stroke: the tool moves with its point of the rim, and the wheel ends at an angle.
 
     Args:
-        wheel: the wheel.
-        hand: the hand on its rim.
         entry: angle of the hook's gap, in the wheel [rad].
         angle: angle of the wheel at the end of the stroke [rad].
         at: path parameter of that end.

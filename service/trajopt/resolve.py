@@ -33,8 +33,6 @@ def resolve(problem: Problem, robot: RobotModel, start: Float[np.ndarray, "n"], 
     """Check a problem against a robot and make it a program.
 
     Args:
-        problem: the problem as read.
-        robot: the robot to move.
         start: (n,) configuration at the requested start.
         request: that start; joints it does not name start at the first row of a given trajectory.
     """

@@ -38,15 +38,7 @@ class RateBounds:
 
     def take(self, rows: np.ndarray | slice) -> RateBounds:
         """Return these rows."""
-        return RateBounds(
-            self.first[rows],
-            self.last[rows],
-            self.speed[rows],
-            self.bend[rows],
-            self.step[rows],
-            self.step_speed[rows],
-            self.step_bend[rows],
-        )
+        return RateBounds(*(column[rows] for column in vars(self).values()))
 
 
 class Rates:

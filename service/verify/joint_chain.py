@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -57,23 +57,13 @@ class Chain:
         shape = (len(chains), width)
         stacked = Chain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool)))
         for row, chain in enumerate(chains):
-            own = slice(0, len(chain.coordinates))
-            stacked.coordinates[row, own] = chain.coordinates
-            stacked.joints[row, own] = chain.joints
-            stacked.is_revolute[row, own] = chain.is_revolute
-            stacked.reach[row, own] = chain.reach
-            stacked.base_rotations[row, own] = chain.base_rotations
+            for item in fields(Chain):
+                getattr(stacked, item.name)[row, : len(chain.coordinates)] = getattr(chain, item.name)
         return stacked
 
     def take(self, rows: Int[np.ndarray, "E"]) -> Chain:
         """Return these rows, in this order."""
-        return Chain(
-            self.coordinates[rows],
-            self.joints[rows],
-            self.is_revolute[rows],
-            self.reach[rows],
-            self.base_rotations[rows],
-        )
+        return Chain(*(getattr(self, item.name)[rows] for item in fields(Chain)))
 
     @cached_property
     def weight(self) -> float:

@@ -41,8 +41,6 @@ def verify(
     with ``motion.samples``, on the exported samples read linearly); ZMP and torques hold at samples.
 
     Args:
-        motion: the motion.
-        settings: of the proofs.
         should_stop: called at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
 
     Raises:

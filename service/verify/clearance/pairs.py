@@ -58,12 +58,7 @@ class PairTable:
         return np.array([solid.sphere[1] for solid in self.solids[: self.n_bodies]])
 
     def with_chains(self, tree: JointTree, near: Int[np.ndarray, "K"]) -> PairTable:
-        """Return the table with chains of near pairs, each swept in the frame that gives the tighter bound.
-
-        Args:
-            tree: the robot's joints.
-            near: (K,) pairs whose chain is wanted.
-        """
+        """Return the table with chains of the pairs ``near``, each swept in the frame that gives the tighter bound."""
         chains, known = list(self.world), dict[tuple[int, int], int]()
 
         def row_of(frame: int, mover: int) -> int:

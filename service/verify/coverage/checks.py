@@ -26,7 +26,6 @@ def check_coverage(
     """Return what was checked, and an unproven check for everything that rules out a certificate.
 
     Args:
-        prepared: the motion.
         table: pairs of bodies whose clearance was examined.
         checks: that were made.
         settings: of the proofs that pairs left out keep apart.
