@@ -139,7 +139,7 @@ def test_requests_refused_by_the_validator_or_the_folder_are_not_sent(
     path.write_text("robot: {name: atlas}\ngoal: {posture: stand}\noptions: {wayponts: 3}\n")
     result = _scopt("request", path, "--target", target)
     assert result.exit_code == 3
-    assert result.stderr.splitlines()[-1] == "wrong.yaml: options: unknown key 'wayponts'; waypoints, … would do"
+    assert result.stderr.splitlines()[-1] == "wrong.yaml: options: unknown key 'wayponts'; expected waypoints, …"
     assert _request(target, "--out", tmp_path, name="valve").exit_code == 3  # holds something else
     assert _request("nowhere").exit_code == 3
     assert _scopt("request", path).exit_code == 2

@@ -362,7 +362,7 @@ def test_jobs_fail_when_workers_never_become_ready() -> None:
         LocalPool(1, warm_up=jobs.warm_up_without_end, start_timeout_s=0.3) as pool,
         pytest.raises(WorkerDied, match="none could be started"),
     ):
-        pool.submit(jobs.pid).result(SOON_S)
+        pool.submit(jobs.pid).result(3 * SOON_S)
 
 
 @pytest.mark.usefixtures("short_retry_waits")

@@ -99,7 +99,7 @@ def test_what_is_wrong_with_a_cloud_is_told_of_the_field_that_names_it() -> None
         "start is odd",
         "no points",
         "--mesh: sha256:c.stl: has 0 triangles",
-        "--mesh: sha256:c.stl spans 1e+04 m at --mesh-scale 1; 0.001 to 100 m would do",
+        "--mesh: sha256:c.stl spans 1e+04 m at --mesh-scale 1; expected 0.001 to 100 m",
         "clouds.reach_m: scene:1 was made with 3.0, and an update keeps to that",
     )
     told = [make_violation(problem) for problem in rename_fields(said, kept)]

@@ -57,7 +57,7 @@ def test_robots_come_change_break_and_go_while_the_server_runs(stub: PlannerServ
     urdf = robots / "swinger" / "robot.urdf"
     urdf.parent.mkdir()
     urdf.write_text(URDF.format(upper=1))
-    assert "1.5 is outside the joint's limits; -1 to 1 would do" in told()
+    assert "1.5 is outside the joint's limits; expected -1 to 1" in told()
     urdf.write_text(URDF.format(upper=2.5))
     assert finished(stub.Plan(message, timeout=60)).result.verdict == VERDICT_CERTIFIED
     assert described()["swinger"] == "1 degrees of freedom"
