@@ -34,7 +34,7 @@ class Correction:
         rows: (m,) their rows in the model.
         is_equal: (m,) whether a row must be zero; else at most zero.
         place: (m,) where each row stands in the (T, K) rows of all waypoints.
-        jacobian: (T, K, n) of each waypoint's rows, zero for places without one.
+        jacobian: (T, K, n) Jacobian of each waypoint's rows, zero for unused places.
         mobility: (T, n) the metric ``M``, zero for fixed variables.
     """
 

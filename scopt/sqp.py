@@ -207,7 +207,7 @@ class _Trial(Generic[StateT]):
     """Iterate after a step.
 
     Attributes:
-        iterate: measured.
+        iterate: iterate with its measured terms.
         merit: exact merit there.
         evaluate_s: wall time [s].
     """

@@ -30,7 +30,7 @@ class _Frame:
     def pose(
         self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"], offset: Float[np.ndarray, "#S 4 4"]
     ) -> tuple[Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
-        """World rotation and position of the frame moved by ``offset`` (in the frame)."""
+        """Return world rotation and position of the frame moved by ``offset`` (in the frame)."""
         local = self.pose_joint_frame @ offset
         rotation = kinematics.rotation[waypoints, self.joint]
         position = kinematics.position[waypoints, self.joint]
@@ -164,7 +164,7 @@ class AxisDirection(Residual[MotionState]):
     def _components(
         self, kinematics: Kinematics
     ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S 2"], Float[np.ndarray, "S 3"]]:
-        """Cosine, tangent components (in the reference) and world direction of the axis."""
+        """Return cosine, tangent components (in the reference) and world direction of the axis."""
         identity = np.eye(4)[None]
         rotation, _ = self._frame.pose(kinematics, self._waypoints, identity)
         reference, _ = self._reference.pose(kinematics, self._waypoints, identity)
@@ -176,10 +176,10 @@ class AxisDirection(Residual[MotionState]):
 def _deviation(
     cosine: Float[np.ndarray, "S"], tangential: Float[np.ndarray, "S 2"]
 ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S 2"], Float[np.ndarray, "S"]]:
-    """Angle, the unit tangent along which the axis deviates, and how fast the rows turn as it moves across [rad/rad].
+    """Return the angle, the unit tangent of the deviation, and the rows' change per change across it [rad/rad].
 
-    Exactly opposite the direction every way back is as short; the first tangent is taken.  Close to it the rows turn
-    about the direction without bound, so that only the way back is linearised there.
+    Exactly opposite the direction all ways back are equally short; the first tangent is taken.  Near it the derivative
+    across the deviation has no bound, so that only the way back is linearised there.
     """
     sine = np.linalg.norm(tangential, axis=1)
     angle = np.arctan2(sine, cosine)

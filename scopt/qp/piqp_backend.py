@@ -1,4 +1,4 @@
-"""PIQP (Schwan et al., CDC 2023): proximal interior point with a sparse or multistage factorisation, for the loop."""
+"""Default QP back end, PIQP: proximal interior point, sparse or multistage (Schwan et al., CDC 2023)."""
 
 from __future__ import annotations
 

@@ -232,7 +232,7 @@ def compare_pace(request: PlanRequest, certificate: Certificate) -> Iterator[str
 
 
 def _is_same_joint(first: RobotModel, second: RobotModel) -> bool:
-    """Whether the last joints of two robots of the same URDF have the same place, axis and limits."""
+    """Return whether the last joints of two robots of the same URDF have the same place, axis and limits."""
     places = [robot.model.jointPlacements[robot.model.njoints - 1].homogeneous for robot in (first, second)]
     axes = [_axis(robot) for robot in (first, second)]
     limits = [np.stack([robot.lower, robot.upper, robot.velocity, robot.acceleration]) for robot in (first, second)]
@@ -262,14 +262,14 @@ def _scene_difference(recorded: Scene, own: Scene) -> str:
 
 
 def _rests(motion: Motion, border: float) -> bool:
-    """Whether the curve has a waypoint at a path parameter, and vanishing tangents there."""
+    """Return whether the curve has a waypoint at a path parameter, and vanishing tangents there."""
     at = int(np.abs(motion.curve.knots - border).argmin())
     is_knot = abs(motion.curve.knots[at] - border) <= BORDER_ROUNDING * max(1.0, abs(border))
     return bool(is_knot and np.abs(motion.curve.tangents[at]).max(initial=0.0) <= BORDER_ROUNDING)
 
 
 def _same(first: object, second: object) -> bool:
-    """Whether two values agree, numbers up to rounding; infinities agree with infinities."""
+    """Return whether two values agree, numbers up to rounding; infinities agree with infinities."""
     if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
         if first is None or second is None:
             return first is second

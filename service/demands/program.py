@@ -78,7 +78,7 @@ def report_fixed_joints_that_move(
 
 
 def _holds(robot: RobotModel, target: StepTarget, q: Float[np.ndarray, "n"]) -> bool:
-    """Whether a target holds at a configuration."""
+    """Return whether a target holds at a configuration."""
     if isinstance(target, JointTarget):
         return bool(abs(q[robot.joint_names.index(target.joint)] - target.value) <= target.tolerance + ROUNDING)
     data = robot.model.createData()

@@ -64,7 +64,7 @@ def make_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
 
 
 def has_scan(request: PlanRequest) -> bool:
-    """Whether the scene comes from a scan, or from a scene file made of one."""
+    """Return whether the scene comes from a scan, or from a scene file made of one."""
     return request.scene.cloud is not None or request.scene.file is not None
 
 
@@ -79,5 +79,5 @@ def find_recorded_obstacles(request: PlanRequest, recorded: Scene) -> tuple[Conv
 
 
 def _is_part(piece: str, obstacle: str) -> bool:
-    """Whether a piece is named like a part of a mesh."""
+    """Return whether a piece is named like a part of a mesh."""
     return piece.startswith(f"{obstacle}/") and piece[len(obstacle) + 1 :].isdigit()

@@ -153,7 +153,7 @@ def _at(motion: Motion, s: float, names: tuple[str, ...]) -> Where:
 
 
 def _parabola_peak(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Largest ``|a0 + a1 w + a2 w^2|`` for ``0 <= w <= width``."""
+    """Return the largest ``|a0 + a1 w + a2 w^2|`` for ``0 <= w <= width``."""
     vertex = np.divide(-a1, 2.0 * a2, out=np.zeros_like(a1), where=np.abs(a2) > 1e-300)
     vertex = np.clip(vertex, 0.0, width)
     inner = np.abs(a0 + vertex * (a1 + vertex * a2))
@@ -161,7 +161,7 @@ def _parabola_peak(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, width: np.nda
 
 
 def _roots(b0: np.ndarray, b1: np.ndarray, b2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both zeros of ``b0 + b1 w + b2 w^2``, without cancellation; 0 where there is none."""
+    """Return both zeros of ``b0 + b1 w + b2 w^2``, without cancellation; 0 where there is none."""
     lean = -0.5 * (b1 + np.where(b1 >= 0.0, 1.0, -1.0) * np.sqrt(np.maximum(b1**2 - 4.0 * b0 * b2, 0.0)))
     far = np.divide(lean, b2, out=np.zeros_like(b0), where=np.abs(b2) > 1e-300)
     near = np.divide(b0, lean, out=np.zeros_like(b0), where=np.abs(lean) > 1e-300)

@@ -45,7 +45,7 @@ def _make_convex(points: bytes) -> coal.Convex:
 
 
 def _extreme_points(vertices: Float[np.ndarray, "V 3"], count: int) -> Float[np.ndarray, "W 3"]:
-    """At most ``count`` vertices, the farthest in directions spread over the sphere (Fibonacci lattice)."""
+    """Return at most ``count`` vertices, the farthest in directions spread over the sphere (Fibonacci lattice)."""
     if len(vertices) <= count:
         return vertices
     k = np.arange(count) + 0.5

@@ -134,7 +134,7 @@ def _relative_pose_checks(proof: PhaseProof, target: RelativePoseTarget) -> Iter
         return np.asarray(np.linalg.norm(path.at(s)[0][:, 0] - target.position, axis=1))
 
     def chord(s: np.ndarray) -> np.ndarray:
-        """Largest distance of the tip of a kept unit vector from its place: 2 sin(half the angle) [-]."""
+        """Return the largest distance of the tip of a kept unit vector from its place: 2 sin(half the angle) [-]."""
         rotation = path.at(s)[1]
         if target.free_axis is None:
             return np.asarray(np.linalg.norm(rotation - kept, axis=(1, 2)) / np.sqrt(2.0))

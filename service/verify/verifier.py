@@ -103,6 +103,6 @@ def _notes(prepared: PreparedMotion, coverage: Coverage) -> tuple[str, ...]:
     if motion.law is not None and 0 < len(unlimited) < n_joints:
         notes.append(f"torque not checked for {', '.join(unlimited)}: their limit is 0 or missing")
     if motion.robot.is_floating:
-        given = [phase.name for phase in prepared.phases if phase.support is not None and not phase.contacts]
-        notes += [f"the support polygon was taken as given in {', '.join(given)}"] if given else []
+        assumed = [phase.name for phase in prepared.phases if phase.support is not None and not phase.contacts]
+        notes += [f"the support polygon was taken as given in {', '.join(assumed)}"] if assumed else []
     return (*notes, *coverage.sentences())

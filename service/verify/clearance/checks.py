@@ -90,7 +90,7 @@ def _min_clearance(
 
 
 def _refuted_checks(prepared: PreparedMotion, examined: Examination) -> Iterator[Check]:
-    """One failed check per refuted pair and phase, the deepest first."""
+    """Make one failed check per refuted pair and phase, the deepest first."""
     for sample in sorted(examined.proof.refuted.values(), key=lambda sample: sample.distance):
         names = examined.table.names(sample.pair)
         limit = 0.0 if np.isnan(sample.allowed) else -sample.allowed
@@ -101,7 +101,7 @@ def _refuted_checks(prepared: PreparedMotion, examined: Examination) -> Iterator
 
 
 def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterator[Check]:
-    """One unproven check per pair that is open and not refuted, the nearest first."""
+    """Make one unproven check per pair that is open and not refuted, the nearest first."""
     table, unproven = examined.table, examined.proof.unproven
     reported = {pair for pair, _ in examined.proof.refuted}
     lowers = unproven.lower
@@ -121,7 +121,7 @@ def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterato
 def _summary_check(
     prepared: PreparedMotion, examined: Examination, smallest: float, names: tuple[str, str] | None
 ) -> Check:
-    """The check of a motion whose pairs are all proven."""
+    """Make the check of a motion whose pairs are all proven."""
     text = "no pair is checked" if np.isnan(smallest) else f"clearance is at least {1e3 * smallest:.1f} mm"
     text += f" ({names[0]} and {names[1]})" if names else ""
     is_touching = any(
@@ -160,7 +160,7 @@ def check_start(prepared: PreparedMotion, table: PairTable, settings: VerifySett
 
 
 def _rests_on_floor(prepared: PreparedMotion, table: PairTable, pair: int, phase: Phase) -> bool:
-    """Whether a pair is a planted link and a floor."""
+    """Return whether a pair is a planted link and a floor."""
     mover, piece = table.mover[pair], int(table.holder[pair]) - table.n_bodies
     planted = {contact.link for contact in phase.contacts}
     is_floor = piece >= 0 and prepared.motion.scene.pieces[piece].kind == FLOOR_KIND
@@ -168,7 +168,7 @@ def _rests_on_floor(prepared: PreparedMotion, table: PairTable, pair: int, phase
 
 
 def _list_exempt(examined: Examination, phases: tuple[Phase, ...]) -> tuple[Exempt, ...]:
-    """Pairs allowed to touch that the search examined, per phase."""
+    """List pairs allowed to touch that the search examined, per phase."""
     table, proof = examined.table, examined.proof
     proven, lowest = proof.proven, dict[tuple[int, int], float]()
     lowers = proven.lower
@@ -184,7 +184,7 @@ def _list_exempt(examined: Examination, phases: tuple[Phase, ...]) -> tuple[Exem
 
 
 def _proof_columns(examined: Examination, lowest: Float[np.ndarray, "E-1"]) -> Stretches:
-    """The proof as columns; distances rounded down and bounds up to 1e-7 m."""
+    """Return the proof as columns; distances rounded down and bounds up to 1e-7 m."""
     proven = examined.proof.proven
     used, pair = np.unique(proven.pair, return_inverse=True)
     return Stretches(

@@ -198,7 +198,7 @@ def _centre(placed: Placements, rows: np.ndarray, solid: Solid) -> Float[np.ndar
 
 
 def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) -> bool:
-    """Whether a link between the two is a neighbour of both, and they overlap in nearly all poses."""
+    """Return whether a link between the two is a neighbour of both, and they overlap in nearly all poses."""
     between = [c for c in tree.shaped - set(pair) if all(tree.are_neighbours(c, link) for link in pair)]
     if not between:
         return False

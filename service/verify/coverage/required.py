@@ -102,7 +102,7 @@ def _doubtful_weights(motion: Motion) -> Iterator[str]:
 
 
 def _is_possible(inertia: Float[np.ndarray, "3 3"]) -> bool:
-    """Whether no principal moment exceeds the sum of the two others by more than rounding in a file."""
+    """Return whether no principal moment exceeds the sum of the two others by more than rounding in a file."""
     moments = np.linalg.eigvalsh(np.asarray(inertia))
     return bool(moments[2] <= (1.0 + INERTIA_ROUNDING) * (moments[0] + moments[1]) + 1e-9)
 
