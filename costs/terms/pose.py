@@ -14,6 +14,7 @@ from costs.state import MotionState
 from scopt import AffineRows, Residual
 
 ALL_AXES = (True,) * 6
+_IDENTITY = np.eye(4)[None]
 SMALLEST_SINE = 1e-12  # below it an axis has no direction across another
 OPPOSITE_SINE = 1e-4  # below it an axis counts as opposite its direction [rad]
 
@@ -28,7 +29,7 @@ class _Frame:
             self.joint, self.pose_joint_frame = locate_frame(robot, name)
 
     def pose(
-        self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"], offset: Float[np.ndarray, "#S 4 4"]
+        self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"], offset: Float[np.ndarray, "#S 4 4"] = _IDENTITY
     ) -> tuple[Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
         """Return world rotation and position of the frame moved by ``offset`` (in the frame)."""
         local = self.pose_joint_frame @ offset
@@ -70,7 +71,7 @@ class FramePose(Residual[MotionState]):
         self._target = np.broadcast_to(np.asarray(target, dtype=float), (len(self._waypoints), 4, 4))
         self._axes: Bool[np.ndarray, "6"] = np.asarray(axes, dtype=bool)
         self._turns = bool(self._axes[3:].any())
-        self._offset = (np.eye(4) if offset is None else np.asarray(offset, dtype=float))[None]
+        self._offset = _IDENTITY if offset is None else np.asarray(offset, dtype=float)[None]
         self._frame = _Frame(robot, frame)
         self._reference = _Frame(robot, reference)
 
@@ -147,7 +148,7 @@ class AxisDirection(Residual[MotionState]):
     def linearize(self, state: MotionState) -> AffineRows:
         kinematics, here = state.kinematics, self._waypoints
         along, tangential, world_axis = self._components(kinematics)
-        rotation, _ = self._reference.pose(kinematics, here, np.eye(4)[None])
+        rotation, _ = self._reference.pose(kinematics, here)
         angular = kinematics.angular_jacobian(self._frame.joint)[here]
         angular = angular - kinematics.angular_jacobian(self._reference.joint)[here]
         moved = -skew(world_axis) @ angular  # d(axis) relative to the reference, in the world
@@ -165,9 +166,8 @@ class AxisDirection(Residual[MotionState]):
         self, kinematics: Kinematics
     ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S 2"], Float[np.ndarray, "S 3"]]:
         """Return cosine, tangent components (in the reference) and world direction of the axis."""
-        identity = np.eye(4)[None]
-        rotation, _ = self._frame.pose(kinematics, self._waypoints, identity)
-        reference, _ = self._reference.pose(kinematics, self._waypoints, identity)
+        rotation, _ = self._frame.pose(kinematics, self._waypoints)
+        reference, _ = self._reference.pose(kinematics, self._waypoints)
         world_axis = rotation @ self._axis
         local = np.einsum("skl,sk->sl", reference, world_axis)
         return local @ self._direction, local @ self._tangents.T, world_axis

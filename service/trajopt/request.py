@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 from costs.robot import BASE_NAMES, RobotModel, bundled_robots
 from service.errors import RequestError
 from service.request.file import load_scene, load_start, parse_request
 from service.request.schema import PlanRequest, StartRequest
+from service.start.configuration import make_start_configuration
 from service.trajopt.json_fields import did_you_mean, read_document
+from service.trajopt.problem import Problem
 from service.trajopt.program import Program
-from service.trajopt.reader import Reading, read_problem, read_robot_name
+from service.trajopt.reader import read_problem, read_robot_name
 from service.trajopt.resolve import is_start_given, resolve
 from service.trajopt.robot_checks import parse_manip
 
@@ -90,34 +89,18 @@ def _make_robot_section(files: TrajoptFiles, problem_robot: str, folder: Path) -
     return section
 
 
-def complete_start(request: PlanRequest, robot: RobotModel) -> StartRequest:
-    """Return the request's start; joints it does not name start at the first row of the problem's trajectory."""
-    reading = _read_task(request)
-    problem = None if reading is None else reading.problem
-    if problem is None or not problem.init.data:
-        return request.start
-    row, (columns, _) = problem.init.data[0], parse_manip(robot, problem.basic.manip)
-    if len(row) != len(columns):
-        return request.start
-    joints = {
-        robot.joint_names[column]: value
-        for column, value in zip(columns, row, strict=True)
-        if robot.joint_names[column] not in BASE_NAMES
-        and robot.lower[column] <= value <= robot.upper[column]
-        and not is_start_given(request.start, robot.joint_names[column])
-    }
-    return replace(request.start, joints={**request.start.joints, **joints})
+def make_program(
+    request: PlanRequest, document: Mapping[str, Any], robot: RobotModel
+) -> tuple[Program, tuple[str, ...]]:
+    """Return the program of ``task.trajopt`` for the request's robot, and notes on its start.
 
-
-def make_program(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> Program | None:
-    """Return the program of ``task.trajopt``, or None for other requests; ``start`` is the robot's configuration.
+    Joints that the request's start does not name start at the first row of the problem's trajectory.
 
     Raises:
-        RequestError: one line per error of the problem.
+        RequestError: one line per error of the start, or of the problem.
     """
-    reading = _read_task(request)
-    if reading is None:
-        return None
+    reading = read_problem(document)
+    start, notes = make_start_configuration(robot, _complete_start(request.start, reading.problem, robot))
     findings = list(reading.findings)
     if request.options.waypoints is not None:
         findings.append("options.waypoints: basic_info.n_steps says how many; leave it out")
@@ -129,9 +112,20 @@ def make_program(request: PlanRequest, robot: RobotModel, start: Float[np.ndarra
         program, findings = resolved.program, [*findings, *resolved.findings]
     if findings or program is None:
         raise RequestError(findings)
-    return program
+    return program, notes
 
 
-def _read_task(request: PlanRequest) -> Reading | None:
-    document = None if request.task is None else request.task.trajopt
-    return None if document is None else read_problem(document)
+def _complete_start(start: StartRequest, problem: Problem | None, robot: RobotModel) -> StartRequest:
+    """Add joint values of the trajectory's first row that are within the joint's limits."""
+    row = () if problem is None or not problem.init.data else problem.init.data[0]
+    columns = parse_manip(robot, problem.basic.manip)[0] if problem is not None and row else ()
+    if len(row) != len(columns):
+        return start
+    joints = {
+        robot.joint_names[column]: value
+        for column, value in zip(columns, row, strict=True)
+        if robot.joint_names[column] not in BASE_NAMES
+        and robot.lower[column] <= value <= robot.upper[column]
+        and not is_start_given(start, robot.joint_names[column])
+    }
+    return replace(start, joints={**start.joints, **joints})
