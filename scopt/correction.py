@@ -28,7 +28,6 @@ class Correction:
     (the Maratos effect).  Rows are solved waypoint by waypoint.
 
     Attributes:
-        problem: the problem.
         x: (T, n) the iterate.
         smooth: the constraints that are corrected.
         rows: (m,) their rows in the model.

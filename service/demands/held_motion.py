@@ -37,7 +37,6 @@ class Demands:
     """Demands of a request on every motion that answers it.
 
     Attributes:
-        request: the request.
         robot: the robot without the mechanism that a task moves.
         start: (n,) configuration at the start.
         scene: all pieces, floors included.

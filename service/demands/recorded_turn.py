@@ -46,7 +46,6 @@ class RecordedTurn:
     """Choices of a recorded turn, among those the task permits.
 
     Attributes:
-        wheel: the wheel.
         strokes: strokes in order.
         problems: one sentence for each violation of the task.
     """

@@ -28,7 +28,6 @@ class Stance:
     """The feet as they stand at the start.
 
     Attributes:
-        robot: the robot.
         contacts: of the planted links.
         hull: of the soles; None where balance is waived.
         height: of the soles [m].

@@ -83,8 +83,6 @@ class _Resolver:
     """Steps that turn a problem with valid names and lengths into a program.
 
     Attributes:
-        problem: the problem as read.
-        robot: the robot to move.
         columns: (k,) coordinates of ``manip``, in the file's order.
     """
 

@@ -51,7 +51,6 @@ class Builder:
     """Builder of the costs, constraints and bounds of one program on one timeline.
 
     Attributes:
-        program: the program.
         timeline: waypoints of its steps.
         body: the robot on its planted links in its scene.
         checker: finds contacts up to at least the largest ``dist_pen`` of the program.

@@ -32,8 +32,6 @@ class Promises:
     """Promises of a program's motion besides its planted links.
 
     Attributes:
-        program: the program.
-        robot: the robot to move.
         along: pose constraints that hold along the whole motion; one term represents those of all waypoints.
         held: paths of all represented terms.
         notes: lines on held constraints, and on constraints that the verifier cannot check.

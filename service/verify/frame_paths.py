@@ -18,7 +18,6 @@ class FramePath:
     """Points (in a frame) and that frame's axes along the motion, as seen from the world or from another frame.
 
     Attributes:
-        prepared: the motion.
         joint: pinocchio joint that carries the frame.
         points: (C, 3) in the frame of that joint [m].
         rotation: (3, 3) rotation_joint_frame.

@@ -108,12 +108,8 @@ class Solid:
 
     def distances(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
         """Return the distances of points in the solid's frame from it, 0 inside [m]."""
-        dot, here, request, result = (
-            coal.Sphere(1e-9),
-            coal.Transform3s(),
-            coal.DistanceRequest(),
-            coal.DistanceResult(),
-        )
+        dot, here = coal.Sphere(1e-9), coal.Transform3s()
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
         distances = []
         for point in points:
             result.clear()
